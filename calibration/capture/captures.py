@@ -18,6 +18,8 @@ EQUATOR_SLACK = 1.03
 """A contact may look larger than the ball by this factor: circles are off by a pixel or two."""
 UNTOUCHED_RADII = 2.5
 """Beyond this many contact radii the gel is at rest, as far as colour tells."""
+FAR_SHARE = 0.1
+"""Share of a picture that is taken as far from a contact at least."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,16 @@ class ContactCircle:
     def untouched(self, grid: PixelGrid) -> np.ndarray:
         """Pixels where the gel is at rest, as far as colour tells, bool, [height_px, width_px]."""
         return self.distance_px(grid) > UNTOUCHED_RADII * self.radius_px
+
+    def far(self, grid: PixelGrid, radii: float, usable: np.ndarray | None = None) -> np.ndarray:
+        """Usable pixels beyond ``radii`` contact radii, or the farthest tenth of all where those
+        are fewer: on a small picture, under a large ball; bool, shape [height_px, width_px]."""
+        away = self.distance_px(grid)
+        usable = np.ones_like(away, dtype=bool) if usable is None else usable
+        if not usable.any():
+            return usable
+        farthest = float(np.quantile(away[usable], 1 - FAR_SHARE))
+        return usable & (away >= min(radii * self.radius_px, farthest))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.color.light_beside import FAR_RADII
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -114,13 +113,3 @@ def ssim(a: np.ndarray, b: np.ndarray, pixels: np.ndarray | None = None) -> floa
     edge = size // 2
     inside = torch.from_numpy(pixels[edge : a.shape[0] - edge, edge : a.shape[1] - edge].copy())
     return float(score[..., inside].mean())
-
-
-def noise_floor_l1(
-    captured: np.ndarray, background: np.ndarray, circle: ContactCircle, grid: PixelGrid
-) -> float:
-    """Mean absolute difference of a capture from the background beyond 3 contact radii [levels]."""
-    far = circle.distance_px(grid) > FAR_RADII * circle.radius_px
-    if not far.any():
-        raise InputError("the contact circle leaves no pixels beyond 3 radii")
-    return float(np.abs(captured[far].astype(np.float64) - background[far]).mean())

@@ -16,7 +16,7 @@ import numpy as np
 from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.color.evaluate import ImageScore, noise_floor_l1, score_image
+from taccel_lab.calibration.color.evaluate import ImageScore, score_image
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.folds import FoldResult, fold_fits
 from taccel_lab.calibration.color.frames import ColorFrame
@@ -27,7 +27,12 @@ from taccel_lab.calibration.color.heldout import (
     score_heldout,
     without_light,
 )
-from taccel_lab.calibration.color.light_beside import fit_light_beside, too_little_left
+from taccel_lab.calibration.color.light_beside import (
+    drift_by_halves,
+    fit_light_beside,
+    noise_floor_l1,
+    too_little_left,
+)
 from taccel_lab.calibration.color.network_fit import ColorFit, fit_color_model
 from taccel_lab.calibration.color.options import ColorOptions, ColorTraining
 from taccel_lab.calibration.color.registration import MIN_PRESSES, Registration, register_presses
@@ -35,8 +40,7 @@ from taccel_lab.calibration.color.remarks import color_remarks
 from taccel_lab.calibration.color.result import ColorCalibration, PressScore, Spread
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode, choose_drift
-from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode
 from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.simulate import PressSurfaces
 from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
@@ -46,6 +50,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.color_model import STEEPEST, ColorModel
 from taccel_lab.signals.tactile_image import tactile_image
 
 SPREAD_PIXELS = 2000
@@ -122,7 +127,7 @@ def fit_color(
         surfaces: Their surfaces, in order.
         heldout: Presses that are read when the model is frozen; None leaves figures out.
         options: Settings of the fit.
-        drift: Whether drift is taken off (``choose_drift``); None leaves it to ``options``.
+        drift: Whether drift is taken off (``DriftChoice``); None leaves it to ``options``.
         register: Read the training circles again with the colours of the other training presses.
         folds: Fits that leave training presses out: their spread; 0 for none.
         table: Fit Taxim's table too, as a baseline and for export.
@@ -208,7 +213,7 @@ class _Fitting:
             validated=[] if found is None else self._validated(found),
             captures=captures,
             surface_provider=", ".join(sorted({surface.provider for surface in surfaces})),
-            valid_region=_valid_region(self.frames),
+            valid_region=_valid_region(self.frames, fit.model),
             circles=tuple(frame.circle for frame in self.frames),
             start_circles=tuple(start),
             drift_choice=self.drift_choice,
@@ -222,16 +227,17 @@ class _Fitting:
         if self.drift is None:
             return
         captures, grid = self.captures, self.captures.grid
-        images, lights, untouched = [], [], []
+        differences: list[tuple[float, float]] = []
         for done, frame in enumerate(self.frames):
             self.progress(COMPARING, done, len(self.frames))
-            images.append(frame.image)
-            lights.append(
-                fit_light(frame.image, captures.background, captures.mask, gradient=False)
-            )
-            untouched.append(frame.circle.untouched(grid) & captures.mask)
-        choice = choose_drift(images, lights, untouched, captures.background, self.drift)
+            if not too_little_left(frame.circle, grid, captures.mask, halves=True):
+                differences.append(
+                    drift_by_halves(
+                        frame.image, captures.background, frame.circle, grid, captures.mask
+                    )
+                )
         self.progress(COMPARING, len(self.frames), len(self.frames))
+        choice = DriftChoice.of(differences or [(0.0, 0.0)], self.drift)
         if self.drift == "auto" and choice.remove:
             # A contact that fills its frame leaves nothing to tell that frame's light by.
             circles = [frame.circle for frame in self.frames]
@@ -334,16 +340,17 @@ class _Fitting:
         return float(np.mean(floors)) if floors else math.nan
 
 
-def _valid_region(frames: Sequence[ColorFrame]) -> dict[str, tuple[float, float]]:
+def _valid_region(
+    frames: Sequence[ColorFrame], model: ColorModel
+) -> dict[str, tuple[float, float]]:
     """Where the training presses lie: positions of the contacts, slopes and displacements."""
     u = [frame.circle.u_px for frame in frames]
     v = [frame.circle.v_px for frame in frames]
-    tilt = max(math.degrees(math.acos(min(1.0, f.surface.normals[..., 2].min()))) for f in frames)
     low = min(float(f.surface.displacement_mm().min()) for f in frames)
     high = max(float(f.surface.displacement_mm().max()) for f in frames)
     return {
         "contact_u_px": (min(u), max(u)),
         "contact_v_px": (min(v), max(v)),
-        "surface_tilt_deg": (0.0, tilt),
+        STEEPEST: (0.0, model.cone_deg),
         "displacement_mm": (low, high),
     }

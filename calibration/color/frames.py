@@ -10,10 +10,11 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII, ContactCircle
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.light_beside import fit_light_beside
+from taccel_lab.calibration.color.light_beside import fit_light_beside, too_little_left
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.pixel_draw import draw_regions
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import ColorModelConfig, pixel_uv
 
@@ -54,6 +55,9 @@ def frame_drift(
     """Drift of a frame against the background; none where the options leave it in."""
     if not options.remove_drift:
         return NO_DRIFT
+    reason = too_little_left(frame.circle, grid, mask)
+    if reason:
+        raise InputError(f"{frame.name}: {reason}; give drift off, or leave the press out")
     return fit_light_beside(frame.image, background, frame.circle, grid, mask)
 
 

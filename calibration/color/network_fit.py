@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,6 +13,7 @@ import numpy as np
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import (
     ColorFrame,
+    Samples,
     draw_samples,
     frame_drift,
 )
@@ -61,18 +63,15 @@ def fit_color_model(
         raise InputError("the colour fit needs at least one press")
     drifts = {frame.name: frame_drift(frame, background, grid, mask, options) for frame in frames}
     rest_image = rest_background(frames, background, drifts, grid, mask)
-    trained = train(
-        draw_samples(frames, rest_image, drifts, grid, mask, options),
-        grid,
-        options,
-        progress=progress,
-    )
+    samples = draw_samples(frames, rest_image, drifts, grid, mask, options)
+    trained = train(samples, grid, options, progress=progress)
+    model = ColorModel(trained.model.config, trained.model.weights, steepest_deg(samples))
     residuals = {
-        frame.name: disc_l1(trained.model, frame, rest_image, drifts[frame.name], grid, mask)
+        frame.name: disc_l1(model, frame, rest_image, drifts[frame.name], grid, mask)
         for frame in frames
     }
     return ColorFit(
-        model=trained.model,
+        model=model,
         background=rest_image,
         loss_curve=trained.curve,
         disc_l1_train=residuals,
@@ -81,6 +80,11 @@ def fit_color_model(
         seconds=time.perf_counter() - started,
         inputs={frame.name: frame.sha256 for frame in frames if frame.sha256},
     )
+
+
+def steepest_deg(samples: Samples) -> float:
+    """Tilt of the steepest normals that a fit is shown: one in 10,000 leans further."""
+    return math.degrees(math.acos(np.clip(np.quantile(samples.normals[:, 2], 1e-4), 0.0, 1.0)))
 
 
 def rest_background(

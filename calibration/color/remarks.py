@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from taccel_lab.calibration.color.heldout import mean_bare
@@ -22,6 +24,8 @@ SCALE_OFF = 0.04
 """Radii that are all off by more than this share are worth a remark."""
 MOVED_RADII = 0.15
 """A circle whose centre moves by more than this share of its radius is named."""
+LABELS_BESIDE = 0.05
+"""Labels that all lie beside the contacts by more than this share of their radii are worth one."""
 FAR_LEVELS = 6.0
 """Captures that differ from the background by more far from the contact have drifted."""
 UNSURE_SHARE = 0.5
@@ -76,6 +80,14 @@ CIRCLES_MOVED = RemarkKind(
     "the colours put {moved} of {count} contacts well away from their circles: {names}; correct "
     "these circles (taccel-lab capture review)",
 )
+LABELS_OFF = RemarkKind(
+    "labels_beside",
+    Severity.INFO,
+    "labels lie off the contacts, all alike: found less labelled, {u:+.1f} and {v:+.1f} px for the "
+    "centre and {radius:+.1f} px for the radius, mean over {count} presses. Figures by label have "
+    "that put right; a press that you render at its bare label is off by as much. To keep to "
+    "labels that you trust: --circles labels --no-register",
+)
 DRIFT_TAKEN_OFF = RemarkKind(
     "drift_taken_off",
     Severity.WARNING,
@@ -104,6 +116,7 @@ def color_remarks(result: ColorCalibration) -> list[Remark]:
         *_failures(result),
         *_outliers(result),
         *_circles(result),
+        *_labels(result),
         *_light(result),
         *_spread(result),
     ]
@@ -159,12 +172,22 @@ def _circles(result: ColorCalibration) -> list[Remark]:
     far = [
         name
         for name, a, b in zip(result.train_names, result.start_circles, result.circles, strict=True)
-        if np.hypot(b.u_px - a.u_px, b.v_px - a.v_px) > max(4.0, MOVED_RADII * a.radius_px)
+        if np.hypot(b.u_px - a.u_px, b.v_px - a.v_px) > MOVED_RADII * a.radius_px
     ]
     if far:
         named = ", ".join(far[:6]) + (f" and {len(far) - 6} more" if len(far) > 6 else "")
         remarks.append(CIRCLES_MOVED(moved=len(far), count=len(result.circles), names=named))
     return remarks
+
+
+def _labels(result: ColorCalibration) -> list[Remark]:
+    shift = result.label_shift
+    if not shift.count:
+        return []
+    u, v, radius = (float(value) for value in shift.mean_px)
+    if max(math.hypot(u, v), abs(radius)) <= LABELS_BESIDE * shift.mean_radius_px:
+        return []
+    return [LABELS_OFF(u=u, v=v, radius=radius, count=shift.count)]
 
 
 def _light(result: ColorCalibration) -> list[Remark]:

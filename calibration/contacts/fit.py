@@ -19,7 +19,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
-from taccel_lab.calibration.contacts.color_change import ColorChange, color_change
+from taccel_lab.calibration.contacts.color_change import (
+    SUNK_RADII,
+    ColorChange,
+    color_change,
+)
 from taccel_lab.calibration.contacts.first_circle import (
     MIN_RADIUS_PX,
     first_circle,
@@ -42,6 +46,7 @@ from taccel_lab.calibration.contacts.result import (
 from taccel_lab.calibration.contacts.rim import fit_rim
 from taccel_lab.calibration.contacts.rings import RingSamples, sample_rings
 from taccel_lab.calibration.contacts.uncertainty import circle_covariances
+from taccel_lab.calibration.light.fit import enough_pixels
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
@@ -60,6 +65,8 @@ MIN_GATHERED = 0.6
 goes on."""
 MIN_VISIBLE = 0.55
 """Share of the rings around a contact that has to lie in the image and outside the mask."""
+MOSTLY = 0.5
+"""Share of a picture that has to be far from its contact for the light to be that of all of it."""
 SAMPLING_BLUR_SHARE = 0.04
 """Guess of the blur of gel and lens together, in ball radii, besides our own smoothing."""
 ROUNDS = (8, 16)
@@ -83,7 +90,7 @@ def detect_contact(
     naming ``name`` when the image shows no contact or no round one, or when the contact reaches out
     of the image.
     """
-    start = _start(color_change(image, background, grid, mask), background, name)
+    start = _start(image, background, grid, mask, name)
     if ball_radius_mm is None:
         ball_px = start.circle.radius_px / USUAL_RATIO
     else:
@@ -105,8 +112,9 @@ def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundCon
             found[i] = DetectedContact(press.circle, 0.0, 1.0, 0.0, 0.0)
             continue
         try:
-            change = color_change(press.image(), captures.background, captures.grid, captures.mask)
-            starts[i] = _start(change, captures.background, press.source)
+            starts[i] = _start(
+                press.image(), captures.background, captures.grid, captures.mask, press.source
+            )
         except InputError as error:
             refusals[i] = Refusal(press.name, str(error), isinstance(error, CutContactError))
         progress(TASK, i + 1, len(captures.presses))
@@ -164,18 +172,30 @@ class _Start:
     contrast_levels: float
 
 
-def _start(change: ColorChange, background: np.ndarray, name: str) -> _Start:
+def _start(
+    image: np.ndarray, background: np.ndarray, grid: PixelGrid, mask: np.ndarray | None, name: str
+) -> _Start:
     """First circle of a press; InputError when there is nothing to start from."""
+    change = color_change(image, background, grid, mask)
     strength = change.strength()
     center, radius = first_circle(change.change, strength)
+    seen = ContactCircle(float(center[0]), float(center[1]) / change.ratio, radius)
+    far = seen.far(grid, SUNK_RADII, mask)
+    usable = far.size if mask is None else mask.sum()
+    if far.sum() < MOSTLY * usable and enough_pixels(far):
+        # The contact has a say in the light of such a picture.
+        change = color_change(image, background, grid, mask, far)
+        strength = change.strength()
+        center, radius = first_circle(change.change, strength)
     disc = _distance(strength.shape, center) <= radius
     contrast = float(np.percentile(strength[disc], 90)) if disc.any() else 0.0
     bright = float(np.percentile(background, 90))
     needed = float(np.clip(0.1 * bright, MIN_CONTRAST_DARK_LEVELS, MIN_CONTRAST_LEVELS))
-    if contrast < needed or contrast < MIN_CONTRAST_OVER_NOISE * change.noise_levels:
+    noise = change.noise_levels(ContactCircle(float(center[0]), float(center[1]), radius))
+    if contrast < needed or contrast < MIN_CONTRAST_OVER_NOISE * noise:
         raise InputError(
             f"{name}: no contact found; its strongest colour change is {contrast:.1f} levels of "
-            f"255 over a noise of {change.noise_levels:.1f}, at least {needed:g} levels and "
+            f"255 over a noise of {noise:.1f}, at least {needed:g} levels and "
             f"{MIN_CONTRAST_OVER_NOISE:g} times the noise are needed. If it shows a "
             "contact, give its circle; a frame without one teaches nothing and is left out"
         )

@@ -31,6 +31,16 @@ class DriftChoice:
     corrected_levels: float
     """The same with the drift of each frame taken off [levels]."""
 
+    @classmethod
+    def of(
+        cls, differences: Sequence[tuple[float, float]], mode: DriftMode = "auto"
+    ) -> DriftChoice:
+        """From the differences [levels] of each frame, as captured and with its drift taken off;
+        ``on`` and ``off`` decide themselves."""
+        captured, corrected = (float(levels) for levels in np.median(differences, axis=0))
+        pays = corrected < (1 - NEEDED_GAIN) * captured
+        return cls(mode == "on" or (mode == "auto" and pays), captured, corrected)
+
 
 def choose_drift(
     images: Sequence[np.ndarray],
@@ -48,15 +58,11 @@ def choose_drift(
         background: RGB levels, shape [height_px, width_px, 3].
         mode: ``on`` and ``off`` decide themselves.
     """
-    differences = np.array(
-        [
-            [_difference(picture, background, flat) for picture in (image, light.remove(image))]
-            for image, light, flat in zip(images, lights, untouched, strict=True)
-        ]
-    )
-    captured, corrected = (float(levels) for levels in np.median(differences, axis=0))
-    pays = corrected < (1 - NEEDED_GAIN) * captured
-    return DriftChoice(mode == "on" or (mode == "auto" and pays), captured, corrected)
+    differences = [
+        (_difference(image, background, flat), _difference(light.remove(image), background, flat))
+        for image, light, flat in zip(images, lights, untouched, strict=True)
+    ]
+    return DriftChoice.of(differences, mode)
 
 
 def _difference(image: np.ndarray, background: np.ndarray, flat: np.ndarray) -> float:

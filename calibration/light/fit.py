@@ -50,11 +50,8 @@ def fit_light(
     out. The untouched part has to be the larger one. ``gradient=False`` fits gain and offset only.
     """
     height, width = background.shape[:2]
-    step = max(1, int(np.sqrt(height * width / SAMPLE_COUNT)))
-    rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
-    usable = np.ones(rows.shape, bool) if mask is None else mask[rows, columns]
-    rows, columns = rows[usable], columns[usable]
-    if len(rows) < min(MIN_PIXELS, height * width // 4):
+    rows, columns = _samples(np.ones((height, width), bool) if mask is None else mask)
+    if len(rows) < _needed(height, width):
         raise InputError(
             f"only {len(rows)} usable pixels to fit the light's drift; the mask leaves too few"
         )
@@ -87,6 +84,24 @@ def fit_light(
         gradient=fitted[:, 2:].copy() if gradient else np.zeros((3, 2)),
         noise_levels=scale,
     )
+
+
+def enough_pixels(mask: np.ndarray) -> bool:
+    """Whether ``fit_light`` takes a light by the pixels of ``mask``, [height_px, width_px]."""
+    return len(_samples(mask)[0]) >= _needed(*mask.shape)
+
+
+def _needed(height: int, width: int) -> int:
+    return min(MIN_PIXELS, height * width // 4)
+
+
+def _samples(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the lattice's pixels in ``mask``."""
+    height, width = mask.shape
+    step = max(1, int(np.sqrt(height * width / SAMPLE_COUNT)))
+    rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
+    usable = mask[rows, columns]
+    return rows[usable], columns[usable]
 
 
 def _with_prior(

@@ -13,6 +13,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.interop.record import MAKERS, ExportRecord
 from taccel_lab.output import write_json
 from taccel_lab.profile import ColorBlock, NormalsBlock, SensorProfile
+from taccel_lab.signals.color_model import ColorModel
 
 PEER = "safetensors 0.4 and later"
 Network = tuple[ColorBlock | NormalsBlock, Mapping[str, np.ndarray]]
@@ -20,11 +21,11 @@ Network = tuple[ColorBlock | NormalsBlock, Mapping[str, np.ndarray]]
 COLOR_FORMULA = (
     "x = (inputs - input_mean) / input_scale, inputs in the order of `inputs`; u = 2 column / "
     "(width_px - 1) - 1, v = 2 row / (height_px - 1) - 1; normal: outward unit normal in the gel "
-    "frame; displacement_mm: rise of the face over rest. After them, for k = 0 .. position_bands - "
-    "1: sin(2^k pi u), sin(2^k pi v), cos(2^k pi u), cos(2^k pi v), as they are. Each layer: x = "
-    "activation(weight x + bias), the last without activation. change [levels of 255, RGB] = "
-    "output_scale (f(pressed) - f(at rest)), at rest being the same pixel with its resting normal "
-    "and displacement 0."
+    "frame, turned back to a tilt of cone_deg where it leans further; displacement_mm: rise of the "
+    "face over rest. After them, for k = 0 .. position_bands - 1: sin(2^k pi u), sin(2^k pi v), "
+    "cos(2^k pi u), cos(2^k pi v), as they are. Each layer: x = activation(weight x + bias), the "
+    "last without activation. change [levels of 255, RGB] = output_scale (f(pressed) - f(at "
+    "rest)), at rest being the same pixel with its resting normal and displacement 0."
 )
 NORMAL_FORMULA = (
     "x = (features - input_mean) / input_scale, features in the order of `features`, of which "
@@ -78,6 +79,9 @@ def export_safetensors(profile: SensorProfile, folder: Path) -> ExportRecord:
             "formula": COLOR_FORMULA if key == "color" else NORMAL_FORMULA,
             "shapes": {item: list(tensor.shape) for item, tensor in tensors.items()},
         }
+        colors = ColorModel.from_profile(profile) if key == "color" else None
+        if colors is not None:
+            described[key]["cone_deg"] = colors.cone_deg
         record.carries[key] = "all weights, unchanged"
     write_json(folder / "models.json", described)
     record.leave_out_missing(profile, "color", "normals")

@@ -8,6 +8,7 @@ ONNX's own reference evaluator and compared with the profile's model before it i
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from taccel_lab.interop.network_files import networks
 from taccel_lab.interop.record import ExportRecord
 from taccel_lab.output import write_json
 from taccel_lab.profile import SensorProfile
-from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.color_model import UPRIGHT_DEG, ColorModel
 from taccel_lab.signals.normal_model import MIN_ERROR_RAD, NormalModel
 
 if TYPE_CHECKING:
@@ -143,11 +144,23 @@ def _color(profile: SensorProfile) -> Made:
     displacement = graph.add("Reshape", "displacement_mm", column)
     none = graph.add("Mul", displacement, graph.constant(0.0))
 
+    cone = math.radians(model.cone_deg)
+
+    def within_cone(normal: str) -> dict[str, str]:
+        x, y, z = (
+            graph.add("Gather", normal, graph.constant(np.array([i]), np.int64), axis=1)
+            for i in range(3)
+        )
+        if model.cone_deg < UPRIGHT_DEG:
+            across = graph.add("Sqrt", graph.add("Add", *(graph.add("Mul", n, n) for n in (x, y))))
+            across = graph.add("Max", across, graph.constant(math.sin(cone)))
+            share = graph.add("Div", graph.constant(math.sin(cone)), across)
+            x, y = graph.add("Mul", share, x), graph.add("Mul", share, y)
+            z = graph.add("Max", z, graph.constant(math.cos(cone)))
+        return {"normal_x": x, "normal_y": y, "normal_z": z}
+
     def network(normal: str, height: str) -> str:
-        parts = {**place, "displacement_mm": height}
-        for i, axis in enumerate("xyz"):
-            at = graph.constant(np.array([i]), np.int64)
-            parts[f"normal_{axis}"] = graph.add("Gather", normal, at, axis=1)
+        parts = {**place, "displacement_mm": height, **within_cone(normal)}
         x = graph.add("Concat", *(parts[name] for name in config.inputs), axis=1)
         x = graph.add("Sub", x, graph.constant(np.array(config.input_mean)))
         x = graph.add("Div", x, graph.constant(np.array(config.input_scale)))
@@ -176,7 +189,7 @@ def _color(profile: SensorProfile) -> Made:
     )
     rng = np.random.default_rng(0)
     idx = rng.integers(0, config.width_px * config.height_px, CHECKED)
-    normal, rest = _unit_normals(rng, 0.6), _unit_normals(rng, 0.1)
+    normal, rest = _unit_normals(rng, 1.2), _unit_normals(rng, 0.1)
     height = rng.uniform(-1.5, 0.1, CHECKED).astype(np.float32)
     feeds = {
         "u_px": (idx % config.width_px).astype(np.float32),

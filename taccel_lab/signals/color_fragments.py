@@ -17,11 +17,12 @@ the first layer is tabulated once for each column and each row; the layer starts
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.signals.color_model import INPUT_NAMES, ColorModel, ColorModelConfig
+from taccel_lab.signals.color_model import INPUT_NAMES, ColorModel
 from taccel_lab.signals.position_encoding import encode_position
 
 TILE = 16
@@ -76,7 +77,7 @@ class PackedNetwork:
     plain: np.ndarray
     """For other devices: bias [out] and weights [in, out] of each layer in turn, float32."""
     normalization: np.ndarray
-    """As ``normalization`` says, float32, shape [14]."""
+    """As ``normalization`` says, float32, shape [15]."""
     place: np.ndarray
     """As ``place_sums`` says; empty without a positional encoding."""
 
@@ -97,9 +98,10 @@ def canonical_weights(model: ColorModel) -> list[np.ndarray]:
     return weights
 
 
-def normalization(config: ColorModelConfig) -> np.ndarray:
-    """Mean of each of ``INPUT_NAMES``, one over its scale (zero and one for those not used), and
-    the steps of u and v from pixel to pixel."""
+def normalization(model: ColorModel) -> np.ndarray:
+    """Mean of each of ``INPUT_NAMES``, one over its scale (zero and one for those not used), the
+    steps of u and v from pixel to pixel, and the slope of the cone that normals are kept within."""
+    config = model.config
     mean, scale = np.zeros(len(INPUT_NAMES)), np.ones(len(INPUT_NAMES))
     for name, value, width in zip(
         config.inputs, config.input_mean, config.input_scale, strict=True
@@ -107,7 +109,8 @@ def normalization(config: ColorModelConfig) -> np.ndarray:
         mean[INPUT_NAMES.index(name)] = value
         scale[INPUT_NAMES.index(name)] = width
     steps = [2.0 / (config.width_px - 1), 2.0 / (config.height_px - 1)]
-    return np.concatenate([mean, 1.0 / scale, steps]).astype(np.float32)
+    steepest = math.tan(math.radians(model.cone_deg))
+    return np.concatenate([mean, 1.0 / scale, steps, [steepest]]).astype(np.float32)
 
 
 def place_sums(model: ColorModel) -> np.ndarray:
@@ -160,7 +163,7 @@ def pack_network(model: ColorModel) -> PackedNetwork:
         fragments=fragments,
         biases=packed_biases,
         plain=np.concatenate(plain).astype(np.float32),
-        normalization=normalization(config),
+        normalization=normalization(model),
         place=place_sums(model),
     )
 

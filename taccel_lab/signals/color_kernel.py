@@ -27,7 +27,7 @@ from taccel_lab.signals.color_fragments import NetworkLayout
 
 wp.set_module_options({"enable_backward": False})
 
-vec14f = wp.types.vector(length=14, dtype=wp.float32)
+vec15f = wp.types.vector(length=15, dtype=wp.float32)
 
 WRITE_BYTES = 1
 """Rounded levels into ``image``."""
@@ -47,8 +47,14 @@ _PIXEL = """
         + fabsf(s[2] - r[2]) * weight[2];
     // False too where either surface is missing, which is NaN.
     const bool moved = i < count && (away > still_levels || ((mode & 4) && away >= 0.0f));
-    const float sx = moved ? s[0] : 0.0f;
-    const float sy = moved ? s[1] : 0.0f;
+    float sx = moved ? s[0] : 0.0f;
+    float sy = moved ? s[1] : 0.0f;
+    // Slopes beyond the cone are turned back to it.
+    const float steep = sqrtf(sx * sx + sy * sy);
+    if (steep > norm[14]) {
+        sx *= norm[14] / steep;
+        sy *= norm[14] / steep;
+    }
 #if defined(__CUDA_ARCH__)
     const float inverse = rsqrtf(1.0f + sx * sx + sy * sy);
 #else
@@ -357,7 +363,7 @@ def color_kernel(hidden: tuple[int, ...], activation: str, encoded: bool = False
         anchor: wp.array(dtype=wp.vec3f),
         background: wp.array(dtype=wp.vec3f),
         sensitivity: wp.array(dtype=wp.vec3f),
-        norm: vec14f,
+        norm: vec15f,
         fragments: wp.array(dtype=wp.uint32),
         biases: wp.array(dtype=wp.float32),
         plain: wp.array(dtype=wp.float32),
@@ -379,7 +385,7 @@ def color_kernel(hidden: tuple[int, ...], activation: str, encoded: bool = False
         anchor: wp.array(dtype=wp.vec3f),
         background: wp.array(dtype=wp.vec3f),
         sensitivity: wp.array(dtype=wp.vec3f),
-        norm: vec14f,
+        norm: vec15f,
         fragments: wp.array(dtype=wp.uint32),
         biases: wp.array(dtype=wp.float32),
         plain: wp.array(dtype=wp.float32),

@@ -8,12 +8,16 @@ Taxim (Si and Yuan, RA-L 2022) and FOTS (Zhao et al., RA-L 2024); the displaceme
 of a dent from untouched gel, which has the same normal but lies closer to the lamps. The position
 may be given as sines and cosines, too (``position_encoding``).
 
+Beyond the steepest surface that balls showed, the network would answer whatever it likes. A normal
+that leans further is answered as if it leaned that far, the same way (``within_cone``).
+
 The weights are plain numpy arrays and the settings a flat dict, which is what a sensor profile
 stores; torch is imported when an image is rendered.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -36,6 +40,10 @@ if TYPE_CHECKING:
 INPUT_NAMES = ("u", "v", "normal_x", "normal_y", "normal_z", "displacement_mm")
 ACTIVATIONS = ("silu", "tanh", "relu")
 CHUNK_PIXELS = 32_768
+UPRIGHT_DEG = 90.0
+"""A cone that holds every normal."""
+STEEPEST = "surface_tilt_deg"
+"""Entry of a block's ``valid_region``: tilts of the surfaces that it was fitted to [deg]."""
 
 
 @dataclass(frozen=True)
@@ -122,11 +130,19 @@ class ColorModel:
     """Colour change of tactile pixels.
 
     ``weights`` holds float32 arrays ``layer<i>.weight`` [outputs, inputs] and ``layer<i>.bias``
-    [outputs].
+    [outputs]; ``cone_deg`` is the tilt of the steepest normal that it was fitted to.
     """
 
-    def __init__(self, config: ColorModelConfig, weights: Mapping[str, np.ndarray]) -> None:
+    def __init__(
+        self,
+        config: ColorModelConfig,
+        weights: Mapping[str, np.ndarray],
+        cone_deg: float = UPRIGHT_DEG,
+    ) -> None:
+        if not 0 < cone_deg <= UPRIGHT_DEG:
+            raise InputError(f"color model cone_deg must lie in 0..90, got {cone_deg:g}")
         self.config = config
+        self.cone_deg = cone_deg
         self.weights = {
             name: np.array(value, dtype=np.float32, order="C") for name, value in weights.items()
         }
@@ -141,13 +157,16 @@ class ColorModel:
     def from_profile(cls, profile: SensorProfile) -> ColorModel | None:
         """The colour model of a profile's sensor; None when it has none.
 
-        Raises InputError when it is for images of another size than those of the camera.
+        Its cone is the ``surface_tilt_deg`` of the block's ``valid_region``. Raises InputError when
+        it is for images of another size than those of the camera.
         """
         if profile.color is None or profile.color_weights is None:
             return None
         config = ColorModelConfig.from_dict(profile.color.architecture)
         require_camera_size(profile, "color", config.width_px, config.height_px)
-        return cls(config, profile.color_weights)
+        region = profile.color.provenance.valid_region
+        steepest_deg = region.get(STEEPEST, (0.0, UPRIGHT_DEG))[1]
+        return cls(config, profile.color_weights, min(steepest_deg, UPRIGHT_DEG))
 
     def predict_pixels(
         self,
@@ -164,6 +183,8 @@ class ColorModel:
         import torch
 
         change = np.empty((len(pixel_idx), 3), dtype=np.float32)
+        normals = within_cone(normals, self.cone_deg)
+        rest_normals = within_cone(rest_normals, self.cone_deg)
         layers = layer_tensors(self.config, self.weights)
         with torch.inference_mode():
             for start in range(0, len(pixel_idx), CHUNK_PIXELS):
@@ -175,6 +196,17 @@ class ColorModel:
                     self.config, layers, torch.from_numpy(pressed), torch.from_numpy(at_rest)
                 ).numpy()
         return change
+
+
+def within_cone(normals: np.ndarray, cone_deg: float) -> np.ndarray:
+    """Unit normals, shape [n, 3], that lean by more than ``cone_deg`` turned back to that tilt."""
+    if cone_deg >= UPRIGHT_DEG:
+        return normals
+    cone = math.radians(cone_deg)
+    across = np.hypot(normals[:, 0], normals[:, 1])
+    share = np.minimum(1.0, math.sin(cone) / np.maximum(across, 1e-30))
+    up = np.maximum(normals[:, 2], math.cos(cone))
+    return np.stack([share * normals[:, 0], share * normals[:, 1], up], axis=-1)
 
 
 def expected_shapes(config: ColorModelConfig) -> dict[str, tuple[int, ...]]:

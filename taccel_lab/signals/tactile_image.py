@@ -21,7 +21,7 @@ from taccel_lab.signals.color_kernel import (
     WRITE_LEVELS,
     WRITE_OUTPUT,
     color_kernel,
-    vec14f,
+    vec15f,
 )
 from taccel_lab.signals.color_model import ColorModel
 
@@ -84,7 +84,7 @@ class DeviceColorModel:
             config.hidden, config.activation, encoded=config.position_bands > 0
         )
         self._weights = [
-            vec14f(*packed.normalization),
+            vec15f(*packed.normalization),
             wp.array(packed.fragments, dtype=wp.uint32, device=device),
             wp.array(packed.biases, dtype=wp.float32, device=device),
             wp.array(packed.plain, dtype=wp.float32, device=device),

@@ -51,26 +51,36 @@ def flat_background() -> np.ndarray:
 
 
 def press_image(
-    circle: ContactCircle, rng: np.random.Generator, noise: float = 1.0
+    circle: ContactCircle,
+    rng: np.random.Generator,
+    noise: float = 1.0,
+    ball_mm: float = BALL_RADIUS_MM,
 ) -> tuple[np.ndarray, PressSurface]:
     """A noisy capture of one press, RGB uint8, with the surface that made it."""
-    surface = analytic_surface(circle, GRID, BALL_RADIUS_MM, decay_mm=1.0)
+    surface = analytic_surface(circle, GRID, ball_mm, decay_mm=1.0)
     image = flat_background() + known_change(surface)
     image += rng.normal(0, noise, image.shape)
     return np.clip(np.rint(image), 0, 255).astype(np.uint8), surface
 
 
 def synthetic_captures(
-    count: int = 12, seed: int = 0, noise: float = 1.0
+    count: int = 12,
+    seed: int = 0,
+    noise: float = 1.0,
+    radii_px: tuple[float, float] = (11, 16),
+    ball_mm: float = BALL_RADIUS_MM,
 ) -> tuple[CaptureSet, list[PressSurface]]:
     """A capture set in memory, and the true surface of each press."""
     rng = np.random.default_rng(seed)
     presses, surfaces = [], []
+    margin = max(35.0, radii_px[1] + 2)
     for i in range(count):
         circle = ContactCircle(
-            float(rng.uniform(35, 125)), float(rng.uniform(35, 85)), float(rng.uniform(11, 16))
+            float(rng.uniform(margin, GRID.width_px - margin)),
+            float(rng.uniform(margin, GRID.height_px - margin)),
+            float(rng.uniform(*radii_px)),
         )
-        image, surface = press_image(circle, rng, noise)
+        image, surface = press_image(circle, rng, noise, ball_mm)
         presses.append(Press(f"p{i}", f"memory[{i}]", f"{i:064x}", circle, partial(np.copy, image)))
         surfaces.append(surface)
     background = np.rint(flat_background()).astype(np.uint8)
@@ -80,7 +90,7 @@ def synthetic_captures(
         background=background,
         background_sha256="0" * 64,
         mask=np.ones(background.shape[:2], dtype=bool),
-        ball_radius_mm=BALL_RADIUS_MM,
+        ball_radius_mm=ball_mm,
         grid=GRID,
         presses=tuple(presses),
         provenance={},

@@ -108,6 +108,8 @@ def test_safetensors_rebuild_the_models(both: SensorProfile, tmp_path: Path, ban
     assert np.array_equal(model.predict_pixels(*arguments), ours.predict_pixels(*arguments))
     described = json.loads((tmp_path / "out" / "models.json").read_text())
     assert set(described) == {"color", "normals"}
+    steepest_deg = both.color.provenance.valid_region["surface_tilt_deg"][1]
+    assert described["color"]["cone_deg"] == steepest_deg == 40.0
     for key in described:
         assert (tmp_path / "out" / described[key]["file"]).is_file()
 

@@ -184,3 +184,56 @@ def test_all_inputs_are_used() -> None:
     assert np.abs(model.predict_pixels(idx, base[0], base[1] * 2, base[2]) - reference).max() > 1e-3
     assert np.abs(model.predict_pixels(idx + 1, *base) - reference).max() > 1e-3
     assert np.abs(model.predict_pixels(idx + 20, *base) - reference).max() > 1e-3
+
+
+def leaning(tilt_deg: float, turn_deg: np.ndarray) -> np.ndarray:
+    """Unit normals of one tilt, shape [n, 3]."""
+    tilt, turn = np.radians(tilt_deg), np.radians(turn_deg)
+    return np.stack(
+        [
+            np.sin(tilt) * np.cos(turn),
+            np.sin(tilt) * np.sin(turn),
+            np.full_like(turn, np.cos(tilt)),
+        ],
+        axis=-1,
+    )
+
+
+def test_steeper_than_the_balls_were_is_as_steep_as_they_were() -> None:
+    """By the network alone it is another colour; below the cone nothing changes."""
+    whole = random_model()
+    model = ColorModel(CONFIG, whole.weights, 50.0)
+    turn = np.linspace(0, 2 * np.pi, 12, endpoint=False) * 180 / np.pi
+    idx, depth = np.arange(12) * 7, np.full(12, -0.3)
+    rest = leaning(3.0, turn)
+    for tilt_deg in (0.0, 30.0, 49.9):
+        normals = leaning(tilt_deg, turn)
+        wanted = whole.predict_pixels(idx, normals, depth, rest)
+        assert model.predict_pixels(idx, normals, depth, rest) == pytest.approx(wanted, abs=1e-4)
+    edge = whole.predict_pixels(idx, leaning(50.0, turn), depth, rest)
+    for tilt_deg in (51.0, 70.0, 89.0):
+        normals = leaning(tilt_deg, turn)
+        found = model.predict_pixels(idx, normals, depth, rest)
+        assert found == pytest.approx(edge, abs=1e-4)
+    beyond = whole.predict_pixels(idx, leaning(89.0, turn), depth, rest)
+    assert np.abs(beyond - edge).max() > 5.0
+
+
+def test_the_kernel_keeps_to_the_same_cone() -> None:
+    slope = np.random.default_rng(2).normal(0, 1.5, (15, 20, 2))
+    raw = np.concatenate([-slope, np.ones((15, 20, 1))], axis=-1)
+    normals = raw / np.linalg.norm(raw, axis=-1, keepdims=True)
+    rest = np.tile([0.0, 0.0, 1.0], (15, 20, 1))
+    depth = np.random.default_rng(3).uniform(-0.5, 0.0, (15, 20))
+    back = np.full((15, 20, 3), 128.0)
+    for cone_deg in (20.0, 60.0):
+        model = ColorModel(CONFIG, random_model().weights, cone_deg)
+        image = tactile_image(model, back, face(normals, depth, rest))
+        wanted = np.clip(back + host_change(model, normals, depth, rest), 0, 255)
+        assert np.abs(image - wanted).max() < 1e-2
+
+
+@pytest.mark.parametrize("cone_deg", [0.0, -5.0, 90.1, float("nan")])
+def test_a_cone_is_an_angle_up_to_upright(cone_deg: float) -> None:
+    with pytest.raises(InputError, match="cone_deg"):
+        ColorModel(CONFIG, random_model().weights, cone_deg)

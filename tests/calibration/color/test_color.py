@@ -16,7 +16,6 @@ from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.folds import fold_fits
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.heldout import HeldoutSet
-from taccel_lab.calibration.color.light_beside import fit_light_beside
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.light.average import average_background
 from taccel_lab.calibration.light.light import Light
@@ -132,18 +131,12 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
     )
 
 
-def test_drift_is_recovered_beside_a_contact() -> None:
-    captures, surfaces = synthetic_captures(1, noise=0.5)
-    press = captures.presses[0]
-    assert press.circle is not None
-    true = Light(np.array([1.05, 0.97, 1.0]), np.array([2.0, -3.0, 5.0]))
-    # A gradient wide enough to tell gain from offset.
-    background = flat_background() * np.linspace(0.5, 1.5, GRID.width_px)[None, :, None]
-    frame = true.apply(background + known_change(surfaces[0]))
-    found = fit_light_beside(frame, background, press.circle, GRID)
-    assert found.gain == pytest.approx(true.gain, abs=0.01)
-    assert found.apply(background) == pytest.approx(true.apply(background), abs=0.5)
-    assert true.remove(true.apply(frame)) == pytest.approx(frame)
+def test_the_steepest_ball_bounds_what_slopes_may_do() -> None:
+    captures, surfaces = synthetic_captures(8)
+    fit = fit_color_model(frames_of(captures, surfaces), captures.background, GRID, QUICK)
+    steepest = max(np.arccos(surface.normals[..., 2].min()) for surface in surfaces)
+    assert fit.model.cone_deg == pytest.approx(np.degrees(steepest), abs=2.0)
+    assert fit.model.cone_deg <= np.degrees(steepest) + 1e-9
 
 
 def test_averaged_background_is_quieter_and_free_of_contacts() -> None:

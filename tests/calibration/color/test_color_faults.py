@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
+from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.report import color_page
 from taccel_lab.calibration.color.result import ColorCalibration
@@ -119,6 +120,43 @@ def test_drift_is_found_and_taken_off(sound: tuple[CaptureSet, list[PressSurface
     assert heldout_l1(result) < 0.6 * heldout_l1(left_in)
     steady = calibrate(captures, surfaces, drift="auto")
     assert steady.drift_choice is not None and not steady.drift_choice.remove
+
+
+def test_drift_is_taken_off_where_contacts_have_a_third_of_the_height() -> None:
+    """No pixel of such a picture lies beyond 2.5 radii of most contacts."""
+    captures, surfaces = synthetic_captures(12, noise=1.0, radii_px=(34.0, 40.0), ball_mm=5.0)
+    rng = np.random.default_rng(1)
+    drifting = with_images(
+        captures,
+        [
+            quantise(drift(p.image(), rng.uniform(0.92, 1.08, 3), rng.uniform(-12, 12, 3)))
+            for p in captures.presses
+        ],
+    )
+    result = calibrate(drifting, surfaces, drift="auto")
+    assert result.drift_corrected and not result.failures
+    assert heldout_l1(result) < 0.6 * heldout_l1(calibrate(drifting, surfaces, drift="off"))
+    assert not calibrate(captures, surfaces, drift="auto").drift_corrected
+
+
+def test_labels_that_all_lie_to_one_side_are_told(
+    sound: tuple[CaptureSet, list[PressSurface]],
+) -> None:
+    captures, surfaces = sound
+    circles = [press.circle for press in captures.presses if press.circle is not None]
+    beside = replace(
+        captures,
+        presses=tuple(
+            replace(press, circle=replace(circle, u_px=circle.u_px + 1.5))
+            for press, circle in zip(captures.presses, circles, strict=True)
+        ),
+    )
+    (remark,) = [
+        item for item in fit_color(beside, circles, surfaces, options=QUICK).remarks
+        if item.code == "labels_beside"
+    ]  # fmt: skip
+    assert "-1.5 and +0.0 px for the centre and +0.0 px for the radius" in str(remark)
+    assert "labels_beside" not in codes(fit_color(captures, circles, surfaces, options=QUICK))
 
 
 def test_an_outlier_is_named(sound: tuple[CaptureSet, list[PressSurface]]) -> None:

@@ -12,7 +12,6 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.color.evaluate import (
     crop_slices,
-    noise_floor_l1,
     psnr_db,
     score_image,
     ssim,
@@ -69,15 +68,6 @@ def test_crop_of_oblong_pixels_is_square_in_millimetres() -> None:
     rows, columns = crop_slices(ContactCircle(100.0, 100.0, 20.0), grid)
     assert columns.stop - columns.start == 65
     assert rows.stop - rows.start == 129
-
-
-def test_noise_floor_ignores_the_contact() -> None:
-    grid = PixelGrid(200, 150, 0.1, 0.1)
-    circle = ContactCircle(100.0, 70.0, 20.0)
-    background = np.full((150, 200, 3), 100, dtype=np.uint8)
-    captured = background + np.uint8(2)
-    captured[circle.distance_px(grid) < 50] = 255
-    assert noise_floor_l1(captured, background, circle, grid) == pytest.approx(2.0)
 
 
 def test_mean_is_a_mean() -> None:

@@ -131,6 +131,36 @@ def test_grey_dark_and_small() -> None:
     assert found.confidence < 0.5
 
 
+@pytest.mark.parametrize(("share", "left_px"), [(0.25, 1.5), (1 / 3, 3.0)])
+def test_contacts_that_fill_the_picture(share: float, left_px: float) -> None:
+    """Contact and sunk gel are most of the picture: they decide neither its light nor its noise."""
+    grid = PixelGrid(120, 90, 0.08, 0.08)
+    radius = share * grid.height_px
+    rng = np.random.default_rng(3)
+    low, high = np.full(2, radius + 3), np.array([116, 86]) - radius
+    places = rng.uniform(low, high, (8, 2)).tolist()
+    circles = [ContactCircle(u_px, v_px, radius) for u_px, v_px in places]
+    images = [
+        quantise(
+            add_noise(
+                drift(
+                    pressed(circle, grid, ball_px=1.3 * radius),
+                    rng.uniform(0.95, 1.05, 3),
+                    rng.uniform(-8, 8, 3),
+                ),
+                1.5,
+                rng,
+            )
+        )
+        for circle in circles
+    ]
+    captures = dataclasses.replace(
+        press_set(circles, images, grid), ball_radius_mm=1.3 * radius * grid.mm_per_px_x
+    )
+    found = offsets(captures, contacts_of(captures))
+    assert np.abs(found).max() < left_px
+
+
 def test_dots_that_move_with_the_gel() -> None:
     rng = np.random.default_rng(4)
     circle = ContactCircle(100.0, 75.0, 22.0)
