@@ -16,9 +16,8 @@ from taccel_lab.signals.normal_model import (
     NormalModelConfig,
     expected_shapes,
     relative_normals,
-    rotate_from_z,
-    rotate_to_z,
 )
+from taccel_lab.signals.normals import rotate_from_z, rotate_to_z
 
 CONFIG = NormalModelConfig(48, 36, scales_px=(1.0, 3.0), slope_scales_px=(3.0,), members=3)
 
