@@ -190,7 +190,6 @@ def practice_samples(
     walls wherever they cannot tell.
     """
     change = color_change(press.image, scene.background, scene.mask)
-    features = config.image_features(change, scene.background, mask=scene.mask)
     usable = usable_pixels(scene)
     leaning = press.normals[..., 2] < np.cos(PRESSED_RAD)
     pressed = np.asarray(binary_dilation(leaning, iterations=BESIDE_PX), dtype=bool)
@@ -200,6 +199,6 @@ def practice_samples(
         [rng.permutation(np.flatnonzero(region))[:most] for region, most in regions]
     )
     return Samples(
-        features.reshape(-1, config.input_count)[picked],
+        config.image_features(change, scene.background, mask=scene.mask, picked=picked),
         press.normals.reshape(-1, 3)[picked].astype(np.float32),
     )

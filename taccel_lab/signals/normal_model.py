@@ -183,10 +183,12 @@ class NormalModelConfig:
         mask: np.ndarray | None = None,
         zoom: float = 1.0,
         window: tuple[slice, slice] = (slice(None), slice(None)),
+        picked: np.ndarray | None = None,
     ) -> np.ndarray:
         """Raw features of every pixel in ``window``, float32, shape [h, w, feature].
 
-        ``change`` and ``background`` [levels] and ``mask`` are of the whole image.
+        ``change`` and ``background`` [levels] and ``mask`` are of the whole image. With ``picked``,
+        pixels counted along the window's rows, those of these alone, shape [n, feature].
         """
         return local_features(
             change[window],
@@ -196,6 +198,7 @@ class NormalModelConfig:
             background=background[window] if self.background else None,
             place=pixel_place(self.width_px, self.height_px, self.position_bands)[window],
             zoom=zoom,
+            picked=picked,
         )
 
     def normalise(self, features: np.ndarray) -> np.ndarray:
