@@ -34,6 +34,8 @@ class BallPresses:
     """Those to fit that show a contact."""
     circles: list[ContactCircle]
     """Where the training presses are taken to be, in order."""
+    circle_sigmas_px: list[tuple[float, float]]
+    """Standard deviations of their centres along an axis and of their radii."""
     lost: tuple[Remark, ...]
     """Blocks of the profile that do not go with the captures' grid."""
     findings: tuple[Remark, ...]
@@ -76,6 +78,7 @@ def ball_presses(
         split=split,
         training=usable.captures,
         circles=usable.circles,
+        circle_sigmas_px=usable.sigmas_px,
         lost=tuple(lost_blocks(base, profile)),
         findings=tuple(findings),
         remarks=(*usable.remarks, *_agreement(usable.agreement)),

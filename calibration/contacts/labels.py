@@ -119,6 +119,17 @@ class LabelPlacement:
         spread = left.std(axis=0, ddof=1) if count > 1 else np.zeros(3)
         return cls(mean, slope, float(middle[2]), spread, count)
 
+    def sigma_px(self, placed_px: tuple[float, float]) -> tuple[float, float]:
+        """Standard deviations of a placement by label, of the centre along an axis and of the
+        radius [px], where those of the training presses' own places are ``placed_px``.
+
+        What a label is off by is what it is off from such a place and what that is off by: a place
+        that is the best estimate from label and image errs apart from its distance to the label.
+        """
+        off2 = self.deviation_px**2 * (1 + 1 / max(self.count, 1))
+        center = np.hypot(np.sqrt(off2[:2].mean()), placed_px[0])
+        return float(center), float(np.hypot(np.sqrt(off2[2]), placed_px[1]))
+
     def applied(self, label: ContactCircle, ball_px: float) -> ContactCircle:
         """Where a press with this label is taken to be, no larger than the ball."""
         radius_px = label.radius_px

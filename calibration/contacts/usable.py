@@ -10,7 +10,7 @@ from typing import Literal
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts.cache import cached_contacts
 from taccel_lab.calibration.contacts.fit import find_contacts
-from taccel_lab.calibration.contacts.fusion import choose_circles
+from taccel_lab.calibration.contacts.fusion import choose_circles, fuse_circles
 from taccel_lab.calibration.contacts.labels import LabelAgreement, compare_with_labels
 from taccel_lab.calibration.contacts.remarks import PRESSES_LEFT_OUT
 from taccel_lab.calibration.contacts.result import DetectedContact
@@ -78,6 +78,9 @@ class UsableCircles:
     """As found in the images."""
     circles: list[ContactCircle]
     """Those that a fit starts from."""
+    sigmas_px: list[tuple[float, float]]
+    """What these may be off by: standard deviations of the centre along an axis and of the radius.
+    Fused circles are at least as certain as found ones."""
     remarks: list[Remark]
     """On presses left out."""
     agreement: LabelAgreement | None
@@ -110,6 +113,17 @@ def usable_circles(
         captures,
         found,
         choose_circles(captures, found, which),
+        _sigmas_px(captures, found, which),
         remarks,
         compare_with_labels(captures, found),
     )
+
+
+def _sigmas_px(
+    captures: CaptureSet, found: Sequence[DetectedContact], which: str
+) -> list[tuple[float, float]]:
+    """Standard deviations of centre and radius of the chosen circles."""
+    if which != "labels":
+        return [(contact.center_sigma_px, contact.radius_sigma_px) for contact in found]
+    given = [press.circle for press in captures.presses if press.circle is not None]
+    return [fuse_circles(given, found).label_sigma_px] * len(found)

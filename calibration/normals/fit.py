@@ -25,20 +25,38 @@ from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode, choose_drift
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.normals.height_error import KnownPress, with_height_errors
 from taccel_lab.calibration.normals.network_fit import (
-    InverseFit,
     InverseFitOptions,
     fit_normal_model,
     fold_of,
 )
 from taccel_lab.calibration.normals.options import NormalOptions, NormalTraining
 from taccel_lab.calibration.normals.practice import ImageNoise, Practice
+from taccel_lab.calibration.normals.reading_error import KnownPress, with_reading_errors
 from taccel_lab.calibration.normals.remarks import remarks_of
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import InverseFrame, Scene, usable_pixels
-from taccel_lab.calibration.normals.score import HeldoutNormals, reliability_of, score_heldout
-from taccel_lab.calibration.normals.skirt import ball_in_layer, layer_of, layer_skirts
+from taccel_lab.calibration.normals.samples import (
+    EXACT,
+    CircleSigma,
+    InverseFrame,
+    Scene,
+    circle_angle_rad,
+    true_normals,
+    usable_pixels,
+)
+from taccel_lab.calibration.normals.score import (
+    HeldoutNormals,
+    WantedRise,
+    inside_of,
+    reliability_of,
+    score_heldout,
+)
+from taccel_lab.calibration.normals.skirt import (
+    ball_surface,
+    height_sigma_m,
+    layer_of,
+    layer_skirts,
+)
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
@@ -46,7 +64,7 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_model import NormalModel
-from taccel_lab.signals.rest_surface import rest_surface
+from taccel_lab.signals.rest_surface import flat_rest, rest_surface
 
 PIXEL_BASELINE = InverseFitOptions(
     scales_px=(0.0,), slopes=False, members=1, hidden=(32, 32, 32), steps=600
@@ -94,6 +112,7 @@ def calibrate_normals(
         options=settings,
         drift=options.drift,
         circle_source=options.circles,
+        circle_sigmas_px=presses.circle_sigmas_px,
         background=profile.background_rgb,
         pad=pad,
         colors=ColorModel.from_profile(profile),
@@ -115,6 +134,7 @@ def fit_normals(
     drift: DriftMode = "auto",
     baseline: bool = True,
     circle_source: str = "given",
+    circle_sigmas_px: Sequence[CircleSigma] | None = None,
     background: np.ndarray | None = None,
     pad: BondedLayer | None = None,
     colors: ColorModel | None = None,
@@ -133,6 +153,7 @@ def fit_normals(
         drift: Whether each frame is brought to the background's light; ``auto`` looks at the noise.
         baseline: Also fit the single-pixel baseline for comparison.
         circle_source: How the circles were chosen, for the record.
+        circle_sigmas_px: What each circle may be off by; nothing when None.
         background: What images will be compared with, RGB levels; that of the captures when None.
         pad: The gel, for practice on other tools; without it there is none.
         colors: Colours of the sensor, for the same; fitted to ``captures`` when None.
@@ -153,7 +174,8 @@ def fit_normals(
         mask,
         rest_normals,
     )
-    training, choice = _frames(captures, circles, surfaces, scene, drift)
+    sigmas = circle_sigmas_px or [EXACT] * len(circles)
+    training, choice = _frames(captures, circles, sigmas, surfaces, scene, drift)
     options = replace(options, light_drift=choice.remove)
     practice = None
     if pad is not None and options.practice and surfaces is not None:
@@ -166,14 +188,16 @@ def fit_normals(
         progress=progress,
     )
     fit = replace(fit, model=with_cone(fit.model, training, scene))
-    practised = None
-    if practice is not None:
-        balls = left_out_balls(fit, training, scene)
-        model, practised = with_height_errors(fit.model, practice.presses(CHECKED), balls, scene)
-        fit = replace(fit, model=model)
+    unseen = () if practice is None else practice.presses(CHECKED)
+    checked = map(KnownPress.of_practice, unseen)
+    balls = left_out_balls(fit.model, training, scene)
+    model, practised = with_reading_errors(fit.model, checked, balls, scene)
+    fit = replace(fit, model=model)
     failures = {} if split is None else dict.fromkeys(split.gone, "it was left out of the captures")
     items: list[HeldoutNormals] = []
     labels = LabelPlacement.of(captures.presses, circles)
+    placed_px = _typical(sigmas)
+    by_label_px = labels.sigma_px(placed_px)
     for press in () if heldout is None else heldout.presses:
         image = press.image().astype(np.float32)
         try:
@@ -183,11 +207,15 @@ def fit_normals(
             continue
         if choice.remove:
             image = _light(image, scene).remove(image).astype(np.float32)
-        frame = InverseFrame(press.name, image, circle, press.sha256, None)
+        sigma_px = placed_px if press.circle is None else by_label_px
+        frame = InverseFrame(press.name, image, circle, press.sha256, None, sigma_px)
         wanted = None
         if pad is not None:
             ball_mm = press.radius_mm or captures.ball_radius_mm
-            _, wanted = ball_in_layer(circle, ball_mm, captures.grid, pad)
+            rest = flat_rest(captures.grid)
+            surface = ball_surface(circle, ball_mm, captures.grid, pad, rest)
+            sigma_m = height_sigma_m(surface, circle, sigma_px, ball_mm, captures.grid)
+            wanted = WantedRise(surface.displacement_mm(), 1e3 * sigma_m)
         items.append(score_heldout(fit.model, frame, press.circle, scene, wanted))
     baseline_deg = None
     if baseline and items:
@@ -201,7 +229,7 @@ def fit_normals(
         failures=failures,
         split=split,
         baseline_deg=baseline_deg,
-        reliability=reliability_of(items) if items else None,
+        reliability=reliability_of(items, scene) if items else None,
         practised=practised,
         flat_noise_levels=(choice.captured_levels, choice.corrected_levels),
         train_names=tuple(frame.name for frame in training),
@@ -218,6 +246,7 @@ def fit_normals(
 def _frames(
     captures: CaptureSet,
     circles: Sequence[ContactCircle],
+    sigmas: Sequence[CircleSigma],
     surfaces: Sequence[PressSurface] | None,
     scene: Scene,
     mode: DriftMode,
@@ -234,9 +263,11 @@ def _frames(
             for image, light in zip(images, lights, strict=True)
         ]
     frames = [
-        InverseFrame(press.name, image, circle, press.sha256, surfaces[i] if surfaces else None)
-        for i, (press, image, circle) in enumerate(
-            zip(captures.presses, images, circles, strict=True)
+        InverseFrame(
+            press.name, image, circle, press.sha256, surfaces[i] if surfaces else None, sigma
+        )
+        for i, (press, image, circle, sigma) in enumerate(
+            zip(captures.presses, images, circles, sigmas, strict=True)
         )
     ]
     return frames, choice
@@ -271,23 +302,34 @@ def _light(image: np.ndarray, scene: Scene) -> Light:
 
 
 def left_out_balls(
-    fit: InverseFit, training: Sequence[InverseFrame], scene: Scene
+    model: NormalModel, training: Sequence[InverseFrame], scene: Scene
 ) -> Iterator[KnownPress]:
-    """Training presses whose surface is known, each read by the network that did not see it."""
-    members = fit.model.config.members
+    """Training presses, each with the network that did not see it."""
     for i, frame in enumerate(training):
-        member = fold_of(i, members, len(training))
-        if member is None or frame.surface is None:
+        member = fold_of(i, model.config.members, len(training))
+        if member is None:
             continue
-        config = replace(fit.model.config, members=1)
-        weights = {name: w[member : member + 1] for name, w in fit.model.weights.items()}
-        inside = frame.circle.distance_px(scene.grid) <= frame.circle.radius_px
+        rise = sigma = None
+        if frame.surface is not None:
+            rise = 1e-3 * frame.surface.displacement_mm()
+            sigma = height_sigma_m(
+                frame.surface, frame.circle, frame.circle_sigma_px, scene.ball_radius_mm, scene.grid
+            )
+        normals = true_normals(frame, scene)
         yield KnownPress(
             image=frame.image,
-            rise_m=1e-3 * frame.surface.displacement_mm(),
-            compared=inside,
-            reader=NormalModel(config, weights),
+            normals=normals,
+            rise_m=rise,
+            compared=inside_of(frame.circle, scene),
+            left_out=member,
+            normals_sigma_deg=np.degrees(circle_angle_rad(frame, scene, normals)),
+            rise_sigma_m=sigma,
         )
+
+
+def _typical(sigmas: Sequence[CircleSigma]) -> CircleSigma:
+    center, radius = np.sqrt(np.mean(np.square(sigmas), axis=0))
+    return float(center), float(radius)
 
 
 def with_cone(model: NormalModel, frames: Sequence[InverseFrame], scene: Scene) -> NormalModel:

@@ -22,7 +22,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import torch
 
-from taccel_lab.calibration.normals.cross_conformal import radius_factor
 from taccel_lab.calibration.normals.options import NormalTraining
 from taccel_lab.calibration.normals.practice import PracticePress, practice_samples
 from taccel_lab.calibration.normals.samples import (
@@ -30,6 +29,7 @@ from taccel_lab.calibration.normals.samples import (
     SampleOptions,
     Samples,
     Scene,
+    circle_angle_rad,
     draw_samples,
     join,
 )
@@ -44,7 +44,6 @@ from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.normal_model import (
     MAX_TILT_RAD,
-    RAYLEIGH_95,
     RAYLEIGH_MEAN,
     NormalModel,
     NormalModelConfig,
@@ -190,7 +189,11 @@ def _train(
         ),
     )
     checks = [_check_samples(frame, scene, config, options, rng) for frame in frames]
-    state = _Training(config, samples, checks, options, practised)
+    circles = [
+        circle_angle_rad(frame, scene, check.normals)
+        for frame, check in zip(frames, checks, strict=True)
+    ]
+    state = _Training(config, samples, checks, circles, options, practised)
     state.run(progress)
     return state
 
@@ -214,6 +217,7 @@ class _Training:
         config: NormalModelConfig,
         samples: Sequence[Samples],
         checks: Sequence[Samples],
+        circles_rad: Sequence[np.ndarray],
         options: InverseFitOptions,
         practice: Sequence[Samples] = (),
     ) -> None:
@@ -223,7 +227,7 @@ class _Training:
         self.inputs = torch.from_numpy(config.normalise(whole.features))
         self.still = torch.from_numpy(config.normalise(config.at_rest(whole.features)))
         self.normals = torch.from_numpy(whole.normals)
-        self.checks = checks
+        self.checks, self.circles_rad = checks, circles_rad
         members, count = options.members, len(samples)
         self.folds = [fold_of(i, members, count) for i in range(count)]
         owner = np.repeat(np.arange(count), [len(s.features) for s in samples])
@@ -317,37 +321,33 @@ class _Training:
                 for target, tensor in zip(kept, layer, strict=True):
                     tensor.copy_(target)
         left_out, seen, expected, spreads = {}, [], [], []
+        everyone = range(self.options.members)
         for i, name in enumerate(names):
             angle, own = self._angles(i)
             if len(angle):
                 left_out[name] = float(np.degrees(angle.mean()))
-                tilts, _ = self._outputs(-1, self.checks[i])
-                spread2 = (tilts - tilts.mean(dim=0)).square().sum(dim=-1).mean(dim=0)
+                tilts = self._outputs(-1, self.checks[i])[0]
+                others = tilts[[k for k in everyone if k != self.folds[i]]]
+                spread2 = (others - others.mean(dim=0)).square().sum(dim=-1).mean(dim=0)
                 seen.append(angle)
                 expected.append(own)
-                spreads.append(spread2.numpy())
-        factor, radius = 1.0, RAYLEIGH_95
+                spreads.append(spread2.numpy() + (RAYLEIGH_MEAN * self.circles_rad[i]) ** 2)
+        factor = 1.0
         if seen:
             factor = _error_factor(*(np.concatenate(x) for x in (seen, expected, spreads)))
-            scores = [
-                RAYLEIGH_MEAN * angle / np.sqrt((factor * own) ** 2 + spread2)
-                for angle, own, spread2 in zip(seen, expected, spreads, strict=True)
-            ]
-            radius = radius_factor(scores, 0.95, RAYLEIGH_95)
         arrays = arrays_of(self.shapes, self.layers)
-        config = replace(self.config, error_factor=factor, radius95_sigmas=radius)
-        return NormalModel(config, arrays), left_out
+        return NormalModel(replace(self.config, error_factor=factor), arrays), left_out
 
 
-def _error_factor(seen: np.ndarray, expected: np.ndarray, spread2: np.ndarray) -> float:
-    """Factor on the members' expected errors [rad] that makes those of the ensemble true.
+def _error_factor(seen: np.ndarray, expected: np.ndarray, other2: np.ndarray) -> float:
+    """Factor on the members' expected errors [rad] that makes those on left-out presses true.
 
-    The ensemble's error is ``sqrt((factor expected)^2 + spread^2)``. Left-out presses were seen by
-    the other members, so their error is a single network's: averaging the members takes about the
-    members' variance off it, and the spread is that variance again.
+    A press's error is ``sqrt((factor expected)^2 + other^2)``, ``other`` being the disagreement of
+    the members that saw it and what its circle is off by. The one that did not see it has no part
+    in that: its error would stand on both sides. It errs more than the ensemble, so that the factor
+    is rather too large.
     """
-    wanted = seen.mean() ** 2 - spread2.mean()
-    wanted = max(wanted - spread2.mean(), (0.5 * seen.mean()) ** 2)
+    wanted = max(seen.mean() ** 2 - other2.mean(), (0.5 * seen.mean()) ** 2)
     return float(np.sqrt(wanted) / expected.mean())
 
 

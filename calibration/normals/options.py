@@ -19,7 +19,7 @@ class NormalTraining:
     practice: int = 160
     """Simulated presses of other tools that the networks practise on besides the captured balls; 0
     leaves them out, and edges and walls are then read much too flat."""
-    steps: int = 3000
+    steps: int = 2000
     """Optimiser steps; each network keeps its best ones."""
     seed: int = 0
     """Seed of the pixel draw, the initial weights and the batches."""

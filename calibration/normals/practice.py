@@ -22,12 +22,17 @@ from taccel_lab.calibration.surfaces.random_tools import draw_tool
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_features import color_change
-from taccel_lab.signals.normal_model import NormalModelConfig, rotate_to_z
-from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
+from taccel_lab.signals.normal_model import NormalModelConfig
+from taccel_lab.signals.normals import normals_from_slopes, rotate_to_z, slopes_from_height
 
 TASK = "drawing practice presses"
 DEPTHS = (0.03, 0.3)
 """Depths in thicknesses of the gel; drawn so that all orders of size are as frequent."""
+SOLVED_TO = 6e-3
+"""Share of the depth that presses are solved to: heights are then within 0.4 um (rms)."""
+STILL_MM, STILL_SLOPE = 0.01, 0.0035
+"""Gel that moved and leans by less, a fifth of a degree, keeps its colour: it would change by less
+than the noise, and that is half of the image."""
 SEEN_PX = 1.0
 """What a network is asked for is the surface as a camera sees it, smoothed by this much: the slope
 of a vertical wall has no bound, its height has."""
@@ -140,15 +145,20 @@ class Practice:
         step = (grid.mm_per_px_x, grid.mm_per_px_y)
         depth_mm = self.pad.thickness_mm * float(np.exp(rng.uniform(*np.log(DEPTHS))))
         tool_mm = draw_tool(rng, *np.meshgrid(grid.x_mm(), grid.y_mm()))
-        rise_mm = press_layer(tool_mm, depth_mm, step, self.pad).rise_mm
+        rise_mm = press_layer(
+            tool_mm, depth_mm, step, self.pad, tolerance=SOLVED_TO
+        ).rise_mm  # fmt: skip
         rest = self.scene.rest_normals
         if rest is None:
             rest = np.zeros((*rise_mm.shape, 3))
             rest[..., 2] = 1.0
-        sharp = normals_from_slopes(slope_of(rest) + slopes_from_height(1e-3 * rise_mm, grid))
-        change = self.colors.predict_pixels(
-            np.arange(rise_mm.size), sharp.reshape(-1, 3), rise_mm.ravel(), rest.reshape(-1, 3)
-        ).reshape(*rise_mm.shape, 3)
+        slope = slopes_from_height(1e-3 * rise_mm, grid)
+        sharp = normals_from_slopes(slope_of(rest) + slope)
+        moved = (np.abs(rise_mm) > STILL_MM) | (np.hypot(*np.moveaxis(slope, -1, 0)) > STILL_SLOPE)
+        change = np.zeros((*rise_mm.shape, 3), dtype=np.float32)
+        change[moved] = self.colors.predict_pixels(
+            np.flatnonzero(moved), sharp[moved], rise_mm[moved], rest[moved]
+        )
         smooth_m = gaussian_filter(1e-3 * rise_mm, SEEN_PX)
         seen = normals_from_slopes(slope_of(rest) + slopes_from_height(smooth_m, grid))
         return PracticePress(
@@ -180,7 +190,6 @@ def practice_samples(
     walls wherever they cannot tell.
     """
     change = color_change(press.image, scene.background, scene.mask)
-    features = config.image_features(change, scene.background, mask=scene.mask)
     usable = usable_pixels(scene)
     leaning = press.normals[..., 2] < np.cos(PRESSED_RAD)
     pressed = np.asarray(binary_dilation(leaning, iterations=BESIDE_PX), dtype=bool)
@@ -190,6 +199,6 @@ def practice_samples(
         [rng.permutation(np.flatnonzero(region))[:most] for region, most in regions]
     )
     return Samples(
-        features.reshape(-1, config.input_count)[picked],
+        config.image_features(change, scene.background, mask=scene.mask, picked=picked),
         press.normals.reshape(-1, 3)[picked].astype(np.float32),
     )

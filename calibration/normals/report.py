@@ -30,7 +30,8 @@ def normals_page(result: NormalCalibration) -> Page:
                 "reliability",
                 partial(draw_reliability, result),
                 "How large errors of held-out pixels are, by how large the model expects them to "
-                "be. Points below the line: the model is more careful than it has to be.",
+                "be, with what the circles may be off by. Points below the line: the model is more "
+                "careful than it has to be.",
             ),
         ]
     pictures.append(
@@ -118,7 +119,8 @@ def _summary(result: NormalCalibration) -> Table:
         "as the training presses say that labels lie; found in the image without one. Circles by "
         "hand are off by a pixel or more; that error is part of both columns. Absolute depths are "
         "compared with the ball pressed into the stated pad until it touches in the circle: a pad "
-        "of another thickness shifts them. Presses that could not be read count as a flat guess: "
+        "of another thickness shifts them. Bands count what the circles may be off by. Presses "
+        "that could not be read count as a flat guess: "
         f"{', '.join(result.failures) or 'none'}.",
     )
 

@@ -11,8 +11,8 @@ import numpy as np
 from taccel_lab.calibration.ball_presses import with_captured_background
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.split import PressSplit
-from taccel_lab.calibration.normals.height_error import PracticeScore
 from taccel_lab.calibration.normals.network_fit import InverseFit
+from taccel_lab.calibration.normals.reading_error import PracticeScore
 from taccel_lab.calibration.normals.samples import Scene
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
 from taccel_lab.calibration.result import Remark, judge, mean_figures

@@ -20,12 +20,22 @@ from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.normal_features import color_change
-from taccel_lab.signals.normal_model import NormalModelConfig, rotate_to_z
+from taccel_lab.signals.normal_model import NormalModelConfig
+from taccel_lab.signals.normals import rotate_to_z
 
 RIM_RADII = 0.98
 """Within this many contact radii a pixel lies in the contact, as well as circles are known."""
 SKIRT_RADII = 1.03
 """Beyond this many it surely lies outside."""
+
+
+CircleSigma = tuple[float, float]
+"""Standard deviations of a circle's centre along an axis and of its radius [px]."""
+EXACT: CircleSigma = (0.0, 0.0)
+
+
+MIN_UPRIGHT = 0.2
+"""Cosine of the tilt beyond which normals are as uncertain as there."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +49,8 @@ class InverseFrame:
     sha256: str
     surface: PressSurface | None = None
     """Gel surface under the press, where one was made."""
+    circle_sigma_px: CircleSigma = EXACT
+    """How far the circle may be off."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +152,17 @@ def true_normals(frame: InverseFrame, scene: Scene) -> np.ndarray:
     if scene.rest_normals is not None:
         ball = rotate_to_z(ball, scene.rest_normals)
     return np.where(inside[..., None], ball, outside)
+
+
+def circle_angle_rad(frame: InverseFrame, scene: Scene, normals: np.ndarray) -> np.ndarray:
+    """Standard deviation [rad] of each component of the ball's normals by what the circle's centre
+    is off by, shape [...] of ``normals`` relative to rest of shape [..., 3].
+
+    A centre that is off by d turns them by ``d / R`` across the slope and by ``d / (R cos tilt)``
+    along it; the root of the mean square of the two is taken.
+    """
+    off = frame.circle_sigma_px[0] * scene.grid.mm_per_px_x / scene.ball_radius_mm
+    return off * np.sqrt(0.5 + 0.5 / np.maximum(normals[..., 2], MIN_UPRIGHT) ** 2)
 
 
 def usable_pixels(scene: Scene) -> np.ndarray:

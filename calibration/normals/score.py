@@ -10,8 +10,19 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.normals.ball_normals import ball_normals
-from taccel_lab.calibration.normals.samples import InverseFrame, Scene, usable_pixels
-from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap, NormalModel
+from taccel_lab.calibration.normals.samples import (
+    InverseFrame,
+    Scene,
+    circle_angle_rad,
+    true_normals,
+    usable_pixels,
+)
+from taccel_lab.signals.normal_model import (
+    RAYLEIGH_95,
+    RAYLEIGH_MEAN,
+    NormalMap,
+    NormalModel,
+)
 from taccel_lab.signals.read_heights import BAND_SIGMAS, read_heights
 
 RIM_BAND = 0.04
@@ -38,6 +49,16 @@ class AngleScore:
 
 
 @dataclass(frozen=True)
+class WantedRise:
+    """What heights are compared with."""
+
+    rise_mm: np.ndarray
+    """Rise of the face under the press [mm], shape [height_px, width_px]."""
+    sigma_mm: np.ndarray
+    """Its standard deviation [mm] by what the circle may be off, same shape."""
+
+
+@dataclass(frozen=True)
 class AbsoluteDepth:
     """Depths inside the circle as they are read, aligned on nothing.
 
@@ -52,7 +73,8 @@ class AbsoluteDepth:
     wanted_mm: float
     """Deepest point as it should be."""
     within_95: float
-    """Share of pixels whose band of 95 % holds what should be; NaN where there is no band."""
+    """Share of pixels whose band of 95 %, joined with that of what should be, holds the difference;
+    NaN where there is no band."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +102,8 @@ class Reliability:
     """Expected against observed errors over pixels of held-out presses, in circles as trained."""
 
     expected_deg: tuple[float, ...]
-    """Mean expected error in bins of equal size, rising."""
+    """Mean expected error in bins of equal size, rising; with what the circle may be off by, as in
+    the shares below."""
     observed_deg: tuple[float, ...]
     """Mean observed error there."""
     within_68: float
@@ -104,12 +127,9 @@ def score_heldout(
     frame: InverseFrame,
     given: ContactCircle | None,
     scene: Scene,
-    wanted_rise_mm: np.ndarray | None = None,
+    wanted: WantedRise | None = None,
 ) -> HeldoutNormals:
-    """Read one press as ``depth`` does and compare it with its ball.
-
-    ``wanted_rise_mm`` is the rise of the face under the press [mm], shape [height_px, width_px].
-    """
+    """Read one press as ``depth`` does and compare it with its ball."""
     found = read_heights(
         model, frame.image, scene.background, scene.grid, mask=scene.mask,
         rest_normals=scene.rest_normals,
@@ -119,17 +139,18 @@ def score_heldout(
     truth = ball_normals(frame.circle, scene.grid, scene.ball_radius_mm, scene.rest_normals)
     error = np.where(inside, angle_between_deg(predicted.normals, truth), np.nan)
     depth = None
-    if wanted_rise_mm is not None:
-        off_mm = np.abs(1e3 * height - wanted_rise_mm)[inside]
-        deepest = float(wanted_rise_mm[inside].min())
-        band = found.sigma_m
+    if wanted is not None:
+        off_mm = np.abs(1e3 * height - wanted.rise_mm)[inside]
+        deepest = float(wanted.rise_mm[inside].min())
+        within = float("nan")
+        if found.sigma_m is not None:
+            sigma_mm = np.hypot(1e3 * found.sigma_m, wanted.sigma_mm)[inside]
+            within = float((off_mm <= BAND_SIGMAS * sigma_mm).mean())
         depth = AbsoluteDepth(
             mae_mm=float(off_mm.mean()),
             deepest_mm=deepest - float(1e3 * height[inside].min()),
             wanted_mm=-deepest,
-            within_95=float("nan")
-            if band is None
-            else float((off_mm <= BAND_SIGMAS * 1e3 * band[inside]).mean()),
+            within_95=within,
         )
     return HeldoutNormals(
         name=frame.name,
@@ -186,14 +207,16 @@ def ball_depth_mm(circle: ContactCircle, scene: Scene) -> np.ndarray:
     return cap - np.sqrt(radius**2 - rim**2)
 
 
-def reliability_of(items: Sequence[HeldoutNormals]) -> Reliability:
+def reliability_of(items: Sequence[HeldoutNormals], scene: Scene) -> Reliability:
     """Pool the held-out pixels of all presses."""
     errors, sigmas, radii = [], [], []
     for item in items:
         inside = np.isfinite(item.error_deg)
+        normals = true_normals(item.frame, scene)[inside]
+        circle_deg = np.degrees(circle_angle_rad(item.frame, scene, normals))
         errors.append(item.error_deg[inside])
-        sigmas.append(item.predicted.sigma_deg[inside])
-        radii.append(item.predicted.radius95_deg[inside])
+        sigmas.append(np.hypot(item.predicted.sigma_deg[inside], circle_deg))
+        radii.append(np.hypot(item.predicted.radius95_deg[inside], RAYLEIGH_95 * circle_deg))
     error, sigma, radius95 = (np.concatenate(x) for x in (errors, sigmas, radii))
     order = np.argsort(sigma, kind="stable")
     parts = np.array_split(order, BIN_COUNT)

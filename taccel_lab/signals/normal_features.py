@@ -58,6 +58,7 @@ def local_features(
     background: np.ndarray | None = None,
     place: np.ndarray,
     zoom: float = 1.0,
+    picked: np.ndarray | None = None,
 ) -> np.ndarray:
     """Features of every pixel of a picture or of a part of it, float32, shape [h, w, feature].
 
@@ -69,6 +70,8 @@ def local_features(
         background: Untouched picture [levels], shape [h, w, 3]; a feature when it is given.
         place: What each pixel is told of its place (``pixel_place``), shape [h, w, n].
         zoom: Factor on all scales: the features of the picture shrunk by it.
+        picked: Pixels whose features are wanted, counted along rows, shape [n]; the result has
+            shape [n, feature] then.
     """
     cover: dict[float, np.ndarray] = {}
     windows: dict[float, np.ndarray] = {}
@@ -81,6 +84,8 @@ def local_features(
     if background is not None:
         widest = max([*scales_px, *slope_scales_px])
         parts.append(_average(np.asarray(background, dtype=np.float32), widest, mask, {}))
+    if picked is not None:
+        *parts, place = (part.reshape(-1, part.shape[-1])[picked] for part in (*parts, place))
     stacked = np.concatenate(parts, axis=-1) / LEVELS_PER_UNIT
     return np.concatenate([stacked, place], axis=-1, dtype=np.float32)
 

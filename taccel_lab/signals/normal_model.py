@@ -34,6 +34,7 @@ from taccel_lab.signals.normal_features import (
     local_features,
     pixel_place,
 )
+from taccel_lab.signals.normals import rotate_from_z
 from taccel_lab.signals.position_encoding import require_bands
 
 if TYPE_CHECKING:
@@ -182,10 +183,12 @@ class NormalModelConfig:
         mask: np.ndarray | None = None,
         zoom: float = 1.0,
         window: tuple[slice, slice] = (slice(None), slice(None)),
+        picked: np.ndarray | None = None,
     ) -> np.ndarray:
         """Raw features of every pixel in ``window``, float32, shape [h, w, feature].
 
-        ``change`` and ``background`` [levels] and ``mask`` are of the whole image.
+        ``change`` and ``background`` [levels] and ``mask`` are of the whole image. With ``picked``,
+        pixels counted along the window's rows, those of these alone, shape [n, feature].
         """
         return local_features(
             change[window],
@@ -195,6 +198,7 @@ class NormalModelConfig:
             background=background[window] if self.background else None,
             place=pixel_place(self.width_px, self.height_px, self.position_bands)[window],
             zoom=zoom,
+            picked=picked,
         )
 
     def normalise(self, features: np.ndarray) -> np.ndarray:
@@ -281,6 +285,7 @@ class NormalModel:
         *,
         mask: np.ndarray | None = None,
         rest_normals: np.ndarray | None = None,
+        left_out: int | None = None,
     ) -> NormalMap:
         """Normals of a whole image.
 
@@ -291,6 +296,9 @@ class NormalModel:
                 whatever they hold.
             rest_normals: Outward unit normals of the undeformed face, shape [h, w, 3]; a flat face
                 when None.
+            left_out: The member that did not see this press when the others did. It reads alone,
+                and its own error is no part of what it expects: how far it is off the others would
+                tell it, as nothing does on a new press.
         """
         shape = (self.config.height_px, self.config.width_px)
         for name, found in (("image", image.shape), ("background", background.shape)):
@@ -300,7 +308,7 @@ class NormalModel:
         features = self.config.image_features(change, background, mask=mask)
         features = features.reshape(-1, self.config.input_count)
         still = None if self.config.background else self._tilts_at_rest
-        tilt, error = self.predict_pixels(features, still)
+        tilt, error = self.predict_pixels(features, still, left_out)
         tilt, error = tilt.reshape(*shape, 2), error.reshape(shape)
         if mask is not None:
             tilt[~mask] = 0.0
@@ -330,13 +338,22 @@ class NormalModel:
         return torch.from_numpy(self.config.normalise(raw)).expand(self.config.members, -1, -1)
 
     def predict_pixels(
-        self, features: np.ndarray, tilts_at_rest: torch.Tensor | None = None
+        self,
+        features: np.ndarray,
+        tilts_at_rest: torch.Tensor | None = None,
+        left_out: int | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Tilt [rad] [n, 2] and expected angle of error [rad] [n] of raw features [n, feature].
 
-        ``tilts_at_rest`` [member, n, 2] saves the work of finding them again.
+        ``tilts_at_rest`` [member, n, 2] saves the work of finding them again; ``left_out`` as in
+        ``predict``.
         """
         import torch
+
+        reading, others = list(range(self.config.members)), list(range(self.config.members))
+        if left_out is not None:
+            reading = [left_out]
+            others.remove(left_out)
 
         tilt = np.empty((len(features), 2))
         error = np.empty(len(features))
@@ -350,10 +367,10 @@ class NormalModel:
                 else:
                     still = tilts_at_rest[:, part]
                 tilts, errors = outputs[..., :2] - still, expected_error(outputs)
-                mean = tilts.mean(dim=0)
-                spread2 = (tilts - mean).square().sum(dim=-1).mean(dim=0)
-                own = self.config.error_factor * errors.mean(dim=0)
-                tilt[part] = mean.numpy()
+                agreed = tilts[others].mean(dim=0)
+                spread2 = (tilts[others] - agreed).square().sum(dim=-1).mean(dim=0)
+                own = self.config.error_factor * errors[reading].mean(dim=0)
+                tilt[part] = tilts[reading].mean(dim=0).numpy()
                 error[part] = (own.square() + spread2).sqrt().numpy()
         return tilt, error
 
@@ -427,23 +444,3 @@ def relative_normals(tilt_rad: np.ndarray) -> np.ndarray:
         cut, angle, out=np.ones_like(angle), where=angle > MAX_TILT_RAD
     )
     return np.concatenate([tilt_rad * lean, np.cos(cut)], axis=-1)
-
-
-def rotate_from_z(vectors: np.ndarray, rest_normals: np.ndarray) -> np.ndarray:
-    """Vectors given relative to the resting normal, in the gel frame, shape [..., 3].
-
-    The frame of a pixel is turned by the smallest rotation that takes +z to its resting normal.
-    """
-    x, y, z = (rest_normals[..., i] for i in range(3))
-    a, b, c = (vectors[..., i] for i in range(3))
-    # R = I + [k]x + [k]x^2 / (1 + z) with k = ez x n = (-y, x, 0).
-    across = (x * a + y * b) / (1.0 + z)
-    return np.stack(
-        [a - x * across + x * c, b - y * across + y * c, c * z - x * a - y * b], axis=-1
-    )
-
-
-def rotate_to_z(vectors: np.ndarray, rest_normals: np.ndarray) -> np.ndarray:
-    """Inverse of ``rotate_from_z``."""
-    mirrored = rest_normals * np.array([-1.0, -1.0, 1.0])
-    return rotate_from_z(vectors, mirrored)

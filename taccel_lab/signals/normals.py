@@ -66,3 +66,23 @@ def _difference(height_m: np.ndarray, step_m: float) -> np.ndarray:
 def normals_from_height(height_m: np.ndarray, grid: PixelGrid) -> np.ndarray:
     """Outward unit normals of a height map by pixel differences, shape [..., h, w, 3]."""
     return normals_from_slopes(slopes_from_height(height_m, grid))
+
+
+def rotate_from_z(vectors: np.ndarray, rest_normals: np.ndarray) -> np.ndarray:
+    """Vectors given relative to the resting normal, in the gel frame, shape [..., 3].
+
+    The frame of a pixel is turned by the smallest rotation that takes +z to its resting normal.
+    """
+    x, y, z = (rest_normals[..., i] for i in range(3))
+    a, b, c = (vectors[..., i] for i in range(3))
+    # R = I + [k]x + [k]x^2 / (1 + z) with k = ez x n = (-y, x, 0).
+    across = (x * a + y * b) / (1.0 + z)
+    return np.stack(
+        [a - x * across + x * c, b - y * across + y * c, c * z - x * a - y * b], axis=-1
+    )
+
+
+def rotate_to_z(vectors: np.ndarray, rest_normals: np.ndarray) -> np.ndarray:
+    """Inverse of ``rotate_from_z``."""
+    mirrored = rest_normals * np.array([-1.0, -1.0, 1.0])
+    return rotate_from_z(vectors, mirrored)

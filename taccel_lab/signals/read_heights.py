@@ -41,6 +41,7 @@ def read_heights(
     *,
     mask: np.ndarray | None = None,
     rest_normals: np.ndarray | None = None,
+    left_out: int | None = None,
 ) -> ReadHeights:
     """Read one image.
 
@@ -51,8 +52,11 @@ def read_heights(
         grid: Pixel grid of both.
         mask: Pixels that count, bool, shape [h, w]; the surface goes on smoothly under the others.
         rest_normals: Outward unit normals of the undeformed face, shape [h, w, 3]; flat when None.
+        left_out: The member that reads alone, since it did not see this press (``NormalModel``).
     """
-    found = model.predict(image, background, mask=mask, rest_normals=rest_normals)
+    found = model.predict(
+        image, background, mask=mask, rest_normals=rest_normals, left_out=left_out
+    )
     weights = None if mask is None else mask.astype(float)
     zero = resting_border(found, mask)
     slope = found.slopes()

@@ -16,9 +16,8 @@ from taccel_lab.signals.normal_model import (
     NormalModelConfig,
     expected_shapes,
     relative_normals,
-    rotate_from_z,
-    rotate_to_z,
 )
+from taccel_lab.signals.normals import rotate_from_z, rotate_to_z
 
 CONFIG = NormalModelConfig(48, 36, scales_px=(1.0, 3.0), slope_scales_px=(3.0,), members=3)
 
@@ -133,3 +132,14 @@ def test_color_change_of_masked_pixels_is_zero() -> None:
     mask = np.array([[True, False]])
     change = color_change(np.full((1, 2, 3), 9, np.uint8), np.zeros((1, 2, 3)), mask)
     assert change.tolist() == [[[9.0] * 3, [0.0] * 3]]
+
+
+def test_features_of_single_pixels_are_those_of_the_picture() -> None:
+    rng = np.random.default_rng(3)
+    change, background = rng.normal(size=(2, 36, 48, 3)).astype(np.float32)
+    config = NormalModelConfig(48, 36, background=True, position_bands=2)
+    picked = rng.permutation(36 * 48)[:70]
+    whole = config.image_features(change, background).reshape(-1, config.input_count)
+    np.testing.assert_array_equal(
+        config.image_features(change, background, picked=picked), whole[picked]
+    )

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.capture import ContactCircle, Press
 from taccel_lab.calibration.contacts.circle_arrays import circle_array
 from taccel_lab.calibration.contacts.fusion import LABEL_SHIFT_PX, choose_circles, fuse_circles
+from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.errors import InputError
 from tests.calibration.contacts.presses import contacts_of
@@ -65,6 +66,22 @@ def test_a_shift_that_all_labels_share_is_told_and_taken_off() -> None:
     assert np.sqrt((error**2).mean()) < 0.7
     # The stated uncertainty also holds what the detection may be off by in common.
     assert np.sqrt(np.mean(np.square(offs))) < 1.1
+
+
+def test_a_press_that_its_label_places_is_off_by_what_is_stated() -> None:
+    rng, shift, scores = np.random.default_rng(5), np.array([1.0, -2.0, 1.5]), []
+    for _ in range(60):
+        truth = presses(24, 4.0, rng)
+        label = truth + shift + rng.normal(0, 1.5, truth.shape)
+        found = truth + rng.normal(0, 0.8, truth.shape)
+        placed = fuse_circles(circles(label[4:]), contacts(found[4:], 0.8, 0.8)).circles
+        known = [Press("p", "", "", c, lambda: np.zeros(0)) for c in circles(label[4:])]
+        labels = LabelPlacement.of(known, placed)
+        center, radius = labels.sigma_px((0.8, 0.8))
+        held = circle_array([labels.applied(c, 200.0) for c in circles(label[:4])])
+        scores.append((held - truth[:4]) / (center, center, radius))
+    spread = np.sqrt(np.mean(np.square(scores), axis=(0, 1)))
+    assert ((spread > 0.75) & (spread < 1.15)).all()
 
 
 def test_a_common_error_within_the_stated_one_is_not_blamed_on_the_labels() -> None:

@@ -28,8 +28,7 @@ from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, pr
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
-from taccel_lab.signals.normal_model import rotate_from_z
-from taccel_lab.signals.normals import normals_from_height
+from taccel_lab.signals.normals import normals_from_height, rotate_from_z
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.calibration.drawn.faults import drift as light_drift
 from tests.calibration.synthetic import (

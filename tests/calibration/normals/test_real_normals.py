@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Normals of real ball presses that the fit never saw, in the labels' own circles."""
+"""Normals and depths of real ball presses that the fit never saw, as the command reads them.
+
+Training circles are fused ones, held-out presses are placed by label alone. In the labels' own
+circles absolute depths say more of labels than of readings: the radius of one of RVSATHU's five
+held-out presses is 1.2 px too large, as the image tells, and a pixel is 0.055 mm of depth.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +15,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.normals.fit import fit_normals
 from taccel_lab.calibration.normals.skirt import layer_skirts
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
@@ -51,17 +57,19 @@ def labelled(
 def heldout(captures: CaptureSet) -> tuple[dict[str, float], float]:
     split = captures.split(4)
     training = captures.only(split.train)
-    circles = [press.circle for press in training.presses if press.circle is not None]
+    usable = usable_circles(training, cache=False)
+    surfaces = layer_skirts(usable.captures, usable.circles, PAD, flat_rest(training.grid))
     result = fit_normals(
-        training, circles, layer_skirts(training, circles, PAD, flat_rest(training.grid)),
-        captures.only(split.heldout),
-        split=split, baseline=False, circle_source="labels", pad=PAD,
+        usable.captures, usable.circles, surfaces, captures.only(split.heldout),
+        split=split, baseline=False, circle_source="fused", circle_sigmas_px=usable.sigmas_px,
+        pad=PAD,
     )  # fmt: skip
     assert result.reliability is not None
+    assert result.reliability.within_95 > 0.85
     held = result.figures()["heldout"]
     assert held["absolute_depth"]["within_95"] > 0.8
     assert result.practised is not None and result.practised.median_press_mm < 0.04
-    scores = held["in_given_circles"] | {"absolute": held["absolute_depth"]["mae_mm"]}
+    scores = held["in_used_circles"] | {"absolute": held["absolute_depth"]["mae_mm"]}
     return scores, result.reliability.ratio()
 
 

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far normals and heights are off, found on presses of known surface that were not seen.
+
+Those are practice presses that no network saw, and every training ball as read by the network that
+did not see it. Where a ball is, is known to a pixel or two only: what its circle may be off by is
+taken off the errors, so that bands do not have to hold errors of labels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from taccel_lab.calibration.normals.cross_conformal import radius_factor
+from taccel_lab.calibration.normals.practice import PracticePress
+from taccel_lab.calibration.normals.samples import Scene
+from taccel_lab.calibration.normals.score import angle_between_deg
+from taccel_lab.signals.height_uncertainty import HeightUncertainty
+from taccel_lab.signals.normal_model import RAYLEIGH_95, NormalModel, relative_normals
+from taccel_lab.signals.read_heights import BAND_SIGMAS, read_heights
+
+LENGTHS_PX = (4.0, 8.0, 16.0)
+"""Distances over which neighbours may err together that are tried."""
+EVERY_PX = 3
+"""Pixels apart that errors are looked at."""
+SHARE = 0.95
+DENT_MM = 0.02
+"""Heights below this belong to the dent."""
+
+
+@dataclass(frozen=True)
+class PracticeScore:
+    """Absolute errors of heights on presses of other tools."""
+
+    rmse_mm: float
+    """Over the dents, root of the mean over presses of the mean square."""
+    median_press_mm: float
+    """Median over presses of the root mean square in the dent."""
+    worst_press_mm: float
+    within_95: float
+    """Share of the dents' pixels in the band of 95 %, presses of equal weight; these presses set
+    the band, so that it tells how even it is, not how true."""
+    normals_within_95: float
+    """Share of them in the radius of 95 %, likewise."""
+    count: int
+
+
+@dataclass(frozen=True)
+class KnownPress:
+    """A press whose surface is known, and who may read it."""
+
+    image: np.ndarray
+    """RGB levels under the background's light, shape [height_px, width_px, 3]."""
+    normals: np.ndarray
+    """Outward unit normals relative to rest, shape [height_px, width_px, 3]."""
+    rise_m: np.ndarray | None
+    """Rise over rest [m], shape [height_px, width_px]; None where only normals are known."""
+    compared: np.ndarray
+    """Pixels that are compared, bool, same shape."""
+    left_out: int | None = None
+    """The network that reads it, since the others saw it; all read it when None."""
+    normals_sigma_deg: np.ndarray | None = None
+    """Standard deviation of each component of the known normals [degrees], shape [h, w]; exact when
+    None."""
+    rise_sigma_m: np.ndarray | None = None
+    """Standard deviation of the known rise [m], shape [height_px, width_px]; exact when None."""
+
+    @classmethod
+    def of_practice(cls, press: PracticePress) -> KnownPress:
+        """A press that no network saw, compared in its dent."""
+        return cls(press.image, press.normals, press.rise_m, press.rise_m < -1e-3 * DENT_MM)
+
+
+@dataclass(frozen=True)
+class _Errors:
+    """Of some pixels of a press, what its own surface may be off by taken off, shape [n] each."""
+
+    angle_sigmas: np.ndarray
+    """Angles over the expected standard deviation."""
+    height_m: np.ndarray
+    """Of heights; empty where none are known."""
+    spreads_m: Sequence[np.ndarray]
+    """Of heights before any factor, for each of ``LENGTHS_PX``."""
+
+
+def with_reading_errors(
+    model: NormalModel,
+    practice: Iterable[KnownPress],
+    balls: Iterable[KnownPress],
+    scene: Scene,
+) -> tuple[NormalModel, PracticeScore | None]:
+    """The model with its radius of 95 % and the spread of its heights, and how well it read the
+    practice presses.
+
+    Both factors are those that hold 95 % of a new press's pixels in the mean (cross-conformal), on
+    practice or on captured balls, whichever asks for more. Heights have a spread where there is
+    practice; the length over which errors go together is the one with the narrowest band.
+    """
+    drawn = _all_errors(model, practice, scene)
+    captured = _all_errors(model, balls, scene)
+    groups = [group for group in (drawn, captured) if group]
+    if not groups:
+        return model, None
+    radius = max(radius_factor([e.angle_sigmas for e in g], SHARE, RAYLEIGH_95) for g in groups)
+    config = replace(model.config, radius95_sigmas=radius)
+    if not drawn:
+        return NormalModel(config, model.weights), None
+    best: tuple[float, int, float] | None = None
+    for k in range(len(LENGTHS_PX)):
+        factor = max(
+            radius_factor([e.height_m / e.spreads_m[k] for e in g], SHARE, BAND_SIGMAS)
+            for g in groups
+        ) / BAND_SIGMAS  # fmt: skip
+        width = factor * float(np.mean([e.spreads_m[k].mean() for e in drawn]))
+        if best is None or width < best[0]:
+            best = (width, k, factor)
+    assert best is not None
+    _, k, factor = best
+    config = replace(config, error_length_px=LENGTHS_PX[k], height_factor=factor)
+    dents = [float(1e3 * np.sqrt(np.mean(e.height_m**2))) for e in drawn]
+    score = PracticeScore(
+        rmse_mm=float(np.sqrt(np.mean(np.square(dents)))),
+        median_press_mm=float(np.median(dents)),
+        worst_press_mm=float(np.max(dents)),
+        within_95=float(
+            np.mean([np.mean(e.height_m <= BAND_SIGMAS * factor * e.spreads_m[k]) for e in drawn])
+        ),
+        normals_within_95=float(np.mean([np.mean(e.angle_sigmas <= radius) for e in drawn])),
+        count=len(dents),
+    )
+    return NormalModel(config, model.weights), score
+
+
+def _all_errors(model: NormalModel, presses: Iterable[KnownPress], scene: Scene) -> list[_Errors]:
+    """Of every press of which a pixel is compared."""
+    return [found for press in presses if (found := _errors(model, press, scene)) is not None]
+
+
+def _errors(model: NormalModel, press: KnownPress, scene: Scene) -> _Errors | None:
+    compared = press.compared if scene.mask is None else press.compared & scene.mask
+    sample = (slice(None, None, EVERY_PX), slice(None, None, EVERY_PX))
+    kept = compared[sample]
+    if not kept.any():
+        return None
+    read = read_heights(
+        model, press.image, scene.background, scene.grid, mask=scene.mask,
+        rest_normals=scene.rest_normals, left_out=press.left_out,
+    )  # fmt: skip
+    found = read.normals
+    angle = angle_between_deg(
+        relative_normals(found.tilt_rad[sample][kept]), press.normals[sample][kept]
+    )
+    if press.normals_sigma_deg is not None:
+        angle = _beyond(angle, RAYLEIGH_95 * press.normals_sigma_deg[sample][kept])
+    sigmas = angle / found.sigma_deg[sample][kept]
+    if press.rise_m is None:
+        return _Errors(sigmas, np.empty(0), [np.empty(0)] * len(LENGTHS_PX))
+    spreads = []
+    for length in LENGTHS_PX:
+        sigma = HeightUncertainty(scene.grid, length).sigma_m(
+            found.slope_sigma(),
+            weights=None if scene.mask is None else scene.mask.astype(float),
+            zero=read.zero,
+        )
+        spreads.append(np.maximum(sigma[sample][kept], 1e-9))
+    off = np.abs(read.rise_m - press.rise_m)[sample][kept]
+    if press.rise_sigma_m is not None:
+        off = _beyond(off, BAND_SIGMAS * press.rise_sigma_m[sample][kept])
+    return _Errors(sigmas, off, spreads)
+
+
+def _beyond(error: np.ndarray, known_to: np.ndarray) -> np.ndarray:
+    """What is left of errors for the reading to explain, where what they are counted from is itself
+    within ``known_to`` in 95 %: radii of independent errors add by their squares."""
+    return np.sqrt(np.maximum(error**2 - np.square(known_to), 0.0))
