@@ -24,11 +24,13 @@ class ErrorRate:
     spoiled: int
     how: str
     """What was done to these."""
+    of: str = "presses"
+    """What the good ones are."""
 
     def sentence(self) -> str:
         """For a finding."""
         return (
-            f"On published sets this names {self.good_named} of {self.good} good presses, and "
+            f"On published sets this names {self.good_named} of {self.good} good {self.of}, and "
             f"{self.found} of {self.spoiled} {self.how}."
         )
 
@@ -51,5 +53,5 @@ def quoted(finding: Remark) -> Remark:
     rate = RATES.get(finding.code)
     if rate is None:
         return finding
-    end = "" if finding.message.endswith((".", ")")) else "."
+    end = "" if finding.message.endswith(".") else "."
     return replace(finding, message=f"{finding.message}{end} {rate.sentence()}")
