@@ -47,10 +47,16 @@ JUDGED = (
     "ball_too_deep",
     "mixed_sensors",
     "channels_swapped",
+    "near_duplicates",
 )
-"""Findings that call frames bad. Saturation and copies are facts: nothing is judged there."""
+"""Findings that call frames bad by a judgement; of the pixels at full level, which are counted,
+those named of frames that have few of them are false alarms."""
 EVERY = 6
 BLUR_RADII, SHIFT_RADII, LABEL_FACTOR, SMALL, LARGE, BRIGHT = 0.15, 0.5, 1.5, 0.6, 1.6, 2.0
+AGAIN_GAIN, AGAIN_NOISE = 1.01, 1.0
+"""Of a press that is shown once more: its light, and the noise of the second picture [levels]."""
+THIN = 0.7
+"""Thickness that a gel is stated to have, over the median depth of its contacts."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +111,15 @@ def _swapped(frame: FrameFigures, own: Measured, other: Measured) -> Press | Non
 
 def _saturated(frame: FrameFigures, own: Measured, other: Measured) -> Press | None:
     return _shown(frame, BRIGHT * frame.press.image().astype(np.float32))
+
+
+def _again(frame: FrameFigures, own: Measured, other: Measured) -> Press | None:
+    place = next(i for i, known in enumerate(own.frames) if known is frame)
+    shown = own.frames[(place + 1) % len(own.frames)].press
+    rng = np.random.default_rng(place)
+    image = AGAIN_GAIN * shown.image().astype(np.float64)
+    copy = _shown(frame, image + rng.normal(0.0, AGAIN_NOISE, image.shape))
+    return replace(copy, circle=shown.circle)
 
 
 def _label_shifted(frame: FrameFigures, own: Measured, other: Measured) -> Press | None:
@@ -170,8 +185,11 @@ FAULTS = (
     Fault("a frame of another sensor", "mixed_sensors", _other_sensor),
     Fault("red and blue swapped", "channels_swapped", _swapped),
     Fault("twice as bright", "saturated", _saturated),
+    Fault("the next press once more", "near_duplicates", _again),
 )
-BALL_FACTORS = (0.5, 2.0)
+BALL_FACTORS = (0.5, 0.7, 2.0)
+TOO_SMALL = BALL_FACTORS[:2]
+"""A ball that is stated too large does not show in colours."""
 BALL_CODES = ("ball_too_small", "ball_too_deep", "wrong_ball_radius")
 
 
@@ -197,7 +215,8 @@ class CheckErrors(Suite):
             ]
             for number, own in enumerate(sets):
                 other = sets[(number + 1) % len(sets)]
-                for row in (_good(own), *_spoiled(own, other), *_balls(own)):
+                rows = (_good(own), *_spoiled(own, other), *_balls(own), *_thin_gel(own))
+                for row in rows:
                     result.add(row)
                     note(f"{row['set']}: {row['case']}: {row['named']} of {row['count']}")
 
@@ -229,17 +248,58 @@ def _named(own: Measured, frames: Sequence[FrameFigures]) -> dict[str, set[str]]
 
 
 def _good(own: Measured) -> dict[str, Any]:
+    from taccel_lab.calibration.check.light import SATURATED_SHARE
+
     named = _named(own, own.frames)
     by_code = {code: sorted(named.get(code, set())) for code in JUDGED}
     some = set().union(*by_code.values())
+    clean = {f.press.name for f in own.frames if f.saturated_share <= SATURATED_SHARE}
+    by_code["saturated"] = sorted(named.get("saturated", set()) & clean)
     return {
         "set": own.name,
         "case": "good",
         "count": len(own.frames),
         "labelled": sum(frame.press.circle is not None for frame in own.frames),
+        "not_saturated": len(clean),
+        "of_known_depth": len(_depths_mm(own)),
         "named": len(some),
         "by_code": by_code,
     }
+
+
+def _depths_mm(own: Measured) -> list[float]:
+    """Depth of each contact by its circle and the ball; empty where the scale, the ball or the
+    thickness of the sensor's gel is not known."""
+    from taccel_lab.calibration.capture.sensor_facts import sensor_facts
+
+    ball, facts = own.folder.ball_radius_mm, sensor_facts(own.folder.sensor)
+    if ball is None or own.folder.mm_per_px is None or facts is None or facts.thickness_mm is None:
+        return []
+    radii = [f.circle.radius_px * own.grid.mm_per_px_x for f in own.frames if f.circle is not None]
+    return [ball - (ball**2 - min(radius, ball) ** 2) ** 0.5 for radius in radii]
+
+
+def _thin_gel(own: Measured) -> list[dict[str, Any]]:
+    """The gel stated thinner than its contacts are deep: how many of those are named."""
+    from taccel_lab.calibration.check.balls import check_balls
+
+    depths = _depths_mm(own)
+    if not depths:
+        return []
+    thickness = THIN * float(np.median(depths))
+    ball, width = own.folder.ball_radius_mm, own.grid.width_px
+    found = check_balls(own.frames, own.grid, width, ball, thickness)
+    named = {name for item in found if item.code == "ball_too_deep" for name in item.frames}
+    return [
+        {
+            "set": own.name,
+            "case": "gel stated thinner than the contacts are deep",
+            "code": "ball_too_deep",
+            "count": sum(depth > thickness for depth in depths),
+            "named": len(named),
+            "thickness_mm": thickness,
+        }
+    ]
 
 
 def _spoiled(own: Measured, other: Measured) -> list[dict[str, Any]]:
@@ -313,29 +373,42 @@ SPOILED_HOW = {
     "mixed_sensors": "of another sensor",
     "channels_swapped": "whose red and blue are swapped",
     "ball_too_small": "sets whose ball is stated half as large",
+    "ball_too_deep": "on a gel that is stated 0.7 times as thick as the median contact is deep",
+    "near_duplicates": "that show another press once more, with noise of its own",
+    "saturated": "that are made twice as bright",
+    "wrong_ball_radius": "sets whose ball is stated 0.5 or 0.7 times as large",
 }
+_GOOD = {"labels_off": "labelled", "saturated": "not_saturated", "ball_too_deep": "of_known_depth"}
+"""Which presses of a set a finding could name by mistake, where these are not all."""
 
 
 def error_rates(rows: Sequence[dict[str, Any]]) -> dict[str, ErrorRate]:
     """Of each finding over all sets, for ``taccel_lab.calibration.error_rates``."""
     from taccel_lab.calibration.error_rates import ErrorRate
 
-    halved = f"ball stated {BALL_FACTORS[0]:g} times as large"
-    known = {row["set"] for row in rows if row["case"] == halved}
+    def stated(factor: float) -> list[dict[str, Any]]:
+        return [row for row in rows if row["case"] == f"ball stated {factor:g} times as large"]
+
+    right = stated(1.0)
+    known = {row["set"] for row in right}
     found = {}
     for code, how in SPOILED_HOW.items():
         good = [row for row in rows if row["case"] == "good"]
+        tried = [row for row in rows if row.get("code") == code]
+        if code == "wrong_ball_radius":
+            tried = [row for factor in TOO_SMALL for row in stated(factor)]
+            named = [sum(code in row["by"] for row in some) for some in (right, tried)]
+            found[code] = ErrorRate(named[0], len(right), named[1], len(tried), how, "sets")
+            continue
         if code == "ball_too_small":
-            good = [row for row in good if row["set"] in known]
-            tried = [row for row in rows if row["case"] == halved]
+            good, tried = [row for row in good if row["set"] in known], stated(TOO_SMALL[0])
             named, spoiled = sum(code in row["by"] for row in tried), len(tried)
         else:
-            tried = [row for row in rows if row.get("code") == code]
             named = sum(row["named"] for row in tried)
             spoiled = sum(row["count"] for row in tried)
         found[code] = ErrorRate(
             sum(len(row["by_code"][code]) for row in good),
-            sum(row["labelled" if code == "labels_off" else "count"] for row in good),
+            sum(row[_GOOD.get(code, "count")] for row in good),
             named,
             spoiled,
             how,

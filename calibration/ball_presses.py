@@ -7,7 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.base_profile import lost_blocks, presses_on_camera
+from taccel_lab.calibration.base_profile import (
+    lost_blocks,
+    presses_on_camera,
+    with_measured_scale,
+)
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import PressSplit
@@ -65,6 +69,7 @@ def ball_presses(
     Raises:
         InputError: Captures that cannot be used, with what their check found.
     """
+    folder = with_measured_scale(folder, base)
     findings = capture_findings(folder, block, progress)
     with refusing_with(findings):
         captures, profile = presses_on_camera(folder, base)

@@ -37,7 +37,7 @@ def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder)
                 return catalogue_profile(folder.sensor, folder.design)
             grid = folder.grid()
             design = fitted_design(folder.sensor, grid, folder.design)
-            return on_grid(design, grid, folder.provenance)
+            return on_grid(design, grid, folder.provenance, rectified=folder.rectified)
     profile = base if isinstance(base, SensorProfile) else load_profile(base)
     if profile.sensor.family != folder.sensor:
         name = "to extend" if isinstance(base, SensorProfile) else base
@@ -68,6 +68,22 @@ def require_image_of(profile: SensorProfile, folder: CaptureFolder) -> None:
         )
 
 
+def with_measured_scale(folder: CaptureFolder, profile: SensorProfile) -> CaptureFolder:
+    """The captures with the scale that the profile's camera has measured on this unit, where they
+    state none and are of its size; else as they are."""
+    camera = profile.camera
+    if (
+        folder.mm_per_px is not None
+        or folder.background is None
+        or camera.provenance.kind not in MEASURED
+    ):
+        return folder
+    height, width = folder.background.image().shape[:2]
+    if (camera.width_px, camera.height_px) != (width, height):
+        return folder
+    return replace(folder, mm_per_px=(camera.mm_per_px_x, camera.mm_per_px_y))
+
+
 def presses_on_camera(
     folder: CaptureFolder, base: SensorProfile
 ) -> tuple[CaptureSet, SensorProfile]:
@@ -83,14 +99,20 @@ def presses_on_camera(
         if (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px):
             return replace(captures, grid=grid), base
     captures = folder.ball_presses()
-    return captures, on_grid(base, captures.grid, captures.provenance)
+    profile = on_grid(base, captures.grid, captures.provenance, rectified=folder.rectified)
+    return captures, profile
 
 
 def on_grid(
-    profile: SensorProfile, grid: PixelGrid, provenance: Mapping[str, str]
+    profile: SensorProfile,
+    grid: PixelGrid,
+    provenance: Mapping[str, str],
+    *,
+    rectified: bool | None = None,
 ) -> SensorProfile:
-    """The profile with the captures' image size and scale; as it is where it has them."""
-    if profile.camera.grid() == grid:
+    """The profile with the captures' image size and scale, of ``rectified`` images or raw ones
+    where that is known; as it is where it has them."""
+    if profile.camera.grid() == grid and rectified in (None, profile.camera.rectified):
         return profile
     return profile.without("background", "color", "normals").with_block(
         CameraBlock.from_grid(
@@ -101,6 +123,7 @@ def on_grid(
                 "the apex",
                 source=source_of(provenance, "captures.toml"),
             ),
+            bool(rectified),
         )
     )
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from taccel_lab.calibration.base_profile import base_profile
+from taccel_lab.calibration.base_profile import base_profile, with_measured_scale
 from taccel_lab.calibration.blocks import BLOCKS, CalibrationBlock
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.camera.rectify_captures import rectify_captures
@@ -28,11 +28,13 @@ from taccel_lab.calibration.check.run import CaptureCheck
 from taccel_lab.calibration.report.page import Page, Table, write_page
 from taccel_lab.calibration.report.profile_page import profile_page
 from taccel_lab.calibration.report.remarks import BLOCK_UNFIT
-from taccel_lab.calibration.result import judge
+from taccel_lab.calibration.result import Severity, judge
 from taccel_lab.errors import InputError
 from taccel_lab.output_folder import atomic_directory
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+
+_MEASURE_SCALE = ("camera", "scale")
 
 
 class State(StrEnum):
@@ -153,7 +155,7 @@ def calibrate(
     if not isinstance(folder, CaptureFolder):
         folder = load_capture_folder(folder)
     raw, profile = folder, base_profile(base, folder)
-    ready = _readiness(capture_check(folder, progress))
+    ready = _readiness(capture_check(with_measured_scale(folder, profile), progress))
     outcomes: list[BlockOutcome] = []
     maps, rectified, notes = None, None, ()
     on_gel = any(board.entry.on_gel for board in raw.boards)
@@ -164,6 +166,8 @@ def calibrate(
         if state is not None:
             outcomes.append(BlockOutcome(block.name, state, message))
             continue
+        if block.name not in _MEASURE_SCALE:
+            folder = with_measured_scale(folder, profile)
         outcome, result, profile = _fit(block, folder, profile, options, progress)
         outcomes.append(outcome)
         if result is not None and block.name == "camera" and on_gel:
@@ -194,9 +198,14 @@ def _readiness(check: CaptureCheck) -> dict[str, tuple[State | None, str]]:
         if block.readiness is Readiness.ABSENT:
             found[block.command] = State.SKIPPED, f"needs {block.missing}"
         elif block.readiness is Readiness.BLOCKED:
-            causes = [f.message for f in check.findings if block.command in f.blocks]
-            message = "; ".join([block.missing, *causes]).strip("; ")
-            found[block.command] = State.BLOCKED, message
+            # Warnings do not stop it: the check tells them, and the block's own report.
+            stops = [
+                finding.message.removesuffix(".")
+                for finding in check.findings
+                if block.command in finding.blocks and finding.severity is Severity.ERROR
+            ]
+            needs = [f"needs {block.missing}"] if block.missing else []
+            found[block.command] = State.BLOCKED, "; ".join([*needs, *stops])
         else:
             found[block.command] = None, block.found
     return found

@@ -24,11 +24,13 @@ class ErrorRate:
     spoiled: int
     how: str
     """What was done to these."""
+    of: str = "presses"
+    """What the good ones are."""
 
     def sentence(self) -> str:
         """For a finding."""
         return (
-            f"On published sets this names {self.good_named} of {self.good} good presses, and "
+            f"On published sets this names {self.good_named} of {self.good} good {self.of}, and "
             f"{self.found} of {self.spoiled} {self.how}."
         )
 
@@ -43,6 +45,16 @@ RATES: dict[str, ErrorRate] = {
     "mixed_sensors": ErrorRate(0, 266, 45, 47, "of another sensor"),
     "channels_swapped": ErrorRate(0, 266, 47, 47, "whose red and blue are swapped"),
     "ball_too_small": ErrorRate(0, 225, 5, 5, "sets whose ball is stated half as large"),
+    "ball_too_deep": ErrorRate(
+        0, 128, 93, 125, "on a gel that is stated 0.7 times as thick as the median contact is deep"
+    ),
+    "near_duplicates": ErrorRate(
+        0, 266, 45, 47, "that show another press once more, with noise of its own"
+    ),
+    "saturated": ErrorRate(0, 217, 38, 38, "that are made twice as bright"),
+    "wrong_ball_radius": ErrorRate(
+        0, 5, 8, 10, "sets whose ball is stated 0.5 or 0.7 times as large", "sets"
+    ),
 }
 
 
@@ -51,5 +63,5 @@ def quoted(finding: Remark) -> Remark:
     rate = RATES.get(finding.code)
     if rate is None:
         return finding
-    end = "" if finding.message.endswith((".", ")")) else "."
+    end = "" if finding.message.endswith(".") else "."
     return replace(finding, message=f"{finding.message}{end} {rate.sentence()}")

@@ -29,3 +29,8 @@ def readable(message: str) -> str:
 def _cut(found: re.Match[str]) -> str:
     word = found[0]
     return f"{word[:60]}...({len(word):,} letters)...{word[-20:]}"
+
+
+def counted(count: int, one: str, many: str | None = None) -> str:
+    """``1 view`` or ``3 views``; ``many`` where the plural is not ``one`` with an s."""
+    return f"{count} {one if count == 1 else many or one + 's'}"

@@ -96,7 +96,8 @@ class State:
 
         def rows(array: wp.array) -> wp.array:
             value = array.numpy()
-            return wp.clone(array[:1] if (value == value[:1]).all() else array)
+            same = array.size > 0 and (value == value[:1]).all()
+            return wp.clone(array[:1] if same else array)
 
         history = self.history
         return State(

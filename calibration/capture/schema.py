@@ -19,6 +19,10 @@ SCHEMA_VERSION = 2
 
 MAX_MM_PER_PX = 1.0
 MIN_MM_PER_PX = 1e-4
+MAX_RADIUS_MM = 50.0
+MIN_RADIUS_MM = 0.05
+MAX_EDGE_MM = 200.0
+MIN_EDGE_MM = 0.1
 
 FileName = Annotated[str, Field(min_length=1), AfterValidator(require_inner_name)]
 """A file of the folder, relative to the manifest."""
@@ -28,7 +32,7 @@ class SphereIndenter(StrictModel):
     """A ball, the calibration target whose surface normals are known everywhere."""
 
     kind: Literal["sphere"] = "sphere"
-    radius_mm: Number = Field(gt=0.05, le=50.0)
+    radius_mm: Number = Field(gt=MIN_RADIUS_MM, le=MAX_RADIUS_MM)
     """Ball radius [mm], 0.05 to 50."""
 
 
@@ -57,7 +61,7 @@ class PressEntry(StrictModel):
 class SpherePress(PressEntry):
     """A ball press of version 2, which may come with what a stage and a load cell said."""
 
-    radius_mm: Number | None = Field(default=None, gt=0.05, le=50.0)
+    radius_mm: Number | None = Field(default=None, gt=MIN_RADIUS_MM, le=MAX_RADIUS_MM)
     """Radius of the ball of this press, where it is not that of ``indenter`` [mm]."""
     depth_mm: Number | None = Field(default=None, ge=0.0, le=50.0)
     """Travel past first touch [mm]."""
@@ -101,7 +105,7 @@ class EdgeEntry(StrictModel):
     """A press of a straight edge of known length."""
 
     image: FileName
-    length_mm: Number = Field(gt=0.1, le=200.0)
+    length_mm: Number = Field(gt=MIN_EDGE_MM, le=MAX_EDGE_MM)
     """Length of the edge that touches [mm]."""
     dihedral_deg: Number = Field(default=90.0, gt=0.0, lt=180.0)
     """Angle between its faces."""

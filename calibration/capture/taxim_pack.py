@@ -31,7 +31,7 @@ PACK_PATH_IN_WHEEL = Path("calib") / "gelsight" / PACK_NAME
 TAXIM_BALL_RADIUS_MM = 2.0
 REQUIRED_KEYS = ("f0", "imgs", "touch_center", "touch_radius")
 PARAMS_NAME = "params.json"
-TAXIM_BALL_WHY = "Taxim's documented default, which no file states; give [indenter] radius_mm"
+TAXIM_BALL_WHY = "Taxim's documented default, which no file states; --radius-mm gives another"
 PUBLISHED = {
     "090d348cb7f5ea5ad1d68c147580048780f507bc0e43aa656c3dbf4d667af5c6": (
         "PyPI wheel taxim, calib/gelsight/dataPack.npz (Taxim, Si and Yuan 2022)"

@@ -28,6 +28,8 @@ from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 
 MIN_MEDIAN_PRESSES = 7
+DARK_LEVELS = 8.0
+_DARK = (remarks.DARK_BACKGROUND(),)
 FINE_THUMB_PX = 320
 
 
@@ -80,6 +82,10 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
             enough = len(presses) >= MIN_MEDIAN_PRESSES
             return BackgroundCheck(median_image if enough else image, enough, (pressed,))
         return BackgroundCheck(image, False, tuple(_check_untouched(folder)))
+    enough = len(presses) >= MIN_MEDIAN_PRESSES
+    if _is_dark(folder, image):
+        # Any part of any picture is as like a black one as another.
+        return BackgroundCheck(median_image if enough else image, enough, _DARK)
     order, swapped, _ = best_channel_order(small, median)
     if order != (0, 1, 2) and swapped * CROP_GAIN < misfit:
         # Said by the check of channels, which sees all images against each other.
@@ -88,7 +94,6 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
     fine = thumb(image, longer), thumb(median_image, longer)
     inner, outer = find_crop(*fine), find_crop(*fine[::-1])
     height, width = image.shape[:2]
-    enough = len(presses) >= MIN_MEDIAN_PRESSES
     advice = (
         " The median of the presses is used here, and as the background with capture import "
         "--background median"
@@ -118,11 +123,16 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
     return BackgroundCheck(chosen, enough, (finding,), crop, of_presses)
 
 
+def _is_dark(folder: CaptureFolder, background: np.ndarray) -> bool:
+    """Whether a background that is used as a whole is black."""
+    return folder.mask is None and bool(background.mean() < DARK_LEVELS)
+
+
 def _check_untouched(folder: CaptureFolder) -> list[Remark]:
     """Further images of the untouched sensor: how far it has drifted."""
     background = folder.require_background().image()
-    if folder.mask is None and background.mean() < 8:
-        return [remarks.DARK_BACKGROUND()]
+    if _is_dark(folder, background):
+        return [*_DARK]
     found = []
     for frame in folder.untouched:
         misfit = misfit_levels(thumb(frame.image()), thumb(background))

@@ -11,6 +11,8 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import COMMANDS
 from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.printable import counted
+from taccel_lab.sensors import sensor_families
 
 
 class Readiness(StrEnum):
@@ -58,9 +60,9 @@ def _scale_sources(folder: CaptureFolder) -> list[str]:
     if any(board.entry.on_gel and board.entry.pitch_mm is not None for board in folder.boards):
         sources.append("board on the gel")
     if folder.landmarks:
-        sources.append(f"{len(folder.landmarks)} images with landmarks")
+        sources.append(f"{counted(len(folder.landmarks), 'image')} with landmarks")
     if folder.edges:
-        sources.append(f"{len(folder.edges)} edges")
+        sources.append(counted(len(folder.edges), "edge"))
     if folder.markers is not None and folder.markers.pitch_x_mm is not None:
         sources.append("marker pitch")
     if any(press.depth_mm is not None for press in folder.presses):
@@ -78,7 +80,7 @@ def block_statuses(
         if grey is False and command == "depth":
             found, missing = "", "a sensor whose grey levels stand for depth, such as a 9DTact"
         if grey and command in ("color", "normals"):
-            found, missing = "", "coloured lamps: this sensor's grey levels stand for depth"
+            found, missing = "", "coloured lamps: this sensor, or these images, are grey"
         mine = {finding.severity for finding in findings if command in finding.blocks}
         if not found:
             readiness = Readiness.ABSENT
@@ -90,13 +92,31 @@ def block_statuses(
     return statuses
 
 
+def _scale_for_size(folder: CaptureFolder) -> str:
+    """What a background of another size than the catalogue's images needs; empty for nothing."""
+    family = sensor_families().get(folder.sensor)
+    if family is None or folder.mm_per_px is not None or _scale_sources(folder):
+        return ""
+    height, width = folder.require_background().image().shape[:2]
+    designed = family.parameters().grid()
+    if (designed.width_px, designed.height_px) == (width, height):
+        return ""
+    return (
+        f"the scale (these images are {width}x{height} px, those of the catalogue's "
+        f"{folder.sensor} {designed.width_px}x{designed.height_px} px), or a --base with a "
+        "calibrated camera"
+    )
+
+
 def _needs(folder: CaptureFolder, command: str) -> tuple[str, str]:
     """What is there for a command, and what is missing, both in words."""
     presses, labelled = len(folder.presses), sum(p.circle is not None for p in folder.presses)
-    balls = f"{presses} ball presses ({labelled} with circles)" if presses else ""
+    balls = ""
+    if presses:
+        balls = f"{counted(presses, 'ball press', 'ball presses')} ({labelled} with circles)"
     if command == "camera":
         views = sum(len(b.frames) for b in folder.boards)
-        return (f"{views} views of boards" if views else ""), (
+        return (f"{counted(views, 'view')} of boards" if views else ""), (
             "" if views else "views of a board: chessboard, ChArUco, dots or pins"
         )
     if command == "scale":
@@ -111,8 +131,10 @@ def _needs(folder: CaptureFolder, command: str) -> tuple[str, str]:
         )
     if command == "background":
         images = int(folder.background is not None) + len(folder.untouched)
-        found = f"{images} images of the untouched gel" if images else balls
-        return found, "" if folder.background is not None else "an image of the untouched gel"
+        found = f"{counted(images, 'image')} of the untouched gel" if images else balls
+        if folder.background is None:
+            return found, "an image of the untouched gel"
+        return found, _scale_for_size(folder)
     if command in ("color", "normals", "depth"):
         missing = []
         if folder.background is None:
@@ -135,7 +157,7 @@ def _needs(folder: CaptureFolder, command: str) -> tuple[str, str]:
         if folder.markers.rest is None and not videos:
             return "an image of pressed dots", "an image of the dots at rest"
         rest = "videos show rest" if folder.markers.rest is None else "dots at rest"
-        return f"{rest}, {videos} videos", ""
+        return f"{rest}, {counted(videos, 'video')}", ""
     if command == "spread":
         untouched = len(folder.untouched)
         several = f"{untouched} further images of the untouched gel" if untouched > 1 else ""

@@ -22,6 +22,9 @@ SATURATED_SHARE, VERY_SATURATED_SHARE = 0.05, 0.3
 SWAP_MIN_LEVELS, SWAP_RATIO = 6.0, 1.6
 """A frame's channels are swapped when another order fits this much better. Real sets: 2.3 and more
 with red and blue swapped, 1.0 without."""
+SWAP_NEAR = 3.0
+"""How much farther from the background than most frames a swapped one may be when it is put right.
+"""
 GREY_SHARE = 0.2
 """Colour changes across the commonest direction, relative to those along it, under white light."""
 MIXED_MIN_LEVELS, MIXED_RATIO = 5.0, 2.0
@@ -42,13 +45,17 @@ def check_light(frames: Sequence[FrameFigures], background: np.ndarray) -> list[
     return [*_check_drift(frames, background), *_check_saturation(frames), *check_mixed(frames)]
 
 
-def is_grey(frames: Sequence[FrameFigures]) -> bool:
-    """Whether contacts change all channels alike, as under white light."""
+def is_grey(frames: Sequence[FrameFigures]) -> bool | None:
+    """Whether contacts change all channels alike, as under white light; None without a contact."""
     strongest = []
     for frame in frames:
+        if frame.circle is None:
+            continue
         change = frame.thumb - frame.reference
         size = np.linalg.norm(change, axis=-1)
         strongest.append(change[size >= np.percentile(size, 97)])
+    if not strongest:
+        return None
     values = np.linalg.svd(np.concatenate(strongest), compute_uv=False)
     return bool(values[1] < GREY_SHARE * values[0])
 
@@ -84,10 +91,17 @@ def _check_saturation(frames: Sequence[FrameFigures]) -> list[Remark]:
 def check_channel_order(frames: Sequence[FrameFigures], background: np.ndarray) -> list[Remark]:
     """Channels that are swapped in some frames, or between the frames and the background."""
     orders = [best_channel_order(frame.thumb, background) for frame in frames]
+    if not orders:
+        return []
+    # Put right, a frame is as near to the background as the others are; a turned picture is not.
+    near = max(SWAP_MIN_LEVELS, float(np.percentile([best for _, best, _ in orders], 25)))
     swapped = [
         i
         for i, (order, best, asis) in enumerate(orders)
-        if order != (0, 1, 2) and asis > SWAP_MIN_LEVELS and asis > SWAP_RATIO * best
+        if order != (0, 1, 2)
+        and asis > SWAP_MIN_LEVELS
+        and asis > SWAP_RATIO * best
+        and best < SWAP_NEAR * near
     ]
     if not swapped:
         return []

@@ -15,6 +15,7 @@ from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.usable import too_many_lost
 from taccel_lab.calibration.result import Remark
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.printable import counted
 
 LABEL_OFF_SHARE, LABEL_RADIUS_SHARE = 0.18, 0.3
 """A label is off when its centre lies this part of its radius (and ``LABEL_OFF_PX``) from the
@@ -23,6 +24,9 @@ LABEL_OFF_PX = 6.0
 SURE_OF_CONTACT = 0.4
 """Confidence of a contact below which it says nothing against a label."""
 LABELS_BAD_SHARE = 0.25
+OTHER_SIZE = 1.1
+MIN_SCALED = 4
+"""Labels from which on a common factor between them and the contacts is looked for."""
 FEW_PRESSES, GOOD_PRESSES = 10, 30
 ONE_SPOT_RADII = 2.0
 """Presses are at one spot when their centres lie within this many contact radii."""
@@ -116,7 +120,14 @@ def _check_labels(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remar
     names = [gap.name for gap in off]
     many = len(off) > LABELS_BAD_SHARE * len(gaps)
     worst_radius = max((gap.radius_px for gap in off), key=abs)
-    advice = "Calibrate with the circles found (--circles detected)" if many else "Look at them"
+    detected = "Calibrate with the circles found (taccel-lab calibrate color --circles detected)"
+    advice = f"{detected}, or take contact out of captures.toml" if many else "Look at them"
+    if many and (scale := _label_scale(frames, grid)) is not None:
+        width, height = grid.width_px * scale, grid.height_px * scale
+        advice = (
+            f"They fit when they are divided by {scale:.2f}: were they made in images of "
+            f"{width:.0f}x{height:.0f} px? {advice}"
+        )
     return [
         remarks.LABELS_OFF(
             off=len(off),
@@ -130,6 +141,32 @@ def _check_labels(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remar
             grave=many,
         )
     ]
+
+
+def _label_scale(frames: Sequence[FrameFigures], grid: PixelGrid) -> float | None:
+    """Factor by which all labels are larger than the contacts found, as those made in images of
+    another size are; None where none brings most of them together."""
+    ratios, pairs = [], []
+    for frame in frames:
+        if frame.contact is None or frame.press.circle is None:
+            continue
+        label, found = frame.press.circle, frame.contact.circle
+        pairs.append((label, found))
+        ratios.append(np.hypot(label.u_px, label.v_px) / np.hypot(found.u_px, found.v_px))
+    if len(pairs) < MIN_SCALED:
+        return None
+    scale = float(np.median(ratios))
+    scaled = [
+        ContactCircle(label.u_px / scale, label.v_px / scale, label.radius_px / scale)
+        for label, _ in pairs
+    ]
+    fit = [
+        label.center_gap_px(found, grid) <= max(LABEL_OFF_PX, LABEL_OFF_SHARE * found.radius_px)
+        and abs(label.radius_px - found.radius_px) <= LABEL_RADIUS_SHARE * found.radius_px
+        for label, (_, found) in zip(scaled, pairs, strict=True)
+    ]
+    other = abs(np.log(scale)) > np.log(OTHER_SIZE)
+    return scale if other and np.mean(fit) > 1.0 - LABELS_BAD_SHARE else None
 
 
 def _circles(frames: Sequence[FrameFigures]) -> list[ContactCircle]:
@@ -189,7 +226,7 @@ def _check_spots(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark
 def _check_count(frames: Sequence[FrameFigures]) -> list[Remark]:
     if len(frames) >= GOOD_PRESSES:
         return []
-    count = f"{len(frames)} press{'es' if len(frames) != 1 else ''}"
+    count = counted(len(frames), "press", "presses")
     return [remarks.FEW_PRESSES(count=count, enough=GOOD_PRESSES, grave=len(frames) < FEW_PRESSES)]
 
 

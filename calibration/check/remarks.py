@@ -87,7 +87,7 @@ DARK_BACKGROUND = RemarkKind(
     "dark_background",
     Severity.ERROR,
     "the background is black: lamps off, or wrong file",
-    ("color",),
+    BY_BACKGROUND,
 )
 UNTOUCHED_DIFFERS = RemarkKind(
     "untouched_differs",

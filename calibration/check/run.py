@@ -148,7 +148,7 @@ def check_captures(
     elif folder.background is None and not folder.presses and not _has_other(folder):
         findings.append(remarks.EMPTY())
     grey = None if facts is None else facts.is_grey
-    if folder.presses and background is not None and grey is not True:
+    if frames and grey is not True:
         grey = is_grey(frames)
     findings = worst_first([quoted(finding) for finding in findings])
     return CaptureCheck(
@@ -203,7 +203,7 @@ def press_findings(
         size = (grid.width_px, grid.height_px)
         findings += check_scale(folder.mm_per_px, size, facts.pad_mm, facts.view_mm, facts.family)
     grey = is_grey(frames)
-    if grey != facts.is_grey and facts.family != "flat_pad":
+    if grey is not None and grey != facts.is_grey and facts.family != "flat_pad":
         have, want = ("grey", "coloured") if grey else ("coloured", "grey")
         findings.append(remarks.GREY_OR_COLOUR(found=have, family=facts.family, expected=want))
     if background.is_median and not any(f.code == "no_background" for f in background.findings):

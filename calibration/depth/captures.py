@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.calibration.base_profile import require_image_of
+from taccel_lab.calibration.base_profile import MEASURED, require_image_of
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture.captures import CaptureSet, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
@@ -23,7 +23,8 @@ def grey_captures(
 ) -> tuple[CaptureSet, list[Remark]]:
     """The presses, and what had to be assumed.
 
-    The scale is that of the maps, else that of the captures, else that of the profile.
+    The scale is that of the maps; else that of the profile's camera where it was measured on this
+    unit and has images of this size; else that of the captures; else what the profile says.
     """
     remarks: list[Remark] = []
     if maps is not None:
@@ -34,21 +35,16 @@ def grey_captures(
         rectification.require_raw_size(raw, folder.source)
         return _rectified(captures, rectification), remarks
     require_image_of(base, folder)
-    scale = folder.mm_per_px
-    if scale is None:
-        scale = (base.camera.mm_per_px_x, base.camera.mm_per_px_y)
-        kind = base.camera.provenance.kind
+    grid, kind = base.camera.grid(), base.camera.provenance.kind
+    captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))
+    same = (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px)
+    if folder.mm_per_px is not None and not (same and kind in MEASURED):
+        return folder.ball_presses(), remarks
+    if folder.mm_per_px is None:
         remarks.append(
-            SCALE_OF_PROFILE(
-                mm_per_px=scale[0], kind=kind, grave=kind not in ("calibrated", "measured")
-            )
+            SCALE_OF_PROFILE(mm_per_px=grid.mm_per_px_x, kind=kind, grave=kind not in MEASURED)
         )
-        grid = base.camera.grid()
-        captures = folder.ball_presses(scale)
-        if (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px):
-            captures = replace(captures, grid=grid)
-        return captures, remarks
-    return folder.ball_presses(scale), remarks
+    return (replace(captures, grid=grid) if same else captures), remarks
 
 
 def _rectified(captures: CaptureSet, maps: RectificationMaps) -> CaptureSet:

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.calibration.base_profile import lost_blocks, on_grid
+from taccel_lab.calibration.base_profile import lost_blocks, on_grid, with_measured_scale
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check.block_findings import capture_findings, joined, refusing_with
@@ -60,8 +60,8 @@ def calibrate_depth(
 
     Args:
         folder: Its background and presses are used.
-        base: Profile that the result extends: its camera gives the scale where neither maps nor
-            captures do, its gel the sunk rim of ``hertz`` and ``simulated``.
+        base: Profile that the result extends: its camera gives the scale where it was measured, or
+            where neither maps nor captures do; its gel the sunk rim of ``hertz`` and ``simulated``.
         options: What is read, and what depths are counted from.
         progress: Told what is done.
 
@@ -70,7 +70,7 @@ def calibrate_depth(
     """
     captures, assumed = grey_captures(folder, base, options.maps)
     on_captures = on_grid(base, captures.grid, captures.provenance)
-    findings = capture_findings(folder, "depth", progress)
+    findings = capture_findings(with_measured_scale(folder, base), "depth", progress)
     progress(TASK, 0, 1)
     kind = "each" if options.zero == "simulated" else "hertz"
     surfaces = PressSurfaces(

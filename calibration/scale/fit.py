@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.camera.pixel_grid import stated_scale_remarks
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.markers.rest import find_rest
@@ -38,8 +39,10 @@ def calibrate_scale(
         base: The designed sensor: where its gel frame's origin is.
 
     Raises:
-        InputError: Nothing with a known length, or nothing of it could be measured.
+        InputError: Nothing with a known length, or nothing of it could be measured; raw captures of
+            a rectified profile.
     """
+    require_image_of(base, folder)
     folder = folder.fitted()
     gel_boards = [board for board in folder.boards if board.entry.on_gel]
     jobs: list[tuple[str, Callable[[], ScaleEstimate]]] = []
@@ -89,6 +92,7 @@ def calibrate_scale(
         failures,
         folder.provenance,
         tuple(_remarks(folder, estimates, axes, failures)),
+        folder.rectified,
     )
 
 

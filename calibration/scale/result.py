@@ -32,6 +32,8 @@ class ScaleCalibration:
     """Methods whose captures are there but gave nothing, with the reason."""
     provenance: dict[str, str]
     remarks: tuple[Remark, ...]
+    rectified: bool = False
+    """Whether the images were."""
 
     @property
     def scale(self) -> tuple[float, float]:
@@ -106,6 +108,7 @@ class ScaleCalibration:
                 verdict=judge(self.remarks).value,
                 remarks=tuple(remark.message for remark in self.remarks),
             ),
+            self.rectified,
         )
         return with_camera_block(profile, block)
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -105,7 +106,8 @@ class CaptureImport:
                     **origin,
                 }
             )
-            console.print(f"wrote {path}: {_in_words(captures.contents())}", highlight=False)
+            words = f"wrote {path}: {_in_words(captures.contents())}"
+            console.print(words, highlight=False, markup=False)
             said = [
                 *(f"{key}: {text}" for key, text in origin.items()),
                 *(f"assumed {name}: {text}" for name, text in captures.assumed.items()),
@@ -113,11 +115,23 @@ class CaptureImport:
             ]
             for text in said:
                 console.print(f"  {text}", highlight=False, markup=False)
-        console.print(f"next: taccel-lab capture check {folders[0]}", highlight=False)
+        for path in folders:
+            console.print(
+                f"next: taccel-lab capture check {shlex.quote(str(path))}",
+                highlight=False,
+                markup=False,
+            )
         if self.json:
             print_json({"layout": layout, "folders": found})
 
 
 def _in_words(contents: dict[str, int]) -> str:
-    parts = [f"{count} {name.replace('_', ' ')}" for name, count in contents.items() if count]
+    from taccel_lab.printable import counted
+
+    parts = []
+    for key, count in contents.items():
+        many = key.replace("_", " ")
+        one = many.removesuffix("es") if many.endswith("presses") else many.removesuffix("s")
+        if count:
+            parts.append(counted(count, one, many))
     return ", ".join(parts) or "nothing that calibrates"

@@ -103,9 +103,11 @@ class Table:
         for line, text in numbered_lines(self.body, self.first_line, self.path):
             cells = _split(text, self.delimiter, line, self.path)
             if len(cells) != len(self.header):
+                commas = self.delimiter == "," and len(cells) > len(self.header)
                 raise InputError(
                     f"{self.path}: line {line} has {len(cells)} cells, the header "
                     f"{len(self.header)}"
+                    + ("; beside decimal commas, cells are parted by semicolons" if commas else "")
                 )
             yield Row(self, line, cells)
 

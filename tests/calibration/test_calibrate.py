@@ -22,7 +22,7 @@ from taccel_lab.calibration.check.findings import COMMANDS
 from taccel_lab.calibration.check.run import CaptureCheck
 from taccel_lab.calibration.spread.fit import SpreadOptions
 from taccel_lab.errors import InputError
-from taccel_lab.profile import SensorProfile
+from taccel_lab.profile import CameraBlock, Provenance, SensorProfile
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.judged_once import detect_once, judge_slopes_once
 from tests.cli.small_captures import write_captures
@@ -147,6 +147,44 @@ def test_unknown_blocks_and_other_sensors_are_refused(captures: Path) -> None:
         calibrate(captures, options={"colour": None})
     with pytest.raises(InputError, match="captures are of a gelsight, the profile to extend is of"):
         calibrate(captures, catalogue_profile("digit"))
+
+
+def test_a_block_is_stopped_by_errors_and_not_by_warnings(captures: Path) -> None:
+    manifest = captures / "captures.toml"
+    manifest.write_text(manifest.read_text().replace("[indenter]\nradius_mm = 2.0\n", ""))
+    found = calibrate(captures, only=("background", "color"))
+    (blocked,) = found.unfit
+    assert blocked.message.startswith("needs the ball's radius; the radius of the ball is not")
+    assert "30 to 50" not in blocked.message, "five presses are a warning"
+
+
+def test_a_measured_scale_of_the_base_serves_captures_that_state_none(
+    captures: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = load_capture_folder(captures)
+    scale = folder.grid()
+    on_board = Provenance(
+        kind="measured", method="for this test", source="none", inputs={"board": "0" * 64}
+    )
+    measured = CameraBlock.from_grid(scale, on_board)
+    base = catalogue_profile(folder.sensor).with_block(measured)
+    manifest = captures / "captures.toml"
+    kept = [line for line in manifest.read_text().splitlines() if "mm_per_px" not in line]
+    manifest.write_text("\n".join(kept) + "\n")
+    seen: list[tuple[float, float] | None] = []
+
+    def fit(folder: CaptureFolder, *_: object) -> None:
+        seen.append(folder.mm_per_px)
+        raise InputError("no fit in this test")
+
+    replace_fit(monkeypatch, "color", fit)
+    found = calibrate(captures, base, only=("background", "color"))
+    assert [o.state for o in found.blocks] == [State.DONE, State.REFUSED]
+    assert seen == [(scale.mm_per_px_x, scale.mm_per_px_y)]
+    with pytest.raises(
+        InputError, match=r"(?s)background: needs the scale.*color: needs the scale"
+    ):
+        calibrate(captures, only=("background", "color"))
 
 
 def test_one_check_serves_all_blocks(

@@ -58,7 +58,7 @@ def test_cells_in_quotes_and_bytes_that_are_no_utf_8(tmp_path: Path) -> None:
         ("# only\n\n", "is empty"),
         ("a,b,a\n1,2,3\n", "has the column 'a' twice; which one counts?"),
         ("a,b\n1,2\n3\n", "line 3 has 1 cells, the header 2"),
-        ("a,b\n\n# c\n1,2,3\n", "line 4 has 3 cells, the header 2"),
+        ("a,b\n\n# c\n1,2,3\n", "line 4 has 3 cells, the header 2; beside decimal commas"),
         ('a,b\n1,"2\n3,4\n', "line 2: a quote is not closed"),
         ('a,b\n1,"2"x\n', "line 2: ',' expected after"),
         ('"a,b\n1,2\n', "line 1: a quote is not closed"),

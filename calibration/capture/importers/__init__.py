@@ -20,6 +20,7 @@ from taccel_lab.calibration.capture.importers import (
 )
 from taccel_lab.calibration.capture.importers.crop import crop_draft
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
+from taccel_lab.calibration.capture.importers.files import capture_folders
 from taccel_lab.calibration.capture.importers.image_sets import SETS
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.importers.left_out import files_of
@@ -121,9 +122,12 @@ def require_effect(options: ImportOptions, drafts: list[Draft], source: Path, la
 def _leave_out_the_rest(source: Path, drafts: list[Draft], layout: str) -> None:
     """Say of every file of the source that no draft mentions that it is not imported."""
     mentioned = {path.resolve() for d in drafts for path in (*d.used, *d.left_out)}
+    written = capture_folders(source)
     for path in files_of(source):
         if path.resolve() not in mentioned:
-            drafts[0].leave_out(path, f"no capture of the layout {layout}")
+            other = not written.isdisjoint(path.parents)
+            why = "part of a capture folder" if other else f"no capture of the layout {layout}"
+            drafts[0].leave_out(path, why)
 
 
 def import_captures(

@@ -18,7 +18,16 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.importers.left_out import left_out_sentences
 from taccel_lab.calibration.capture.importers.origin import UNKNOWN
 from taccel_lab.calibration.capture.load import load_capture_folder
-from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
+from taccel_lab.calibration.capture.schema import (
+    MANIFEST_NAME,
+    MAX_EDGE_MM,
+    MAX_MM_PER_PX,
+    MAX_RADIUS_MM,
+    MIN_EDGE_MM,
+    MIN_MM_PER_PX,
+    MIN_RADIUS_MM,
+    SCHEMA_VERSION,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_image
 from taccel_lab.printable import printable
@@ -30,6 +39,14 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 COPIED_SUFFIXES = (".png", ".jpg", ".jpeg")
 """Image files whose bytes are kept; others become PNG, which loses nothing."""
 MEDIAN = "median"
+_SCALES = (MIN_MM_PER_PX, MAX_MM_PER_PX)
+_BOUNDS = {
+    "radius_mm": (MIN_RADIUS_MM, MAX_RADIUS_MM),
+    "mm_per_px_x": _SCALES,
+    "mm_per_px_y": _SCALES,
+    "edge_mm": (MIN_EDGE_MM, MAX_EDGE_MM),
+}
+"""What the manifest allows."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +73,17 @@ class ImportOptions:
     license: str | None = None
 
     def __post_init__(self) -> None:
-        for name in ("radius_mm", "mm_per_px_x", "mm_per_px_y", "edge_mm"):
+        for name, (least, most) in _BOUNDS.items():
             value = getattr(self, name)
-            if value is not None and not 0 < value < float("inf"):
-                raise InputError(f"{name} is {value:g}; a positive number is allowed")
+            if value is None or least < value <= most:
+                continue
+            unit = "mm/px" if name.startswith("mm_per_px") else "mm"
+            meant = value * 1e3
+            hint = f"; is it in metres ({meant:g} {unit})?" if least < meant <= most else ""
+            raise InputError(
+                f"--{name.replace('_', '-')} is {value:g}; {least:g} to {most:g} {unit} is "
+                f"allowed{hint}"
+            )
 
 
 @dataclass

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.calibration.capture.importers.draft import IMAGE_SUFFIXES
+from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.errors import InputError
 from taccel_lab.reading.arrays import finite_numbers
 
@@ -23,13 +24,23 @@ def natural_key(path: Path | str) -> list[tuple[int, int, str]]:
     ]
 
 
+def capture_folders(folder: Path) -> frozenset[Path]:
+    """Folders below this one that are capture folders already: what an import has written."""
+    return frozenset(path.parent for path in folder.rglob(MANIFEST_NAME)) - {folder}
+
+
 def images_in(folder: Path, *, recursive: bool = False) -> list[Path]:
-    """Image files of a folder in natural order; hidden ones are left out."""
+    """Image files of a folder in natural order; hidden ones, and those of capture folders below it,
+    are left out."""
     paths = folder.rglob("*") if recursive else folder.iterdir()
+    written = capture_folders(folder) if recursive else frozenset()
     found = [
         path
         for path in paths
-        if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file() and path.name[0] != "."
+        if path.suffix.lower() in IMAGE_SUFFIXES
+        and path.is_file()
+        and path.name[0] != "."
+        and written.isdisjoint(path.parents)
     ]
     return sorted(found, key=lambda path: natural_key(path.relative_to(folder)))
 

@@ -120,7 +120,6 @@ def _markers(data: Path) -> Draft:
     # The table has the dots of the first frame: places without load, and the way from there.
     markers: dict[str, Any] = {"labels_image": draft.add_image(frames[0], "labelled")}
     draft.manifest["markers"] = markers
-    draft.assume("rest", f"{frames[0].name}, the first image, stands for the gel at rest")
     table = first_existing(frames[0].with_suffix(".csv"))
     if table is not None:
         head, _, rows = read_table_text(table).partition("\n")
@@ -129,6 +128,11 @@ def _markers(data: Path) -> Draft:
         draft.files["marker_labels.csv"] = f"{head}\n{rows.removesuffix(chr(10))}\n"
         markers["labels"] = "marker_labels.csv"
         draft.used.add(table)
+        draft.assume(
+            "labels",
+            f"{table.name} has the places of the dots without load and the way from there to where "
+            f"{frames[0].name} shows them, that of the published set",
+        )
     if len(frames) > 1:
         names = [draft.add_image(frame, f"frame_{frame.stem}") for frame in frames]
         markers["videos"] = [{"frames": names}]

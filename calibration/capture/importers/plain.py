@@ -13,7 +13,7 @@ from taccel_lab.calibration.capture.importers.background_guess import (
 )
 from taccel_lab.calibration.capture.importers.board_text import board_entry
 from taccel_lab.calibration.capture.importers.draft import MEDIAN, Draft, ImportOptions
-from taccel_lab.calibration.capture.importers.files import images_in
+from taccel_lab.calibration.capture.importers.files import capture_folders, images_in
 from taccel_lab.calibration.capture.importers.label_tables import (
     read_label_tables,
     without_path,
@@ -161,7 +161,10 @@ def _take_background(
 
 
 def _take_records(path: Path, draft: Draft) -> None:
+    written = capture_folders(path)
     for table in sorted(path.rglob("*.csv")):
+        if not written.isdisjoint(table.parents):
+            continue
         try:
             kind = kind_of_record(table)
         except InputError as error:
@@ -176,7 +179,12 @@ def _take_records(path: Path, draft: Draft) -> None:
 
 
 def _take_videos(path: Path, draft: Draft) -> None:
-    videos = [p for p in sorted(path.rglob("*")) if p.suffix.lower() in VIDEO_SUFFIXES]
+    written = capture_folders(path)
+    videos = [
+        p
+        for p in sorted(path.rglob("*"))
+        if p.suffix.lower() in VIDEO_SUFFIXES and written.isdisjoint(p.parents)
+    ]
     if "background" not in draft.manifest:
         for video in videos:
             draft.leave_out(video, "a video of dots needs a background, which shows them at rest")

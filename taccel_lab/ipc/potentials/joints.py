@@ -35,7 +35,7 @@ from taccel_lab.ipc.joints.rows import ROW_COUNT
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
-from taccel_lab.model.env_rows import zero_rows
+from taccel_lab.model.env_rows import device_mask, zero_rows
 
 
 class JointPotential(Potential):
@@ -171,8 +171,10 @@ class JointPotential(Potential):
             device=self.model.device,
         )
 
-    def reset(self, mask: wp.array) -> None:
-        """Forget forces and whole turns in the environments of ``mask`` (int32, [env_count])."""
+    def reset(self, mask: np.ndarray | wp.array) -> None:
+        """Forget forces and whole turns in the environments of ``mask`` (bool, or int32 on the
+        device, [env_count])."""
+        mask = device_mask(mask, self.model.env_count, self.model.device)
         arrays = [self._step.multipliers, self.coordinates, self.rates, self.efforts]
         for array in [*arrays, self.forces, self.torques]:
             zero_rows(mask, array)

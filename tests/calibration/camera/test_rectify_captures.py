@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.background.fit import calibrate_background
-from taccel_lab.calibration.base_profile import presses_on_camera
+from taccel_lab.calibration.base_profile import base_profile, presses_on_camera
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.camera.rectify_captures import rectify_captures
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.capture.schema import CaptureManifest
 from taccel_lab.calibration.depth.captures import grey_captures
+from taccel_lab.calibration.scale.fit import calibrate_scale
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -210,6 +211,12 @@ def test_raw_images_do_not_go_with_a_profile_of_rectified_ones(
         calibrate_background(raw, profile)
     with pytest.raises(InputError, match="images are raw"):
         grey_captures(raw, profile, None)
+    with pytest.raises(InputError, match="images are raw"):
+        calibrate_scale(raw, profile)
+    # A profile that is made of rectified captures says so as well.
+    assert presses_on_camera(even, catalogue_profile("gelsight"))[1].camera.rectified
+    assert base_profile(None, even).camera.rectified
+    assert not base_profile(None, raw).camera.rectified
     assert calibrate_background(even, profile).image.shape == (40, 50, 3)
 
 

@@ -180,6 +180,60 @@ def test_labels_that_disagree(tmp_path: Path) -> None:
     assert many.severity == Severity.ERROR and "--circles detected" in many.message
 
 
+def test_labels_of_images_of_another_size_are_told_so(tmp_path: Path) -> None:
+    maker = CaptureMaker()
+    maker.labels = [
+        ContactCircle(0.5 * c.u_px, 0.5 * c.v_px, 0.5 * c.radius_px) for c in maker.circles
+    ]
+    halved = by_code(check(maker, tmp_path / "half"))["labels_off"]
+    assert f"divided by 0.50: were they made in images of {WIDTH // 2}x" in halved.message
+    maker.labels = [replace(c, u_px=c.u_px + 9) for c in maker.circles]
+    moved = by_code(check(maker, tmp_path / "moved"))["labels_off"]
+    assert "divided by" not in moved.message
+
+
+def test_a_black_background_is_called_black(tmp_path: Path) -> None:
+    found = check(eight(background=np.zeros((HEIGHT, WIDTH, 3))), tmp_path)
+    assert "dark_background" in by_code(found) and "background_is_a_crop" not in by_code(found)
+    state = {block.command: str(block.readiness) for block in found.blocks}
+    assert state["background"] == state["color"] == "blocked"
+    assert all(frame.contact is not None for frame in found.frames)
+
+
+def test_turned_pictures_are_not_swapped_channels(tmp_path: Path) -> None:
+    maker = CaptureMaker()
+    maker.change([1, 5, 9], lambda image: image[::-1, ::-1])
+    assert "channels_swapped" not in by_code(check(maker, tmp_path))
+
+
+def test_grey_images_say_so_and_nothing_of_the_sensor(tmp_path: Path) -> None:
+    def grey(image: np.ndarray) -> np.ndarray:
+        return np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2)
+
+    maker = eight(background=grey(gel()), labelled=False)
+    maker.change(range(8), grey)
+    (color,) = [b for b in check(maker, tmp_path).blocks if b.command == "color"]
+    assert color.missing == "coloured lamps: this sensor, or these images, are grey"
+
+
+def test_pictures_without_a_contact_do_not_tell_the_lamps(tmp_path: Path) -> None:
+    maker = CaptureMaker(circles=spread_circles(4), labelled=False, sensor="gelsight_mini")
+    bar = np.zeros((HEIGHT, WIDTH, 1))
+    bar[:, 70:90] = -60.0
+    maker.images = [gel() + bar] * 4
+    found = check(maker, tmp_path)
+    assert "grey_or_colour" not in by_code(found)
+    (color,) = [block for block in found.blocks if block.command == "color"]
+    assert str(color.readiness) == "blocked" and "coloured" not in color.missing
+
+
+def test_a_background_of_another_size_needs_a_scale(tmp_path: Path) -> None:
+    maker = eight(mm_per_px=None)
+    (block,) = [b for b in check(maker, tmp_path).blocks if b.command == "background"]
+    assert str(block.readiness) == "blocked"
+    assert block.missing.startswith(f"the scale (these images are {WIDTH}x{HEIGHT} px")
+
+
 def test_frame_without_contact(tmp_path: Path) -> None:
     maker = CaptureMaker(labelled=False)
     maker.images[8] = gel()

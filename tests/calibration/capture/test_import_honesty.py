@@ -249,3 +249,35 @@ def test_names_that_differ_in_numbers_are_counted(tmp_path: Path) -> None:
         "left out, 301 files (a/frame_<n>.png, 300 x; b_7.txt): no ball",
         "left out, 1 file (c.txt): empty",
     ]
+
+
+def test_an_earlier_import_below_the_source_is_not_read_again(tmp_path: Path) -> None:
+    source = made(plain, tmp_path)
+    first = import_captures(source, source / "captures")
+    again = import_captures(source, source / "captures")
+    assert first == again
+    captures = load_capture_folder(again[0])
+    assert len(captures.presses) == 3 and len(captures.records) == 1
+    text = (again[0] / "captures.toml").read_text(encoding="utf-8")
+    assert "part of a capture folder" in text
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ({"radius_mm": 0.00292}, r"--radius-mm is 0.00292; 0.05 to 50 mm .* metres \(2.92 mm\)"),
+        ({"radius_mm": 51.0}, r"--radius-mm is 51; 0.05 to 50 mm is allowed$"),
+        ({"mm_per_px_x": 5.9e-05}, r"--mm-per-px-x .* 1 mm/px .* metres \(0.059 mm/px\)"),
+        ({"edge_mm": float("nan")}, r"--edge-mm is nan; 0.1 to 200 mm is allowed$"),
+    ],
+)
+def test_lengths_out_of_bounds_are_told_by_their_flag(option: dict[str, float], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        ImportOptions(**option)  # pyright: ignore[reportArgumentType]
+
+
+def test_nothing_is_said_of_a_rest_that_nobody_assumed(tmp_path: Path) -> None:
+    folders = imported(made(fots, tmp_path))
+    (of_markers,) = [folder for folder in folders if folder.markers is not None]
+    assert "rest" not in of_markers.assumed
+    assert "0.csv has the places of the dots without load" in of_markers.assumed["labels"]

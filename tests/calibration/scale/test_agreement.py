@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -161,6 +162,12 @@ def test_three_kinds_of_captures_agree(tmp_path: Path) -> None:
         assert abs(found.estimate.value - wanted) < 3 * found.estimate.sigma
         assert found.estimate.sigma < 0.01 * wanted
     assert not any(remark.code == "scale_disagrees" for remark in result.remarks)
+
+
+def test_the_scale_of_rectified_images_is_one_of_rectified_images(tmp_path: Path) -> None:
+    folder = load_capture_folder(write_folder(tmp_path / "even", (0.085, 0.082)))
+    measured = calibrate_scale(replace(folder, rectified=True), tiny_profile(GRID))
+    assert measured.apply_to(tiny_profile(GRID)).camera.rectified
 
 
 def test_a_wrong_pitch_and_a_wrong_ball_are_said_to_be_so(tmp_path: Path) -> None:
