@@ -9,9 +9,6 @@ from __future__ import annotations
 
 import warp as wp
 
-vec5d = wp.types.vector(length=5, dtype=wp.float64)
 mat23d = wp.types.matrix(shape=(2, 3), dtype=wp.float64)
-mat35d = wp.types.matrix(shape=(3, 5), dtype=wp.float64)
 mat43d = wp.types.matrix(shape=(4, 3), dtype=wp.float64)
-mat55d = wp.types.matrix(shape=(5, 5), dtype=wp.float64)
 mat1212d = wp.types.matrix(shape=(12, 12), dtype=wp.float64)

@@ -4,8 +4,8 @@
     grad = m E' grad d + E grad m
     hess = m hess E + E' (grad m grad d^T + grad d grad m^T) + E hess m
 
-The positive semidefinite version sums the projections of its parts, each in closed form or 5x5:
-  * m hess E: exact projection (`pair_hessian`);
+The positive semidefinite version sums the projections of its parts, each in closed form:
+  * m hess E: its terms (`pair_hessian`);
   * the mixed term: a b^T + b a^T has the projection |a||b|/2 (a^ + b^)(a^ + b^)^T;
   * E hess m: m'' < 0 is dropped and of m' hess c the Gauss-Newton part 2 m' J^T J is kept, which is
     exact for parallel edges.

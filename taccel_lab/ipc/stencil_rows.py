@@ -12,8 +12,8 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.linear.scatter import NewtonSystem, add_entry
-from taccel_lab.ipc.matrix_types import mat35d, mat43d, vec5d
-from taccel_lab.ipc.pair_hessian import PairHessian
+from taccel_lab.ipc.matrix_types import mat43d
+from taccel_lab.ipc.pair_hessian import PairHessian, local_block
 
 wp.set_module_options({"enable_backward": False})
 
@@ -84,18 +84,6 @@ def stencil_rows(nodes: wp.vec4i, of_nodes: mat43d, system: NewtonSystem) -> Ste
 
 
 @wp.func
-def _basis(s: StencilRows, i: wp.int32) -> mat35d:
-    """Rows n, t1, t2 of unknown i of the five basis vectors of a ``PairHessian``."""
-    rows = mat35d()
-    rows[0, 0] = s.coefficients[i, 0]
-    rows[1, 1] = s.coefficients[i, 0]
-    rows[2, 2] = s.coefficients[i, 0]
-    rows[0, 3] = s.coefficients[i, 1]
-    rows[0, 4] = s.coefficients[i, 2]
-    return rows
-
-
-@wp.func
 def add_pair_hessian(
     env: int, nodes: wp.vec4i, h: PairHessian, part: int, parts: int, system: NewtonSystem
 ):
@@ -107,26 +95,51 @@ def add_pair_hessian(
     of_nodes = mat43d()
     node_count = int(4)
     for i in range(node_count):
-        of_nodes[i] = wp.vec3d(h.basis_w[i], h.basis_1[i], h.basis_2[i])
+        of_nodes[i] = wp.vec3d(h.weights[i], h.slide_1[i], h.slide_2[i])
     s = stencil_rows(nodes, of_nodes, system)
     to_axes = wp.transpose(h.axes)
-    push = vec5d()
+    one = h.tangent_1
+    two = h.tangent_2
+    # Sums over the prescribed nodes, in the axes: of their ways by weights, and along n by slides.
+    by_weights = wp.vec3d()
+    by_slides = wp.vec2d()
     for i in range(s.count):
         if s.rows[i] < 0:
-            push += wp.transpose(_basis(s, i)) * (to_axes * system.displacements[env, s.nodes[i]])
-    pull = h.core * push
+            way = to_axes * system.displacements[env, s.nodes[i]]
+            by_weights += s.coefficients[i, 0] * way
+            by_slides += way[0] * wp.vec2d(s.coefficients[i, 1], s.coefficients[i, 2])
+    pull = wp.vec3d(
+        h.normal * by_weights[0],
+        one[0] * by_weights[1] + one[1] * by_slides[0],
+        two[0] * by_weights[2] + two[1] * by_slides[1],
+    )
+    pull_1 = one[1] * by_weights[1] + one[2] * by_slides[0]
+    pull_2 = two[1] * by_weights[2] + two[2] * by_slides[1]
+    pulled = wp.length_sq(pull) > wp.float64(0.0) or pull_1 != wp.float64(0.0)
+    pulled = pulled or pull_2 != wp.float64(0.0)
     for i in range(part, s.count, parts):
         row = s.rows[i]
         if row >= 0:
-            basis = _basis(s, i)
-            if wp.length_sq(pull) > wp.float64(0.0):
-                wp.atomic_sub(system.rhs, env, row, h.axes * (basis * pull))
-            left = basis * h.core
+            w = s.coefficients[i, 0]
+            slide_1 = s.coefficients[i, 1]
+            slide_2 = s.coefficients[i, 2]
+            if pulled:
+                force = w * pull
+                force[0] = force[0] + slide_1 * pull_1 + slide_2 * pull_2
+                wp.atomic_sub(system.rhs, env, row, h.axes * force)
             for j in range(s.count):
                 column = s.rows[j]
                 if column >= 0 and column <= row:
-                    block = h.axes * (left * wp.transpose(_basis(s, j))) * to_axes
-                    add_entry(env, row, column, block, system)
+                    local = local_block(
+                        h,
+                        w,
+                        s.coefficients[j, 0],
+                        slide_1,
+                        s.coefficients[j, 1],
+                        slide_2,
+                        s.coefficients[j, 2],
+                    )
+                    add_entry(env, row, column, h.axes * local * to_axes, system)
 
 
 @wp.func

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc import barrier as barrier_module
-from taccel_lab.ipc import ccd, friction, psd, tangent
+from taccel_lab.ipc import ccd, friction, tangent
 from taccel_lab.ipc.distance.closest_pair import ClosestPair
 from taccel_lab.ipc.distance.edge_edge import closest_edge_edge, edge_edge_distance_sq
 from taccel_lab.ipc.distance.edge_edge_mollifier import (
@@ -23,7 +23,7 @@ from taccel_lab.ipc.distance.point_triangle import (
     closest_point_triangle,
     point_triangle_distance_sq,
 )
-from taccel_lab.ipc.matrix_types import mat23d, mat43d, mat55d, mat1212d
+from taccel_lab.ipc.matrix_types import mat23d, mat43d, mat1212d
 from taccel_lab.ipc.mollified_edge_edge import (
     mollified_gradient,
     mollifier_block,
@@ -255,14 +255,6 @@ def _ccd_kernel(
     iterations[i] = result.iterations
 
 
-@wp.kernel
-def _project_kernel(
-    matrices: wp.array(dtype=mat55d),
-):
-    i = wp.tid()
-    matrices[i] = psd.project_psd_5x5(matrices[i])
-
-
 class Pairs(NamedTuple):
     region: Array
     free_count: Array
@@ -349,10 +341,3 @@ def collide(
     inputs += [slackness, t_max, max_iterations]
     toi, status, iterations = _launch(_ccd_kernel, len(x), inputs, [wp.float64, wp.int32, wp.int32])
     return toi, status, iterations
-
-
-def project(matrices: Array) -> Array:
-    """Projections of 5x5 matrices to positive semidefinite ones."""
-    array = _device(matrices, mat55d)
-    wp.launch(_project_kernel, len(matrices), inputs=[array], device="cpu")
-    return array.numpy()

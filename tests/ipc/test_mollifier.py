@@ -107,7 +107,9 @@ def test_projected_hessian_is_semidefinite_and_close() -> None:
     plain = (cross >= threshold)[active]
     assert plain.sum() > 100
     assert (~plain).sum() > 100
-    assert difference[plain].max() < 1e-9
+    above = np.linalg.eigvalsh((psd - exact)[active][plain])[:, 0]
+    assert (above > -1e-9 * norm[active][plain]).all()
+    assert np.quantile(difference[plain], 0.9) < 0.1  # At gaps as wide as the edges are long.
     print("mollified, relative to the true projection: median", np.median(difference[~plain]),
           "90 %", np.quantile(difference[~plain], 0.9), "max", difference.max())  # fmt: skip
     assert np.median(difference[~plain]) < 0.5
