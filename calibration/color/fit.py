@@ -8,7 +8,7 @@ held-out presses are read, placed and scored (``taccel_lab.calibration.color.hel
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -28,7 +28,7 @@ from taccel_lab.calibration.color.heldout import (
     without_light,
 )
 from taccel_lab.calibration.color.light_beside import (
-    drift_by_halves,
+    choose_drift,
     fit_light_beside,
     noise_floor_l1,
     too_little_left,
@@ -227,17 +227,14 @@ class _Fitting:
         if self.drift is None:
             return
         captures, grid = self.captures, self.captures.grid
-        differences: list[tuple[float, float]] = []
-        for done, frame in enumerate(self.frames):
-            self.progress(COMPARING, done, len(self.frames))
-            if not too_little_left(frame.circle, grid, captures.mask, halves=True):
-                differences.append(
-                    drift_by_halves(
-                        frame.image, captures.background, frame.circle, grid, captures.mask
-                    )
-                )
+
+        def frames() -> Iterator[tuple[np.ndarray, ContactCircle]]:
+            for done, frame in enumerate(self.frames):
+                self.progress(COMPARING, done, len(self.frames))
+                yield frame.image, frame.circle
+
+        choice = choose_drift(frames(), captures.background, grid, captures.mask, self.drift)
         self.progress(COMPARING, len(self.frames), len(self.frames))
-        choice = DriftChoice.of(differences or [(0.0, 0.0)], self.drift)
         if self.drift == "auto" and choice.remove:
             # A contact that fills its frame leaves nothing to tell that frame's light by.
             circles = [frame.circle for frame in self.frames]

@@ -11,10 +11,13 @@ crop, contact included, by 4.3.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.color.evaluate import crop_slices
+from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode
 from taccel_lab.calibration.light.fit import enough_pixels, fit_light
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.errors import InputError
@@ -42,6 +45,23 @@ def fit_light_beside(
     if reason:
         raise InputError(reason)
     return fit_light(frame, background, far_pixels(circle, grid, mask), gradient=False)
+
+
+def choose_drift(
+    frames: Iterable[tuple[np.ndarray, ContactCircle]],
+    background: np.ndarray,
+    grid: PixelGrid,
+    mask: np.ndarray | None = None,
+    mode: DriftMode = "auto",
+) -> DriftChoice:
+    """Whether the light of frames, images with their contacts, is brought to the background's: by
+    those that leave enough gel beside their contact to tell; where none does it is left in."""
+    differences = [
+        drift_by_halves(image, background, circle, grid, mask)
+        for image, circle in frames
+        if not too_little_left(circle, grid, mask, halves=True)
+    ]
+    return DriftChoice.of(differences or [(0.0, 0.0)], mode)
 
 
 def drift_by_halves(

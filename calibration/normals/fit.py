@@ -19,10 +19,11 @@ from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.block_findings import joined
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame
+from taccel_lab.calibration.color.light_beside import choose_drift
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode, choose_drift
+from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.normals.network_fit import (
@@ -42,7 +43,6 @@ from taccel_lab.calibration.normals.samples import (
     Scene,
     circle_angle_rad,
     true_normals,
-    usable_pixels,
 )
 from taccel_lab.calibration.normals.score import (
     HeldoutNormals,
@@ -253,15 +253,10 @@ def _frames(
 ) -> tuple[list[InverseFrame], DriftChoice]:
     """Frames, and whether drift came off them."""
     images = [press.image().astype(np.float32) for press in captures.presses]
-    lights = [_light(image, scene) for image in images]
-    usable = usable_pixels(scene)
-    untouched = [usable & circle.untouched(scene.grid) for circle in circles]
-    choice = choose_drift(images, lights, untouched, scene.background, mode)
+    pairs = zip(images, circles, strict=True)
+    choice = choose_drift(pairs, scene.background, scene.grid, scene.mask, mode)
     if choice.remove:
-        images = [
-            light.remove(image).astype(np.float32)
-            for image, light in zip(images, lights, strict=True)
-        ]
+        images = [_light(image, scene).remove(image).astype(np.float32) for image in images]
     frames = [
         InverseFrame(
             press.name, image, circle, press.sha256, surfaces[i] if surfaces else None, sigma
