@@ -83,6 +83,8 @@ class CaptureMaker:
         lines = ["schema_version = 2", f'sensor = "{self.sensor}"', 'background = "background.png"']
         if self.mm_per_px is not None:
             lines += [f"mm_per_px_x = {self.mm_per_px}", f"mm_per_px_y = {self.mm_per_px}"]
+        if self.sensor == "flat_pad":
+            lines += ["[design]", "thickness_mm = 4.0"]
         if self.radius_mm is not None:
             lines += ["[indenter]", f"radius_mm = {self.radius_mm}"]
         for i, (image, label) in enumerate(zip(self.images, self.labels, strict=True)):
