@@ -30,6 +30,30 @@ wp.set_module_options({"enable_backward": False})
 _ROUNDING = wp.constant(wp.float64(64.0 * np.finfo(np.float64).eps))
 
 
+@wp.struct
+class Surfaces:
+    """What the search knows of the bodies.
+
+    edges, faces: nodes of each; body_faces: range of each body's faces, [body_count]; node_bodies:
+    body of each node; present: 1 where a body is, [env_count, body_count]; lower, upper: corners of
+    a box around each body where it is [m], [env_count, body_count].
+    """
+
+    edges: wp.array(dtype=wp.vec2i)
+    faces: wp.array(dtype=wp.vec3i)
+    body_faces: wp.array(dtype=wp.vec2i)
+    node_bodies: wp.array(dtype=wp.int32)
+    present: wp.array2d(dtype=wp.int32)
+    lower: wp.array2d(dtype=wp.vec3d)
+    upper: wp.array2d(dtype=wp.vec3d)
+
+
+@wp.func
+def are_present(env: int, first: int, second: int, bodies: Surfaces) -> bool:
+    """Whether two bodies are in an environment."""
+    return bodies.present[env, first] != 0 and bodies.present[env, second] != 0
+
+
 @wp.func
 def _clean(volume: wp.float64, noise: wp.float64) -> wp.float64:
     """Zero where rounding may have made it."""
@@ -97,13 +121,7 @@ def _begin_kernel(
 def _crossing_kernel(
     searched: wp.array(dtype=wp.int32),
     jobs: wp.array(dtype=wp.vec2i),
-    edges: wp.array(dtype=wp.vec2i),
-    faces: wp.array(dtype=wp.vec3i),
-    body_faces: wp.array(dtype=wp.vec2i),
-    node_bodies: wp.array(dtype=wp.int32),
-    present: wp.array2d(dtype=wp.int32),
-    lower: wp.array2d(dtype=wp.vec3d),
-    upper: wp.array2d(dtype=wp.vec3d),
+    bodies: Surfaces,
     positions: wp.array2d(dtype=wp.vec3d),
     found: wp.array(dtype=wp.int32),
 ):
@@ -111,20 +129,20 @@ def _crossing_kernel(
     env, i = wp.tid()
     if searched[env] == 0 or found[env] != 0:
         return
-    edge = edges[jobs[i][0]]
+    edge = bodies.edges[jobs[i][0]]
     other = jobs[i][1]
-    own = node_bodies[edge[0]]
-    if present[env, own] == 0 or present[env, other] == 0:
+    own = bodies.node_bodies[edge[0]]
+    if not are_present(env, own, other, bodies):
         return
     p = positions[env, edge[0]]
     q = positions[env, edge[1]]
     low = wp.min(p, q)
     high = wp.max(p, q)
     zero = wp.float64(0.0)
-    if wp.max(wp.max(low - upper[env, other], lower[env, other] - high)) > zero:
+    if wp.max(wp.max(low - bodies.upper[env, other], bodies.lower[env, other] - high)) > zero:
         return
-    for face in range(body_faces[other][0], body_faces[other][1]):
-        nodes = faces[face]
+    for face in range(bodies.body_faces[other][0], bodies.body_faces[other][1]):
+        nodes = bodies.faces[face]
         shared = own == other and (
             nodes[0] == edge[0]
             or nodes[1] == edge[0]
@@ -147,12 +165,7 @@ def _crossing_kernel(
 def _inside_kernel(
     searched: wp.array(dtype=wp.int32),
     jobs: wp.array(dtype=wp.vec2i),
-    faces: wp.array(dtype=wp.vec3i),
-    body_faces: wp.array(dtype=wp.vec2i),
-    node_bodies: wp.array(dtype=wp.int32),
-    present: wp.array2d(dtype=wp.int32),
-    lower: wp.array2d(dtype=wp.vec3d),
-    upper: wp.array2d(dtype=wp.vec3d),
+    bodies: Surfaces,
     positions: wp.array2d(dtype=wp.vec3d),
     found: wp.array(dtype=wp.int32),
 ):
@@ -160,14 +173,16 @@ def _inside_kernel(
     env, i, lane = wp.tid()
     node = jobs[i][0]
     other = jobs[i][1]
-    if searched[env] == 0 or present[env, node_bodies[node]] == 0 or present[env, other] == 0:
+    if searched[env] == 0 or not are_present(env, bodies.node_bodies[node], other, bodies):
         return
     p = positions[env, node]
-    if wp.max(wp.max(p - upper[env, other], lower[env, other] - p)) > wp.float64(0.0):
+    if wp.max(wp.max(p - bodies.upper[env, other], bodies.lower[env, other] - p)) > wp.float64(0.0):
         return
     half = wp.float64(0.0)
-    for face in range(body_faces[other][0] + lane, body_faces[other][1], wp.block_dim()):
-        nodes = faces[face]
+    for face in range(
+        bodies.body_faces[other][0] + lane, bodies.body_faces[other][1], wp.block_dim()
+    ):
+        nodes = bodies.faces[face]
         a = positions[env, nodes[0]]
         b = positions[env, nodes[1]]
         c = positions[env, nodes[2]]
@@ -182,11 +197,9 @@ def _inside_kernel(
 def _ball_kernel(
     searched: wp.array(dtype=wp.int32),
     jobs: wp.array(dtype=wp.vec2i),
-    faces: wp.array(dtype=wp.vec3i),
     face_reaches_sq: wp.array2d(dtype=wp.float64),
     radii: wp.array(dtype=wp.float64),
-    node_bodies: wp.array(dtype=wp.int32),
-    present: wp.array2d(dtype=wp.int32),
+    bodies: Surfaces,
     positions: wp.array2d(dtype=wp.vec3d),
     found: wp.array(dtype=wp.int32),
 ):
@@ -194,10 +207,10 @@ def _ball_kernel(
     env, i = wp.tid()
     ball = jobs[i][0]
     face = jobs[i][1]
-    nodes = faces[face]
+    nodes = bodies.faces[face]
     if searched[env] == 0 or found[env] != 0:
         return
-    if present[env, node_bodies[ball]] == 0 or present[env, node_bodies[nodes[0]]] == 0:
+    if not are_present(env, bodies.node_bodies[ball], bodies.node_bodies[nodes[0]], bodies):
         return
     centre = positions[env, ball]
     radius = radii[i]
@@ -217,8 +230,7 @@ def _plane_kernel(
     searched: wp.array(dtype=wp.int32),
     jobs: wp.array(dtype=wp.vec2i),
     plane_normals: wp.array(dtype=wp.vec3d),
-    node_bodies: wp.array(dtype=wp.int32),
-    present: wp.array2d(dtype=wp.int32),
+    bodies: Surfaces,
     positions: wp.array2d(dtype=wp.vec3d),
     found: wp.array(dtype=wp.int32),
 ):
@@ -226,9 +238,9 @@ def _plane_kernel(
     env, i = wp.tid()
     node = jobs[i][0]
     plane = jobs[i][1]
-    if searched[env] == 0 or present[env, node_bodies[node]] == 0:
+    if searched[env] == 0:
         return
-    if present[env, node_bodies[plane]] == 0:
+    if not are_present(env, bodies.node_bodies[node], bodies.node_bodies[plane], bodies):
         return
     height = wp.dot(positions[env, node] - positions[env, plane], plane_normals[plane])
     if not (height > wp.float64(0.0)):
@@ -266,11 +278,16 @@ class OverlapSearch:
 
         self._crossing, self._inside = put(crossing), put(inside)
         self._radii = wp.array(self._ball_radii(), dtype=wp.float64, device=device)
-        self._body_faces = wp.array([b.faces for b in model.bodies], dtype=wp.vec2i, device=device)
         self._body_nodes = wp.array([b.nodes for b in model.bodies], dtype=wp.vec2i, device=device)
         shape = (model.env_count, len(model.bodies))
-        self._lower = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        self._upper = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        self._bodies = Surfaces()
+        self._bodies.edges, self._bodies.faces = model.surface.edges, model.surface.faces
+        ranges = [body.faces for body in model.bodies]
+        self._bodies.body_faces = wp.array(ranges, dtype=wp.vec2i, device=device)
+        self._bodies.node_bodies = model.surface.node_bodies
+        self._bodies.present = model.present
+        self._bodies.lower = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        self._bodies.upper = wp.zeros(shape, dtype=wp.vec3d, device=device)
         self._searched = wp.zeros(model.env_count, dtype=wp.int32, device=device)
         self._found = wp.zeros(model.env_count, dtype=wp.int32, device=device)
 
@@ -292,30 +309,23 @@ class OverlapSearch:
         self._found.zero_()
         wp.copy(self._searched, mask)
         self._launch(_begin_kernel, x.shape[1], [mask, x], self._searched)
-        boxes = [self._lower, self._upper]
-        find_body_boxes(self._searched, self._body_nodes, x, None, *boxes)
-        meshes = [surface.faces, self._body_faces, surface.node_bodies, model.present, *boxes, x]
-        inputs = [self._searched, self._crossing, surface.edges, *meshes]
+        bodies = self._bodies
+        find_body_boxes(self._searched, self._body_nodes, x, None, bodies.lower, bodies.upper)
+        rest = [bodies, x]
+        inputs = [self._searched, self._crossing, *rest]
         self._launch(_crossing_kernel, len(self._crossing), inputs, self._found)
         if len(self._inside):
             wp.launch_tiled(
                 _inside_kernel,
                 dim=[model.env_count, len(self._inside)],
-                inputs=[self._searched, self._inside, *meshes],
+                inputs=[self._searched, self._inside, *rest],
                 outputs=[self._found],
                 block_dim=BLOCK_THREADS,
                 device=model.device,
             )
-        bodies = [surface.node_bodies, model.present, x]
-        inputs = [
-            self._searched,
-            plan.ball_face,
-            surface.faces,
-            surface.face_reaches_sq,
-            self._radii,
-        ]
-        self._launch(_ball_kernel, len(plan.ball_face), [*inputs, *bodies], self._found)
-        inputs = [self._searched, plan.node_plane, surface.plane_normals, *bodies]
+        inputs = [self._searched, plan.ball_face, surface.face_reaches_sq, self._radii, *rest]
+        self._launch(_ball_kernel, len(plan.ball_face), inputs, self._found)
+        inputs = [self._searched, plan.node_plane, surface.plane_normals, *rest]
         self._launch(_plane_kernel, len(plan.node_plane), inputs, self._found)
         return self._found
 
