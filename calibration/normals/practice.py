@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter
 
+from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII
 from taccel_lab.calibration.normals.samples import InverseFrame, Samples, Scene, usable_pixels
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer, press_layer
 from taccel_lab.calibration.surfaces.radial import slope_of
@@ -64,7 +65,7 @@ class ImageNoise:
         """From the presses that are fitted; ``colors`` was fitted to them too."""
         white, uneven, left, change = [], [], [], []
         for frame in frames:
-            untouched = usable_pixels(scene) & frame.circle.untouched(scene.grid)
+            untouched = frame.circle.far(scene.grid, UNTOUCHED_RADII, usable_pixels(scene))
             if untouched.any():
                 off = np.where(untouched[..., None], frame.image - scene.background, 0.0)
                 cover = gaussian_filter(untouched.astype(float), SMOOTH_NOISE_PX)
