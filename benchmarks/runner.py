@@ -170,7 +170,7 @@ class Runner:
 
     def contact_counts(self) -> np.ndarray:
         """Contacts of each environment at the end of the last step, [env]."""
-        return self.solver.collisions.lists.counts.numpy()
+        return self.solver.collisions.counts.numpy()
 
     def reset(self) -> None:
         """All environments back to the start of the motion."""

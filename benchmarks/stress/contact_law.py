@@ -75,13 +75,14 @@ def friction_forces(
 ) -> PairForces:
     """Forces of the frozen pairs of an environment; ``eps_m``: sliding in the step below which
     friction is static [m]."""
-    count = int(frozen.counts.numpy()[env])
-    nodes = frozen.stencils.numpy()[env, :count]
-    weights = frozen.weights.numpy()[env, :count]
-    normals = frozen.normals.numpy()[env, :count]
-    limits = frozen.mu_lambdas.numpy()[env, :count]
+    first = int(frozen.room.starts.numpy()[env])
+    listed = slice(first, first + int(frozen.room.counts.numpy()[env]))
+    nodes = frozen.stencils.numpy()[listed]
+    weights = frozen.weights.numpy()[listed]
+    normals = frozen.normals.numpy()[listed]
+    limits = frozen.mu_lambdas.numpy()[listed]
     moved = motion.moved_m[nodes]
-    u = np.einsum("pi,pij->pj", weights, moved) - frozen.ways_in.numpy()[env, :count]
+    u = np.einsum("pi,pij->pj", weights, moved) - frozen.ways_in.numpy()[listed]
     u += _turned(nodes[:, 0], normals, motion, model)
     u -= np.einsum("pj,pj->p", u, normals)[:, None] * normals
     size = np.linalg.norm(u, axis=1)

@@ -1,24 +1,87 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lists of contacts with room for so many entries, and what happens when that is too little.
+"""Ragged lists: one array for all environments, with room for so many entries of each.
 
 Kernels append with an atomic counter and drop what does not fit, but count it. The solver ends the
 step of an environment whose list was too short (``overflows``), makes room when the attempt is
 over, and takes the step again there: nothing is missing in what it reports, and no list has to be
 looked at by the host in between.
+
+The entries of an environment follow those of the one before it. An environment that needs more room
+gets it alone: the memory of a list is the sum of what each environment has needed, not the largest
+need times their number. Where the device has no memory left for it, it is given up, and the others
+go on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
+import numpy as np
 import warp as wp
+
+from taccel_lab.ipc.free_memory import free_memory
+from taccel_lab.ipc.lanes import lane_count
 
 wp.set_module_options({"enable_backward": False})
 
+MOST_ENTRIES = 2**31 - 1
+"""Of a list, all environments together: Warp counts places in an array by int32."""
+_SHARE = 0.9
+"""Part of the free memory that a list may grow into; others need some, too."""
+
 
 def initial_capacity(env_count: int) -> int:
-    """Entries that a list has room for at first: memory matters when there are many lists."""
+    """Entries of an environment that a list has room for at first: memory matters when there are
+    many lists."""
     return 4096 if env_count <= 16 else 512
+
+
+@wp.struct
+class ListRoom:
+    """Where the entries of each environment are, in the arrays of a list.
+
+    counts: entries; more than there is room for where the list was too short, [env_count].
+    starts: place of the first entry, and the end of all room, [env_count + 1].
+    wanted: how many entries did not fit, 0 where all did, [env_count].
+    """
+
+    counts: wp.array(dtype=wp.int32)
+    starts: wp.array(dtype=wp.int32)
+    wanted: wp.array(dtype=wp.int32)
+
+
+@wp.func
+def room_for(env: int, room: ListRoom) -> int:
+    """Entries that an environment has room for."""
+    return room.starts[env + 1] - room.starts[env]
+
+
+@wp.func
+def list_end(env: int, room: ListRoom) -> int:
+    """Place after the last entry of an environment; the first is at ``starts[env]``. A count beyond
+    the room is that of a list which was too short."""
+    return room.starts[env] + wp.min(room.counts[env], room_for(env, room))
+
+
+@wp.func
+def claim_place(env: int, room: ListRoom) -> int:
+    """Place of one entry more, -1 without room for it; it counts all the same."""
+    slot = wp.atomic_add(room.counts, env, 1)
+    if slot < room_for(env, room):
+        return room.starts[env] + slot
+    return -1
+
+
+@wp.func
+def overflows(env: int, room: ListRoom) -> bool:
+    """Whether a list was too short; notes how long it should be, and empties it."""
+    count = room.counts[env]
+    if count <= room_for(env, room):
+        return False
+    room.wanted[env] = wp.max(room.wanted[env], count)
+    room.counts[env] = 0
+    return True
 
 
 @wp.kernel
@@ -34,80 +97,171 @@ def _clear_kernel(
             second[env] = 0
 
 
-@wp.struct
-class ListRoom:
-    """What tells whether a list was too short: its counts, [env_count], how many entries there is
-    room for, and the largest count that did not fit, [1]."""
+@wp.kernel
+def _move_kernel(
+    lanes: int,
+    counts: wp.array(dtype=wp.int32),
+    old_starts: wp.array(dtype=wp.int32),
+    starts: wp.array(dtype=wp.int32),
+    entries: wp.array2d(dtype=wp.int32),
+    moved: wp.array2d(dtype=wp.int32),
+):
+    """Copy entries, as so many words each."""
+    env, lane = wp.tid()
+    first = old_starts[env]
+    shift = starts[env] - first
+    room = wp.min(old_starts[env + 1] - first, starts[env + 1] - starts[env])
+    for at in range(first + lane, first + wp.min(counts[env], room), lanes):
+        for word in range(entries.shape[1]):
+            moved[at + shift, word] = entries[at, word]
 
-    counts: wp.array(dtype=wp.int32)
-    most: wp.array(dtype=wp.int32)
-    capacity: wp.int32
+
+def _words(array: wp.array) -> wp.array:
+    """The same memory by entries, int32, [entry_count, word_count]."""
+    words = wp.types.type_size_in_bytes(array.dtype) // 4
+    return wp.array(ptr=array.ptr, shape=(len(array), words), dtype=wp.int32, device=array.device)
 
 
-@wp.func
-def overflows(env: int, room: ListRoom) -> bool:
-    """Whether a list was too short; notes how long it should be, and empties it."""
-    if room.counts[env] <= room.capacity:
-        return False
-    wp.atomic_max(room.most, 0, room.counts[env])
-    room.counts[env] = 0
-    return True
+def move_entries(
+    old: wp.array, counts: wp.array, old_starts: wp.array, starts: wp.array
+) -> wp.array:
+    """An array with the entries of ``old`` (their numbers ``counts``, [env_count]) at other places;
+    ``old_starts``, ``starts``: see ``ListRoom``."""
+    end = int(starts[-1:].numpy()[0])
+    new = wp.zeros(end, dtype=old.dtype, device=old.device)
+    if len(old) and end:
+        lanes = lane_count(old.device, len(counts), len(old))
+        wp.launch(
+            _move_kernel,
+            dim=(len(counts), lanes),
+            inputs=[lanes, counts, old_starts, starts, _words(old)],
+            outputs=[_words(new)],
+            device=old.device,
+        )
+    return new
+
+
+def plan_rooms(rooms: np.ndarray, wanted: np.ndarray, limit: int, most: int) -> np.ndarray:
+    """Entries that each environment shall have room for, int64, [env_count].
+
+    Half as much again as what did not fit (``wanted``), but no more than ``limit``. Environments
+    that want more than that keep the ``rooms`` they have, and so do those that want most, one after
+    the other, as long as all together would have room for more than ``most``.
+    """
+    rooms, wanted = rooms.astype(np.int64), wanted.astype(np.int64)
+    grows = (wanted > rooms) & (wanted <= limit)
+    planned = np.where(grows, np.minimum(3 * wanted // 2, limit), rooms)
+    excess = planned.sum() - most
+    for env in np.argsort(-wanted, kind="stable"):
+        if excess <= 0:
+            break
+        excess -= planned[env] - rooms[env]
+        planned[env] = rooms[env]
+    return planned
 
 
 class GrowingList:
-    """Counts of a list in each environment; subclasses own the entries."""
+    """A ragged list; subclasses say which arrays it has.
 
-    def __init__(self, env_count: int, device: wp.Device, limit: int) -> None:
+    Rooms never shrink: an environment that once had many contacts is likely to have them again, and
+    what it takes is its own.
+    """
+
+    columns: ClassVar[dict[str, type]]
+    """Arrays by name, with the type of an entry; all of shape [capacity]."""
+    most_entries: ClassVar[int] = MOST_ENTRIES
+    """Of all environments together."""
+
+    def __init__(self, env_count: int, device: wp.Device, room: int, limit: int) -> None:
+        """``room``: entries that there is room for at first, in each environment."""
         self.device = device
         self.limit = limit
-        """Entries beyond which an environment is given up."""
+        """Entries of an environment beyond which it is given up."""
         self.counts = wp.zeros(env_count, dtype=wp.int32, device=device)
-        """Entries, int32, shape [env_count]; more than ``capacity`` where there was no room."""
-        self.most = wp.zeros(1, dtype=wp.int32, device=device)
-        """Largest count that did not fit, int32, shape [1]."""
+        """Entries, int32, shape [env_count]; more than there is room for where that was short."""
+        self.wanted = wp.zeros(env_count, dtype=wp.int32, device=device)
+        """Counts that did not fit, int32, shape [env_count]."""
+        self.entry_bytes = sum(map(wp.types.type_size_in_bytes, self.columns.values()))
+        """Memory of an entry; who keeps arrays of the same length adds theirs."""
+        self.starts = wp.zeros(env_count + 1, dtype=wp.int32, device=device)
+        """Place of the first entry of each environment, and the end, int32, [env_count + 1]."""
+        for name, dtype in self.columns.items():
+            setattr(self, name, wp.zeros(0, dtype=dtype, device=device))
+        self._allocate(min(room, limit))
 
     @property
     def capacity(self) -> int:
-        """Entries there is room for."""
-        raise NotImplementedError
-
-    def _allocate(self, capacity: int) -> None:
-        raise NotImplementedError
+        """Entries there is room for, in all environments together."""
+        return int(self.rooms.sum())
 
     @property
-    def room(self) -> ListRoom:
+    def largest_room(self) -> int:
+        """Entries there is room for where there is most."""
+        return int(self.rooms.max(initial=0))
+
+    def _allocate(self, rooms: int | np.ndarray) -> None:
+        """Give each environment room for so many entries; what is listed and still fits stays."""
+        self.rooms = np.broadcast_to(np.asarray(rooms, dtype=np.int64), self.counts.shape).copy()
+        """Entries there is room for, int64, shape [env_count]."""
+        starts = np.concatenate([[0], np.cumsum(self.rooms)])
+        old_starts = self.starts
+        self.starts = wp.array(starts.astype(np.int32), dtype=wp.int32, device=self.device)
+        for name in self.columns:
+            moved = move_entries(getattr(self, name), self.counts, old_starts, self.starts)
+            setattr(self, name, moved)
+        self.room = ListRoom()
         """For kernels; of the list as it is now."""
-        room = ListRoom()
-        room.counts, room.most, room.capacity = self.counts, self.most, self.capacity
-        return room
+        self.room.counts, self.room.starts, self.room.wanted = self.counts, self.starts, self.wanted
 
     def clear(self, active: wp.array) -> None:
         """Empty the lists of the active environments (int32, [env_count])."""
         clear_all(active, [self])
 
-    def grow(self) -> bool:
-        """Make room for the largest count that did not fit; whether there is more room now."""
-        most = int(self.most.numpy()[0])
-        self.most.zero_()
-        if most <= self.capacity or self.capacity >= self.limit:
-            return False
-        self._allocate(min(3 * most // 2, self.limit))
-        return True
+    def grow(self) -> np.ndarray:
+        """Make room where entries did not fit; returns where there can be none, bool, [env_count].
+
+        There can be none beyond ``limit``, and none beyond the free memory of the device: then the
+        environment that wants most has to stand back.
+        """
+        wanted = self.wanted.numpy().copy()
+        self.wanted.zero_()
+        return self._grow(wanted)
 
     def fit(self) -> bool:
         """Look at the counts and make room; whether entries are missing that now would fit.
 
-        Environments beyond the limit are emptied.
+        Environments for which there can be no room are emptied.
         """
         counts = self.counts.numpy()
-        if (counts > self.limit).any():
-            counts[counts > self.limit] = 0
-            self.counts.assign(counts)
-        most = int(counts.max(initial=0))
-        if most <= self.capacity:
-            return False
-        self._allocate(min(3 * most // 2, self.limit))
-        return True
+        short = counts > self.rooms
+        refused = self._grow(counts)
+        if refused.any():
+            self.counts.assign(np.where(refused, 0, counts))
+        return bool((short & ~refused).any())
+
+    def _grow(self, wanted: np.ndarray) -> np.ndarray:
+        if not (wanted > self.rooms).any():
+            return np.zeros(len(wanted), dtype=bool)
+        rooms = plan_rooms(self.rooms, wanted, self.limit, self._affordable())
+        if (rooms > self.rooms).any():
+            self._allocate(rooms)
+        return wanted > rooms
+
+    def _affordable(self) -> int:
+        """Entries that there could be room for, in all environments together."""
+        free = free_memory(self.device)
+        if free is None:
+            return self.most_entries
+        # The arrays move one after the other: one old one is there beside its successor.
+        widest = max(map(wp.types.type_size_in_bytes, self.columns.values()))
+        more = int(_SHARE * free - self.capacity * widest) // self.entry_bytes
+        return min(self.capacity + max(more, 0), self.most_entries)
+
+    def of(self, env: int, values: wp.array) -> np.ndarray:
+        """What one of the arrays of this list holds for an environment, on the host."""
+        first = int(self.starts.numpy()[env])
+        count = min(int(self.counts.numpy()[env]), int(self.rooms[env]))
+        return values[first : first + count].numpy() if count else values.numpy()[:0]
 
 
 def clear_all(active: wp.array, lists: Sequence[GrowingList]) -> None:
@@ -121,7 +275,7 @@ def clear_all(active: wp.array, lists: Sequence[GrowingList]) -> None:
     )
 
 
-def grow_all(lists: Sequence[GrowingList]) -> bool:
-    """Make room in all lists that were too short; whether any has more now."""
-    grown = [part.grow() for part in lists]
-    return any(grown)
+def grow_all(lists: Sequence[GrowingList]) -> np.ndarray:
+    """Make room in all lists that were too short; returns where there can be none in one of them,
+    bool, [env_count]."""
+    return np.any([part.grow() for part in lists], axis=0)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.bodies.surface_topology import NO_BALL_INSET
+from taccel_lab.ipc.capacity import ListRoom, claim_place
 from taccel_lab.ipc.distance.closest_pair import ClosestPair
 from taccel_lab.ipc.distance.edge_edge import closest_edge_edge
 from taccel_lab.ipc.distance.point_edge import closest_point_edge
@@ -45,10 +46,10 @@ class ContactGeometry:
 
 @wp.struct
 class CollisionLists:
-    """Collisions of each environment.
+    """Collisions of all environments.
 
-    counts: [env_count]; may exceed the capacity, then the lists must grow.
-    kinds: POINT_TRIANGLE to POINT_PLANE, [env_count, capacity] as all below.
+    room: where those of each environment are.
+    kinds: POINT_TRIANGLE to POINT_PLANE, [capacity] as all below.
     stencils: nodes.
     stiffnesses: kappa * area * coefficient [N].
     thresholds: mollifier threshold of an edge pair [m^4], -1 for others.
@@ -56,13 +57,13 @@ class CollisionLists:
     insets: how much nearer than what the bodies keep the pair may come [m], see ``ball_inset``.
     """
 
-    counts: wp.array(dtype=wp.int32)
-    kinds: wp.array2d(dtype=wp.int32)
-    stencils: wp.array2d(dtype=wp.vec4i)
-    stiffnesses: wp.array2d(dtype=wp.float64)
-    thresholds: wp.array2d(dtype=wp.float64)
-    ranges: wp.array2d(dtype=wp.float64)
-    insets: wp.array2d(dtype=wp.float64)
+    room: ListRoom
+    kinds: wp.array(dtype=wp.int32)
+    stencils: wp.array(dtype=wp.vec4i)
+    stiffnesses: wp.array(dtype=wp.float64)
+    thresholds: wp.array(dtype=wp.float64)
+    ranges: wp.array(dtype=wp.float64)
+    insets: wp.array(dtype=wp.float64)
 
 
 def contact_geometry(model: Model) -> ContactGeometry:
@@ -133,12 +134,12 @@ def add_collision(
     inset: wp.float64,
     lists: CollisionLists,
 ):
-    """Append a collision; counts beyond the capacity tell the host to grow and repeat."""
-    slot = wp.atomic_add(lists.counts, env, 1)
-    if slot < lists.kinds.shape[1]:
-        lists.kinds[env, slot] = kind
-        lists.stencils[env, slot] = nodes
-        lists.stiffnesses[env, slot] = stiffness
-        lists.thresholds[env, slot] = threshold
-        lists.ranges[env, slot] = reach
-        lists.insets[env, slot] = inset
+    """Append a collision; counts beyond the room tell the host to grow and repeat."""
+    at = claim_place(env, lists.room)
+    if at >= 0:
+        lists.kinds[at] = kind
+        lists.stencils[at] = nodes
+        lists.stiffnesses[at] = stiffness
+        lists.thresholds[at] = threshold
+        lists.ranges[at] = reach
+        lists.insets[at] = inset

@@ -36,6 +36,8 @@ distance at rest: neighbours at rest exert no force, however fine the mesh is.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 import warp as wp
 
@@ -88,15 +90,39 @@ class Collisions(GrowingList):
     run to run, and the sums with it in the last digits.
     """
 
+    columns: ClassVar = {
+        "kinds": wp.int32,
+        "stencils": wp.vec4i,
+        "stiffnesses": wp.float64,
+        "thresholds": wp.float64,
+        "ranges": wp.float64,
+        "insets": wp.float64,
+    }
+    kinds: wp.array
+    """POINT_TRIANGLE to POINT_PLANE, shape [capacity] as all below."""
+    stencils: wp.array
+    """Nodes; unused entries repeat the last one."""
+    stiffnesses: wp.array
+    """kappa * area * coefficient [N]."""
+    thresholds: wp.array
+    """Mollifier threshold of an edge pair [m^4], -1 for others."""
+    ranges: wp.array
+    """Gap below which the collision repels [m]."""
+    insets: wp.array
+    """How far a face may reach into a ball [m], 0 for others."""
+
     def __init__(
         self,
         model: Model,
         kappa: float | None,
         dhat: float,
-        capacity: int | None = None,
+        room: int | None = None,
         limit: int = 1 << 20,
     ) -> None:
-        super().__init__(model.env_count, model.device, limit)
+        """``room``, ``limit``: collisions of an environment that there is room for at first, and
+        that there may be. ``kappa``, ``dhat``: as the attributes."""
+        at_first = initial_capacity(model.env_count) if room is None else room
+        super().__init__(model.env_count, model.device, at_first, limit)
         self.model = model
         self.kappa = kappa
         """Barrier stiffness of all contacts [Pa], contact pressure at a gap of about half of dhat;
@@ -107,8 +133,6 @@ class Collisions(GrowingList):
         """Gap at which the guard begins [m]."""
         self.geometry = contact_geometry(model)
         self._surface = self._contact_surface()
-        room = initial_capacity(model.env_count) if capacity is None else capacity
-        self._allocate(min(room, limit))
 
     def _contact_surface(self) -> ContactSurface:
         model, source = self.model, self.model.surface
@@ -128,30 +152,13 @@ class Collisions(GrowingList):
         surface.dhat, surface.guard = self.dhat, self.guard
         return surface
 
-    def _allocate(self, capacity: int) -> None:
-        shape, device = (self.model.env_count, capacity), self.model.device
-        self.kinds = wp.zeros(shape, dtype=wp.int32, device=device)
-        """POINT_TRIANGLE to POINT_PLANE, shape [env_count, capacity]."""
-        self.stencils = wp.zeros(shape, dtype=wp.vec4i, device=device)
-        """Nodes; unused entries repeat the last one, shape [env_count, capacity]."""
-        self.stiffnesses = wp.zeros(shape, dtype=wp.float64, device=device)
-        """kappa * area * coefficient [N], shape [env_count, capacity]."""
-        self.thresholds = wp.zeros(shape, dtype=wp.float64, device=device)
-        """Mollifier threshold of an edge pair [m^4], -1 for others, [env_count, capacity]."""
-        self.ranges = wp.zeros(shape, dtype=wp.float64, device=device)
-        """Gap below which the collision repels [m], shape [env_count, capacity]."""
-        self.insets = wp.zeros(shape, dtype=wp.float64, device=device)
-        """How far a face may reach into a ball [m], 0 for others, shape [env_count, capacity]."""
+    def _allocate(self, rooms: int | np.ndarray) -> None:
+        super()._allocate(rooms)
         self.lists = CollisionLists()
-        """The above for kernels."""
-        self.lists.counts, self.lists.kinds = self.counts, self.kinds
-        self.lists.stencils, self.lists.stiffnesses = self.stencils, self.stiffnesses
-        self.lists.thresholds, self.lists.ranges = self.thresholds, self.ranges
-        self.lists.insets = self.insets
-
-    @property
-    def capacity(self) -> int:
-        return self.kinds.shape[1]
+        """All of it for kernels."""
+        self.lists.room = self.room
+        for name in self.columns:
+            setattr(self.lists, name, getattr(self, name))
 
     def update(self, active: wp.array, positions: wp.array, candidates: Candidates) -> None:
         """``collect`` by a host that makes room where it is short."""
@@ -168,12 +175,12 @@ class Collisions(GrowingList):
         common = [positions, self.geometry, self._surface]
 
         def narrow(kernel: wp.Kernel, pairs: PairList) -> None:
-            if pairs.capacity > 1:
-                lanes = lane_count(model.device, model.env_count, pairs.capacity)
+            if pairs.capacity:
+                lanes = lane_count(model.device, model.env_count, pairs.largest_room)
                 wp.launch(
                     kernel,
                     dim=(model.env_count, lanes),
-                    inputs=[active, lanes, pairs.counts, pairs.pairs, *common],
+                    inputs=[active, lanes, pairs.room, pairs.pairs, *common],
                     outputs=[self.lists],
                     device=model.device,
                 )
@@ -196,9 +203,7 @@ class Collisions(GrowingList):
 
     def snapshot(self, env: int) -> dict[str, np.ndarray]:
         """Collisions of one environment, sorted by kind and stencil: the same on every device."""
-        count = int(self.counts.numpy()[env])
-        names = ("kinds", "stencils", "stiffnesses", "thresholds", "ranges", "insets")
-        found = {name: getattr(self, name).numpy()[env, :count] for name in names}
+        found = {name: self.of(env, getattr(self, name)) for name in self.columns}
         keys = np.column_stack([found["kinds"], found["stencils"]])
         order = np.lexsort(keys.T[::-1])
         return {name: value[order] for name, value in found.items()}

@@ -10,20 +10,12 @@ from __future__ import annotations
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
-
 _THREADS = 1 << 18
 """Threads that keep a large GPU busy."""
 
 
-def lane_count(device: wp.Device, env_count: int, capacity: int) -> int:
-    """Lanes an environment for lists of ``capacity`` entries."""
+def lane_count(device: wp.Device, env_count: int, room: int) -> int:
+    """Lanes an environment for lists with room for so many entries where there is most."""
     if device.is_cpu:
         return 1
-    return max(1, min(capacity, max(32, _THREADS // env_count)))
-
-
-@wp.func
-def listed(env: int, counts: wp.array(dtype=wp.int32), capacity: int) -> int:
-    """Entries of a list: a count beyond the capacity is that of a list which was too short."""
-    return wp.min(counts[env], capacity)
+    return max(1, min(room, max(32, _THREADS // env_count)))

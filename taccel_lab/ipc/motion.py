@@ -179,7 +179,7 @@ def newton_system(model: Model, linear: LinearSystem, displacements: wp.array) -
     system.row_starts = model.row_starts
     system.columns = model.columns
     system.values = linear.values
-    system.extra_counts = linear.extra.counts
+    system.extra_room = linear.extra.room
     system.extra_places = linear.extra.places
     system.extra_values = linear.extra.values
     system.rhs = linear.rhs

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.capacity import ListRoom, list_end
 from taccel_lab.ipc.collision_lists import (
     CollisionLists,
     ContactGeometry,
@@ -20,7 +21,6 @@ from taccel_lab.ipc.distance.edge_edge import closest_edge_edge, edge_edge_dista
 from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_mollifier_threshold
 from taccel_lab.ipc.distance.point_edge import closest_point_edge
 from taccel_lab.ipc.distance.point_triangle import PointTriangleRegion, closest_point_triangle
-from taccel_lab.ipc.lanes import listed
 
 wp.set_module_options({"enable_backward": False})
 
@@ -349,8 +349,8 @@ def collect_edge_edge(
 def node_face_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
-    candidate_counts: wp.array(dtype=wp.int32),
-    candidates: wp.array2d(dtype=wp.vec2i),
+    room: ListRoom,
+    candidates: wp.array(dtype=wp.vec2i),
     positions: wp.array2d(dtype=wp.vec3d),
     geometry: ContactGeometry,
     surface: ContactSurface,
@@ -359,16 +359,16 @@ def node_face_kernel(
     env, lane = wp.tid()
     if active[env] == 0:
         return
-    for slot in range(lane, listed(env, candidate_counts, candidates.shape[1]), lanes):
-        collect_node_face(env, candidates[env, slot], positions, geometry, surface, lists)
+    for at in range(room.starts[env] + lane, list_end(env, room), lanes):
+        collect_node_face(env, candidates[at], positions, geometry, surface, lists)
 
 
 @wp.kernel
 def edge_edge_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
-    candidate_counts: wp.array(dtype=wp.int32),
-    candidates: wp.array2d(dtype=wp.vec2i),
+    room: ListRoom,
+    candidates: wp.array(dtype=wp.vec2i),
     positions: wp.array2d(dtype=wp.vec3d),
     geometry: ContactGeometry,
     surface: ContactSurface,
@@ -377,8 +377,8 @@ def edge_edge_kernel(
     env, lane = wp.tid()
     if active[env] == 0:
         return
-    for slot in range(lane, listed(env, candidate_counts, candidates.shape[1]), lanes):
-        collect_edge_edge(env, candidates[env, slot], positions, geometry, surface, lists)
+    for at in range(room.starts[env] + lane, list_end(env, room), lanes):
+        collect_edge_edge(env, candidates[at], positions, geometry, surface, lists)
 
 
 @wp.kernel

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.capacity import ListRoom, list_end
+
 wp.set_module_options({"enable_backward": False})
 
 BLOCK_THREADS = 128
@@ -48,6 +50,17 @@ def lane_sum(env: int, lane: int, values: wp.array2d(dtype=wp.float64), count: i
     return compensated_total(total)
 
 
+@wp.func
+def lane_list_sum(
+    env: int, lane: int, values: wp.array(dtype=wp.float64), room: ListRoom
+) -> wp.float64:
+    """Sum of every so manyth entry of a list."""
+    total = wp.vec2d()
+    for at in range(room.starts[env] + lane, list_end(env, room), wp.block_dim()):
+        total = add_compensated(total, values[at])
+    return compensated_total(total)
+
+
 @wp.kernel
 def _add_rows_kernel(
     active: wp.array(dtype=wp.int32),
@@ -65,14 +78,14 @@ def _add_rows_kernel(
 @wp.kernel
 def _add_lists_kernel(
     active: wp.array(dtype=wp.int32),
-    values: wp.array2d(dtype=wp.float64),
-    counts: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.float64),
+    room: ListRoom,
     totals: wp.array(dtype=wp.float64),
 ):
     env, lane = wp.tid()
     if active[env] == 0:
         return
-    total = block_total(lane_sum(env, lane, values, wp.min(counts[env], values.shape[1])))
+    total = block_total(lane_list_sum(env, lane, values, room))
     if lane == 0:
         totals[env] += total
 
@@ -143,13 +156,14 @@ def launch_rows(kernel: wp.Kernel, inputs: list, outputs: list) -> None:
 
 
 def add_row_sums(
-    active: wp.array, values: wp.array, counts: wp.array | None, totals: wp.array
+    active: wp.array, values: wp.array, room: ListRoom | None, totals: wp.array
 ) -> None:
-    """Add the sum of each row, or of its first ``counts[env]`` entries, to ``totals``."""
-    if counts is None:
+    """Add the sum of each row, or of the entries of each environment in a list with such a
+    ``room``, to ``totals``."""
+    if room is None:
         launch_rows(_add_rows_kernel, [active, values], [totals])
     else:
-        launch_rows(_add_lists_kernel, [active, values, counts], [totals])
+        launch_rows(_add_lists_kernel, [active, values, room], [totals])
 
 
 def slopes(active: wp.array, gradients: list[wp.array], direction: wp.array, out: wp.array) -> None:

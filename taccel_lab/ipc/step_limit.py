@@ -7,6 +7,7 @@ import warp as wp
 
 from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.broad_phase.candidates import Candidates, PairList
+from taccel_lab.ipc.capacity import ListRoom, list_end
 from taccel_lab.ipc.ccd import (
     edge_edge_ccd,
     point_plane_ccd,
@@ -19,7 +20,7 @@ from taccel_lab.ipc.collision_lists import (
     contact_geometry,
     kept_distance,
 )
-from taccel_lab.ipc.lanes import lane_count, listed
+from taccel_lab.ipc.lanes import lane_count
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -124,8 +125,8 @@ def _begin_kernel(active: wp.array(dtype=wp.int32), limits: wp.array(dtype=wp.fl
 def _node_face_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
-    counts: wp.array(dtype=wp.int32),
-    candidates: wp.array2d(dtype=wp.vec2i),
+    room: ListRoom,
+    candidates: wp.array(dtype=wp.vec2i),
     faces: wp.array(dtype=wp.vec3i),
     reaches_sq: wp.array2d(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
@@ -139,10 +140,10 @@ def _node_face_kernel(
     if active[env] == 0:
         return
     least = wp.float64(1.0)
-    for slot in range(lane, listed(env, counts, candidates.shape[1]), lanes):
+    for at in range(room.starts[env] + lane, list_end(env, room), lanes):
         limit = node_face_limit(
             env,
-            candidates[env, slot],
+            candidates[at],
             faces,
             reaches_sq,
             positions,
@@ -160,8 +161,8 @@ def _node_face_kernel(
 def _edge_edge_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
-    counts: wp.array(dtype=wp.int32),
-    candidates: wp.array2d(dtype=wp.vec2i),
+    room: ListRoom,
+    candidates: wp.array(dtype=wp.vec2i),
     edges: wp.array(dtype=wp.vec2i),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
@@ -174,10 +175,10 @@ def _edge_edge_kernel(
     if active[env] == 0:
         return
     least = wp.float64(1.0)
-    for slot in range(lane, listed(env, counts, candidates.shape[1]), lanes):
+    for at in range(room.starts[env] + lane, list_end(env, room), lanes):
         limit = edge_edge_limit(
             env,
-            candidates[env, slot],
+            candidates[at],
             edges,
             positions,
             displacements,
@@ -247,12 +248,12 @@ def limit_step(
     geometry = contact_geometry(model)
 
     def against(kernel: wp.Kernel, pairs: PairList, primitives: list[wp.array]) -> None:
-        if pairs.capacity > 1:
-            lanes = lane_count(model.device, model.env_count, pairs.capacity)
+        if pairs.capacity:
+            lanes = lane_count(model.device, model.env_count, pairs.largest_room)
             wp.launch(
                 kernel,
                 dim=(model.env_count, lanes),
-                inputs=[active, lanes, pairs.counts, pairs.pairs, *primitives, positions]
+                inputs=[active, lanes, pairs.room, pairs.pairs, *primitives, positions]
                 + [displacements, geometry, slackness, max_iterations],
                 outputs=[limits],
                 device=model.device,

@@ -17,6 +17,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.barrier import contact_potential_d1
+from taccel_lab.ipc.capacity import list_end
 from taccel_lab.ipc.collision_lists import (
     CollisionLists,
     ContactGeometry,
@@ -24,7 +25,7 @@ from taccel_lab.ipc.collision_lists import (
     collision_gap,
 )
 from taccel_lab.ipc.collisions import Collisions
-from taccel_lab.ipc.lanes import lane_count, listed
+from taccel_lab.ipc.lanes import lane_count
 from taccel_lab.ipc.potentials.contact import mollifier
 
 wp.set_module_options({"enable_backward": False})
@@ -40,13 +41,13 @@ def _gap_work_kernel(
 ):
     env, lane = wp.tid()
     total = wp.float64(0.0)
-    for slot in range(lane, listed(env, lists.counts, lists.kinds.shape[1]), lanes):
-        nodes = lists.stencils[env, slot]
-        pair = closest_pair(env, lists.kinds[env, slot], nodes, positions, geometry)
-        gap = collision_gap(pair, nodes, lists.insets[env, slot], geometry)
-        reach = lists.ranges[env, slot]
-        force = -contact_potential_d1(gap, reach, lists.stiffnesses[env, slot])
-        force *= mollifier(env, nodes, lists.thresholds[env, slot], positions)
+    for at in range(lists.room.starts[env] + lane, list_end(env, lists.room), lanes):
+        nodes = lists.stencils[at]
+        pair = closest_pair(env, lists.kinds[at], nodes, positions, geometry)
+        gap = collision_gap(pair, nodes, lists.insets[at], geometry)
+        reach = lists.ranges[at]
+        force = -contact_potential_d1(gap, reach, lists.stiffnesses[at])
+        force *= mollifier(env, nodes, lists.thresholds[at], positions)
         total += force * gap
     work[env, lane] = total
 
@@ -57,13 +58,13 @@ def gap_work(collisions: Collisions, positions: wp.array) -> wp.array:
 
     ``collisions`` and ``positions`` (vec3d, [env_count, node_count]) are those of a step's end.
     """
-    env_count, capacity = collisions.kinds.shape
-    lanes = lane_count(collisions.kinds.device, env_count, capacity)
-    work = wp.empty((env_count, lanes), dtype=wp.float64, device=collisions.kinds.device)
+    env_count, device = len(collisions.counts), collisions.device
+    lanes = lane_count(device, env_count, collisions.largest_room)
+    work = wp.empty((env_count, lanes), dtype=wp.float64, device=device)
     wp.launch(
         _gap_work_kernel,
         dim=(env_count, lanes),
         inputs=[lanes, collisions.lists, collisions.geometry, positions, work],
-        device=collisions.kinds.device,
+        device=device,
     )
     return work

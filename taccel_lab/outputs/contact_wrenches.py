@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.collision_lists import (
@@ -111,21 +112,23 @@ def _contact_kernel(
     geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
     center: wp.vec3d,
-    interactions: wp.array2d(dtype=Interaction),
+    starts: wp.array(dtype=wp.int32),
+    interactions: wp.array(dtype=Interaction),
 ):
     env, slot = wp.tid()
-    if slot >= lists.counts[env]:
+    if slot >= starts[env + 1] - starts[env]:
         return
-    nodes = lists.stencils[env, slot]
-    kind = lists.kinds[env, slot]
+    at = lists.room.starts[env] + slot
+    nodes = lists.stencils[at]
+    kind = lists.kinds[at]
     pair = closest_pair(env, kind, nodes, positions, geometry)
-    interactions[env, slot] = as_interaction(
+    interactions[starts[env] + slot] = as_interaction(
         env,
         nodes,
         stencil_size(kind),
         pair_normal(pair),
-        collision_gap(pair, nodes, lists.insets[env, slot], geometry),
-        contact_rows(env, slot, pair, lists, geometry, positions),
+        collision_gap(pair, nodes, lists.insets[at], geometry),
+        contact_rows(env, at, pair, lists, geometry, positions),
         center,
         positions,
         geometry,
@@ -139,21 +142,23 @@ def _friction_kernel(
     eps_u: wp.array(dtype=wp.float64),
     geometry: ContactGeometry,
     center: wp.vec3d,
-    interactions: wp.array2d(dtype=Interaction),
+    starts: wp.array(dtype=wp.int32),
+    interactions: wp.array(dtype=Interaction),
 ):
     env, slot = wp.tid()
-    if slot >= frozen.counts[env]:
+    if slot >= starts[env + 1] - starts[env]:
         return
-    nodes = frozen.stencils[env, slot]
-    normal = frozen.normals[env, slot]
-    w = frozen.weights[env, slot]
-    u = sliding(env, slot, frozen, motion)
-    force = friction_gradient(u, frozen.mu_lambdas[env, slot], eps_u[env])
+    at = frozen.room.starts[env] + slot
+    nodes = frozen.stencils[at]
+    normal = frozen.normals[at]
+    w = frozen.weights[at]
+    u = sliding(env, at, frozen, motion)
+    force = friction_gradient(u, frozen.mu_lambdas[at], eps_u[env])
     rows = mat43d()
     for i in range(4):
         for k in range(3):
             rows[i, k] = w[i] * force[k]
-    interactions[env, slot] = as_interaction(
+    interactions[starts[env] + slot] = as_interaction(
         env,
         nodes,
         4,
@@ -168,14 +173,14 @@ def _friction_kernel(
 
 @wp.kernel
 def _add_kernel(
-    counts: wp.array(dtype=wp.int32),
-    interactions: wp.array2d(dtype=Interaction),
+    starts: wp.array(dtype=wp.int32),
+    interactions: wp.array(dtype=Interaction),
     wrenches: wp.array3d(dtype=vec6d),
     gaps: wp.array3d(dtype=wp.float64),
 ):
     env, body = wp.tid()
-    for slot in range(counts[env]):
-        item = interactions[env, slot]
+    for at in range(starts[env], starts[env + 1]):
+        item = interactions[at]
         if item.first == body:
             gaps[env, body, item.second] = wp.min(gaps[env, body, item.second], item.gap)
         elif item.second == body:
@@ -229,17 +234,25 @@ class PairWrenches:
         return totals
 
 
-def _most(counts: wp.array) -> int:
-    """Length of the longest list, at least 1."""
-    return max(int(counts.numpy().max(initial=0)), 1)
-
-
-def _added(model: Model, counts: wp.array, interactions: wp.array) -> PairWrenches:
+def _added(model: Model, kernel: wp.Kernel, counts: wp.array, inputs: list) -> PairWrenches:
+    """Forces of the collisions that ``kernel`` reads, ``counts`` of them, [env_count]: those of the
+    environments one after the other, as each has its own number of them."""
+    numbers = counts.numpy()
+    starts = np.concatenate([[0], np.cumsum(numbers, dtype=np.int32)])
+    places = wp.array(starts, dtype=wp.int32, device=model.device)
+    interactions = wp.zeros(int(starts[-1]), dtype=Interaction, device=model.device)
+    wp.launch(
+        kernel,
+        dim=(model.env_count, int(numbers.max(initial=0))),
+        inputs=[*inputs, places],
+        outputs=[interactions],
+        device=model.device,
+    )
     result = PairWrenches.none(model)
     wp.launch(
         _add_kernel,
         dim=result.wrenches.shape[:2],
-        inputs=[counts, interactions],
+        inputs=[places, interactions],
         outputs=[result.wrenches, result.gaps],
         device=model.device,
     )
@@ -253,16 +266,8 @@ def contact_wrenches(
     center_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> PairWrenches:
     """Normal forces of a collision set at the positions [m] it was found at."""
-    shape = (model.env_count, _most(collisions.counts))
-    interactions = wp.zeros(shape, dtype=Interaction, device=model.device)
-    wp.launch(
-        _contact_kernel,
-        dim=shape,
-        inputs=[collisions.lists, collisions.geometry, positions, wp.vec3d(*center_m)],
-        outputs=[interactions],
-        device=model.device,
-    )
-    return _added(model, collisions.counts, interactions)
+    inputs = [collisions.lists, collisions.geometry, positions, wp.vec3d(*center_m)]
+    return _added(model, _contact_kernel, collisions.counts, inputs)
 
 
 def friction_wrenches(
@@ -273,13 +278,5 @@ def friction_wrenches(
     center_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> PairWrenches:
     """Tangential forces of the frozen collisions of a step, at the end of ``motion``."""
-    shape = (model.env_count, _most(friction.counts))
-    interactions = wp.zeros(shape, dtype=Interaction, device=model.device)
-    wp.launch(
-        _friction_kernel,
-        dim=shape,
-        inputs=[friction.frozen, motion, friction.eps_u_m, geometry, wp.vec3d(*center_m)],
-        outputs=[interactions],
-        device=model.device,
-    )
-    return _added(model, friction.counts, interactions)
+    inputs = [friction.frozen, motion, friction.eps_u_m, geometry, wp.vec3d(*center_m)]
+    return _added(model, _friction_kernel, friction.counts, inputs)

@@ -26,7 +26,7 @@ class EnvStatus(IntEnum):
     INVERSION = 6
     """An element was inverted before the step; or by it, in a material whose energy bears that."""
     CONTACT_OVERFLOW = 7
-    """More contacts than ``SolverConfig.max_collisions``."""
+    """More contacts than ``SolverConfig.max_collisions``, or than there is memory for."""
     JOINT = 8
     """A joint stayed open by more than its tolerance."""
     TOUCHING = 9

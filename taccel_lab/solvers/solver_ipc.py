@@ -153,14 +153,15 @@ class SolverIPC(SolverParts):
             part = self._read_report(who)
             report = part if report is None else report.retaken(part, who)
             short = part.status == EnvStatus.CONTACT_OVERFLOW
-            grown = bool(short.any()) and grow_all(self.lists)
-            if grown:
-                self.graphs.clear()
+            if short.any():
+                short &= ~grow_all(self.lists)
+                if short.any():
+                    self.graphs.clear()
             impacts = part.status == EnvStatus.IMPACT
             if impacts.any():
                 assert state.history is not None
                 state.history.forget(impacts)
-            who = impacts | short if grown else impacts
+            who = impacts | short
             if not who.any():
                 return report
 

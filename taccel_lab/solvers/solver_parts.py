@@ -69,7 +69,7 @@ class SolverParts:
             stiff,
             method=self.config.linear_method,
             clusters=[(first + 4 * i, first + 4 * i + 4) for i in range(model.affine.count)],
-            extra_capacity=self._extra_capacity(),
+            extra_room=self._extra_room(),
             scratch=self._scratch(),
         )
         shape, device = (model.env_count, model.node_count), model.device
@@ -143,7 +143,7 @@ class SolverParts:
         idle = [part.idle_memory for part in [*self.elastic, *self.viscosity]]
         return Scratch(max(idle, key=lambda memory: memory.capacity) if idle else None)
 
-    def _extra_capacity(self) -> int:
+    def _extra_room(self) -> int:
         """Room for contact of two free bodies that does not fit the pattern of the matrix."""
         model = self.model
         if model.affine.count and model.scene.soft_bodies and not model.contact_in_pattern:

@@ -52,7 +52,7 @@ class StepLaunches:
     def check_room(self, mask: wp.array, lists: Sequence[GrowingList]) -> None:
         """Stop environments whose contacts did not fit; the host makes room for the next try."""
         for part in lists:
-            if part.capacity > 1:
+            if part.capacity:
                 self.decide(decisions.stop_overflowed_kernel, mask, part.room, self.p)
 
     def motion(

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.model import Model
 
@@ -30,9 +31,9 @@ def empty_system(model: Model) -> NewtonSystem:
     system.row_starts = ints(np.concatenate([[0], np.cumsum(rows + 1)]))
     system.columns = ints(np.concatenate([np.arange(row + 1) for row in rows]))
     system.values = wp.zeros((env_count, n * (n + 1) // 2), dtype=wp.mat33d, device=device)
-    system.extra_counts = wp.zeros(env_count, dtype=wp.int32, device=device)
-    system.extra_places = wp.zeros((env_count, 0), dtype=wp.vec2i, device=device)
-    system.extra_values = wp.zeros((env_count, 0), dtype=wp.mat33d, device=device)
+    extra = ExtraBlocks(env_count, device, 0)
+    system.extra_room, system.extra_places = extra.room, extra.places
+    system.extra_values = extra.values
     system.rhs = wp.zeros((env_count, n), dtype=wp.vec3d, device=device)
     system.displacements = wp.zeros((env_count, model.node_count), dtype=wp.vec3d, device=device)
     return system

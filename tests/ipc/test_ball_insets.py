@@ -92,7 +92,7 @@ def test_nodes_alone_carry_a_dent(dent: _Dent) -> None:
     assembly = Assembly(dent.model, SolverConfig(dhat_m=DHAT, kappa_pa=KAPPA), dent.poses)
     count = assembly.collide(dent.x)
     assert count == len(np.unique(dent.faces))
-    assert (assembly.solver.collisions.kinds.numpy()[0, :count] == POINT_POINT).all()
+    assert (assembly.solver.collisions.kinds.numpy()[:count] == POINT_POINT).all()
 
 
 def test_the_guard_begins_beyond_the_inset(dent: _Dent) -> None:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import warp as wp
 from hypothesis import example, given, settings
@@ -13,7 +15,7 @@ from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.broad_phase.held_patches import hull_corners
 from taccel_lab.model import Model
 from taccel_lab.model.kinematics import interpolate_poses
-from taccel_lab.scene import Ball, KinematicBody
+from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody
 from taccel_lab.state import initial_state
 from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 
@@ -36,8 +38,7 @@ def box_gaps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def found(candidates: Candidates) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
     """Node-face and edge-edge pairs of environment 0."""
-    faces = candidates.node_faces.pairs.numpy()[0, : candidates.node_faces.counts.numpy()[0]]
-    edges = candidates.edge_edges.pairs.numpy()[0, : candidates.edge_edges.counts.numpy()[0]]
+    faces, edges = (part.of(0, part.pairs) for part in candidates.lists)
     pairs = set(map(tuple, faces.tolist())), set(map(tuple, edges.tolist()))
     assert len(pairs[0]) == len(faces) and len(pairs[1]) == len(edges), "a pair came twice"
     return pairs
@@ -126,7 +127,7 @@ def test_no_pair_is_missed_on_the_way(
     angle = 2 * np.arccos(np.minimum(cosines, 1)).max()
     chord_error = model.kinematic_radii_m.max() * (1 - np.cos(angle / 2))
 
-    candidates = Candidates(model, capacity=64)
+    candidates = Candidates(model, room=64)
     candidates.update(
         wp.array([1], dtype=wp.int32),
         wp.array(x, dtype=wp.vec3d),
@@ -189,3 +190,44 @@ def test_corners_hold_a_patch() -> None:
         assert slack < 1e-9
     assert len(hull_corners(flat)[0]) < 20
     assert len(hull_corners(patches[3])[0]) == 2
+
+
+def test_a_turn_in_one_environment_leaves_the_others_as_alone() -> None:
+    """By 2 rad there is no bound on the path of a body in the frame of another: everything is a
+    candidate, where it turns. The gels may touch each other, too."""
+
+    def search(turns: list[float]) -> list[list[np.ndarray]]:
+        """Pairs of faces and of edges in each environment."""
+        above = replace(MESH, nodes_m=MESH.nodes_m + [0, 0, 1.05e-3])
+        gels = [
+            SoftBody(mesh, Material(1e5, 0.4), name=name, element=Element.LINEAR)
+            for mesh, name in ((MESH, "low"), (above, "high"))
+        ]
+        model = Scene(gels, KinematicBody(BODY, name="mesh"), len(turns)).finalize()
+        start = everywhere(len(turns), pose(1.5e-3, 1.5e-3, 1.9e-3))
+        end = np.stack(
+            [pose(1.5e-3, 1.5e-3, 1.9e-3, (1, 2, 3), np.degrees(turn))[None] for turn in turns]
+        )
+        x = initial_state(model, start).positions
+        way = initial_state(model, end).positions.numpy() - x.numpy()
+        candidates = Candidates(model, room=16)
+        candidates.update(
+            wp.full(len(turns), 1, dtype=wp.int32),
+            x,
+            wp.array(way, dtype=wp.vec3d),
+            wp.array(start, dtype=wp.transformd),
+            wp.array(end, dtype=wp.transformd),
+            1e-4,
+        )
+        return [
+            [np.array(part.of(env, part.pairs)) for part in candidates.lists]
+            for env in range(len(turns))
+        ]
+
+    together = search([0.1, 2.0, 0.1, 0.0])
+    assert len(together[1][1]) > 20 * len(together[0][1]) > 0
+    for env, turn in ((0, 0.1), (2, 0.1), (3, 0.0)):
+        (alone,) = search([turn])
+        for found, expected in zip(together[env], alone, strict=True):
+            assert len(found) > 0
+            np.testing.assert_array_equal(found, expected)

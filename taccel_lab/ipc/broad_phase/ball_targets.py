@@ -6,6 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.swept_box import append
+from taccel_lab.ipc.capacity import ListRoom
 
 wp.set_module_options({"enable_backward": False})
 
@@ -23,8 +24,8 @@ def _ball_face_kernel(
     margins: wp.array(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
-    counts: wp.array(dtype=wp.int32),
-    pairs: wp.array2d(dtype=wp.vec2i),
+    room: ListRoom,
+    pairs: wp.array(dtype=wp.vec2i),
 ):
     """A ball against a face: a box around the face's path as seen from the ball."""
     env, i = wp.tid()
@@ -54,7 +55,7 @@ def _ball_face_kernel(
         gap_sq += outside * outside
     reach = node_radii[ball] + margins[env]
     if gap_sq < reach * reach:
-        append(env, ball, jobs[i][1], counts, pairs)
+        append(env, ball, jobs[i][1], room, pairs)
 
 
 BALL_JOBS = _ball_face_kernel

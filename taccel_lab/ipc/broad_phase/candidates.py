@@ -9,6 +9,8 @@ kinematic body leaves the chord.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.ball_targets import BALL_JOBS
@@ -27,35 +29,27 @@ wp.set_module_options({"enable_backward": False})
 
 
 class PairList(GrowingList):
-    """Pairs of primitives per environment."""
+    """Pairs of primitives."""
 
-    def __init__(self, env_count: int, device: wp.Device, capacity: int, limit: int) -> None:
-        super().__init__(env_count, device, limit)
-        self._allocate(capacity)
-
-    @property
-    def capacity(self) -> int:
-        return self.pairs.shape[1]
-
-    def _allocate(self, capacity: int) -> None:
-        self.pairs = wp.zeros((len(self.counts), capacity), dtype=wp.vec2i, device=self.device)
-        """vec2i, shape [env_count, capacity]."""
+    columns: ClassVar = {"pairs": wp.vec2i}
+    pairs: wp.array
+    """Of all environments, vec2i, shape [capacity]."""
 
 
 class Candidates:
     """Candidate pairs per environment."""
 
-    def __init__(self, model: Model, capacity: int | None = None, limit: int = 1 << 20) -> None:
+    def __init__(self, model: Model, room: int | None = None, limit: int = 1 << 20) -> None:
+        """``room``, ``limit``: pairs of an environment that there is room for at first, and that
+        there may be."""
         self.model = model
         plan, device, env_count = model.contact_plan, model.device, model.env_count
         soft = plan.soft_to_soft
         faces = len(plan.node_target) + len(plan.face_target) + len(plan.ball_face)
-        if capacity is None:
-            capacity = initial_capacity(env_count)
-        capacity = min(capacity, limit)
+        at_first = initial_capacity(env_count) if room is None else room
 
         def pair_list(needed: bool) -> PairList:
-            return PairList(env_count, device, capacity if needed else 1, limit)
+            return PairList(env_count, device, at_first if needed else 0, limit)
 
         self.node_faces = pair_list(faces > 0 or soft)
         """(node, face) pairs."""
@@ -99,7 +93,7 @@ class Candidates:
     ) -> None:
         """``search`` with one margin [m] for all, by a host that makes room where it is short.
 
-        Environments with more pairs than the limit are left without any.
+        Environments with more pairs than there can be room for are left without any.
         """
         margins = wp.full(len(active), margin, dtype=wp.float64, device=active.device)
         while True:
@@ -142,8 +136,8 @@ class Candidates:
         self, active: wp.array, positions: wp.array, displacements: wp.array, margins: wp.array
     ) -> None:
         model, surface = self.model, self.model.surface
-        node_face = [self.node_faces.counts, self.node_faces.pairs]
-        edge_edge = [self.edge_edges.counts, self.edge_edges.pairs]
+        node_face = [self.node_faces.room, self.node_faces.pairs]
+        edge_edge = [self.edge_edges.room, self.edge_edges.pairs]
         path = [margins, positions, displacements]
         self._patches.update(active, margins, positions, displacements, self._frames)
         are_open = self._patches.are_open

@@ -14,6 +14,7 @@ import warp as wp
 
 from taccel_lab.ipc.broad_phase.body_boxes import find_body_boxes
 from taccel_lab.ipc.broad_phase.swept_box import append, rounded_out
+from taccel_lab.ipc.capacity import ListRoom
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -90,8 +91,8 @@ def _node_kernel(
     margins: wp.array(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
-    counts: wp.array(dtype=wp.int32),
-    pairs: wp.array2d(dtype=wp.vec2i),
+    room: ListRoom,
+    pairs: wp.array(dtype=wp.vec2i),
 ):
     env, i = wp.tid()
     node = nodes[i]
@@ -109,7 +110,7 @@ def _node_kernel(
         face = faces[item]
         if may_touch[node_bodies[node], node_bodies[face[0]]] != 0:
             if face[0] != node and face[1] != node and face[2] != node:
-                append(env, node, item, counts, pairs)
+                append(env, node, item, room, pairs)
 
 
 @wp.kernel
@@ -123,8 +124,8 @@ def _edge_kernel(
     margins: wp.array(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
-    counts: wp.array(dtype=wp.int32),
-    pairs: wp.array2d(dtype=wp.vec2i),
+    room: ListRoom,
+    pairs: wp.array(dtype=wp.vec2i),
 ):
     env, i = wp.tid()
     mine = items[i]
@@ -145,7 +146,7 @@ def _edge_kernel(
         # Each pair once, and not with an edge that shares a node.
         if mine < other and may_touch[node_bodies[a[0]], node_bodies[b[0]]] != 0:
             if a[0] != b[0] and a[0] != b[1] and a[1] != b[0] and a[1] != b[1]:
-                append(env, mine, other, counts, pairs)
+                append(env, mine, other, room, pairs)
 
 
 class SoftTrees:
@@ -219,10 +220,10 @@ class SoftTrees:
         positions: wp.array,
         displacements: wp.array,
         margins: wp.array,
-        node_face: list[wp.array],
-        edge_edge: list[wp.array],
+        node_face: list,
+        edge_edge: list,
     ) -> None:
-        """Append to the lists (counts, pairs) what may come within ``margins`` [m], [env_count]."""
+        """Append to the lists (room, pairs) what may come within ``margins`` [m], [env_count]."""
         if not self._trees:
             self._refit(positions, displacements)
         self._find_near(active, positions, displacements, margins)
@@ -238,8 +239,8 @@ class SoftTrees:
         positions: wp.array,
         displacements: wp.array,
         margins: wp.array,
-        node_face: list[wp.array],
-        edge_edge: list[wp.array],
+        node_face: list,
+        edge_edge: list,
     ) -> None:
         model, plan, surface = self.model, self.model.contact_plan, self.model.surface
         rules = [surface.node_bodies, plan.may_touch, margins, positions, displacements]

@@ -25,6 +25,7 @@ from taccel_lab.ipc.broad_phase.swept_box import (
     rounded_out,
     widened_margin,
 )
+from taccel_lab.ipc.capacity import ListRoom
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -226,10 +227,10 @@ def _search_kernel(
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
     frames: Frames,
-    node_face_counts: wp.array(dtype=wp.int32),
-    node_faces: wp.array2d(dtype=wp.vec2i),
-    edge_edge_counts: wp.array(dtype=wp.int32),
-    edge_edges: wp.array2d(dtype=wp.vec2i),
+    node_face_room: ListRoom,
+    node_faces: wp.array(dtype=wp.vec2i),
+    edge_edge_room: ListRoom,
+    edge_edges: wp.array(dtype=wp.vec2i),
 ):
     """The path of a node, face or edge against the primitives of a body."""
     env, i = wp.tid()
@@ -263,11 +264,11 @@ def _search_kernel(
     while wp.bvh_query_next(query, hit):
         found = trees.starts[what, frame] + hit
         if what == wp.static(EDGE_EDGE):
-            append(env, item, found, edge_edge_counts, edge_edges)
+            append(env, item, found, edge_edge_room, edge_edges)
         elif what == wp.static(FACE_VERTEX):
-            append(env, found, item, node_face_counts, node_faces)
+            append(env, found, item, node_face_room, node_faces)
         else:
-            append(env, item, found, node_face_counts, node_faces)
+            append(env, item, found, node_face_room, node_faces)
 
 
 def run_search(
@@ -277,9 +278,9 @@ def run_search(
     path: list,
     frames: Frames,
     are_open: wp.array,
-    outputs: list[wp.array],
+    outputs: list,
 ) -> None:
-    """Append pairs to ``outputs`` (counts, pairs of nodes and faces, then of edges); ``path``:
+    """Append pairs to ``outputs`` (room, pairs of nodes and faces, then of edges); ``path``:
     margins, positions, displacements; ``are_open``: the gates of what is held."""
     if len(search.jobs):
         wp.launch(

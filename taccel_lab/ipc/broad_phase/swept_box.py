@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.capacity import ListRoom, claim_place
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -110,14 +112,8 @@ def rounded_out(low: wp.vec3d, high: wp.vec3d, margin: wp.float64) -> SweptBox:
 
 
 @wp.func
-def append(
-    env: int,
-    a: int,
-    b: int,
-    counts: wp.array(dtype=wp.int32),
-    pairs: wp.array2d(dtype=wp.vec2i),
-):
-    """Append a pair; counts beyond the capacity tell the host to grow and repeat."""
-    slot = wp.atomic_add(counts, env, 1)
-    if slot < pairs.shape[1]:
-        pairs[env, slot] = wp.vec2i(a, b)
+def append(env: int, a: int, b: int, room: ListRoom, pairs: wp.array(dtype=wp.vec2i)):
+    """Append a pair; counts beyond the room tell the host to grow and repeat."""
+    at = claim_place(env, room)
+    if at >= 0:
+        pairs[at] = wp.vec2i(a, b)

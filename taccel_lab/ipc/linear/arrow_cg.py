@@ -64,8 +64,8 @@ def _factor_kernel(
     lists: ArrowLists,
     values: wp.array2d(dtype=wp.float64),
     extra: ExtraRows,
-    extra_places: wp.array2d(dtype=wp.vec2i),
-    extra_values: wp.array2d(dtype=wp.float64),
+    extra_places: wp.array(dtype=wp.vec2i),
+    extra_values: wp.array(dtype=wp.float64),
     work: ArrowWork,
 ):
     env, lane = wp.tid()
@@ -78,8 +78,8 @@ def _factor_kernel(
         lists,
         values[env],
         extra,
-        extra_places[env],
-        extra_values[env],
+        extra_places,
+        extra_values,
         work.factor[env],
     )
     factor_columns(lane, lanes, lists, work.factor[env], work.roots[env])
@@ -91,8 +91,8 @@ def _factor_kernel(
             lists,
             values[env],
             extra,
-            extra_places[env],
-            extra_values[env],
+            extra_places,
+            extra_values,
             work.factor[env],
             work.sums[env],
             work.schur[env],
@@ -108,7 +108,7 @@ def _solve_kernel(
     layout: RowSlices,
     packed: wp.array2d(dtype=wp.float64),
     extra: ExtraRows,
-    extra_values: wp.array2d(dtype=wp.float64),
+    extra_values: wp.array(dtype=wp.float64),
     rhs: wp.array2d(dtype=wp.vec3d),
     tolerances: wp.array(dtype=wp.float64),
     max_iterations: int,
@@ -180,9 +180,7 @@ def _solve_kernel(
         end = 3 * layout.segments.shape[0]
         share = wp.vec3d()
         share[0] = multiply_fixed(lane, end, lanes, layout, packed[env], p_scalars, parts)
-        share[0] += multiply_extra(
-            env, lane, lanes, layout.segment_count, extra, extra_values[env], p_scalars, parts
-        )
+        share[0] += multiply_extra(env, lane, lanes, extra, extra_values, p_scalars)
         curvature = team_sum(share, env, 0, 1, lane, turn, work.gates, dots)[0]
         turn = 1 - turn
         if not (rho > zero and curvature > zero and curvature < infinity):
@@ -263,16 +261,13 @@ class ArrowCG:
 
     def _allocate_parts(self) -> None:
         problem, work = self._problem, self._work
-        count = self._packed.layout.segment_count + self._extra.segment_capacity
-        shape = (problem.env_count, count)
+        shape = (problem.env_count, self._packed.layout.segment_count)
         work.parts = wp.zeros(shape, dtype=wp.vec3d, device=problem.device)
         work.parts_scalars = scalars(work.parts)
 
     def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
         problem, work, lanes = self._problem, self._work, self._team.lanes
-        if self._extra.fit():
-            self._allocate_parts()
 
         def factor() -> None:
             self._extra.update(active)

@@ -79,9 +79,10 @@ def load_matrix(
             value = values[_component(code, e % 9 / 3, e % 3)]
         factor[e] = value
     block_barrier()
+    first = extra.starts[env][0]
     for e in range(lane, 9 * extra.totals[env, 0], lanes):
-        code = extra.codes[env, e / 9]
-        k = code / 2
+        code = extra.codes[2 * first + e / 9]
+        k = first + code / 2
         i = extra_places[k][0]
         j = extra_places[k][1]
         # Every block is listed twice: here as that of a border row and a gel column.
@@ -92,7 +93,7 @@ def load_matrix(
         c = lists.border_places[i]
         if c >= 0 and lists.border_places[j] < 0:
             at = 9 * (lists.starts[lists.places[j]] + 1 + c) + e % 9
-            factor[at] += extra_values[_component(code, e % 9 / 3, e % 3)]
+            factor[at] += extra_values[9 * first + _component(code, e % 9 / 3, e % 3)]
 
 
 @wp.func
@@ -255,17 +256,18 @@ def invert_schur(
             value -= sums[e * chunks + chunk]
         schur[old + e] = value
     block_barrier()
+    start = extra.starts[env][0]
     for e in range(lane, 9 * extra.totals[env, 0], lanes):
-        code = extra.codes[env, e / 9]
-        i = lists.border_places[extra_places[code / 2][0]]
-        j = lists.border_places[extra_places[code / 2][1]]
+        code = extra.codes[2 * start + e / 9]
+        i = lists.border_places[extra_places[start + code / 2][0]]
+        j = lists.border_places[extra_places[start + code / 2][1]]
         if i >= 0 and j >= 0:
             if code & 1:
                 swap = i
                 i = j
                 j = swap
             at = (3 * i + e % 9 / 3) * width + 3 * j + e % 3
-            schur[old + at] += extra_values[_component(code, e % 9 / 3, e % 3)]
+            schur[old + at] += extra_values[9 * start + _component(code, e % 9 / 3, e % 3)]
     new = size - old
     for pivot in range(width):
         block_barrier()

@@ -100,8 +100,8 @@ def _solve_kernel(
     values: wp.array2d(dtype=wp.float64),
     extra_counts: wp.array(dtype=wp.int32),
     extra: ExtraRows,
-    extra_places: wp.array2d(dtype=wp.vec2i),
-    extra_values: wp.array2d(dtype=wp.float64),
+    extra_places: wp.array(dtype=wp.vec2i),
+    extra_values: wp.array(dtype=wp.float64),
     rhs: wp.array2d(dtype=wp.vec3d),
     tolerances: wp.array(dtype=wp.float64),
     max_iterations: int,
@@ -135,6 +135,8 @@ def _solve_kernel(
     b_sq = team_sum(share, env, 0, 1, lane, 0, work.gates, dots)[0]
     if b_sq == zero:
         return
+    first = extra.starts[env][0]
+    end = extra.starts[env + 1][0]
     extra_count = int(0)
     if extra_counts[env] > 0:
         extra_count = extra.totals[env, 0]
@@ -149,9 +151,9 @@ def _solve_kernel(
         lists.places,
         lists.border_places,
         extra_count,
-        extra.codes[env],
-        extra_places[env],
-        extra_values[env],
+        extra.codes[2 * first : 2 * end],
+        extra_places[first:end],
+        extra_values[9 * first : 9 * end],
     )
     factor_shared(shared, lane, lanes, layout)
     finish_shared(
@@ -163,9 +165,9 @@ def _solve_kernel(
         lists.border_codes,
         lists.border_places,
         extra_count,
-        extra.codes[env],
-        extra_places[env],
-        extra_values[env],
+        extra.codes[2 * first : 2 * end],
+        extra_places[first:end],
+        extra_values[9 * first : 9 * end],
     )
     exact = get_shared(shared, layout.flag) == zero
     p = work.p[env]
@@ -207,9 +209,7 @@ def _solve_kernel(
             end = 3 * slices.segments.shape[0]
             share = wp.vec3d()
             share[0] = multiply_fixed(lane, end, lanes, slices, packed, p_scalars, parts)
-            share[0] += multiply_extra(
-                env, lane, lanes, slices.segment_count, extra, extra_values[env], p_scalars, parts
-            )
+            share[0] += multiply_extra(env, lane, lanes, extra, extra_values, p_scalars)
             curvature = team_sum(share, env, 0, 1, lane, 0, work.gates, dots)[0]
             if not (curvature > zero and curvature < infinity):
                 broken = int(1)
@@ -319,16 +319,13 @@ class ArrowShared:
 
     def _allocate_parts(self) -> None:
         problem, work = self._problem, self._work
-        count = self._slices.segment_count + self._extra.segment_capacity
-        shape = (problem.env_count, count)
+        shape = (problem.env_count, self._slices.segment_count)
         work.parts = wp.zeros(shape, dtype=wp.vec3d, device=problem.device)
         work.parts_scalars = scalars(work.parts)
 
     def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``; residuals of exact solutions read 0."""
         problem = self._problem
-        if self._extra.fit():
-            self._allocate_parts()
         self._extra.update(active)
         launch_team(
             _solve_kernel,

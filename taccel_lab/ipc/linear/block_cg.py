@@ -37,7 +37,7 @@ its own, which it updates, has drifted by less than 1e-10."""
 class CgWork:
     """Vectors of CG by places, [env_count, row_count], some also as scalars.
 
-    parts: products of segments, [env_count, segment_capacity].
+    parts: products of segments, [env_count, segment_count].
     sums, gates: see ``team_sum``.
     """
 
@@ -110,7 +110,7 @@ def _solve_kernel(
     layout: RowSlices,
     all_packed: wp.array2d(dtype=wp.float64),
     extra: ExtraRows,
-    all_extra_values: wp.array2d(dtype=wp.float64),
+    extra_values: wp.array(dtype=wp.float64),
     inverses: wp.array2d(dtype=wp.mat33d),
     clusters: Clusters,
     all_stores: wp.array2d(dtype=wp.float64),
@@ -170,9 +170,7 @@ def _solve_kernel(
         z = work.z_scalars[env]
         parts = work.parts_scalars[env]
         share[1] = multiply_fixed(lane, end, lanes, layout, all_packed[env], z, parts)
-        share[1] += multiply_extra(
-            env, lane, lanes, layout.segment_count, extra, all_extra_values[env], z, parts
-        )
+        share[1] += multiply_extra(env, lane, lanes, extra, extra_values, z)
         total = team_sum(share, env, 0, 1, lane, turn, work.gates, work.sums[env])
         turn = 1 - turn
         if mode == _SHOW_X:
@@ -265,16 +263,13 @@ class BlockCG:
 
     def _allocate_parts(self) -> None:
         problem, work = self._problem, self._work
-        count = self._packed.layout.segment_count + self._extra.segment_capacity
-        shape = (problem.env_count, count)
+        shape = (problem.env_count, self._packed.layout.segment_count)
         work.parts = wp.zeros(shape, dtype=wp.vec3d, device=problem.device)
         work.parts_scalars = scalars(work.parts)
 
     def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
         problem, work = self._problem, self._work
-        if self._extra.fit():
-            self._allocate_parts()
         side_by_side(
             problem.device,
             [

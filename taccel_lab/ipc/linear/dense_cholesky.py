@@ -32,14 +32,13 @@ class DenseCholesky:
         b = problem.rhs.numpy().reshape(len(running), -1)
         x = np.zeros_like(b)
         ratio, broken = np.zeros(len(running)), np.zeros(len(running), dtype=bool)
-        blocks, places, extras = problem.values.numpy(), extra.places.numpy(), extra.values.numpy()
-        counts = np.minimum(extra.counts.numpy(), extra.capacity)
+        blocks = problem.values.numpy()
         for env in np.flatnonzero(running):
             size = np.linalg.norm(b[env])
             if size == 0:
                 continue
             matrix = problem.pattern.dense(blocks[env : env + 1])[0]
-            _add_extra(matrix, places[env, : counts[env]], extras[env, : counts[env]])
+            _add_extra(matrix, extra.of(int(env), extra.places), extra.of(int(env), extra.values))
             if not (np.isfinite(matrix).all() and np.isfinite(size)):
                 broken[env] = True
                 continue

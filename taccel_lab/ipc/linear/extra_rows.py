@@ -28,30 +28,47 @@ CROWD = 64
 """Blocks of one column above which they are added up by all lanes, with atomics, instead of by one
 lane a component: a column of a body in contact with another has thousands."""
 _LANES = 256
+_ENTRY_BYTES = 8 + 16 + 8 + 210
+"""Memory of a block here, at most: in two orders, two entries, their segments, their slices."""
 
 
 @wp.struct
 class ExtraRows:
     """Row lists of the extra blocks of every environment; rows and columns are places.
 
+    The arrays hold those of all environments, one after the other, as the list does; what they say
+    of places is counted from the first of an environment.
+
+    starts: first block in the list, first segment and first of packed_columns of each environment,
+    and the ends, [env_count + 1].
     totals: entries, segments and room in slices in use, [env_count, 3].
-    columns, codes: column of each entry and its block as 2 place in the list + transposed,
-    [env_count, 2 capacity].
-    segments: (row, first entry, end), [env_count, segment_capacity].
+    columns, codes: column of each entry and its block as 2 place in the list + transposed, two
+    entries a block.
+    segments: (row, first entry, end).
+    parts: products of segments; part_scalars: the same memory.
     row_segments: (first segment, count) of each row, [env_count, row_count].
-    slices: (first in packed_columns or -1 without room, entries of each lane),
-    [env_count, slice_capacity].
+    slices: (first in packed_columns or -1 without room, entries of each lane), of 32 scalar rows of
+    the segments each.
     packed_columns, packed: see ``RowSlices`` and ``PackedRows``.
     """
 
+    starts: wp.array(dtype=wp.vec3i)
     totals: wp.array2d(dtype=wp.int32)
-    columns: wp.array2d(dtype=wp.int32)
-    codes: wp.array2d(dtype=wp.int32)
-    segments: wp.array2d(dtype=wp.vec3i)
+    columns: wp.array(dtype=wp.int32)
+    codes: wp.array(dtype=wp.int32)
+    segments: wp.array(dtype=wp.vec3i)
+    parts: wp.array(dtype=wp.vec3d)
+    part_scalars: wp.array(dtype=wp.float64)
     row_segments: wp.array2d(dtype=wp.vec2i)
-    slices: wp.array2d(dtype=wp.vec2i)
-    packed_columns: wp.array2d(dtype=wp.int32)
-    packed: wp.array2d(dtype=wp.float64)
+    slices: wp.array(dtype=wp.vec2i)
+    packed_columns: wp.array(dtype=wp.int32)
+    packed: wp.array(dtype=wp.float64)
+
+
+@wp.func
+def extra_slice(env: int, rows: ExtraRows) -> int:
+    """First slice of an environment."""
+    return 3 * rows.starts[env][1] / 32
 
 
 @wp.func
@@ -136,7 +153,7 @@ def _cut_rows(
             place = row_places[row]
             rows.row_segments[env, place] = wp.vec2i(segment, count)
             for s in range(count):
-                rows.segments[env, segment + s] = wp.vec3i(
+                rows.segments[rows.starts[env][1] + segment + s] = wp.vec3i(
                     place, first + s * size / count, first + (s + 1) * size / count
                 )
 
@@ -145,43 +162,48 @@ def _cut_rows(
 def _claim_slices(env: int, lane: int, lanes: int, rows: ExtraRows):
     """Find room for every slice, as long as the longest of its rows; -1 where there is none."""
     segment_count = rows.totals[env, 1]
+    segments = rows.starts[env][1]
+    room = rows.starts[env + 1][2] - rows.starts[env][2]
     for s in range(lane, (3 * segment_count + 31) / 32, lanes):
         length = int(0)
         begin = 32 * s // 3
         for segment in range(begin, wp.min((32 * s + 31) / 3 + 1, segment_count)):
-            span = rows.segments[env, segment]
+            span = rows.segments[segments + segment]
             length = wp.max(length, span[2] - span[1])
         first = wp.atomic_add(rows.totals, env, 2, 32 * length)
-        if first + 32 * length > rows.packed_columns.shape[1]:
+        if first + 32 * length > room:
             first = int(-1)
-        rows.slices[env, s] = wp.vec2i(first, length)
+        rows.slices[extra_slice(env, rows) + s] = wp.vec2i(first, length)
 
 
 @wp.func
 def _pack(env: int, lane: int, lanes: int, values: wp.array(dtype=wp.float64), rows: ExtraRows):
     """Fill the slices."""
     segment_count = rows.totals[env, 1]
+    entries = 2 * rows.starts[env][0]
+    segments = rows.starts[env][1]
+    packed = rows.starts[env][2]
     for task in range(lane, (3 * segment_count + 31) / 32 * 32, lanes):
-        span = rows.slices[env, task / 32]
+        span = rows.slices[extra_slice(env, rows) + task / 32]
         place = task % 32
         first = int(0)
         count = int(0)
         if task / 3 < segment_count:
-            segment = rows.segments[env, task / 3]
+            segment = rows.segments[segments + task / 3]
             first = segment[1]
             count = segment[2] - first
         length = span[1]
         if span[0] < 0:
             length = int(0)
         for k in range(length):
-            at = span[0] + 32 * k
+            at = packed + span[0] + 32 * k
             code = int(-1)
             column = int(0)
             if k < count:
-                code = rows.codes[env, first + k]
-                column = rows.columns[env, first + k]
-            rows.packed_columns[env, at + place] = column
-            pack_block_row(code, task % 3, 3 * at + place, values, rows.packed[env])
+                code = rows.codes[entries + first + k]
+                column = rows.columns[entries + first + k]
+            rows.packed_columns[at + place] = column
+            pack_block_row(code, task % 3, 3 * at + place, values, rows.packed)
 
 
 @wp.kernel(grid_stride=False)
@@ -192,22 +214,24 @@ def _merge_kernel(
     active: wp.array(dtype=wp.int32),
     row_places: wp.array(dtype=wp.int32),
     counts: wp.array(dtype=wp.int32),
-    all_places: wp.array2d(dtype=wp.vec2i),
-    all_values: wp.array2d(dtype=wp.float64),
-    all_order: wp.array2d(dtype=wp.int32),
-    all_owners: wp.array2d(dtype=wp.int32),
+    all_places: wp.array(dtype=wp.vec2i),
+    all_values: wp.array(dtype=wp.float64),
+    all_order: wp.array(dtype=wp.int32),
+    all_owners: wp.array(dtype=wp.int32),
     all_sizes: wp.array2d(dtype=wp.int32),
     all_ends: wp.array2d(dtype=wp.int32),
     rows: ExtraRows,
 ):
     env, lane = wp.tid()
-    count = wp.min(counts[env], all_places.shape[1])
+    first = rows.starts[env][0]
+    end = rows.starts[env + 1][0]
+    count = wp.min(counts[env], end - first)
     if active[env] == 0:
         count = int(0)
-    places = all_places[env]
-    values = all_values[env]
-    order = all_order[env]
-    owners = all_owners[env]
+    places = all_places[first:end]
+    values = all_values[9 * first : 9 * end]
+    order = all_order[first:end]
+    owners = all_owners[first:end]
     sizes = all_sizes[env]
     ends = all_ends[env]
     totals = rows.totals[env]
@@ -262,11 +286,11 @@ def _merge_kernel(
             i = places[k][0]
             j = places[k][1]
             at_i = wp.atomic_add(ends, i, 1)
-            rows.columns[env, at_i] = row_places[j]
-            rows.codes[env, at_i] = 2 * k
+            rows.columns[2 * first + at_i] = row_places[j]
+            rows.codes[2 * first + at_i] = 2 * k
             at_j = wp.atomic_add(ends, j, 1)
-            rows.columns[env, at_j] = row_places[i]
-            rows.codes[env, at_j] = 2 * k + 1
+            rows.columns[2 * first + at_j] = row_places[i]
+            rows.codes[2 * first + at_j] = 2 * k + 1
     _claim_slices(env, lane, lanes, rows)
     block_barrier()
     _pack(env, lane, lanes, values, rows)
@@ -287,41 +311,47 @@ class ExtraRowLists:
         self._row_places = wp.array(order.astype(np.int32), dtype=wp.int32, device=problem.device)
         self._sizes = wp.zeros(problem.shape, dtype=wp.int32, device=problem.device)
         self._ends = wp.zeros(problem.shape, dtype=wp.int32, device=problem.device)
+        problem.extra.entry_bytes += _ENTRY_BYTES
         self._allocate()
 
     def _allocate(self) -> None:
-        problem = self._problem
-        capacity = self._capacity = problem.extra.capacity
+        problem, extra = self._problem, self._problem.extra
+        self._listed = extra.starts
 
-        def empty(width: int, dtype: type = wp.int32) -> wp.array:
-            return wp.zeros((problem.env_count, width), dtype=dtype, device=problem.device)
+        def empty(shape: int | tuple[int, int], dtype: type = wp.int32) -> wp.array:
+            return wp.zeros(shape, dtype=dtype, device=problem.device)
 
-        self._order, self._owners = empty(capacity), empty(capacity)
-        entries = 2 * capacity
-        rows = self.rows = ExtraRows()
-        rows.totals = empty(3)
-        rows.columns, rows.codes = empty(entries), empty(entries)
-        touched = min(problem.pattern.free_count, entries)
-        self.segment_capacity = min(entries, entries // SEGMENT_LENGTH + touched)
-        rows.segments = empty(self.segment_capacity, wp.vec3i)
-        rows.row_segments = empty(problem.pattern.free_count, wp.vec2i)
-        rows.slices = empty(-(-3 * self.segment_capacity // WIDTH), wp.vec2i)
+        self._order, self._owners = empty(extra.capacity), empty(extra.capacity)
+        entries, n = 2 * extra.rooms, problem.pattern.free_count
+        segments = np.minimum(entries, entries // SEGMENT_LENGTH + np.minimum(n, entries))
+        # Three slices hold as many segments as they are wide: each environment begins a slice.
+        segments = WIDTH * -(-segments // WIDTH)
         # Room for four blocks a row, as a body that touches all of them needs; and for filling up.
-        room = min(entries, 4 * problem.pattern.free_count)
-        room = WIDTH * (-(-15 * room // (4 * WIDTH)) + 2 * SEGMENT_LENGTH)
-        rows.packed_columns = empty(room)
-        rows.packed = empty(3 * room, wp.float64)
+        packed = np.minimum(entries, 4 * n)
+        packed = WIDTH * (-(-15 * packed // (4 * WIDTH)) + 2 * SEGMENT_LENGTH)
+        starts = np.zeros((problem.env_count + 1, 3), dtype=np.int64)
+        starts[1:] = np.cumsum(np.stack([extra.rooms, segments, packed], axis=1), axis=0)
+        blocks, segment_count, packed_count = map(int, starts[-1])
+        rows = self.rows = ExtraRows()
+        rows.starts = wp.array(starts.astype(np.int32), dtype=wp.vec3i, device=problem.device)
+        rows.totals = empty((problem.env_count, 3))
+        rows.columns, rows.codes = empty(2 * blocks), empty(2 * blocks)
+        rows.segments = empty(segment_count, wp.vec3i)
+        rows.parts = empty(segment_count, wp.vec3d)
+        rows.part_scalars = scalars(rows.parts)
+        rows.row_segments = empty((problem.env_count, n), wp.vec2i)
+        rows.slices = empty(3 * segment_count // WIDTH, wp.vec2i)
+        rows.packed_columns = empty(packed_count)
+        rows.packed = empty(3 * packed_count, wp.float64)
 
-    def fit(self) -> bool:
-        """Make room for the list as long as it is now; whether that changed anything."""
-        if self._problem.extra.capacity == self._capacity:
-            return False
-        self._allocate()
-        return True
+    def fit(self) -> None:
+        """Make room for the list as long as it is now."""
+        if self._problem.extra.starts is not self._listed:
+            self._allocate()
 
     @property
     def values(self) -> wp.array:
-        """Extra blocks as scalars, summed by ``update``, [env_count, 9 capacity]."""
+        """Extra blocks as scalars, summed by ``update``, [9 capacity]."""
         return scalars(self._problem.extra.values)
 
     def update(self, active: wp.array) -> None:

@@ -58,7 +58,7 @@ class PipelineWork:
 
     w: what is preconditioned next. m: two copies, as blocks still read the last one while others
     write the next, [env_count, 2 row_count].
-    parts: products of segments, [env_count, segment_capacity].
+    parts: products of segments, [env_count, segment_count].
     sums, gates: see ``team_sum``.
     """
 
@@ -166,7 +166,7 @@ def _solve_kernel(
     layout: RowSlices,
     all_packed: wp.array2d(dtype=wp.float64),
     extra: ExtraRows,
-    all_extra_values: wp.array2d(dtype=wp.float64),
+    extra_values: wp.array(dtype=wp.float64),
     inverses: wp.array2d(dtype=wp.mat33d),
     clusters: Clusters,
     all_stores: wp.array2d(dtype=wp.float64),
@@ -301,11 +301,9 @@ def _solve_kernel(
                     env,
                     block * lanes + lane,
                     blocks * lanes,
-                    layout.segment_count,
                     extra,
-                    all_extra_values[env],
+                    extra_values,
                     m,
-                    parts,
                 )
                 team_barrier(env, blocks, work.gates)
             else:
@@ -375,16 +373,13 @@ class PipelinedCG:
 
     def _allocate_parts(self) -> None:
         problem, work = self._problem, self._work
-        count = self._packed.layout.segment_count + self._extra.segment_capacity
-        shape = (problem.env_count, count)
+        shape = (problem.env_count, self._packed.layout.segment_count)
         work.parts = wp.zeros(shape, dtype=wp.vec3d, device=problem.device)
         work.parts_scalars = scalars(work.parts)
 
     def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
         problem, work = self._problem, self._work
-        if self._extra.fit():
-            self._allocate_parts()
         side_by_side(
             problem.device,
             [

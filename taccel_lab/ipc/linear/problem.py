@@ -18,7 +18,7 @@ class LinearProblem:
         pattern: BlockPattern,
         env_count: int,
         device: wp.Device,
-        extra_capacity: int = 1,
+        extra_room: int = 1,
         scratch: Scratch | None = None,
     ) -> None:
         self.scratch = scratch or Scratch()
@@ -28,7 +28,7 @@ class LinearProblem:
         self.device = device
         self.values = wp.zeros((env_count, pattern.block_count), dtype=wp.mat33d, device=device)
         """Blocks of the lower triangle [N/m], shape [env_count, block_count]."""
-        self.extra = ExtraBlocks(env_count, device, extra_capacity)
+        self.extra = ExtraBlocks(env_count, device, extra_room)
         """What does not fit the pattern."""
         shape = (env_count, pattern.free_count)
         self.rhs = wp.zeros(shape, dtype=wp.vec3d, device=device)

@@ -48,12 +48,13 @@ def cut_segments(starts: np.ndarray, length: int) -> tuple[np.ndarray, np.ndarra
 
 
 def scalars(blocks: wp.array) -> wp.array:
-    """The same memory as float64, [env_count, 9 per block or 3 per vector]; keep ``blocks`` alive.
+    """The same memory as float64, [env_count, 9 per block or 3 per vector], or without the first of
+    these when ``blocks`` have one dimension; keep them alive.
 
     A lane that needs one row of a block reads three numbers of it, not nine.
     """
     width = 9 if blocks.dtype == wp.mat33d else 3
-    shape = (blocks.shape[0], width * blocks.shape[1])
+    shape = (*blocks.shape[:-1], width * blocks.shape[-1])
     if not blocks.size:
         return wp.zeros(shape, dtype=wp.float64, device=blocks.device)
     return wp.array(ptr=blocks.ptr, shape=shape, dtype=wp.float64, device=blocks.device)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.linear.extra_rows import ExtraRows
+from taccel_lab.ipc.linear.extra_rows import ExtraRows, extra_slice
 from taccel_lab.ipc.linear.packed_rows import RowSlices, packed_product
 
 wp.set_module_options({"enable_backward": False})
@@ -71,33 +71,35 @@ def multiply_extra(
     env: int,
     first: int,
     step: int,
-    fixed: int,
     extra: ExtraRows,
     extra_values: wp.array(dtype=wp.float64),
     x: wp.array(dtype=wp.float64),
-    parts: wp.array(dtype=wp.float64),
 ) -> wp.float64:
-    """The same for the segments of extra blocks, which follow the ``fixed`` others in parts."""
+    """The same for the segments of extra blocks, which have parts of their own."""
     share = wp.float64(0.0)
+    blocks = extra.starts[env][0]
+    segments = extra.starts[env][1]
+    packed = extra.starts[env][2]
+    slices = extra_slice(env, extra)
     for task in range(first, 3 * extra.totals[env, 1], step):
-        segment = extra.segments[env, task / 3]
-        span = extra.slices[env, task / 32]
+        segment = extra.segments[segments + task / 3]
+        span = extra.slices[slices + task / 32]
         part = wp.float64(0.0)
         if span[0] >= 0:
             part = packed_product(
-                span[0], span[1], task % 32, extra.packed_columns[env], extra.packed[env], x
+                packed + span[0], span[1], task % 32, extra.packed_columns, extra.packed, x
             )
         else:
             part = _segment_product(
-                segment[1],
-                segment[2],
+                2 * blocks + segment[1],
+                2 * blocks + segment[2],
                 task % 3,
-                extra.columns[env],
-                extra.codes[env],
-                extra_values,
+                extra.columns,
+                extra.codes,
+                extra_values[9 * blocks : 9 * extra.starts[env + 1][0]],
                 x,
             )
-        parts[3 * fixed + task] = part
+        extra.part_scalars[3 * segments + task] = part
         share += part * x[3 * segment[0] + task % 3]
     return share
 
@@ -111,7 +113,7 @@ def row_sum(
     for s in range(layout.row_segments[row], layout.row_segments[row + 1]):
         total += parts[s]
     more = extra.row_segments[env, row]
-    first = layout.segment_count + more[0]
+    first = extra.starts[env][1] + more[0]
     for s in range(first, first + more[1]):
-        total += parts[s]
+        total += extra.parts[s]
     return total

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.capacity import ListRoom, claim_place
+
 wp.set_module_options({"enable_backward": False})
 
 
@@ -17,9 +19,9 @@ class NewtonSystem:
     weights: weights of the four control nodes of an embedded node, [node_count].
     row_starts, columns: shared block pattern of the lower triangle.
     values: blocks of the lower triangle [N/m], [env_count, block_count].
-    extra_counts, extra_places, extra_values: blocks (row > column) outside of the pattern, added up
-    as a list, [env_count], [env_count, capacity] twice; counts beyond the capacity tell the host
-    to grow the list and to assemble again.
+    extra_room, extra_places, extra_values: list of blocks (row > column) outside of the pattern,
+    which add up, [capacity]; counts beyond the room tell the host to grow the list and to assemble
+    again.
     rhs: right-hand side [N], [env_count, free_count].
     displacements: motion of prescribed nodes over this iteration [m], [env_count, node_count].
     """
@@ -30,9 +32,9 @@ class NewtonSystem:
     row_starts: wp.array(dtype=wp.int32)
     columns: wp.array(dtype=wp.int32)
     values: wp.array2d(dtype=wp.mat33d)
-    extra_counts: wp.array(dtype=wp.int32)
-    extra_places: wp.array2d(dtype=wp.vec2i)
-    extra_values: wp.array2d(dtype=wp.mat33d)
+    extra_room: ListRoom
+    extra_places: wp.array(dtype=wp.vec2i)
+    extra_values: wp.array(dtype=wp.mat33d)
     rhs: wp.array2d(dtype=wp.vec3d)
     displacements: wp.array2d(dtype=wp.vec3d)
 
@@ -65,10 +67,10 @@ def add_entry(env: int, row: int, column: int, block: wp.mat33d, system: NewtonS
     if index >= 0:
         wp.atomic_add(system.values, env, index, block)
         return
-    slot = wp.atomic_add(system.extra_counts, env, 1)
-    if slot < system.extra_places.shape[1]:
-        system.extra_places[env, slot] = wp.vec2i(row, column)
-        system.extra_values[env, slot] = block
+    at = claim_place(env, system.extra_room)
+    if at >= 0:
+        system.extra_places[at] = wp.vec2i(row, column)
+        system.extra_values[at] = block
 
 
 @wp.func

@@ -164,8 +164,8 @@ def _solve_kernel(
     columns: wp.array(dtype=wp.int32),
     all_values: wp.array2d(dtype=wp.mat33d),
     extra_rows: ExtraRows,
-    all_extra_places: wp.array2d(dtype=wp.vec2i),
-    all_extra_values: wp.array2d(dtype=wp.mat33d),
+    all_extra_places: wp.array(dtype=wp.vec2i),
+    all_extra_values: wp.array(dtype=wp.mat33d),
     all_rhs: wp.array2d(dtype=wp.vec3d),
     active: wp.array(dtype=wp.int32),
     tolerances: wp.array(dtype=wp.float64),
@@ -193,9 +193,11 @@ def _solve_kernel(
     u = all_u[env]
     e = all_e[env]
     extra_count = extra_rows.totals[env, 0]
-    extra_codes = extra_rows.codes[env]
-    extra_places = all_extra_places[env]
-    extra_values = all_extra_values[env]
+    first = extra_rows.starts[env][0]
+    end = extra_rows.starts[env + 1][0]
+    extra_codes = extra_rows.codes[2 * first : 2 * end]
+    extra_places = all_extra_places[first:end]
+    extra_values = all_extra_values[first:end]
     x = solutions[env]
     n = b.shape[0]
     for i in range(n):

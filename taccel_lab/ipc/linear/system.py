@@ -49,15 +49,16 @@ class LinearSystem(LinearProblem):
         stiff: bool = False,
         clusters: list[tuple[int, int]] | None = None,
         method: str = "auto",
-        extra_capacity: int = 1,
+        extra_room: int = 1,
         scratch: Scratch | None = None,
     ) -> None:
         """``stiff``: whether most of the unknowns are those of affine bodies. ``clusters``: ranges
         (first, end) of rows that are stiff among themselves, as the control nodes of an affine
-        body. ``method``: "auto" or one of ``METHODS``. ``extra_capacity``: see ``ExtraBlocks``.
+        body. ``method``: "auto" or one of ``METHODS``. ``extra_room``: blocks of an
+        environment that ``ExtraBlocks`` has room for at first.
         ``scratch``: memory that is free during a solve.
         """
-        super().__init__(pattern, env_count, device, extra_capacity, scratch)
+        super().__init__(pattern, env_count, device, extra_room, scratch)
         self.clusters = list(clusters or [])
         if method == "auto":
             method = _method(pattern, self.clusters, env_count, device, stiff)

@@ -14,6 +14,7 @@ from taccel_lab.ipc.barrier import (
     contact_potential_d1,
     contact_potential_d2,
 )
+from taccel_lab.ipc.capacity import ListRoom, list_end
 from taccel_lab.ipc.collision_lists import (
     CollisionLists,
     ContactGeometry,
@@ -26,7 +27,7 @@ from taccel_lab.ipc.distance.edge_edge_mollifier import (
     edge_edge_cross_sq,
     edge_edge_mollifier,
 )
-from taccel_lab.ipc.lanes import lane_count, listed
+from taccel_lab.ipc.lanes import lane_count
 from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block, has_rows
 from taccel_lab.ipc.matrix_types import mat43d
 from taccel_lab.ipc.mollified_edge_edge import (
@@ -91,26 +92,26 @@ def stencil_size(kind: int) -> int:
 @wp.func
 def contact_rows(
     env: int,
-    slot: int,
+    at: int,
     pair: ClosestPair,
     lists: CollisionLists,
     geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
 ) -> mat43d:
     """Gradient [N] of one collision, whose closest pair is given; row i for stencil node i."""
-    nodes = lists.stencils[env, slot]
-    k = lists.stiffnesses[env, slot]
-    d = collision_gap(pair, nodes, lists.insets[env, slot], geometry)
-    reach = lists.ranges[env, slot]
+    nodes = lists.stencils[at]
+    k = lists.stiffnesses[at]
+    d = collision_gap(pair, nodes, lists.insets[at], geometry)
+    reach = lists.ranges[at]
     rows = pair_gradient(pair, contact_potential_d1(d, reach, k))
-    if is_mollified(env, nodes, lists.thresholds[env, slot], positions):
+    if is_mollified(env, nodes, lists.thresholds[at], positions):
         rows = mollified_gradient(
             pair,
             positions[env, nodes[0]],
             positions[env, nodes[1]],
             positions[env, nodes[2]],
             positions[env, nodes[3]],
-            lists.thresholds[env, slot],
+            lists.thresholds[at],
             contact_potential(d, reach, k),
             contact_potential_d1(d, reach, k),
         )
@@ -120,17 +121,17 @@ def contact_rows(
 @wp.func
 def contact_energy(
     env: int,
-    slot: int,
+    at: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
 ) -> wp.float64:
     """Energy of one collision [J]."""
-    nodes = lists.stencils[env, slot]
-    pair = closest_pair(env, lists.kinds[env, slot], nodes, positions, geometry)
-    gap = collision_gap(pair, nodes, lists.insets[env, slot], geometry)
-    energy = contact_potential(gap, lists.ranges[env, slot], lists.stiffnesses[env, slot])
-    return energy * mollifier(env, nodes, lists.thresholds[env, slot], positions)
+    nodes = lists.stencils[at]
+    pair = closest_pair(env, lists.kinds[at], nodes, positions, geometry)
+    gap = collision_gap(pair, nodes, lists.insets[at], geometry)
+    energy = contact_potential(gap, lists.ranges[at], lists.stiffnesses[at])
+    return energy * mollifier(env, nodes, lists.thresholds[at], positions)
 
 
 @wp.kernel
@@ -140,19 +141,19 @@ def _energy_kernel(
     lists: CollisionLists,
     geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
-    energies: wp.array2d(dtype=wp.float64),
+    energies: wp.array(dtype=wp.float64),
 ):
     env, lane = wp.tid()
     if active[env] == 0:
         return
-    for slot in range(lane, listed(env, lists.counts, energies.shape[1]), lanes):
-        energies[env, slot] = contact_energy(env, slot, lists, geometry, positions)
+    for at in range(lists.room.starts[env] + lane, list_end(env, lists.room), lanes):
+        energies[at] = contact_energy(env, at, lists, geometry, positions)
 
 
 @wp.func
 def add_contact_gradient(
     env: int,
-    slot: int,
+    at: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
@@ -160,11 +161,11 @@ def add_contact_gradient(
     min_distance: wp.array(dtype=wp.float64),
 ):
     """Add the gradient [N] of one collision and lower the smallest gap [m]."""
-    kind = lists.kinds[env, slot]
-    nodes = lists.stencils[env, slot]
+    kind = lists.kinds[at]
+    nodes = lists.stencils[at]
     pair = closest_pair(env, kind, nodes, positions, geometry)
-    wp.atomic_min(min_distance, env, collision_gap(pair, nodes, lists.insets[env, slot], geometry))
-    rows = contact_rows(env, slot, pair, lists, geometry, positions)
+    wp.atomic_min(min_distance, env, collision_gap(pair, nodes, lists.insets[at], geometry))
+    rows = contact_rows(env, at, pair, lists, geometry, positions)
     for i in range(stencil_size(kind)):
         wp.atomic_add(gradient, env, nodes[i], wp.vec3d(rows[i, 0], rows[i, 1], rows[i, 2]))
 
@@ -182,14 +183,14 @@ def _gradient_kernel(
     env, lane = wp.tid()
     if active[env] == 0:
         return
-    for slot in range(lane, listed(env, lists.counts, lists.kinds.shape[1]), lanes):
-        add_contact_gradient(env, slot, lists, geometry, positions, gradient, min_distance)
+    for at in range(lists.room.starts[env] + lane, list_end(env, lists.room), lanes):
+        add_contact_gradient(env, at, lists, geometry, positions, gradient, min_distance)
 
 
 @wp.func
 def add_contact_hessian(
     env: int,
-    slot: int,
+    at: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
@@ -199,19 +200,19 @@ def add_contact_hessian(
     system: NewtonSystem,
 ):
     """Add the blocks [N/m] of one collision to the Newton system, or a part of them."""
-    kind = lists.kinds[env, slot]
-    nodes = lists.stencils[env, slot]
-    k = lists.stiffnesses[env, slot]
+    kind = lists.kinds[at]
+    nodes = lists.stencils[at]
+    k = lists.stiffnesses[at]
     x0 = positions[env, nodes[0]]
     x1 = positions[env, nodes[1]]
     x2 = positions[env, nodes[2]]
     x3 = positions[env, nodes[3]]
     pair = closest_pair(env, kind, nodes, positions, geometry)
-    d = collision_gap(pair, nodes, lists.insets[env, slot], geometry)
-    reach = lists.ranges[env, slot]
+    d = collision_gap(pair, nodes, lists.insets[at], geometry)
+    reach = lists.ranges[at]
     e1 = contact_potential_d1(d, reach, k)
     e2 = contact_potential_d2(d, reach, k)
-    threshold = lists.thresholds[env, slot]
+    threshold = lists.thresholds[at]
     mollified = is_mollified(env, nodes, threshold, positions)
     scale = wp.float64(1.0)
     if mollified:
@@ -246,8 +247,8 @@ def _hessian_kernel(
     env, lane, part = wp.tid()
     if active[env] == 0:
         return
-    for slot in range(lane, listed(env, lists.counts, lists.kinds.shape[1]), lanes):
-        add_contact_hessian(env, slot, lists, geometry, positions, mode, part, parts, system)
+    for at in range(lists.room.starts[env] + lane, list_end(env, lists.room), lanes):
+        add_contact_hessian(env, at, lists, geometry, positions, mode, part, parts, system)
 
 
 class ContactPotential(EnergyTerm):
@@ -256,13 +257,18 @@ class ContactPotential(EnergyTerm):
     def __init__(self, model: Model, collisions: Collisions) -> None:
         self.model = model
         self.collisions = collisions
-        self.counts = collisions.counts
-        self.energies = wp.zeros((model.env_count, 1), dtype=wp.float64, device=model.device)
-        """Energy of each collision [J], shape [env_count, capacity]; valid up to ``counts``."""
+        self.energies = wp.zeros(0, dtype=wp.float64, device=model.device)
+        """Energy of each collision [J], float64, where it is in the list."""
+        collisions.entry_bytes += 8
+
+    @property
+    def room(self) -> ListRoom:
+        """That of the collisions."""
+        return self.collisions.room
 
     def _launch(self, kernel: wp.Kernel, active: wp.array, positions: wp.array, rest: list) -> None:
         c, m = self.collisions, self.model
-        lanes = lane_count(m.device, m.env_count, c.capacity)
+        lanes = lane_count(m.device, m.env_count, c.largest_room)
         wp.launch(
             kernel,
             dim=(m.env_count, lanes),
@@ -273,8 +279,8 @@ class ContactPotential(EnergyTerm):
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
         """Fill ``energies`` of the current collision set [J]."""
         c = self.collisions
-        if self.energies.shape[1] < c.capacity:
-            self.energies = wp.zeros(c.kinds.shape, dtype=wp.float64, device=self.model.device)
+        if len(self.energies) != c.capacity:
+            self.energies = wp.zeros(c.capacity, dtype=wp.float64, device=self.model.device)
         self._launch(_energy_kernel, active, positions, [self.energies])
 
     def add_gradient(
@@ -288,7 +294,7 @@ class ContactPotential(EnergyTerm):
     ) -> None:
         """Add the Hessian of the collisions to the Newton system."""
         c, m = self.collisions, self.model
-        lanes = lane_count(m.device, m.env_count, c.capacity)
+        lanes = lane_count(m.device, m.env_count, c.largest_room)
         parts = row_parts(m.device, m.env_count, lanes)
         wp.launch(
             _hessian_kernel,

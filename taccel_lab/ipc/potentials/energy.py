@@ -9,8 +9,15 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.capacity import ListRoom
 from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.reduce import add_row_sums, block_total, lane_sum, launch_rows
+from taccel_lab.ipc.reduce import (
+    add_row_sums,
+    block_total,
+    lane_list_sum,
+    lane_sum,
+    launch_rows,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -19,9 +26,9 @@ class EnergyTerm:
     """A term of the energy whose sum may also be asked for by the host."""
 
     energies: wp.array
-    """Energy of each item [J], float64, shape [env_count, item_count]."""
-    counts: wp.array | None = None
-    """How many items there are, int32, shape [env_count]; all when None."""
+    """Energy of each item [J], float64, shape [env_count, item_count]; or those of a list."""
+    room: ListRoom | None = None
+    """Where the items of each environment are, for those of a list."""
 
     def write_energies(self, active: wp.array, at: Any, /) -> None:
         """Fill ``energies`` of active environments."""
@@ -30,7 +37,7 @@ class EnergyTerm:
     def add_energy(self, active: wp.array, positions: Any, totals: wp.array) -> None:
         """Add the energy [J] to ``totals``, float64, shape [env_count], where active."""
         self.write_energies(active, positions)
-        add_row_sums(active, self.energies, self.counts, totals)
+        add_row_sums(active, self.energies, self.room, totals)
 
     def energy(self, active: wp.array, positions: Any) -> np.ndarray:
         """Energy [J] at positions (or, of friction, after a motion), shape [env_count]; zero where
@@ -69,10 +76,10 @@ def share_buffer(terms: Sequence[EnergyTerm], env_count: int, device: wp.Device)
 def _energies_kernel(
     active: wp.array(dtype=wp.int32),
     fixed: wp.array2d(dtype=wp.float64),
-    contact: wp.array2d(dtype=wp.float64),
-    contact_counts: wp.array(dtype=wp.int32),
-    friction: wp.array2d(dtype=wp.float64),
-    friction_counts: wp.array(dtype=wp.int32),
+    contact: wp.array(dtype=wp.float64),
+    contact_room: ListRoom,
+    friction: wp.array(dtype=wp.float64),
+    friction_room: ListRoom,
     base: wp.array(dtype=wp.float64),
     totals: wp.array(dtype=wp.float64),
 ):
@@ -80,16 +87,14 @@ def _energies_kernel(
     if active[env] == 0:
         return
     if fixed:
-        count = wp.min(contact_counts[env], contact.shape[1])
         mine = lane_sum(env, lane, fixed, fixed.shape[1])
-        mine += lane_sum(env, lane, contact, count)
+        mine += lane_list_sum(env, lane, contact, contact_room)
         all_of_base = block_total(mine)
         if lane == 0:
             base[env] = all_of_base
             totals[env] = all_of_base
     if friction:
-        mine = lane_sum(env, lane, friction, wp.min(friction_counts[env], friction.shape[1]))
-        all_of_friction = block_total(mine)
+        all_of_friction = block_total(lane_list_sum(env, lane, friction, friction_room))
         if lane == 0:
             totals[env] = base[env] + all_of_friction
 
@@ -107,7 +112,7 @@ def sum_energies(
     if fixed is None and friction is None:
         wp.copy(totals, base)
         return
-    frozen = [friction.energies, friction.counts] if friction else [None, None]
+    frozen = [friction.energies, friction.room] if friction else [None, ListRoom()]
     launch_rows(
-        _energies_kernel, [active, fixed, contact.energies, contact.counts, *frozen], [base, totals]
+        _energies_kernel, [active, fixed, contact.energies, contact.room, *frozen], [base, totals]
     )

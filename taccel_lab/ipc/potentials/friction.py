@@ -9,6 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.barrier import contact_potential_d1
+from taccel_lab.ipc.capacity import ListRoom, list_end, move_entries
 from taccel_lab.ipc.collision_lists import (
     CollisionLists,
     ContactGeometry,
@@ -25,7 +26,7 @@ from taccel_lab.ipc.friction import (
     relative_displacement,
     tangential,
 )
-from taccel_lab.ipc.lanes import lane_count, listed
+from taccel_lab.ipc.lanes import lane_count
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.stencil_rows import add_weighted_block, row_parts
@@ -39,18 +40,27 @@ wp.set_module_options({"enable_backward": False})
 class FrozenContacts:
     """Collisions as they were when friction was frozen.
 
-    counts: [env_count]. stencils: nodes, [env_count, capacity] as all below. weights: of the nodes
-    in the relative motion of both sides. normals: unit. mu_lambdas: friction coefficient times
-    normal force [N], signed. ways_in: relative motion since the start of the step that is no
-    sliding [m], see ``touching``.
+    room: where those of each environment are: as in the list that they were frozen from.
+    stencils: nodes, [capacity] as all below. weights: of the nodes in the relative motion of both
+    sides. normals: unit. mu_lambdas: friction coefficient times normal force [N], signed. ways_in:
+    relative motion since the start of the step that is no sliding [m], see ``touching``.
     """
 
-    counts: wp.array(dtype=wp.int32)
-    stencils: wp.array2d(dtype=wp.vec4i)
-    weights: wp.array2d(dtype=wp.vec4d)
-    normals: wp.array2d(dtype=wp.vec3d)
-    mu_lambdas: wp.array2d(dtype=wp.float64)
-    ways_in: wp.array2d(dtype=wp.vec3d)
+    room: ListRoom
+    stencils: wp.array(dtype=wp.vec4i)
+    weights: wp.array(dtype=wp.vec4d)
+    normals: wp.array(dtype=wp.vec3d)
+    mu_lambdas: wp.array(dtype=wp.float64)
+    ways_in: wp.array(dtype=wp.vec3d)
+
+
+_FROZEN = {
+    "stencils": wp.vec4i,
+    "weights": wp.vec4d,
+    "normals": wp.vec3d,
+    "mu_lambdas": wp.float64,
+    "ways_in": wp.vec3d,
+}
 
 
 @wp.struct
@@ -76,7 +86,7 @@ class StepMotion:
 @wp.func
 def freeze_contact(
     env: int,
-    slot: int,
+    at: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
     pair_friction: wp.array2d(dtype=wp.float64),
@@ -85,12 +95,12 @@ def freeze_contact(
     frozen: FrozenContacts,
 ):
     """Freeze normal force, weights and normal of one collision."""
-    nodes = lists.stencils[env, slot]
-    kind = lists.kinds[env, slot]
+    nodes = lists.stencils[at]
+    kind = lists.kinds[at]
     pair = closest_pair(env, kind, nodes, positions, geometry)
-    gap = collision_gap(pair, nodes, lists.insets[env, slot], geometry)
-    force = -contact_potential_d1(gap, lists.ranges[env, slot], lists.stiffnesses[env, slot])
-    threshold = lists.thresholds[env, slot]
+    gap = collision_gap(pair, nodes, lists.insets[at], geometry)
+    force = -contact_potential_d1(gap, lists.ranges[at], lists.stiffnesses[at])
+    threshold = lists.thresholds[at]
     if threshold > wp.float64(0.0):
         cross_sq = edge_edge_cross_sq(
             positions[env, nodes[0]],
@@ -100,16 +110,16 @@ def freeze_contact(
         )
         force *= edge_edge_mollifier(cross_sq, threshold)
     mu = pair_friction[geometry.node_bodies[nodes[0]], geometry.node_bodies[nodes[3]]]
-    frozen.stencils[env, slot] = nodes
-    frozen.weights[env, slot] = pair.weights
-    frozen.normals[env, slot] = pair_normal(pair)
+    frozen.stencils[at] = nodes
+    frozen.weights[at] = pair.weights
+    frozen.normals[at] = pair_normal(pair)
     # Signed: a subtracted duplicate takes back what was counted twice. Left out, friction would
     # jump where a second face begins to count, and freezing would never settle.
-    frozen.mu_lambdas[env, slot] = mu * force
-    frozen.ways_in[env, slot] = wp.vec3d()
+    frozen.mu_lambdas[at] = mu * force
+    frozen.ways_in[at] = wp.vec3d()
     # Normals of a ball turn too little to matter, and its shear would lean on dhat twice as much.
     if geometry.node_is_ball[nodes[0]] == 0:
-        frozen.ways_in[env, slot] = way_in(env, kind, nodes, pair, positions, previous, geometry)
+        frozen.ways_in[at] = way_in(env, kind, nodes, pair, positions, previous, geometry)
 
 
 @wp.kernel
@@ -126,29 +136,30 @@ def _lag_kernel(
     env, lane = wp.tid()
     if active[env] == 0:
         return
-    count = listed(env, lists.counts, lists.kinds.shape[1])
+    first = lists.room.starts[env]
+    end = list_end(env, lists.room)
     if lane == 0:
-        frozen.counts[env] = count
-    for slot in range(lane, count, lanes):
-        freeze_contact(env, slot, lists, geometry, pair_friction, positions, previous, frozen)
+        frozen.room.counts[env] = end - first
+    for at in range(first + lane, end, lanes):
+        freeze_contact(env, at, lists, geometry, pair_friction, positions, previous, frozen)
 
 
 @wp.func
-def sliding(env: int, slot: int, frozen: FrozenContacts, motion: StepMotion) -> wp.vec3d:
+def sliding(env: int, at: int, frozen: FrozenContacts, motion: StepMotion) -> wp.vec3d:
     """Tangential displacement of the two closest points against each other since they touched, in
     this step [m]."""
-    nodes = frozen.stencils[env, slot]
-    normal = frozen.normals[env, slot]
+    nodes = frozen.stencils[at]
+    normal = frozen.normals[at]
     now = motion.positions
     then = motion.previous
     u = relative_displacement(
-        frozen.weights[env, slot],
+        frozen.weights[at],
         now[env, nodes[0]] - then[env, nodes[0]],
         now[env, nodes[1]] - then[env, nodes[1]],
         now[env, nodes[2]] - then[env, nodes[2]],
         now[env, nodes[3]] - then[env, nodes[3]],
     )
-    u -= frozen.ways_in[env, slot]
+    u -= frozen.ways_in[at]
     if motion.node_is_ball[nodes[0]] != 0:
         # A ball is one node: what its surface moves by turning comes on top.
         radius = motion.node_radii[nodes[0]]
@@ -168,14 +179,14 @@ def _energy_kernel(
     frozen: FrozenContacts,
     motion: StepMotion,
     eps_u: wp.array(dtype=wp.float64),
-    energies: wp.array2d(dtype=wp.float64),
+    energies: wp.array(dtype=wp.float64),
 ):
     env, lane = wp.tid()
     if active[env] == 0:
         return
-    for slot in range(lane, frozen.counts[env], lanes):
-        u = sliding(env, slot, frozen, motion)
-        energies[env, slot] = friction_potential(u, frozen.mu_lambdas[env, slot], eps_u[env])
+    for at in range(frozen.room.starts[env] + lane, list_end(env, frozen.room), lanes):
+        u = sliding(env, at, frozen, motion)
+        energies[at] = friction_potential(u, frozen.mu_lambdas[at], eps_u[env])
 
 
 @wp.kernel
@@ -190,11 +201,11 @@ def _gradient_kernel(
     env, lane = wp.tid()
     if active[env] == 0:
         return
-    for slot in range(lane, frozen.counts[env], lanes):
-        nodes = frozen.stencils[env, slot]
-        w = frozen.weights[env, slot]
-        u = sliding(env, slot, frozen, motion)
-        force = friction_gradient(u, frozen.mu_lambdas[env, slot], eps_u[env])
+    for at in range(frozen.room.starts[env] + lane, list_end(env, frozen.room), lanes):
+        nodes = frozen.stencils[at]
+        w = frozen.weights[at]
+        u = sliding(env, at, frozen, motion)
+        force = friction_gradient(u, frozen.mu_lambdas[at], eps_u[env])
         for i in range(4):
             if w[i] != wp.float64(0.0):
                 wp.atomic_add(gradient, env, nodes[i], w[i] * force)
@@ -214,14 +225,14 @@ def _hessian_kernel(
     env, lane, part = wp.tid()
     if active[env] == 0:
         return
-    for slot in range(lane, frozen.counts[env], lanes):
-        mu_lambda = frozen.mu_lambdas[env, slot]
+    for at in range(frozen.room.starts[env] + lane, list_end(env, frozen.room), lanes):
+        mu_lambda = frozen.mu_lambdas[at]
         # Without the subtracted duplicates the matrix is too large, but surely positive.
         if mu_lambda > wp.float64(0.0):
-            nodes = frozen.stencils[env, slot]
-            w = frozen.weights[env, slot]
-            n = frozen.normals[env, slot]
-            u = sliding(env, slot, frozen, motion)
+            nodes = frozen.stencils[at]
+            w = frozen.weights[at]
+            n = frozen.normals[at]
+            u = sliding(env, at, frozen, motion)
             core = friction_hessian(n, u, mu_lambda, eps_u[env], sharpness[env])
             add_weighted_block(env, nodes, w, core, part, parts, system)
 
@@ -257,31 +268,34 @@ class FrictionPotential(EnergyTerm):
         shape [env_count]: eps_v * dt, so that steps of any length creep at the same speed."""
         self.frozen = FrozenContacts()
         """The collisions as they were frozen."""
-        self.frozen.counts = wp.zeros(model.env_count, dtype=wp.int32, device=model.device)
-        self.counts = self.frozen.counts
+        self.counts = wp.zeros(model.env_count, dtype=wp.int32, device=model.device)
         """Frozen collisions, int32, shape [env_count]."""
-        self._allocate(1)
+        self.energies = wp.zeros(0, dtype=wp.float64, device=model.device)
+        """Energy of each frozen collision [J], float64, where it is in the list."""
+        self._starts = wp.zeros(model.env_count + 1, dtype=wp.int32, device=model.device)
+        for name, dtype in _FROZEN.items():
+            setattr(self.frozen, name, wp.zeros(0, dtype=dtype, device=model.device))
+        collisions.entry_bytes += 8 + sum(map(wp.types.type_size_in_bytes, _FROZEN.values()))
         self.fit()
 
-    def _allocate(self, capacity: int) -> None:
-        shape, device, frozen = (self.model.env_count, capacity), self.model.device, self.frozen
-        frozen.stencils = wp.zeros(shape, dtype=wp.vec4i, device=device)
-        frozen.weights = wp.zeros(shape, dtype=wp.vec4d, device=device)
-        frozen.normals = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        frozen.mu_lambdas = wp.zeros(shape, dtype=wp.float64, device=device)
-        frozen.ways_in = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        self.energies = wp.zeros(shape, dtype=wp.float64, device=device)
-        """Energy of each frozen collision [J], shape [env_count, capacity]."""
+    @property
+    def room(self) -> ListRoom:
+        """Where the frozen collisions are."""
+        return self.frozen.room
 
     def fit(self) -> None:
         """Make room for as many as there may be collisions; what is frozen stays."""
-        if self.energies.shape[1] >= self.collisions.capacity:
+        c, frozen = self.collisions, self.frozen
+        if self._starts is c.starts:
             return
-        names = ("stencils", "weights", "normals", "mu_lambdas", "ways_in")
-        old = [getattr(self.frozen, name) for name in names]
-        self._allocate(self.collisions.capacity)
-        for name, previous in zip(names, old, strict=True):
-            wp.copy(getattr(self.frozen, name)[:, : previous.shape[1]], previous)
+        for name in _FROZEN:
+            old = getattr(frozen, name)
+            setattr(frozen, name, move_entries(old, self.counts, self._starts, c.starts))
+        self._starts = c.starts
+        room = ListRoom()
+        room.counts, room.starts, room.wanted = self.counts, c.starts, c.wanted
+        frozen.room = room
+        self.energies = wp.zeros(c.capacity, dtype=wp.float64, device=self.model.device)
 
     def motion(
         self, positions: wp.array, previous: wp.array, poses: wp.array, previous_poses: wp.array
@@ -320,7 +334,7 @@ class FrictionPotential(EnergyTerm):
 
     def _launch(self, kernel: wp.Kernel, active: wp.array, rest: list) -> None:
         m = self.model
-        lanes = lane_count(m.device, m.env_count, self.energies.shape[1])
+        lanes = lane_count(m.device, m.env_count, self.collisions.largest_room)
         wp.launch(kernel, dim=(m.env_count, lanes), inputs=[active, lanes, *rest], device=m.device)
 
     def write_energies(self, active: wp.array, motion: StepMotion) -> None:
@@ -343,7 +357,7 @@ class FrictionPotential(EnergyTerm):
         m = self.model
         if sharpness is None:
             sharpness = wp.full(m.env_count, 1.0, dtype=wp.float64, device=m.device)
-        lanes = lane_count(m.device, m.env_count, self.energies.shape[1])
+        lanes = lane_count(m.device, m.env_count, self.collisions.largest_room)
         parts = row_parts(m.device, m.env_count, lanes)
         wp.launch(
             _hessian_kernel,

@@ -15,6 +15,7 @@ import warp as wp
 
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import BlockPattern, block_pattern
+from tests.ipc.linear.systems import list_extra
 
 YOUNG_PA = 1.5e5
 POISSON = 0.46
@@ -197,16 +198,13 @@ def build(system: System, env_count: int, device: wp.Device) -> LinearSystem:
         device,
         clusters=system.clusters,
         method="cg",
-        extra_capacity=max(len(system.places), 1),
     )
-    count = len(system.places)
     scales = scale_factors(env_count)
     linear.values.assign(scales[:, None, None, None] * system.values)
     linear.rhs.assign(scales[:, None, None] ** 2 * system.rhs)
-    if count:
-        linear.extra.places.assign(np.repeat(system.places[None], env_count, axis=0))
-        linear.extra.values.assign(scales[:, None, None, None] * system.blocks)
-        linear.extra.counts.assign(np.full(env_count, count, dtype=np.int32))
+    if len(system.places):
+        blocks = [scale * system.blocks for scale in scales]
+        list_extra(linear.extra, env_count * [system.places], blocks)
     return linear
 
 

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import warp as wp
 
+from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks
 from taccel_lab.ipc.linear.report import LinearReport
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import BlockPattern, block_pattern
@@ -42,6 +45,24 @@ def random_spd(rng: np.random.Generator, pattern: BlockPattern, stiffness: float
     return values
 
 
+def list_extra(
+    extra: ExtraBlocks, places: Sequence[np.ndarray], blocks: Sequence[np.ndarray]
+) -> None:
+    """List (row, column) and blocks of each environment, with some room to spare, more of it in
+    some than in others: what lies there must not matter."""
+    counts = np.array([len(part) for part in places])
+    extra.counts.zero_()
+    extra._allocate(counts + 3 + 2 * np.arange(len(counts)))
+    all_places = np.zeros((extra.capacity, 2), dtype=np.int32)
+    all_blocks = np.full((extra.capacity, 3, 3), np.nan)
+    for start, where, what in zip(extra.starts.numpy()[:-1], places, blocks, strict=True):
+        all_places[start : start + len(where)] = where
+        all_blocks[start : start + len(where)] = what
+    extra.places.assign(all_places)
+    extra.values.assign(all_blocks)
+    extra.counts.assign(counts.astype(np.int32))
+
+
 def contact_system(
     envs: int, contacts: int = 40, bodies: int = 1
 ) -> tuple[LinearSystem, np.ndarray]:
@@ -61,13 +82,10 @@ def contact_system(
     pattern = BlockPattern(starts, columns.astype(np.int32), (starts[1:] - 1).astype(np.int32))
     capacity = 16 * contacts
     clusters = [(int(first), int(first) + 4) for first in firsts]
-    system = LinearSystem(
-        pattern, envs, device, clusters=clusters, method="cg", extra_capacity=capacity
-    )
+    system = LinearSystem(pattern, envs, device, clusters=clusters, method="cg")
     values = np.zeros((envs, pattern.block_count, 3, 3))
     places = np.zeros((envs, capacity, 2), dtype=np.int32)
-    # What lies beyond the count must not matter.
-    extras = np.full((envs, capacity, 3, 3), np.nan)
+    extras = np.zeros((envs, capacity, 3, 3))
     counts = np.zeros(envs, dtype=np.int32)
     for env in range(envs):
         values[env, : gel.block_count] = random_spd(rng, gel, 30.0)
@@ -89,9 +107,11 @@ def contact_system(
                     counts[env] += 1
             values[env, -10:] += (weights[i] * weights[j])[:, None, None] * block
     system.values.assign(values)
-    system.extra.places.assign(places)
-    system.extra.values.assign(extras)
-    system.extra.counts.assign(counts)
+    list_extra(
+        system.extra,
+        [rows[:count] for rows, count in zip(places, counts, strict=True)],
+        [blocks[:count] for blocks, count in zip(extras, counts, strict=True)],
+    )
     system.rhs.assign(rng.normal(size=(envs, n, 3)))
     dense = pattern.dense(values).reshape(envs, n, 3, n, 3)
     for env, count in enumerate(counts):
@@ -135,20 +155,18 @@ def touch_elsewhere(system: LinearSystem, dense: np.ndarray, bodies: int) -> Non
     They join two bodies where there are two, else nodes of the gel whose block the pattern lacks.
     """
     rng = np.random.default_rng(bodies)
-    counts, places = system.extra.counts.numpy(), system.extra.places.numpy()
-    values, matrix = system.extra.values.numpy(), system.values.numpy()
+    extra, matrix = system.extra, system.values.numpy()
+    places, values = list(extra.of(0, extra.places)), list(extra.of(0, extra.values))
     n = system.pattern.free_count
     gels = n - 4 * bodies
     pairs = [(gels - 1, 0), (gels - 3, 2)] if bodies < 2 else [(n - 1, n - 7), (n - 3, n - 8)]
     for i, j in pairs:
         normal = rng.normal(size=3)
         block = 100 * np.outer(normal, normal)
-        places[0, counts[0]], values[0, counts[0]] = (i, j), -block
-        counts[0] += 1
+        places.append(np.array([i, j]))
+        values.append(-block)
         matrix[0, system.pattern.diagonal[[i, j]]] += block
         for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
             dense[0, 3 * a : 3 * a + 3, 3 * b : 3 * b + 3] += sign * block
     system.values.assign(matrix)
-    system.extra.places.assign(places)
-    system.extra.values.assign(values)
-    system.extra.counts.assign(counts)
+    list_extra(extra, [np.array(places)], [np.array(values)])

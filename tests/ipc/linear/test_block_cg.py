@@ -113,9 +113,9 @@ def test_more_extra_blocks_than_the_list_holds(many_lanes: None) -> None:
     counts = system.extra.counts.numpy()
     system.tolerances.fill_(1e-9)
     active = wp.full(1, 1, dtype=wp.int32, device=CPU)
-    full = np.concatenate([system.extra.values.numpy(), system.extra.values.numpy()], axis=1)
-    full[:, counts[0] :] = 0.0
-    system.extra.values.assign(full[:, : system.extra.capacity])
+    values = system.extra.values.numpy()
+    values[counts[0] :] = 0.0
+    system.extra.values.assign(values)
     system.solve(active, 1000)
     expected = system.solution.numpy()
     system.extra.counts.fill_(10 * system.extra.capacity)
@@ -123,29 +123,33 @@ def test_more_extra_blocks_than_the_list_holds(many_lanes: None) -> None:
     np.testing.assert_allclose(system.solution.numpy(), expected, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize("env", [0, 1])
 @pytest.mark.parametrize("contacts", [40, 700])
-def test_extra_blocks_are_summed_by_place(many_lanes: None, contacts: int) -> None:
+def test_extra_blocks_are_summed_by_place(many_lanes: None, contacts: int, env: int) -> None:
     system, _ = contact_system(2, contacts)
-    counts = system.extra.counts.numpy()
-    places, values = system.extra.places.numpy(), system.extra.values.numpy()
-    assert (np.bincount(places[0, : counts[0], 1]).max() > CROWD) == (contacts == 700)
+    extra = system.extra
+    places, values = extra.of(env, extra.places), extra.of(env, extra.values)
+    assert (np.bincount(places[:, 1]).max() > CROWD) == (contacts == 700)
     lists = ExtraRowLists(system, lanes=LANES)
-    lists.update(wp.array([1, 0], dtype=wp.int32, device=CPU))
+    lists.update(wp.array(np.arange(2) == env, dtype=wp.int32, device=CPU))
     rows = lists.rows
-    assert (rows.totals.numpy()[1] == 0).all() and (rows.row_segments.numpy()[1] == 0).all()
-    entries, segments, room = rows.totals.numpy()[0]
-    summed = system.extra.values.numpy()[0]
-    unique = np.unique(places[0, : counts[0]], axis=0)
-    assert entries == 2 * len(unique) < counts[0]
+    idle = 1 - env
+    assert not rows.totals.numpy()[idle].any() and not rows.row_segments.numpy()[idle].any()
+    entries, segments, room = rows.totals.numpy()[env]
+    summed = extra.of(env, extra.values)
+    unique = np.unique(places, axis=0)
+    assert entries == 2 * len(unique) < len(places)
     n = system.pattern.free_count
     found, expected = np.zeros((2, n, n, 3, 3))
-    np.add.at(expected, tuple(places[0, : counts[0]].T), values[0, : counts[0]])
+    np.add.at(expected, tuple(places.T), values)
     expected += expected.transpose(1, 0, 3, 2)
-    columns, codes = rows.columns.numpy()[0], rows.codes.numpy()[0]
+    (block, segment, slot), (_, _, slot_end) = rows.starts.numpy()[env : env + 2]
+    columns, codes = rows.columns.numpy()[2 * block :], rows.codes.numpy()[2 * block :]
+    all_segments, slices = rows.segments.numpy()[segment:], rows.slices.numpy()[3 * segment // 32 :]
     covered = 0
-    for row, (first, count) in enumerate(rows.row_segments.numpy()[0]):
+    for row, (first, count) in enumerate(rows.row_segments.numpy()[env]):
         for s in range(first, first + count):
-            owner, begin, end = rows.segments.numpy()[0, s]
+            owner, begin, end = all_segments[s]
             assert owner == row and s < segments
             covered += end - begin
             for e in range(begin, end):
@@ -155,13 +159,13 @@ def test_extra_blocks_are_summed_by_place(many_lanes: None, contacts: int) -> No
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
     # The same from the slices, one scalar row of a segment a lane.
-    assert 3 * entries <= room <= rows.packed_columns.shape[1]
+    assert 3 * entries <= room <= slot_end - slot
     sliced = np.zeros((3 * n, n, 3))
-    packed_columns = rows.packed_columns.numpy()[0]
-    packed = rows.packed.numpy()[0]
+    packed_columns = rows.packed_columns.numpy()[slot:]
+    packed = rows.packed.numpy()[3 * slot :]
     for task in range(3 * segments):
-        first, length = rows.slices.numpy()[0, task // 32]
-        row = 3 * rows.segments.numpy()[0, task // 3, 0] + task % 3
+        first, length = slices[task // 32]
+        row = 3 * all_segments[task // 3, 0] + task % 3
         for k in range(length):
             at = first + 32 * k
             entry = packed[3 * at + task % 32 + 32 * np.arange(3)]
@@ -182,10 +186,9 @@ def test_extra_blocks_without_room_in_slices(many_lanes: None) -> None:
     rows = solver._extra.rows
     needed = rows.totals.numpy()[0, 2]
     for room in (64, needed - 1):
-        rows.packed_columns = wp.zeros((1, int(room)), dtype=wp.int32, device=CPU)
-        rows.packed = wp.zeros((1, 3 * int(room)), dtype=wp.float64, device=CPU)
+        rows.starts.assign(np.array([[0, 0, 0], [*rows.starts.numpy()[1, :2], room]]))
         system.solve(active, 1000)
-        assert (rows.slices.numpy()[0, :, 0] == -1).any()
+        assert (rows.slices.numpy()[:, 0] == -1).any()
         np.testing.assert_allclose(system.solution.numpy(), expected, rtol=1e-6, atol=1e-9)
         assert abs(system.report().iterations - iterations) <= 2
 

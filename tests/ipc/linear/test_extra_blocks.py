@@ -21,7 +21,7 @@ from taccel_lab.scene import (
     box_mesh,
     sphere_mesh,
 )
-from tests.ipc.linear.systems import BACKENDS, delaunay_pattern, random_spd
+from tests.ipc.linear.systems import BACKENDS, delaunay_pattern, list_extra, random_spd
 from tests.verification.blocks import block_mesh
 
 CPU = wp.get_device("cpu")
@@ -55,8 +55,6 @@ def test_solvers_with_extra_blocks(method: str) -> None:
         pairs = np.sort(pairs, axis=1)[:, ::-1]
         off, on = springs_between(rng, pairs, n)
         places[env, :count], blocks[env, :count] = pairs, off
-        # What lies beyond the count must not matter.
-        places[env, count:], blocks[env, count:] = [n - 1, 0], np.nan
         for (i, j), block in zip(pairs, on, strict=True):
             values[env, pattern.diagonal[i]] += block
             values[env, pattern.diagonal[j]] += block
@@ -68,12 +66,12 @@ def test_solvers_with_extra_blocks(method: str) -> None:
     extra = system.extra
     extra.counts.assign(np.full(envs, 40))
     assert extra.overflowed()
-    padded_places = np.zeros((envs, extra.places.shape[1], 2), dtype=np.int32)
-    padded_blocks = np.zeros((envs, extra.places.shape[1], 3, 3))
-    padded_places[:, :40], padded_blocks[:, :40] = places, blocks
-    extra.places.assign(padded_places)
-    extra.values.assign(padded_blocks)
-    extra.counts.assign(counts)
+    assert (extra.rooms == 60).all()
+    list_extra(
+        extra,
+        [part[:count] for part, count in zip(places, counts, strict=True)],
+        [part[:count] for part, count in zip(blocks, counts, strict=True)],
+    )
     assert not extra.overflowed()
     system.tolerances.fill_(1e-10)
     system.solve(wp.full(envs, 1, dtype=wp.int32, device=CPU), 5000)
@@ -165,11 +163,9 @@ def test_blocks_of_all_kinds_of_nodes_are_j_transposed_h_j() -> None:
             break
     assert launches == 2, "the list was too short at first"
     full = model.pattern.dense(linear.values.numpy())[0]
-    n = int(linear.extra.counts.numpy()[0])
-    assert n > 0
-    for (i, j), block in zip(
-        linear.extra.places.numpy()[0, :n], linear.extra.values.numpy()[0, :n], strict=True
-    ):
+    extra = linear.extra
+    assert int(extra.counts.numpy()[0]) > 0
+    for (i, j), block in zip(extra.of(0, extra.places), extra.of(0, extra.values), strict=True):
         assert i > j
         full[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] += block
         full[3 * j : 3 * j + 3, 3 * i : 3 * i + 3] += block.T

@@ -73,10 +73,10 @@ def probing_assembly(name: str) -> tuple[Assembly, np.ndarray, np.ndarray]:
 
 def collisions_of(assembly: Assembly, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Kinds, stiffnesses and whether the mollifier acts, of environment 0."""
-    count = assembly.collide(np.repeat(x[None], assembly.model.env_count, axis=0))
+    assembly.collide(np.repeat(x[None], assembly.model.env_count, axis=0))
     c = assembly.solver.collisions
-    kinds, stiffness = c.kinds.numpy()[0, :count], c.stiffnesses.numpy()[0, :count]
-    nodes, threshold = c.stencils.numpy()[0, :count], c.thresholds.numpy()[0, :count]
+    kinds, stiffness = c.of(0, c.kinds), c.of(0, c.stiffnesses)
+    nodes, threshold = c.of(0, c.stencils), c.of(0, c.thresholds)
     cross = np.cross(x[nodes[:, 1]] - x[nodes[:, 0]], x[nodes[:, 3]] - x[nodes[:, 2]])
     return kinds, stiffness, (cross**2).sum(axis=1) < threshold
 

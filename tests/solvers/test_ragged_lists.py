@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An environment with many contacts costs its own memory, and is given up alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from taccel_lab.ipc import capacity
+from taccel_lab.outputs import Outputs
+from taccel_lab.scene import KinematicBody, box_mesh
+from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC
+from taccel_lab.solvers.report import StepReport
+from taccel_lab.state import State, initial_state
+from tests.verification.blocks import block_mesh, pose, scene
+
+MESH = block_mesh((12, 12, 1), (6e-3, 6e-3, 1e-3))
+PLATE = box_mesh((8e-3, 8e-3, 2e-3))
+DHAT = 1e-4
+CROWDED = 5
+ENVS = 8
+CORNER = np.linalg.norm([4e-3, 4e-3, 1e-3])
+
+
+def plate(env: int, gap: float) -> np.ndarray:
+    """A plate at a distance from the gel: flat in one environment, in the others on a corner."""
+    if env == CROWDED:
+        return pose(0, 0, 1e-3 + gap)
+    # The corner (1, 1, -1) turned down: its direction goes to -z.
+    down = np.array([4e-3, 4e-3, -1e-3]) / CORNER
+    axis = np.cross(down, [0, 0, -1])
+    angle = np.degrees(np.arccos(-down[2]))
+    x = 5e-4 * (env - 3) + 1.2e-4
+    return pose(x, 1e-4, CORNER + gap + 1e-6 * env, tuple(axis), angle)
+
+
+def touch(envs: list[int], room: int = 8, **options: int) -> tuple[SolverIPC, State, StepReport]:
+    """Two steps down in the given environments, whose lists have hardly room at first."""
+    model = scene(MESH, KinematicBody(PLATE, 0.5), env_count=len(envs)).finalize()
+    solver = SolverIPC(model, SolverConfig(dhat_m=DHAT, **options))  # type: ignore[arg-type]
+    for part in solver.lists:
+        part._allocate(room)
+
+    def at(gap: float) -> np.ndarray:
+        return np.stack([plate(env, gap)[None] for env in envs])
+
+    state = initial_state(model, at(1.2e-4))
+    for gap in (0.6e-4, 0.2e-4):
+        report = solver.step(state, at(gap))
+    return solver, state, report
+
+
+def assert_as_alone(solver: SolverIPC, state: State, env: int) -> None:
+    """Same bits, same rooms, and the same forces read out."""
+    alone, own, report = touch([env])
+    assert report.converged.all()
+    np.testing.assert_array_equal(state.positions.numpy()[env], own.positions.numpy()[0])
+    for name in ("contact_gradient", "friction_gradient"):
+        together = getattr(solver, name).numpy()[env]
+        np.testing.assert_array_equal(together, getattr(alone, name).numpy()[0])
+    for part, its in zip(solver.lists, alone.lists, strict=True):
+        assert part.rooms[env] == its.rooms[0]
+    for wrenches in ("contact_wrenches", "friction_wrenches"):
+        found = getattr(Outputs(solver).update(state), wrenches)()
+        expected = getattr(Outputs(alone).update(own), wrenches)()
+        np.testing.assert_array_equal(found.wrenches.numpy()[env], expected.wrenches.numpy()[0])
+        np.testing.assert_array_equal(found.gaps.numpy()[env], expected.gaps.numpy()[0])
+
+
+def test_many_contacts_cost_the_memory_of_their_environment() -> None:
+    solver, state, report = touch(list(range(ENVS)))
+    assert report.converged.all(), report.summary()
+    others = np.arange(ENVS) != CROWDED
+    counts = solver.collisions.counts.numpy()
+    assert counts[others].min() > 0 and counts[CROWDED] >= 50 * counts[others].max()
+    collisions = solver.collisions
+    assert collisions.rooms[CROWDED] >= counts[CROWDED] > 100
+    assert (collisions.rooms[others] <= 12).all()
+    # kind, stencil, stiffness, threshold, range, inset.
+    entry = 4 + 16 + 8 + 8 + 8 + 8
+    held = sum(getattr(collisions, name).capacity for name in collisions.columns)
+    assert held == entry * (collisions.rooms[CROWDED] + collisions.rooms[others].sum())
+    assert held < 2 * entry * counts[CROWDED], "formerly eight times the longest list"
+    assert len(solver.contact.energies) == collisions.capacity
+    assert solver.friction is not None
+    assert len(solver.friction.frozen.stencils) == collisions.capacity
+    for env in (0, CROWDED, ENVS - 1):
+        assert_as_alone(solver, state, env)
+
+
+def test_beyond_the_limit_one_environment_is_given_up() -> None:
+    solver, state, report = touch(list(range(ENVS)), max_collisions=100)
+    others = np.arange(ENVS) != CROWDED
+    assert report.status[CROWDED] == EnvStatus.CONTACT_OVERFLOW
+    assert (report.status[others] == EnvStatus.CONVERGED).all()
+    for part in solver.lists:
+        assert part.rooms[CROWDED] <= 100
+    for env in (0, ENVS - 1):
+        assert_as_alone(solver, state, env)
+
+
+def test_without_memory_one_environment_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capacity, "free_memory", lambda device: 20_000)
+    solver, state, report = touch(list(range(ENVS)))
+    others = np.arange(ENVS) != CROWDED
+    assert report.status[CROWDED] == EnvStatus.CONTACT_OVERFLOW
+    assert (report.status[others] == EnvStatus.CONVERGED).all()
+    monkeypatch.undo()
+    assert_as_alone(solver, state, 0)
+
+
+def test_a_body_that_turns_far_is_searched_in_its_environment_alone() -> None:
+    """Beyond 80 degrees there is no bound on its path: everything there is a candidate."""
+
+    def turn(envs: list[int]) -> tuple[SolverIPC, State, StepReport]:
+        model = scene(MESH, KinematicBody(box_mesh((1e-3,) * 3), 0.5), env_count=len(envs))
+        solver = SolverIPC(model.finalize(), SolverConfig(dhat_m=DHAT, max_substep_halvings=0))
+        height = 0.5e-3
+        start = np.stack([pose(0, 0, height + 1.2e-4)[None] for _ in envs])
+        state = initial_state(solver.model, start)
+        end = np.stack(
+            [pose(0, 0, height + 0.5e-4, (0, 0, 1), np.degrees(2.0) * (env == 1))[None]
+             for env in envs]
+        )  # fmt: skip
+        return solver, state, solver.step(state, end)
+
+    together, state, report = turn([0, 1, 2])
+    alone, own, _ = turn([0])
+    assert report.converged[[0, 2]].all()
+    counts = [part.counts.numpy() for part in together.candidates.lists]
+    for count, its in zip(counts, alone.candidates.lists, strict=True):
+        assert 0 < count[0] == count[2] == its.counts.numpy()[0]
+    for part, its in zip(together.candidates.lists, alone.candidates.lists, strict=True):
+        for env in (0, 2):
+            assert part.rooms[env] == its.rooms[0]
+            np.testing.assert_array_equal(part.of(env, part.pairs), its.of(0, its.pairs))
+    for env in (0, 2):
+        np.testing.assert_array_equal(state.positions.numpy()[env], own.positions.numpy()[0])
