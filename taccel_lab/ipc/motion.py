@@ -59,8 +59,8 @@ def _steady_kernel(
     frame_nodes: wp.array(dtype=wp.int32),
     dts: wp.array(dtype=wp.float64),
     velocities: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
     largest_change: wp.float64,
+    displacements: wp.array2d(dtype=wp.vec3d),
     mask: wp.array(dtype=wp.int32),
 ):
     env, lane = wp.tid()
@@ -76,8 +76,11 @@ def _steady_kernel(
         way += wp.length_sq(goes)
     changes = block_total(change)
     ways = block_total(way)
-    if lane == 0 and changes > largest_change * largest_change * ways:
-        mask[env] = 0
+    if changes > largest_change * largest_change * ways:
+        for i in range(lane, frame_nodes.shape[0], wp.block_dim()):
+            displacements[env, frame_nodes[i]] = wp.vec3d()
+        if lane == 0:
+            mask[env] = 0
 
 
 @wp.kernel
@@ -154,13 +157,12 @@ def _subtract_rows_kernel(
     result: wp.array2d(dtype=wp.vec3d),
 ):
     env, node = wp.tid()
-    result[env, node] = wp.vec3d()
     if mask[env] != 0:
         result[env, node] = end[env, node] - start[env, node]
 
 
 def subtract_rows(mask: wp.array, end: wp.array, start: wp.array, result: wp.array) -> None:
-    """result = end - start in the environments of ``mask``, zero in others."""
+    """result = end - start in the environments of ``mask``."""
     wp.launch(
         _subtract_rows_kernel,
         dim=result.shape,
@@ -244,13 +246,14 @@ def keep_steady(
     displacements: wp.array,
     largest_change: float,
 ) -> None:
-    """Clear ``mask`` where the frames go by another way [m] than at their last velocities [m/s]: by
-    more than ``largest_change`` of the way, as a root mean square over what they carry."""
+    """Clear ``mask`` and ``displacements`` [m] where frames go by another way than at their last
+    velocities [m/s]: by more than ``largest_change`` of the way, as a root mean square over what
+    they carry."""
     wp.launch_tiled(
         _steady_kernel,
         dim=[model.env_count],
-        inputs=[model.frame_nodes, dts, velocities, displacements, largest_change],
-        outputs=[mask],
+        inputs=[model.frame_nodes, dts, velocities, largest_change],
+        outputs=[displacements, mask],
         block_dim=BLOCK_THREADS,
         device=model.device,
     )

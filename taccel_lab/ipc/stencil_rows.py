@@ -17,51 +17,133 @@ from taccel_lab.ipc.pair_hessian import PairHessian, local_block
 
 wp.set_module_options({"enable_backward": False})
 
-MOST_ROWS = 8
-"""Two affine bodies, or three soft nodes and one."""
+_MOST_PARTS = 8
+"""Parts that the 15 to 36 blocks of a stencil are shared out in, on an idle GPU."""
 _FEW_LANES = 1 << 13
-"""Lanes up to which a GPU is idle enough for every row of a stencil to have its own."""
-vec8i = wp.types.vector(length=8, dtype=wp.int32)
-mat83d = wp.types.matrix(shape=(8, 3), dtype=wp.float64)
+"""Lanes up to which a GPU is idle enough for several threads a stencil."""
+
+
+STENCIL_THREADS = 128
+"""Threads of a block of the kernels that add stencils: 28 KiB of shared memory."""
+
+# Rows and coefficients of the stencil of each thread, side by side in shared memory: indexed by
+# what is only known at run time, they would else lie in a thread's own part of the GPU's memory.
+_STAGE_SNIPPET = """
+#if defined(__CUDA_ARCH__)
+    __shared__ double stage[28 * @THREADS@];
+    return reinterpret_cast<wp::uint64>(stage);
+#else
+    static double stage[28];
+    return reinterpret_cast<wp::uint64>(stage);
+#endif
+"""
+_PLACES = """
+#if defined(__CUDA_ARCH__)
+    const int step = @THREADS@, mine = threadIdx.x;
+#else
+    const int step = 1, mine = 0;
+#endif
+    double* const coefficient = reinterpret_cast<double*>(stage) + 3 * step * at + mine;
+    int* const row = reinterpret_cast<int*>(reinterpret_cast<double*>(stage) + 24 * step)
+        + step * at + mine;
+    (void)coefficient;
+    (void)row;
+"""
+
+
+def _snippet(text: str) -> str:
+    return text.replace("@THREADS@", str(STENCIL_THREADS))
+
+
+@wp.func_native(_snippet(_STAGE_SNIPPET))
+def stencil_stage() -> wp.uint64:
+    """Where a thread keeps the rows of its stencil."""
+    ...
+
+
+@wp.func_native(
+    _snippet(
+        _PLACES
+        + """
+    *row = value;
+    coefficient[0] = 0.0;
+    coefficient[step] = 0.0;
+    coefficient[2 * step] = 0.0;
+"""
+    )
+)
+def open_row(stage: wp.uint64, at: int, value: int) -> None:
+    """Unknown ``at`` is this row of the Newton system; its coefficients are zero so far."""
+    ...
+
+
+@wp.func_native(
+    _snippet(
+        _PLACES
+        + """
+    coefficient[0] += value[0];
+    coefficient[step] += value[1];
+    coefficient[2 * step] += value[2];
+"""
+    )
+)
+def add_coefficients(stage: wp.uint64, at: int, value: wp.vec3d) -> None:
+    """Add to the coefficients of unknown ``at``."""
+    ...
+
+
+@wp.func_native(_snippet(_PLACES + "    return *row;"))
+def row_at(stage: wp.uint64, at: int) -> int:
+    """Row of unknown ``at`` in the Newton system."""
+    ...
+
+
+@wp.func_native(
+    _snippet(
+        _PLACES
+        + """
+    return wp::vec_t<3, wp::float64>(coefficient[0], coefficient[step], coefficient[2 * step]);
+"""
+    )
+)
+def coefficients_at(stage: wp.uint64, at: int) -> wp.vec3d:
+    """Coefficients of unknown ``at``, columns as those of the nodes."""
+    ...
 
 
 @wp.struct
 class StencilRows:
     """Unknowns of a stencil.
 
-    count: of them. rows: in the Newton system, -1 for a node without one. nodes: node of each row.
-    coefficients: row i for unknown i, columns as those of the nodes.
+    stage: where their rows and coefficients are. count: of them. ways: sum over the prescribed
+    nodes of coefficient k times their motion [m], row k.
     """
 
+    stage: wp.uint64
     count: wp.int32
-    rows: vec8i
-    nodes: vec8i
-    coefficients: mat83d
+    ways: wp.mat33d
 
 
 @wp.func
-def stencil_rows(nodes: wp.vec4i, of_nodes: mat43d, system: NewtonSystem) -> StencilRows:
+def stencil_rows(env: int, nodes: wp.vec4i, of_nodes: mat43d, system: NewtonSystem) -> StencilRows:
     """Unknowns of a stencil whose unused entries repeat the last one; row i for node i."""
     s = StencilRows()
+    s.stage = stencil_stage()
     first_parent = int(-1)
     first_start = int(0)
     second_parent = int(-1)
     second_start = int(0)
-    node_count = int(4)
     control_count = int(4)
-    for i in range(node_count):
+    for i in range(4):
         node = nodes[i]
         is_new = True
         if i > 0:
-            is_new = node != nodes[i - 1]
+            is_new = node != nodes[(i + 3) % 4]
         if is_new:
             parent = system.parents[node]
-            if parent < 0:
-                s.rows[s.count] = system.free_index[node]
-                s.nodes[s.count] = node
-                s.coefficients[s.count] = of_nodes[i]
-                s.count += 1
-            else:
+            row = system.free_index[node]
+            own = wp.vec3d(of_nodes[i, 0], of_nodes[i, 1], of_nodes[i, 2])
+            if parent >= 0:
                 start = s.count
                 if parent == first_parent:
                     start = first_start
@@ -75,12 +157,36 @@ def stencil_rows(nodes: wp.vec4i, of_nodes: mat43d, system: NewtonSystem) -> Ste
                         second_parent = parent
                         second_start = start
                     for k in range(control_count):
-                        s.rows[start + k] = system.free_index[parent + k]
-                        s.nodes[start + k] = parent + k
+                        open_row(s.stage, start + k, system.free_index[parent + k])
                     s.count += control_count
                 for k in range(control_count):
-                    s.coefficients[start + k] += system.weights[node][k] * of_nodes[i]
+                    add_coefficients(s.stage, start + k, system.weights[node][k] * own)
+            elif row >= 0:
+                open_row(s.stage, s.count, row)
+                add_coefficients(s.stage, s.count, own)
+                s.count += 1
+            else:
+                s.ways += wp.outer(own, system.displacements[env, node])
     return s
+
+
+@wp.func
+def triangle_row(k: int) -> int:
+    """Row of the k-th entry of a lower triangle, counted row by row."""
+    return int((wp.sqrt(wp.float32(8 * k + 1)) - wp.float32(1.0)) * wp.float32(0.5) + 1.0e-3)
+
+
+@wp.func
+def add_lower(env: int, row: int, column: int, block: wp.mat33d, system: NewtonSystem):
+    """Add a block, or its transpose where it belongs to the upper triangle."""
+    if column > row:
+        add_entry(env, column, row, wp.transpose(block), system)
+    else:
+        add_entry(env, row, column, block, system)
+
+
+# Both functions below go through the blocks of the lower triangle one after the other, whatever the
+# rows are: threads of a GPU whose stencils differ stay side by side.
 
 
 @wp.func
@@ -90,56 +196,42 @@ def add_pair_hessian(
     """Add the Hessian of a pair [N/m] to the Newton system; what prescribed nodes that move
     contribute goes to its right-hand side [N].
 
-    ``part``: adds the rows part, part + parts, ... only.
+    ``part``: adds the blocks part, part + parts, ... only.
     """
     of_nodes = mat43d()
-    node_count = int(4)
-    for i in range(node_count):
-        of_nodes[i] = wp.vec3d(h.weights[i], h.slide_1[i], h.slide_2[i])
-    s = stencil_rows(nodes, of_nodes, system)
+    for i in range(4):
+        of_nodes[i, 0] = h.weights[i]
+        of_nodes[i, 1] = h.slide_1[i]
+        of_nodes[i, 2] = h.slide_2[i]
+    s = stencil_rows(env, nodes, of_nodes, system)
     to_axes = wp.transpose(h.axes)
     one = h.tangent_1
     two = h.tangent_2
-    # Sums over the prescribed nodes, in the axes: of their ways by weights, and along n by slides.
-    by_weights = wp.vec3d()
-    by_slides = wp.vec2d()
-    for i in range(s.count):
-        if s.rows[i] < 0:
-            way = to_axes * system.displacements[env, s.nodes[i]]
-            by_weights += s.coefficients[i, 0] * way
-            by_slides += way[0] * wp.vec2d(s.coefficients[i, 1], s.coefficients[i, 2])
+    # Of the prescribed nodes, in the axes: their ways by weights, and along n by slides.
+    by_weights = to_axes * s.ways[0]
+    slid_1 = wp.dot(wp.vec3d(h.axes[0, 0], h.axes[1, 0], h.axes[2, 0]), s.ways[1])
+    slid_2 = wp.dot(wp.vec3d(h.axes[0, 0], h.axes[1, 0], h.axes[2, 0]), s.ways[2])
     pull = wp.vec3d(
         h.normal * by_weights[0],
-        one[0] * by_weights[1] + one[1] * by_slides[0],
-        two[0] * by_weights[2] + two[1] * by_slides[1],
+        one[0] * by_weights[1] + one[1] * slid_1,
+        two[0] * by_weights[2] + two[1] * slid_2,
     )
-    pull_1 = one[1] * by_weights[1] + one[2] * by_slides[0]
-    pull_2 = two[1] * by_weights[2] + two[2] * by_slides[1]
+    pull_1 = one[1] * by_weights[1] + one[2] * slid_1
+    pull_2 = two[1] * by_weights[2] + two[2] * slid_2
     pulled = wp.length_sq(pull) > wp.float64(0.0) or pull_1 != wp.float64(0.0)
     pulled = pulled or pull_2 != wp.float64(0.0)
-    for i in range(part, s.count, parts):
-        row = s.rows[i]
-        if row >= 0:
-            w = s.coefficients[i, 0]
-            slide_1 = s.coefficients[i, 1]
-            slide_2 = s.coefficients[i, 2]
-            if pulled:
-                force = w * pull
-                force[0] = force[0] + slide_1 * pull_1 + slide_2 * pull_2
-                wp.atomic_sub(system.rhs, env, row, h.axes * force)
-            for j in range(s.count):
-                column = s.rows[j]
-                if column >= 0 and column <= row:
-                    local = local_block(
-                        h,
-                        w,
-                        s.coefficients[j, 0],
-                        slide_1,
-                        s.coefficients[j, 1],
-                        slide_2,
-                        s.coefficients[j, 2],
-                    )
-                    add_entry(env, row, column, h.axes * local * to_axes, system)
+    for k in range(part, s.count * (s.count + 1) / 2, parts):
+        i = triangle_row(k)
+        j = k - i * (i + 1) / 2
+        a = coefficients_at(s.stage, i)
+        b = coefficients_at(s.stage, j)
+        row = row_at(s.stage, i)
+        if pulled and i == j:
+            along = a[0] * pull[0] + a[1] * pull_1 + a[2] * pull_2
+            force = wp.vec3d(along, a[0] * pull[1], a[0] * pull[2])
+            wp.atomic_sub(system.rhs, env, row, h.axes * force)
+        local = local_block(h, a[0], b[0], a[1], b[1], a[2], b[2])
+        add_lower(env, row, row_at(s.stage, j), h.axes * local * to_axes, system)
 
 
 @wp.func
@@ -155,27 +247,23 @@ def add_weighted_block(
     """Add w_i w_j times ``core`` [N/m] for all pairs of nodes to the Newton system; ``part`` as in
     ``add_pair_hessian``."""
     of_nodes = mat43d()
-    node_count = int(4)
-    for i in range(node_count):
-        of_nodes[i] = wp.vec3d(weights[i], wp.float64(0.0), wp.float64(0.0))
-    s = stencil_rows(nodes, of_nodes, system)
-    way = wp.vec3d()
-    for i in range(s.count):
-        if s.rows[i] < 0:
-            way += s.coefficients[i, 0] * system.displacements[env, s.nodes[i]]
-    pull = core * way
-    for i in range(part, s.count, parts):
-        row = s.rows[i]
-        weight = s.coefficients[i, 0]
-        if row >= 0 and weight != wp.float64(0.0):
-            if wp.length_sq(pull) > wp.float64(0.0):
-                wp.atomic_sub(system.rhs, env, row, weight * pull)
-            for j in range(s.count):
-                column = s.rows[j]
-                if column >= 0 and column <= row:
-                    add_entry(env, row, column, (weight * s.coefficients[j, 0]) * core, system)
+    for i in range(4):
+        of_nodes[i, 0] = weights[i]
+    s = stencil_rows(env, nodes, of_nodes, system)
+    pull = core * s.ways[0]
+    pulled = wp.length_sq(pull) > wp.float64(0.0)
+    for k in range(part, s.count * (s.count + 1) / 2, parts):
+        i = triangle_row(k)
+        j = k - i * (i + 1) / 2
+        weight = coefficients_at(s.stage, i)[0]
+        row = row_at(s.stage, i)
+        if pulled and i == j:
+            wp.atomic_sub(system.rhs, env, row, weight * pull)
+        share = weight * coefficients_at(s.stage, j)[0]
+        if share != wp.float64(0.0):
+            add_lower(env, row, row_at(s.stage, j), share * core, system)
 
 
 def row_parts(device: wp.Device, env_count: int, lanes: int) -> int:
     """Parts that stencils are shared out in, each of which evaluates the stencil anew."""
-    return 1 if device.is_cpu or env_count * lanes > _FEW_LANES else MOST_ROWS
+    return 1 if device.is_cpu or env_count * lanes > _FEW_LANES else _MOST_PARTS

@@ -37,14 +37,18 @@ class EnvProgress:
     """Mask of the environments that take this step."""
     again: wp.array(dtype=wp.int32)
     """Mask of those that take the step before again: it begins where that began."""
+    phase: wp.array(dtype=wp.int32)
+    """``env_phase.EnvPhase``; of what follows from it, the next two are masks for kernels."""
     active: wp.array(dtype=wp.int32)
-    """Mask of those that are still at it."""
-    waiting: wp.array(dtype=wp.int32)
-    """Mask of those whose line search goes on."""
-    chosen: wp.array(dtype=wp.int32)
-    """Mask of a part that not all active environments take."""
+    """Mask of those that are at it: in any phase but RESTING."""
+    inner: wp.array(dtype=wp.int32)
+    """Mask of those that take part in what only some do: in a phase beyond STEPPING."""
     moving: wp.array(dtype=wp.int32)
     """Mask of those whose frames are still on their way."""
+    near: wp.array(dtype=wp.int32)
+    """Mask of those whose way is longer than their gaps, so that it may meet something."""
+    flying: wp.array(dtype=wp.int32)
+    """Mask of those whose start is free flight alone."""
     turning: wp.array(dtype=wp.int32)
     """Mask of those in which a frame turns in this step."""
     inverted_before: wp.array(dtype=wp.int32)
@@ -63,6 +67,13 @@ class EnvProgress:
     joint_rounds: wp.array(dtype=wp.int32)
     cuts: wp.array(dtype=wp.int32)
     """Cuts of the present line search."""
+    searches: wp.array(dtype=wp.int32)
+    """Searches for pairs in this step."""
+    ccd_passes: wp.array(dtype=wp.int32)
+    """Ways of this step that were checked for collisions."""
+    starts_tried: wp.array(dtype=wp.int32)
+    starts_taken: wp.array(dtype=wp.int32)
+    """Starts away from where the environment is, of this step."""
     body_residuals: wp.array2d(dtype=wp.float64)
     """Sum of the magnitudes of the force residual of each body [N], [env_count, body_count]."""
     body_forces: wp.array2d(dtype=wp.float64)
@@ -130,7 +141,7 @@ class EnvProgress:
     any_turning: wp.array(dtype=wp.int32)
     """Whether a frame turns in any environment, shape [1] like all below."""
     any_flight: wp.array(dtype=wp.int32)
-    """Whether any body turns so much that a start in free flight is tried."""
+    """Whether the start of any environment is free flight alone."""
     any_curved: wp.array(dtype=wp.int32)
     """Whether any trial leaves the chord that CCD checked."""
     running: wp.array(dtype=wp.int32)
@@ -145,11 +156,18 @@ class EnvProgress:
     """Whether the joints of any environment were open."""
 
 
-_REPORTED_INTS = ("status", "newton", "cg", "lags")
+_REPORTED_INTS = ("status", "newton", "cg", "lags") + (
+    "searches",
+    "ccd_passes",
+    "starts_tried",
+    "starts_taken",
+)
 _REPORTED_FLOATS = ("residual", "excess", "contact_force", "min_distance") + (
     "violation",
     "smallest_step",
 )
+_FLAGS = ("running", "searching", "freezing", "closing", "reopened")
+_ANY = ("any_turning", "any_flight", "any_curved")
 
 
 class EnvProgressArrays:
@@ -180,31 +198,11 @@ class EnvProgressArrays:
         ints._ref = self._reported
         for i, name in enumerate(_REPORTED_INTS):
             setattr(self.data, name, ints[i])
-        for name in ("who", "again", "active", "waiting", "chosen", "moving", "turning"):
-            setattr(self.data, name, wp.zeros(env_count, dtype=wp.int32, device=device))
-        for name in (
-            "joint_rounds",
-            "cuts",
-            "inverted_before",
-            "inverted_after",
-            "refused",
-            "untouched",
-        ):
-            setattr(self.data, name, wp.zeros(env_count, dtype=wp.int32, device=device))
-        for name in (
-            ("progress", "goal", "stride", "trial_progress", "lag_change", "damping", "margin")
-            + ("rounding", "limit", "alpha", "slope", "before", "after", "base", "base_after")
-            + (
-                "joint_energy_rounding",
-                "sharpness",
-                "bend",
-                "deviation",
-                "reach",
-                "boost",
-                "last_excess",
-            )
-        ):
-            setattr(self.data, name, wp.zeros(env_count, dtype=wp.float64, device=device))
+        given = (*_REPORTED_FLOATS, *_REPORTED_INTS, *_FLAGS, *_ANY, "energy_rounding")
+        for name, member in EnvProgress.vars.items():
+            if name not in given and member.type.ndim == 1:
+                zeros = wp.zeros(env_count, dtype=member.type.dtype, device=device)
+                setattr(self.data, name, zeros)
         self.data.energy_rounding = wp.array(energy_rounding_j, dtype=wp.float64, device=device)
         radii = np.tile(radii_m, (env_count // len(radii_m), 1))
         self.data.radii = wp.array(radii, dtype=wp.float64, device=device)
@@ -212,11 +210,11 @@ class EnvProgressArrays:
         for name in ("body_residuals", "body_forces"):
             sums = wp.zeros((env_count, body_count), dtype=wp.float64, device=device)
             setattr(self.data, name, sums)
-        for name in ("any_turning", "any_flight"):
+        for name in _ANY:
             setattr(self.data, name, wp.zeros(1, dtype=wp.int32, device=device))
-        self.data.any_curved = wp.zeros(1, dtype=wp.int32, device=device)
-        self.flags = wp.zeros(5, dtype=wp.int32, device=device)
-        for i, name in enumerate(("running", "searching", "freezing", "closing", "reopened")):
+        self.flags = wp.zeros(len(_FLAGS), dtype=wp.int32, device=device)
+        """Those that ``measure_and_judge`` sets, side by side."""
+        for i, name in enumerate(_FLAGS):
             setattr(self.data, name, self.flags[i : i + 1])
 
     def read(self) -> dict[str, np.ndarray]:

@@ -49,6 +49,14 @@ class StepReport:
     cg_iterations: np.ndarray
     """Sum over the step of the (batched) CG iterations while the environment was active."""
     friction_lags: np.ndarray
+    """How often friction was frozen anew."""
+    searches: np.ndarray
+    """How often pairs were searched for; see ``ipc.broad_phase.kept_pairs``."""
+    ccd_passes: np.ndarray
+    """How many ways were checked for collisions; see ``solvers.limit_step``."""
+    starts_tried: np.ndarray
+    """Starts away from where the environment was; see ``solvers.start_step``."""
+    starts_taken: np.ndarray
     residual_n: np.ndarray
     """Force residual at the end, friction re-frozen: the largest sum of magnitudes over the nodes
     of a body [N]."""
@@ -103,12 +111,21 @@ class StepReport:
                     "joint_violation_m",
                 )
             },
-            newton_iterations=self.newton_iterations + later.newton_iterations,
-            cg_iterations=self.cg_iterations + later.cg_iterations,
-            friction_lags=self.friction_lags + later.friction_lags,
+            **{
+                name: getattr(self, name) + getattr(later, name)
+                for name in (
+                    "newton_iterations",
+                    "cg_iterations",
+                    "friction_lags",
+                    "searches",
+                    "ccd_passes",
+                    "starts_tried",
+                    "starts_taken",
+                    "substeps",
+                    "seconds",
+                )
+            },
             smallest_step=np.minimum(self.smallest_step, later.smallest_step),
-            substeps=self.substeps + later.substeps,
-            seconds=self.seconds + later.seconds,
         )
 
     def failures(self) -> dict[str, list[int]]:

@@ -159,6 +159,7 @@ def _find_contacts(solver: SolverIPC, state: State, active: wp.array) -> None:
         active, state.positions, solver.displacements, state.poses, state.poses,
         solver.config.dhat_m,
     )  # fmt: skip
+    solver.pairs.forget(active)
     solver.collisions.update(active, state.positions, solver.candidates)
     if [part.capacity for part in solver.lists] != room:
         solver.graphs.clear()

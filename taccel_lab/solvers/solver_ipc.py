@@ -2,7 +2,7 @@
 """The solver: steps of all environments.
 
 A step that fails in some environments is taken there in halves, again and again, while the others
-have arrived (``newton`` takes the parts). Orchestration only: formulas are in ``ipc``.
+have arrived (``step`` takes the parts). Orchestration only: formulas are in ``ipc``.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import copy_rows, device_mask
 from taccel_lab.model.kinematics import place_at_start, place_poses_between
 from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.newton import StepRun
+from taccel_lab.solvers.measure_and_judge import evaluate_forces
 from taccel_lab.solvers.plan import Plan, make_plan
 from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.step_graph import StepGraphs
+from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.state import State, initial_state, poses_array
 
 if TYPE_CHECKING:
@@ -173,6 +174,10 @@ class SolverIPC(SolverParts):
             newton_iterations=found["newton"].astype(np.int64),
             cg_iterations=found["cg"].astype(np.int64),
             friction_lags=found["lags"].astype(np.int64),
+            searches=found["searches"].astype(np.int64),
+            ccd_passes=found["ccd_passes"].astype(np.int64),
+            starts_tried=found["starts_tried"].astype(np.int64),
+            starts_taken=found["starts_taken"].astype(np.int64),
             residual_n=found["residual"],
             residual_ratio=found["excess"],
             contact_force_n=found["contact_force"],
@@ -211,14 +216,15 @@ class SolverIPC(SolverParts):
 
     def refresh_forces(self, state: State, who: np.ndarray) -> None:
         """Forces where ``who`` (bool, [env_count]) was rolled back, put back or never stepped."""
-        run = StepRun(self, state)
+        run = StepLaunches(self, state)
         mask = run.p.active
         mask.assign(who.astype(np.int32))
         self.displacements.zero_()
         self.candidates.update(
             mask, state.positions, self.displacements, state.poses, state.poses, self.config.dhat_m
         )
+        self.pairs.forget(mask)
         self.collisions.update(mask, state.positions, self.candidates)
         if self.friction is not None:
             self.friction.lag(mask, state.positions, self.origin)
-        run.evaluate_forces(mask)
+        evaluate_forces(run, mask)

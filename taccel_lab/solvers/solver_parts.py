@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates
+from taccel_lab.ipc.broad_phase.kept_pairs import KeptPairs
 from taccel_lab.ipc.capacity import GrowingList, initial_capacity
 from taccel_lab.ipc.collisions import Collisions
 from taccel_lab.ipc.linear.system import LinearSystem
@@ -54,6 +55,10 @@ class SolverParts:
         limit = self.config.max_collisions
         self.candidates = Candidates(model, limit=limit)
         self.collisions = Collisions(model, self.config.kappa_pa, self.config.dhat_m, limit=limit)
+        self.pairs = KeptPairs(model, self.candidates, self.config.dhat_m)
+        own = any(i == j for i, j in model.contact_plan.pairs)
+        self.shortest_range_m = 0.0 if own else self.collisions.guard
+        """Gap below which every pair is a collision [m]; of self-contact nothing is known."""
         self.contact = ContactPotential(model, self.collisions)
         static_range = self.config.static_range_m(scene.time)
         self.friction = (

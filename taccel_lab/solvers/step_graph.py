@@ -8,8 +8,9 @@ from typing import Any
 
 import warp as wp
 
-from taccel_lab.solvers.newton import StepRun
 from taccel_lab.solvers.solver_parts import SolverParts
+from taccel_lab.solvers.step import take_step
+from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.state import State
 
 _MOST = 2
@@ -31,9 +32,9 @@ class StepGraphs:
 
     def launch(self, state: State) -> None:
         """Take a step of the environments in ``progress.who`` to ``end_poses``."""
-        run = StepRun(self._solver, state)
+        run = StepLaunches(self._solver, state)
         if not self._solver.captures:
-            run.run()
+            take_step(run)
             return
         s = self._solver
         # Lists that have grown since have moved, whoever made room in them.
@@ -43,12 +44,12 @@ class StepGraphs:
             if len(self._graphs) >= _MOST:
                 self._graphs.pop(next(iter(self._graphs)))
             self._graphs[key] = None
-            run.run()
+            take_step(run)
             return
         graph = self._graphs[key]
         if graph is None:
             with wp.ScopedCapture(self._solver.model.device) as capture:
-                run.run()
+                take_step(run)
             graph = self._graphs[key] = capture.graph
         wp.capture_launch(graph)
         self.launches += 1

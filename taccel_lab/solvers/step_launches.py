@@ -8,12 +8,44 @@ from collections.abc import Callable, Sequence
 import warp as wp
 
 from taccel_lab.ipc.branches import side_by_side
-from taccel_lab.ipc.capacity import GrowingList
+from taccel_lab.ipc.capacity import GrowingList, ListRoom, overflows
 from taccel_lab.ipc.potentials.energy import sum_energies
 from taccel_lab.ipc.potentials.friction import StepMotion
-from taccel_lab.solvers import decisions, search_decisions
+from taccel_lab.solvers.env_phase import stop
+from taccel_lab.solvers.env_progress import EnvProgress
+from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.state import State
+
+wp.set_module_options({"enable_backward": False})
+
+_CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
+
+
+@wp.kernel
+def _stop_overflowed_kernel(mask: wp.array(dtype=wp.int32), room: ListRoom, p: EnvProgress):
+    """Stop environments of ``mask`` whose list was too short."""
+    env = wp.tid()
+    if mask[env] != 0 and overflows(env, room):
+        stop(env, _CONTACT_OVERFLOW, p)
+
+
+@wp.kernel
+def _commit_kernel(
+    mask: wp.array(dtype=wp.int32),
+    trial: wp.array2d(dtype=wp.vec3d),
+    trial_poses: wp.array2d(dtype=wp.transformd),
+    positions: wp.array2d(dtype=wp.vec3d),
+    poses: wp.array2d(dtype=wp.transformd),
+):
+    """Take over positions and poses in the environments of ``mask``."""
+    env, i = wp.tid()
+    if mask[env] == 0:
+        return
+    if i < positions.shape[1]:
+        positions[env, i] = trial[env, i]
+    if i < poses.shape[1]:
+        poses[env, i] = trial_poses[env, i]
 
 
 class StepLaunches:
@@ -34,16 +66,11 @@ class StepLaunches:
         """Take over positions and poses in the environments of ``mask``."""
         state = self.state
         wp.launch(
-            search_decisions.commit_kernel,
+            _commit_kernel,
             dim=(self.model.env_count, max(positions.shape[1], poses.shape[1])),
             inputs=[mask, positions, poses, state.positions, state.poses],
             device=self.model.device,
         )
-
-    def find_candidates(self, poses: wp.array, reach: wp.array) -> None:
-        """Pairs within ``reach`` of the way of ``displacements`` and of the frames to ``poses``."""
-        s, state, p = self.s, self.state, self.p
-        s.candidates.search(p.active, state.positions, s.displacements, state.poses, poses, reach)
 
     def collide(self, mask: wp.array, positions: wp.array) -> None:
         """Collisions at ``positions`` in the environments of ``mask``."""
@@ -53,7 +80,7 @@ class StepLaunches:
         """Stop environments whose contacts did not fit; the host makes room for the next try."""
         for part in lists:
             if part.capacity:
-                self.decide(decisions.stop_overflowed_kernel, mask, part.room, self.p)
+                self.decide(_stop_overflowed_kernel, mask, part.room, self.p)
 
     def motion(
         self, positions: wp.array | None = None, poses: wp.array | None = None

@@ -31,12 +31,20 @@ def _predict_kernel(
     lengths: wp.array(dtype=wp.float64),
     masses: wp.array2d(dtype=wp.float64),
     inertial: wp.array2d(dtype=wp.vec3d),
+    contact_forces: wp.array2d(dtype=wp.float64),
+    first_body: int,
+    jointed: int,
     predicted: wp.array2d(dtype=wp.vec3d),
     bends: wp.array(dtype=wp.float64),
 ):
     env, body = wp.tid()
     if active[env] == 0:
         return
+    if contact_forces:
+        for other in range(control_starts.shape[0]):
+            if other == body or jointed != 0:
+                if contact_forces[env, first_body + other] > wp.float64(0.0):
+                    return
     start = control_starts[body]
     rest = env % masses.shape[0]
     y_1 = masses[rest, start + 1] * inertial[env, start + 1]
@@ -54,20 +62,27 @@ def _predict_kernel(
 
 
 def predict_affine(
-    model: Model, active: wp.array, inertial: wp.array, predicted: wp.array, bends: wp.array
+    model: Model,
+    active: wp.array,
+    inertial: wp.array,
+    predicted: wp.array,
+    bends: wp.array,
+    contact_forces: wp.array | None = None,
 ) -> None:
     """Control nodes in free flight [m], written to ``predicted``, [env_count, node_count].
 
     ``inertial``: x~ of the step [m], shape [env_count, node_count]. ``bends``: how far off a
     rotation the inertial positions are, about the square of the largest angle turned, float64,
-    shape [env_count]; zero where not active.
+    shape [env_count]; zero where not active. ``contact_forces`` [N], [env_count, body_count]:
+    bodies with one are left out; where bodies are joined, all are if one has.
     """
     affine = model.affine
     bends.zero_()
     wp.launch(
         _predict_kernel,
         dim=(model.env_count, affine.count),
-        inputs=[active, affine.control_starts, affine.lengths, model.masses, inertial],
+        inputs=[active, affine.control_starts, affine.lengths, model.masses, inertial]
+        + [contact_forces, len(model.scene.soft_bodies), int(bool(model.scene.joints))],
         outputs=[predicted, bends],
         device=model.device,
     )

@@ -41,7 +41,7 @@ from taccel_lab.ipc.pair_hessian import (
     pair_hessian,
 )
 from taccel_lab.ipc.potentials.energy import EnergyTerm
-from taccel_lab.ipc.stencil_rows import add_pair_hessian, row_parts
+from taccel_lab.ipc.stencil_rows import STENCIL_THREADS, add_pair_hessian, row_parts
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -301,4 +301,5 @@ class ContactPotential(EnergyTerm):
             dim=(m.env_count, lanes, parts),
             inputs=[active, lanes, c.lists, c.geometry, positions, mode, parts, system],
             device=m.device,
+            block_dim=STENCIL_THREADS,
         )

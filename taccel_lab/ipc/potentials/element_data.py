@@ -14,6 +14,7 @@ import warp as wp
 from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
+from taccel_lab.ipc.potentials.staged_rows import STAGED_THREADS
 from taccel_lab.ipc.scratch import Scratch
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
@@ -105,7 +106,7 @@ def _gather_blocks_kernel(
 
 @wp.kernel
 def _gather_rim_kernel(
-    active: wp.array(dtype=wp.int32),
+    moving: wp.array(dtype=wp.int32),
     rows: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
     sources: wp.array(dtype=wp.int32),
@@ -115,7 +116,7 @@ def _gather_rim_kernel(
     rhs: wp.array2d(dtype=wp.vec3d),
 ):
     env, i = wp.tid()
-    if active[env] == 0:
+    if moving[env] == 0:
         return
     total = rhs[env, rows[i]]
     for k in range(starts[i], starts[i + 1]):
@@ -157,6 +158,7 @@ class ElementSum(Potential):
             inputs=inputs,
             outputs=outputs,
             device=self.model.device,
+            block_dim=STAGED_THREADS,
         )
 
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
@@ -199,14 +201,15 @@ class ElementSum(Potential):
             device=m.device,
         )
 
-    def gather_rim(self, active: wp.array, system: NewtonSystem) -> None:
-        """Add what prescribed nodes that move contribute to the right-hand side."""
+    def gather_rim(self, moving: wp.array, system: NewtonSystem) -> None:
+        """Add what prescribed nodes contribute to the right-hand side where they move: in the
+        environments of ``moving`` (int32, [env_count])."""
         g, m = self.group, self.model
         if len(g.rim_rows):
             wp.launch(
                 _gather_rim_kernel,
                 dim=(m.env_count, len(g.rim_rows)),
-                inputs=[active, g.rim_rows, g.rim_starts, g.rim_sources, g.rim_nodes]
+                inputs=[moving, g.rim_rows, g.rim_starts, g.rim_sources, g.rim_nodes]
                 + [self._blocks, system.displacements],
                 outputs=[system.rhs],
                 device=m.device,

@@ -29,7 +29,7 @@ from taccel_lab.ipc.friction import (
 from taccel_lab.ipc.lanes import lane_count
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import EnergyTerm
-from taccel_lab.ipc.stencil_rows import add_weighted_block, row_parts
+from taccel_lab.ipc.stencil_rows import STENCIL_THREADS, add_weighted_block, row_parts
 from taccel_lab.ipc.touching import way_in
 from taccel_lab.model import Model
 
@@ -364,4 +364,5 @@ class FrictionPotential(EnergyTerm):
             dim=(m.env_count, lanes, parts),
             inputs=[active, lanes, self.frozen, motion, self.eps_u_m, sharpness] + [parts, system],
             device=m.device,
+            block_dim=STENCIL_THREADS,
         )

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.ipc.affine.prediction import predict_affine
 from taccel_lab.scene import FixedJoint, KinematicBody, PrismaticJoint, RevoluteJoint
-from taccel_lab.solvers import newton
+from taccel_lab.solvers import start_step
 from tests.verification.affine_scenes import Run, affine_scene, box, turned
 
 SIZES = [(0.1, 0.02, 0.03), (0.04, 0.05, 0.06), (0.03, 0.03, 0.08)]
@@ -125,7 +125,7 @@ def test_it_saves_newton_iterations_and_changes_no_result(monkeypatch: pytest.Mo
         return run.y, iterations
 
     y, few = spin()
-    monkeypatch.setattr(newton, "start_in_free_flight", lambda run: None)
+    monkeypatch.setattr(start_step, "plan_start", lambda run: None)
     straight, many = spin()
     np.testing.assert_allclose(y, straight, atol=1e-9)
     assert few <= 10 < many

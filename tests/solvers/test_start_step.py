@@ -16,7 +16,7 @@ from taccel_lab.scene import (
     TimeStepping,
     box_mesh,
 )
-from taccel_lab.solvers import SolverConfig, SolverIPC, newton
+from taccel_lab.solvers import SolverConfig, SolverIPC, start_step
 from taccel_lab.state import initial_state
 
 
@@ -53,7 +53,7 @@ def drag() -> tuple[np.ndarray, list[int]]:
 
 def test_a_steady_drag_takes_fewer_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
     found, few = drag()
-    monkeypatch.setattr(newton, "start_with_momentum", lambda run: None)
+    monkeypatch.setattr(start_step, "plan_start", lambda run: None)
     expected, many = drag()
     np.testing.assert_allclose(found, expected, atol=2e-8)
     assert sum(few[-10:]) <= 0.8 * sum(many[-10:])

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where each environment stands in a step: one phase each, and how it changes."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import warp as wp
+
+from taccel_lab.solvers.env_progress import EnvProgress
+
+wp.set_module_options({"enable_backward": False})
+
+
+class EnvPhase(IntEnum):
+    """What a step does with an environment at the moment."""
+
+    RESTING = 0
+    """Nothing: it takes no step, or its step is over."""
+    STEPPING = 1
+    """It takes part in the stage at hand like all others."""
+    STARTING = 2
+    """A start of its step away from where it is, is being tried."""
+    STAYING = 3
+    """Its step starts from where it is."""
+    SEARCHING = 4
+    """Its line search goes on."""
+    CLOSING = 5
+    """Newton has converged, its joints may be open."""
+    FREEZING = 6
+    """Its friction is frozen anew."""
+
+
+STEPPING = wp.constant(int(EnvPhase.STEPPING))
+STARTING = wp.constant(int(EnvPhase.STARTING))
+STAYING = wp.constant(int(EnvPhase.STAYING))
+SEARCHING = wp.constant(int(EnvPhase.SEARCHING))
+CLOSING = wp.constant(int(EnvPhase.CLOSING))
+FREEZING = wp.constant(int(EnvPhase.FREEZING))
+_RESTING = wp.constant(int(EnvPhase.RESTING))
+
+
+@wp.func
+def enter(env: int, phase: int, p: EnvProgress):
+    """Take part in what only some environments do."""
+    p.phase[env] = phase
+    p.inner[env] = 1
+
+
+@wp.func
+def leave(env: int, p: EnvProgress):
+    """Go on like all others."""
+    p.phase[env] = STEPPING
+    p.inner[env] = 0
+
+
+@wp.func
+def stop(env: int, status: int, p: EnvProgress):
+    """End the step of an environment."""
+    p.status[env] = status
+    p.phase[env] = _RESTING
+    p.active[env] = 0
+    p.inner[env] = 0

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stage 3 of an iteration: how far the way ahead is free of collisions (CCD)."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from taccel_lab.ipc.step_limit import limit_step as find_limits
+from taccel_lab.solvers.env_progress import EnvProgress
+from taccel_lab.solvers.step_launches import StepLaunches
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def _choose_kernel(
+    mask: wp.array(dtype=wp.int32),
+    ways: wp.array(dtype=wp.float64),
+    gap_limit: wp.float64,
+    p: EnvProgress,
+):
+    """A way of less than half of the smallest gap meets nothing; ``min_distance`` knows no gap
+    above ``gap_limit``."""
+    env = wp.tid()
+    p.near[env] = 0
+    if mask[env] == 0:
+        return
+    p.limit[env] = wp.float64(1.0)
+    gap = wp.min(p.min_distance[env], gap_limit)
+    if not (wp.float64(2.0) * ways[env] < gap):
+        p.near[env] = 1
+        p.ccd_passes[env] += 1
+
+
+def limit_step(run: StepLaunches, mask: wp.array, gaps_known: bool = True) -> None:
+    """``limit`` of the environments of ``mask``: the fraction of ``displacements`` that is free of
+    collisions. ``find_pairs`` has been there. ``gaps_known``: whether ``min_distance`` is that of
+    the positions."""
+    s, p = run.s, run.p
+    gap_limit = s.shortest_range_m if gaps_known else 0.0
+    run.decide(_choose_kernel, mask, s.pairs.ways, gap_limit, p)
+    find_limits(run.model, p.near, s.candidates, run.state.positions, s.displacements, p.limit)

@@ -1,0 +1,281 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stage 5 of an iteration: forces, residual, and whether an environment has converged."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from taccel_lab.ipc.motion import reduce_gradient
+from taccel_lab.ipc.reduce import force_sums
+from taccel_lab.model.env_rows import zero_rows
+from taccel_lab.solvers.env_phase import CLOSING, FREEZING, enter, leave, stop
+from taccel_lab.solvers.env_progress import EnvProgress, Rules
+from taccel_lab.solvers.report import EnvStatus
+from taccel_lab.solvers.step_launches import StepLaunches
+
+wp.set_module_options({"enable_backward": False})
+
+_CONVERGED = wp.constant(int(EnvStatus.CONVERGED))
+_NO_CONVERGENCE = wp.constant(int(EnvStatus.NO_CONVERGENCE))
+_NOT_A_NUMBER = wp.constant(int(EnvStatus.NOT_A_NUMBER))
+_FRICTION = wp.constant(int(EnvStatus.FRICTION))
+_JOINT = wp.constant(int(EnvStatus.JOINT))
+_TOUCHING = wp.constant(int(EnvStatus.TOUCHING))
+
+
+@wp.func
+def weigh(env: int, p: EnvProgress, r: Rules):
+    """Find the largest force residual of a body, the largest one over what is allowed that body (at
+    most 1 where all have converged), and the contact force of the environment.
+
+    Residual and contact force are sums of magnitudes both, over the same body: the resultant on it
+    is in doubt by no more than the part of its contact force that the tolerance says, however large
+    the forces on other bodies are, and however fine the mesh is.
+    """
+    total = wp.float64(0.0)
+    for body in range(p.body_forces.shape[1]):
+        total += p.body_forces[env, body]
+    # Action and reaction: half of the sum over both sides of all contacts.
+    total = wp.float64(0.5) * total
+    rounding = wp.max(r.absolute_tolerance, r.affine_rounding + p.rounding[env])
+    residual = wp.float64(0.0)
+    excess = wp.float64(0.0)
+    for body in range(p.body_forces.shape[1]):
+        found = p.body_residuals[env, body]
+        force = wp.min(p.body_forces[env, body], total)
+        ratio = found / wp.max(rounding, r.relative_tolerance * force)
+        # What is not a number is worse than anything, and stays.
+        if not (found <= residual) and not wp.isnan(residual):
+            residual = found
+        if not (ratio <= excess) and not wp.isnan(excess):
+            excess = ratio
+    p.contact_force[env] = total
+    p.residual[env] = residual
+    p.excess[env] = excess
+
+
+@wp.kernel
+def _begin_gradient_kernel(
+    mask: wp.array(dtype=wp.int32),
+    gradient: wp.array2d(dtype=wp.vec3d),
+    contact_gradient: wp.array2d(dtype=wp.vec3d),
+    p: EnvProgress,
+):
+    env, node = wp.tid()
+    if mask[env] == 0:
+        return
+    gradient[env, node] = wp.vec3d()
+    contact_gradient[env, node] = wp.vec3d()
+    if node == 0:
+        p.min_distance[env] = wp.float64(wp.inf)
+
+
+@wp.func
+def go_on(env: int, p: EnvProgress, r: Rules):
+    """Stop where the iterations are used up; ``running`` says whether anything goes on."""
+    if p.active[env] != 0:
+        if p.newton[env] >= r.max_newton:
+            stop(env, _NO_CONVERGENCE, p)
+        else:
+            p.running[0] = 1
+
+
+@wp.func
+def settle(env: int, p: EnvProgress, r: Rules):
+    """Stop what has converged; with friction, choose where it is frozen anew.
+
+    Not where joints are open. While freezing anew still changes forces, solving in between to the
+    last digit is wasted: a tenth of the last change is enough, and one step when damped. In a first
+    contact friction waits for a residual of a tenth of the contact force: frames on their way
+    squeeze what lies ahead, and friction frozen then holds it there.
+    """
+    if p.active[env] != 0:
+        settled = p.progress[env] >= wp.float64(1.0) and p.phase[env] != CLOSING
+        leave(env, p)
+        if settled:
+            enough = wp.float64(1.0)
+            if r.has_friction == 0:
+                if p.excess[env] <= enough:
+                    stop(env, _CONVERGED, p)
+            else:
+                change = p.lag_change[env]
+                if p.untouched[env] != 0:
+                    change = wp.min(change, enough / r.relative_tolerance)
+                enough = wp.max(enough, wp.float64(0.1) * change)
+                if p.excess[env] <= enough or p.damping[env] < wp.float64(1.0):
+                    enter(env, FREEZING, p)
+                    p.freezing[0] = 1
+    if r.has_friction == 0:
+        go_on(env, p, r)
+
+
+@wp.kernel
+def _judge_kernel(p: EnvProgress, r: Rules):
+    """Stop what cannot go on; with joints, choose the environments whose are to be looked at.
+
+    Without joints and without friction, all that follows is decided at once.
+    """
+    env = wp.tid()
+    if p.active[env] == 0:
+        return
+    leave(env, p)
+    weigh(env, p, r)
+    if p.newton[env] == 0:
+        p.untouched[env] = int(p.contact_force[env] == wp.float64(0.0))
+    if not (p.min_distance[env] > wp.float64(0.0)):
+        stop(env, _TOUCHING, p)
+    elif not wp.isfinite(p.residual[env]):
+        stop(env, _NOT_A_NUMBER, p)
+    elif r.has_joints != 0:
+        if p.progress[env] >= wp.float64(1.0) and p.excess[env] <= wp.float64(1.0):
+            enter(env, CLOSING, p)
+            p.closing[0] = 1
+    else:
+        settle(env, p, r)
+
+
+@wp.kernel
+def _judge_joints_kernel(violations: wp.array(dtype=wp.float64), p: EnvProgress, r: Rules):
+    """Where Newton has converged: those whose joints are not open go on."""
+    env = wp.tid()
+    if p.phase[env] != CLOSING:
+        return
+    p.violation[env] = violations[env]
+    if not (violations[env] > r.joint_tolerance):
+        leave(env, p)
+        return
+    p.joint_rounds[env] += 1
+    p.reopened[0] = 1
+    if p.joint_rounds[env] > r.max_joint_rounds:
+        stop(env, _JOINT, p)
+
+
+@wp.kernel
+def _settle_kernel(p: EnvProgress, r: Rules):
+    """After the joints were looked at."""
+    env = wp.tid()
+    if p.active[env] != 0:
+        weigh(env, p, r)
+    settle(env, p, r)
+
+
+@wp.kernel
+def _judge_friction_kernel(p: EnvProgress, r: Rules):
+    """Only the residual with the friction that was frozen anew counts as converged.
+
+    Freezing is a fixed-point iteration. Where it alternates instead of shrinking (a node leaning on
+    two faces in turn) the steps between are damped until it shrinks again.
+    """
+    env = wp.tid()
+    if p.phase[env] != FREEZING:
+        return
+    leave(env, p)
+    one = wp.float64(1.0)
+    weigh(env, p, r)
+    excess = p.excess[env]
+    damping = p.damping[env]
+    if excess > (one - wp.float64(0.1) * damping) * p.lag_change[env]:
+        p.damping[env] = wp.max(wp.float64(0.5) * damping, wp.float64(0.05))
+    else:
+        p.damping[env] = wp.min(wp.float64(1.5) * damping, one)
+    p.lag_change[env] = excess
+    p.last_excess[env] = wp.float64(wp.inf)
+    p.lags[env] += 1
+    if excess <= one:
+        stop(env, _CONVERGED, p)
+    elif p.lags[env] >= r.max_lags:
+        stop(env, _FRICTION, p)
+
+
+@wp.kernel
+def _go_on_kernel(p: EnvProgress, r: Rules):
+    """After friction was frozen anew."""
+    env = wp.tid()
+    go_on(env, p, r)
+
+
+def measure_and_judge(run: StepLaunches) -> None:
+    """Forces and residual of the active environments; those that are through stop."""
+    evaluate_gradient(run, run.p.active)
+    _judge(run)
+
+
+def evaluate_gradient(run: StepLaunches, mask: wp.array) -> None:
+    """Gradient, residual, contact force and smallest gap in the environments of ``mask``.
+
+    Their collisions are those of the positions: of the start or of the trial that was taken.
+    """
+    s, x = run.s, run.state.positions
+    wp.launch(
+        _begin_gradient_kernel,
+        dim=s.gradient.shape,
+        inputs=[mask, s.gradient, s.contact_gradient, run.p],
+        device=run.model.device,
+    )
+    if s.joints is not None:
+        s.joints.set_frames(run.state.poses)
+
+    def of_bodies() -> None:
+        for term in s.potentials.values():
+            term.add_gradient(mask, x, s.gradient)
+
+    def of_contact() -> None:
+        s.contact.add_gradient(mask, x, s.contact_gradient, run.p.min_distance)
+
+    run.together([of_bodies, of_contact, lambda: _evaluate_friction(run, mask)])
+    _measure_residual(run, mask)
+
+
+def _evaluate_friction(run: StepLaunches, mask: wp.array) -> None:
+    s = run.s
+    if s.friction is not None:
+        zero_rows(mask, s.friction_gradient)
+        s.friction.add_gradient(mask, run.motion(), s.friction_gradient)
+
+
+def evaluate_forces(run: StepLaunches, mask: wp.array) -> None:
+    """Contact and friction forces alone, from collisions and friction as they are."""
+    s, x = run.s, run.state.positions
+    zero_rows(mask, s.contact_gradient)
+    s.contact.add_gradient(mask, x, s.contact_gradient, run.p.min_distance)
+    _evaluate_friction(run, mask)
+
+
+def _measure_residual(run: StepLaunches, mask: wp.array) -> None:
+    s, p = run.s, run.p
+    gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
+    reduce_gradient(run.model, mask, gradients, s.reduced)
+    sums = [p.body_residuals, p.body_forces]
+    force_sums(mask, s.reduced, s.contact_gradient, s.body_rows, s.body_nodes, *sums)
+
+
+def _judge(run: StepLaunches) -> None:
+    """Stop environments that have converged or cannot go on."""
+    s, p = run.s, run.p
+    s.progress.flags.zero_()
+    run.decide(_judge_kernel, p, run.rules)
+    if s.joints is not None:
+        wp.capture_if(p.closing, on_true=lambda: _close_joints(run))
+        run.decide(_settle_kernel, p, run.rules)
+    if s.friction is not None:
+        wp.capture_if(p.freezing, on_true=lambda: _refreeze_friction(run))
+        run.decide(_go_on_kernel, p, run.rules)
+
+
+def _close_joints(run: StepLaunches) -> None:
+    """Where Newton has converged, correct the joint forces until the joints are closed."""
+    s, p = run.s, run.p
+    assert s.joints is not None
+    s.joints.update_multipliers(p.inner, run.state.positions)
+    run.decide(_judge_joints_kernel, s.joints.violations, p, run.rules)
+    wp.capture_if(p.reopened, on_true=lambda: evaluate_gradient(run, p.inner))
+
+
+def _refreeze_friction(run: StepLaunches) -> None:
+    """Freeze friction anew in the chosen environments, and judge them by what it is then."""
+    s, p = run.s, run.p
+    assert s.friction is not None
+    s.friction.lag(p.inner, run.state.positions, s.origin)
+    _evaluate_friction(run, p.inner)
+    _measure_residual(run, p.inner)
+    run.decide(_judge_friction_kernel, p, run.rules)
