@@ -3,6 +3,7 @@
 
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.plan import Plan, PlanEntry
+from taccel_lab.solvers.ready_steps import ReadySteps
 from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.solvers.sharded import Shard, ShardedSolver
 from taccel_lab.solvers.solver_ipc import SolverIPC
@@ -11,6 +12,7 @@ __all__ = [
     "EnvStatus",
     "Plan",
     "PlanEntry",
+    "ReadySteps",
     "Shard",
     "ShardedSolver",
     "SolverConfig",

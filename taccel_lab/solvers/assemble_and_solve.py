@@ -55,6 +55,7 @@ def _aim_kernel(p: EnvProgress, r: Rules, linear_tolerances: wp.array(dtype=wp.f
     """
     env = wp.tid()
     if env == 0:
+        p.rounds[0] += 1
         p.searching[0] = 0
         p.any_curved[0] = p.any_turning[0]
     p.moving[env] = 0

@@ -8,6 +8,7 @@ import warp as wp
 from taccel_lab.ipc.motion import measure_velocities
 from taccel_lab.ipc.potentials.inversion import find_inversions
 from taccel_lab.model.embedding import embed_vertices
+from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import chord_error, turn_between
 from taccel_lab.solvers.env_phase import STEPPING, stop
 from taccel_lab.solvers.env_progress import EnvProgress, Rules
@@ -33,12 +34,21 @@ def _begin_kernel(
     p: EnvProgress,
     r: Rules,
 ):
-    """Nothing is done yet; how far frames go and turn."""
+    """Nothing is done yet; how far frames go and turn. What is underway goes on."""
     env = wp.tid()
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
+    if env == 0:
+        p.rounds[0] = 0
+    p.fresh[env] = 0
+    if p.underway[env] != 0:
+        if p.turning[env] != 0:
+            p.any_turning[0] = 1
+        return
     p.status[env] = _SKIPPED
     p.phase[env] = 0
+    p.fresh[env] = p.who[env]
+    p.underway[env] = p.who[env]
     p.active[env] = p.who[env]
     p.inner[env] = 0
     p.flying[env] = 0
@@ -102,9 +112,9 @@ def _begin_nodes_kernel(
     origin: wp.array2d(dtype=wp.vec3d),
     p: EnvProgress,
 ):
-    """Keep where the nodes are; an environment with a number that is not finite stops."""
+    """Keep where the nodes are, all of them: a number that is not finite is noted in the status."""
     env, node = wp.tid()
-    if p.who[env] == 0:
+    if p.fresh[env] == 0:
         return
     x = positions[env, node]
     v = velocities[env, node]
@@ -112,36 +122,41 @@ def _begin_nodes_kernel(
     if p.again[env] == 0:
         origin[env, node] = x
     if not wp.isfinite(x) or not wp.isfinite(v):
-        stop(env, _NOT_A_NUMBER, p)
+        p.status[env] = _NOT_A_NUMBER
 
 
 @wp.kernel
-def _stop_inverted_kernel(p: EnvProgress):
-    """An elastic energy (in ``before``) that is infinite tells an inverted element."""
+def _stop_unfit_kernel(p: EnvProgress):
+    """Stop what cannot step; an infinite elastic energy (in ``before``) tells an inverted element."""
     env = wp.tid()
-    if p.active[env] != 0 and wp.isinf(p.before[env]):
+    if p.fresh[env] == 0:
+        return
+    if p.status[env] == _NOT_A_NUMBER:
+        stop(env, _NOT_A_NUMBER, p)
+    elif wp.isinf(p.before[env]):
         stop(env, _INVERSION, p)
 
 
 @wp.kernel
 def _close_kernel(p: EnvProgress):
-    """``active`` becomes those that have converged, ``inner`` those that are to be rolled back.
+    """Tell ``done`` from ``failed``.
 
     What has converged with an element turned inside out by this step is no result, nor is a step of
     BDF2 that met an impact.
     """
     env = wp.tid()
-    p.active[env] = 0
-    p.inner[env] = 0
-    if p.who[env] != 0:
+    p.done[env] = 0
+    p.failed[env] = 0
+    if p.underway[env] != 0 and p.status[env] != _RUNNING:
+        p.underway[env] = 0
         if p.status[env] == _CONVERGED and p.inverted_after[env] > p.inverted_before[env]:
             p.status[env] = _INVERSION
         if p.status[env] == _CONVERGED and p.refused[env] != 0:
             p.status[env] = _IMPACT
         if p.status[env] == _CONVERGED:
-            p.active[env] = 1
+            p.done[env] = 1
         else:
-            p.inner[env] = 1
+            p.failed[env] = 1
 
 
 def begin_step(run: StepLaunches) -> None:
@@ -158,30 +173,29 @@ def begin_step(run: StepLaunches) -> None:
     )
     _begin_potentials(run)
     for part in s.elastic:
-        part.add_energy(p.active, state.positions, p.before)
-    if s.elastic:
-        run.decide(_stop_inverted_kernel, p)
+        part.add_energy(p.fresh, state.positions, p.before)
+    run.decide(_stop_unfit_kernel, p)
     if s.invertible:
-        p.inverted_before.zero_()
-        find_inversions(s.invertible, p.who, state.positions, p.inverted_before)
+        zero_rows(p.fresh, p.inverted_before)
+        find_inversions(s.invertible, p.fresh, state.positions, p.inverted_before)
 
 
 def _begin_potentials(run: StepLaunches) -> None:
-    s, state = run.s, run.state
+    s, state, fresh = run.s, run.state, run.p.fresh
     x = state.positions
     if s.inertia is not None:
-        s.inertia.begin_step(x, state.velocities, s.dts, state.history)
+        s.inertia.begin_step(x, state.velocities, s.dts, state.history, fresh)
     for part in s.viscosity:
-        part.begin_step(x, s.dts)
+        part.begin_step(x, s.dts, fresh)
     if s.joints is not None:
         s.joints.begin_step(x, state.poses, s.dts)
         wp.copy(run.p.rounding, s.joints.rounding_n)
         wp.copy(run.p.joint_energy_rounding, s.joints.rounding_j)
     if s.load is not None:
         forces, wrenches = state.loads(run.model)
-        s.load.begin_step(x, forces, wrenches)
+        s.load.begin_step(x, forces, wrenches, fresh)
     if s.friction is not None:
-        s.friction.begin_step(run.p.who, s.dts)
+        s.friction.begin_step(fresh, s.dts)
 
 
 def end_step(run: StepLaunches) -> None:
@@ -189,18 +203,18 @@ def end_step(run: StepLaunches) -> None:
     s, state, p = run.s, run.state, run.p
     if s.silent:
         p.inverted_after.zero_()
-        find_inversions(s.silent, p.who, state.positions, p.inverted_after)
+        find_inversions(s.silent, p.underway, state.positions, p.inverted_after)
     if s.inertia is not None and state.history is not None:
         least = s.config.absolute_tolerance_n
         s.inertia.find_jumps(p.body_forces, state.history, least, p.refused)
     run.decide(_close_kernel, p)
-    run.commit(p.inner, s.previous, s.start_poses)
+    run.commit(p.failed, s.previous, s.start_poses)
     embed_vertices(run.model, state.positions)
     if s.joints is not None:
-        s.joints.end_step(p.active, state.positions)
+        s.joints.end_step(p.done, state.positions)
     if s.inertia is not None:
         s.inertia.end_step(
-            p.active, s.previous, state.positions, state.velocities, state.history, p.body_forces
+            p.done, s.previous, state.positions, state.velocities, state.history, p.body_forces
         )
     else:
-        measure_velocities(p.active, s.origin, state.positions, s.dts, state.velocities)
+        measure_velocities(p.done, s.origin, state.positions, s.dts, state.velocities)

@@ -61,3 +61,4 @@ def stop(env: int, status: int, p: EnvProgress):
     p.phase[env] = _RESTING
     p.active[env] = 0
     p.inner[env] = 0
+    p.fresh[env] = 0

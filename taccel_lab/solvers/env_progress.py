@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.solvers.config import SolverConfig
 
 
@@ -34,7 +35,15 @@ class EnvProgress:
     """Arrays of shape [env_count]; masks are 0 or 1."""
 
     who: wp.array(dtype=wp.int32)
-    """Mask of the environments that take this step."""
+    """Mask of the environments that are to take a step."""
+    fresh: wp.array(dtype=wp.int32)
+    """Mask of those that begin it in this call."""
+    underway: wp.array(dtype=wp.int32)
+    """Mask of those whose step is not closed: they go on with it in the next call."""
+    done: wp.array(dtype=wp.int32)
+    """Mask of those whose step has converged in this call."""
+    failed: wp.array(dtype=wp.int32)
+    """Mask of those whose step is rolled back in this call."""
     again: wp.array(dtype=wp.int32)
     """Mask of those that take the step before again: it begins where that began."""
     phase: wp.array(dtype=wp.int32)
@@ -144,8 +153,12 @@ class EnvProgress:
     """Whether the start of any environment is free flight alone."""
     any_curved: wp.array(dtype=wp.int32)
     """Whether any trial leaves the chord that CCD checked."""
+    rounds: wp.array(dtype=wp.int32)
+    """Iterations of this call so far."""
+    most_rounds: wp.array(dtype=wp.int32)
+    """Iterations after which the call ends, whoever is underway."""
     running: wp.array(dtype=wp.int32)
-    """Whether any environment is active."""
+    """Whether any environment is active and has rounds left."""
     searching: wp.array(dtype=wp.int32)
     """Whether any environment is waiting."""
     freezing: wp.array(dtype=wp.int32)
@@ -166,8 +179,10 @@ _REPORTED_FLOATS = ("residual", "excess", "contact_force", "min_distance") + (
     "violation",
     "smallest_step",
 )
+NO_LIMIT = 2**30
+"""Rounds of a call that ends when all environments are through."""
 _FLAGS = ("running", "searching", "freezing", "closing", "reopened")
-_ANY = ("any_turning", "any_flight", "any_curved")
+_ANY = ("any_turning", "any_flight", "any_curved", "rounds", "most_rounds")
 
 
 class EnvProgressArrays:
@@ -212,10 +227,22 @@ class EnvProgressArrays:
             setattr(self.data, name, sums)
         for name in _ANY:
             setattr(self.data, name, wp.zeros(1, dtype=wp.int32, device=device))
+        self.data.most_rounds.fill_(NO_LIMIT)
+        self.underway = np.zeros(env_count, dtype=bool)
+        """Environments whose step goes on in the next call (``ready_steps``), on the host."""
+        self.again = np.zeros(env_count, dtype=bool)
+        """Of these, those that begin it anew: there was no room for their contacts."""
         self.flags = wp.zeros(len(_FLAGS), dtype=wp.int32, device=device)
         """Those that ``measure_and_judge`` sets, side by side."""
         for i, name in enumerate(_FLAGS):
             setattr(self.data, name, self.flags[i : i + 1])
+
+    def drop(self, who: np.ndarray, mask: wp.array) -> None:
+        """Environments of ``who`` (bool, and ``mask`` on the device) are in no step any more."""
+        for mine in (self.data.underway, self.data.active, self.data.inner, self.data.phase):
+            zero_rows(mask, mine)
+        self.underway &= ~who
+        self.again &= ~who
 
     def read(self) -> dict[str, np.ndarray]:
         """What a report needs, by name; waits for the device."""

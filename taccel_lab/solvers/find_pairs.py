@@ -40,12 +40,13 @@ def _count_search_kernel(
         stop(env, _CONTACT_OVERFLOW, p)
 
 
-def find_pairs(run: StepLaunches, poses: wp.array, reach: wp.array) -> None:
-    """Pairs within ``reach`` [m] of the way of ``displacements`` and of the frames to ``poses``."""
+def find_pairs(run: StepLaunches, mask: wp.array, poses: wp.array, reach: wp.array) -> None:
+    """Pairs within ``reach`` [m] of the way of ``displacements`` and of the frames to ``poses``, in
+    the environments of ``mask``."""
     s, state, p = run.s, run.state, run.p
 
     def count() -> None:
         rooms = [part.room for part in s.candidates.lists]
         run.decide(_count_search_kernel, s.pairs.stale, *rooms, s.pairs.covered, p)
 
-    s.pairs.cover(p.active, state.positions, s.displacements, state.poses, poses, reach, count)
+    s.pairs.cover(mask, state.positions, s.displacements, state.poses, poses, reach, count)

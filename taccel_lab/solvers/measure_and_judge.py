@@ -76,7 +76,7 @@ def go_on(env: int, p: EnvProgress, r: Rules):
     if p.active[env] != 0:
         if p.newton[env] >= r.max_newton:
             stop(env, _NO_CONVERGENCE, p)
-        else:
+        elif p.rounds[0] < p.most_rounds[0]:
             p.running[0] = 1
 
 
@@ -105,19 +105,11 @@ def settle(env: int, p: EnvProgress, r: Rules):
                 if p.excess[env] <= enough or p.damping[env] < wp.float64(1.0):
                     enter(env, FREEZING, p)
                     p.freezing[0] = 1
-    if r.has_friction == 0:
-        go_on(env, p, r)
 
 
-@wp.kernel
-def _judge_kernel(p: EnvProgress, r: Rules):
-    """Stop what cannot go on; with joints, choose the environments whose are to be looked at.
-
-    Without joints and without friction, all that follows is decided at once.
-    """
-    env = wp.tid()
-    if p.active[env] == 0:
-        return
+@wp.func
+def judge(env: int, p: EnvProgress, r: Rules):
+    """See ``_judge_kernel``."""
     leave(env, p)
     weigh(env, p, r)
     if p.newton[env] == 0:
@@ -132,6 +124,19 @@ def _judge_kernel(p: EnvProgress, r: Rules):
             p.closing[0] = 1
     else:
         settle(env, p, r)
+
+
+@wp.kernel
+def _judge_kernel(mask: wp.array(dtype=wp.int32), last: int, p: EnvProgress, r: Rules):
+    """Stop what cannot go on; with joints, choose the environments whose are to be looked at.
+
+    ``last``: without joints and without friction, all that follows is decided at once.
+    """
+    env = wp.tid()
+    if p.active[env] != 0 and mask[env] != 0:
+        judge(env, p, r)
+    if last != 0:
+        go_on(env, p, r)
 
 
 @wp.kernel
@@ -151,12 +156,14 @@ def _judge_joints_kernel(violations: wp.array(dtype=wp.float64), p: EnvProgress,
 
 
 @wp.kernel
-def _settle_kernel(p: EnvProgress, r: Rules):
+def _settle_kernel(mask: wp.array(dtype=wp.int32), last: int, p: EnvProgress, r: Rules):
     """After the joints were looked at."""
     env = wp.tid()
-    if p.active[env] != 0:
+    if p.active[env] != 0 and mask[env] != 0:
         weigh(env, p, r)
-    settle(env, p, r)
+        settle(env, p, r)
+    if last != 0:
+        go_on(env, p, r)
 
 
 @wp.kernel
@@ -194,10 +201,19 @@ def _go_on_kernel(p: EnvProgress, r: Rules):
     go_on(env, p, r)
 
 
-def measure_and_judge(run: StepLaunches) -> None:
-    """Forces and residual of the active environments; those that are through stop."""
-    evaluate_gradient(run, run.p.active)
-    _judge(run)
+def measure_and_judge(run: StepLaunches, mask: wp.array) -> None:
+    """Forces and residual of the environments of ``mask``; those that are through stop."""
+    evaluate_gradient(run, mask)
+    s, p = run.s, run.p
+    frictionless = s.friction is None
+    s.progress.flags.zero_()
+    run.decide(_judge_kernel, mask, int(frictionless and s.joints is None), p, run.rules)
+    if s.joints is not None:
+        wp.capture_if(p.closing, on_true=lambda: _close_joints(run))
+        run.decide(_settle_kernel, mask, int(frictionless), p, run.rules)
+    if s.friction is not None:
+        wp.capture_if(p.freezing, on_true=lambda: _refreeze_friction(run))
+        run.decide(_go_on_kernel, p, run.rules)
 
 
 def evaluate_gradient(run: StepLaunches, mask: wp.array) -> None:
@@ -247,19 +263,6 @@ def _measure_residual(run: StepLaunches, mask: wp.array) -> None:
     reduce_gradient(run.model, mask, gradients, s.reduced)
     sums = [p.body_residuals, p.body_forces]
     force_sums(mask, s.reduced, s.contact_gradient, s.body_rows, s.body_nodes, *sums)
-
-
-def _judge(run: StepLaunches) -> None:
-    """Stop environments that have converged or cannot go on."""
-    s, p = run.s, run.p
-    s.progress.flags.zero_()
-    run.decide(_judge_kernel, p, run.rules)
-    if s.joints is not None:
-        wp.capture_if(p.closing, on_true=lambda: _close_joints(run))
-        run.decide(_settle_kernel, p, run.rules)
-    if s.friction is not None:
-        wp.capture_if(p.freezing, on_true=lambda: _refreeze_friction(run))
-        run.decide(_go_on_kernel, p, run.rules)
 
 
 def _close_joints(run: StepLaunches) -> None:

@@ -82,16 +82,18 @@ class SolverIPC(SolverParts):
         flagged and not stepped (``ipc.start_checks.check_start`` says what is wrong).
         """
         started = time.perf_counter()
+        if self.progress.underway.any():
+            raise InputError("some environments are in a step of their own: see ReadySteps")
         if again and (self.inertia is not None or self.joints is not None):
             raise InputError("only a step of a quasi-static scene without joints is taken again")
         who = np.ones(self.model.env_count, dtype=bool) if who is None else who
         targets = state.poses if target_poses is None else poses_array(self.model, target_poses)
         wp.copy(self.end_poses, targets)
-        self._check_starts(state)
+        separate = self.find_separate(state)
         dt = self.model.scene.time.dt_s
         self.progress.data.again.fill_(int(again))
-        report = self._attempt(state, self._separate & who, dt)
-        report.status[~self._separate & who] = EnvStatus.OVERLAP
+        report = self._attempt(state, separate & who, dt)
+        report.status[~separate & who] = EnvStatus.OVERLAP
         if not report.converged.all() and self.config.max_substep_halvings > 0:
             report = self._in_halves(state, report, dt, 1)
         if not report.converged[who].all():
@@ -103,9 +105,11 @@ class SolverIPC(SolverParts):
 
         ``poses``: of the kinematic bodies, as ``target_poses`` of ``step``; those of other
         environments are ignored. They stay where they are when None. The other environments are not
-        touched.
+        touched. A step that is underway there (``ReadySteps``) is given up.
         """
         chosen = device_mask(mask, self.model.env_count, self.model.device)
+        if self.progress.underway.any():
+            self.progress.drop(np.asarray(mask), chosen)
         if poses is not None:
             copy_rows(chosen, poses_array(self.model, poses).to(self.model.device), state.poses)
         if self._start is None:
@@ -118,8 +122,8 @@ class SolverIPC(SolverParts):
         if self.joints is not None:
             self.joints.reset(chosen)
 
-    def _check_starts(self, state: State) -> None:
-        """Look for overlaps where no step has been taken yet."""
+    def find_separate(self, state: State) -> np.ndarray:
+        """Environments whose bodies did not overlap before their first step, bool, [env_count]."""
         if not self.config.check_start:
             self._separate[:] = True
         elif not self._separate.all():
@@ -129,6 +133,7 @@ class SolverIPC(SolverParts):
                 self._overlaps = OverlapSearch(self.model)
             new = device_mask(~self._separate, self.model.env_count, self.model.device)
             self._separate[:] |= self._overlaps.find(state, new).numpy() == 0
+        return self._separate
 
     # Parts of a step -----------------------------------------------------------------------------
 
@@ -138,20 +143,9 @@ class SolverIPC(SolverParts):
         Where the lists of contacts are too short it is taken again when they have grown, and where
         BDF2 met an impact by implicit Euler.
         """
-        if (state.external_forces is not None or state.wrenches is not None) and self.load is None:
-            self.load = ExternalLoad(self.model)
-            self.share_energies()
-            self.graphs.clear()
-        if dt != self._dt:
-            self._dt = dt
-            self.dts.fill_(dt)
         report: StepReport | None = None
         while True:
-            if not np.array_equal(who, self._who):
-                self._who = who.copy()
-                self.progress.data.who.assign(who.astype(np.int32))
-            self.graphs.launch(state)
-            part = self._read_report(who)
+            part = self.attempt_once(state, who, dt)
             report = part if report is None else report.retaken(part, who)
             short = part.status == EnvStatus.CONTACT_OVERFLOW
             if short.any():
@@ -165,6 +159,21 @@ class SolverIPC(SolverParts):
             who = impacts | short
             if not who.any():
                 return report
+
+    def attempt_once(self, state: State, who: np.ndarray, dt: float) -> StepReport:
+        """One undivided step in the environments ``who``; lists may be too short."""
+        if (state.external_forces is not None or state.wrenches is not None) and self.load is None:
+            self.load = ExternalLoad(self.model)
+            self.share_energies()
+            self.graphs.clear()
+        if dt != self._dt:
+            self._dt = dt
+            self.dts.fill_(dt)
+        if not np.array_equal(who, self._who):
+            self._who = who.copy()
+            self.progress.data.who.assign(who.astype(np.int32))
+        self.graphs.launch(state)
+        return self._read_report(who)
 
     def _read_report(self, who: np.ndarray) -> StepReport:
         found = self.progress.read()

@@ -46,7 +46,7 @@ def _choose_momentum_kernel(p: EnvProgress):
     if env == 0:
         p.any_flight[0] = 0
         p.any_curved[0] = 0
-    fresh = p.active[env] != 0 and p.again[env] == 0
+    fresh = p.fresh[env] != 0 and p.again[env] == 0
     if fresh and p.progress[env] < wp.float64(1.0):
         enter(env, STARTING, p)
 
@@ -55,7 +55,7 @@ def _choose_momentum_kernel(p: EnvProgress):
 def _choose_flight_kernel(bends: wp.array(dtype=wp.float64), least: wp.float64, p: EnvProgress):
     """Where frames are not in a steady motion, choose the environments in which a body flies."""
     env = wp.tid()
-    if p.active[env] != 0 and p.inner[env] == 0 and bends[env] > least:
+    if p.fresh[env] != 0 and p.inner[env] == 0 and bends[env] > least:
         enter(env, STARTING, p)
         p.flying[env] = 1
         p.any_flight[0] = 1
@@ -66,7 +66,7 @@ def _keep_free_kernel(p: EnvProgress):
     """Of the chosen, keep those with nothing in the way; aim their frames at the end. Where frames
     turned out not to be steady the mask alone was cleared."""
     env = wp.tid()
-    if p.active[env] == 0:
+    if p.fresh[env] == 0:
         return
     if p.inner[env] == 0:
         leave(env, p)
@@ -104,7 +104,7 @@ def _accept_kernel(collisions: ListRoom, p: EnvProgress):
 def _choose_others_kernel(p: EnvProgress):
     """``inner`` becomes those that have not taken a start."""
     env = wp.tid()
-    if p.active[env] == 0:
+    if p.fresh[env] == 0:
         return
     if p.phase[env] == STARTING:
         leave(env, p)
@@ -115,7 +115,7 @@ def _choose_others_kernel(p: EnvProgress):
 @wp.kernel
 def _go_on_kernel(p: EnvProgress):
     env = wp.tid()
-    if p.active[env] != 0:
+    if p.fresh[env] != 0:
         leave(env, p)
 
 
@@ -128,13 +128,13 @@ def start_step(run: StepLaunches) -> None:
     plans = bool(run.model.kinematic) or (s.affine is not None and s.inertia is not None)
     if plans:
         plan_start(run)
-    find_pairs(run, s.end_poses, p.margin)
-    run.collide(p.active, x)
-    run.check_room(p.active, [s.collisions])
+    find_pairs(run, p.fresh, s.end_poses, p.margin)
+    run.collide(p.fresh, x)
+    run.check_room(p.fresh, [s.collisions])
     if s.friction is not None:
-        s.friction.lag(p.active, x, s.origin)
+        s.friction.lag(p.fresh, x, s.origin)
     if not plans:
-        run.energy(p.active, x, state.poses, p.base, p.before)
+        run.energy(p.fresh, x, state.poses, p.base, p.before)
         return
 
     def energy_before() -> None:
@@ -159,13 +159,13 @@ def plan_start(run: StepLaunches) -> None:
     model, way = run.model, s.displacements
     run.decide(_choose_momentum_kernel, p)
     if model.kinematic:
-        aim_prescribed(model, p.active, p.inner, state.positions, s.end_poses, way)
+        aim_prescribed(model, p.fresh, p.inner, state.positions, s.end_poses, way)
         keep_steady(model, p.inner, s.dts, state.velocities, way, _LARGEST_CHANGE)
     coast(model, p.inner, s.dts, state.velocities, way)
     if s.affine is not None and s.inertia is not None:
-        copy_rows(p.active, state.positions, s.trial)
+        copy_rows(p.fresh, state.positions, s.trial)
         forces, inertial = p.body_forces, s.inertia.predictions
-        predict_affine(model, p.active, inertial, s.trial, p.limit, forces)
+        predict_affine(model, p.fresh, inertial, s.trial, p.limit, forces)
         run.decide(_choose_flight_kernel, p.limit, _SMALL_TURN_SQ, p)
         wp.capture_if(p.any_flight, on_true=lambda: _fly(run))
     embed_vertices(model, way)

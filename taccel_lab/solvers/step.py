@@ -30,7 +30,7 @@ def take_step(run: StepLaunches) -> None:
     """From the state at the start of the step to that at its end, in ``progress.who``."""
     begin_step(run)
     start_step(run)
-    measure_and_judge(run)
+    measure_and_judge(run, run.p.fresh)
     wp.capture_while(run.p.running, lambda: _iterate(run))
     end_step(run)
 
@@ -38,7 +38,7 @@ def take_step(run: StepLaunches) -> None:
 def _iterate(run: StepLaunches) -> None:
     assemble_and_solve(run)
     bend_direction(run)
-    find_pairs(run, run.s.target_poses, run.p.reach)
+    find_pairs(run, run.p.active, run.s.target_poses, run.p.reach)
     limit_step(run, run.p.active)
     search_line(run)
-    measure_and_judge(run)
+    measure_and_judge(run, run.p.active)

@@ -21,6 +21,7 @@ import warp as wp
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
+from taccel_lab.model.env_rows import copy_rows
 
 wp.set_module_options({"enable_backward": False})
 
@@ -33,12 +34,16 @@ def torque_control_force(torque: wp.vec3d, y: wp.vec3d) -> wp.vec3d:
 
 @wp.kernel
 def _wrench_kernel(
+    mask: wp.array(dtype=wp.int32),
     control_starts: wp.array(dtype=wp.int32),
     wrenches: wp.array3d(dtype=wp.vec3d),
     positions: wp.array2d(dtype=wp.vec3d),
     loads: wp.array2d(dtype=wp.vec3d),
 ):
     env, body = wp.tid()
+    if mask:
+        if mask[env] == 0:
+            return
     first = control_starts[body]
     loads[env, first] += wrenches[env, body, 0]
     torque = wrenches[env, body, 1]
@@ -82,8 +87,15 @@ class ExternalLoad(Potential):
         self.energies = wp.zeros(nodal, dtype=wp.float64, device=model.device)
         """Energy of each node since the start of the step [J], shape [env_count, node_count]."""
 
-    def begin_step(self, positions: wp.array, forces: wp.array, wrenches: wp.array) -> None:
-        """Gather the loads of this step; torques act on the bodies as they stand now.
+    def begin_step(
+        self,
+        positions: wp.array,
+        forces: wp.array,
+        wrenches: wp.array,
+        mask: wp.array | None = None,
+    ) -> None:
+        """Gather the loads of this step in the environments of ``mask`` (int32, [env_count]), in
+        all when None; torques act on the bodies as they stand now.
 
         ``forces`` on nodes [N], vec3d, shape [env_count, node_count]: those on vertices of affine
         bodies act on the body, those on prescribed nodes on nothing. ``wrenches``: force [N] and
@@ -91,13 +103,16 @@ class ExternalLoad(Potential):
         [env_count, affine_count, 2].
         """
         m = self.model
-        wp.copy(self._start, positions)
-        wp.copy(self._loads, forces)
+        for source, kept in ((positions, self._start), (forces, self._loads)):
+            if mask is None:
+                wp.copy(kept, source)
+            else:
+                copy_rows(mask, source, kept)
         if m.affine.count:
             wp.launch(
                 _wrench_kernel,
                 dim=(m.env_count, m.affine.count),
-                inputs=[m.affine.control_starts, wrenches, positions],
+                inputs=[mask, m.affine.control_starts, wrenches, positions],
                 outputs=[self._loads],
                 device=m.device,
             )

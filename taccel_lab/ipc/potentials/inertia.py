@@ -62,12 +62,16 @@ def bdf2_span(dt: wp.float64, ratio: wp.float64) -> wp.float64:
 
 @wp.kernel
 def _span_kernel(
+    mask: wp.array(dtype=wp.int32),
     dts: wp.array(dtype=wp.float64),
     previous_dts: wp.array(dtype=wp.float64),
     carries: wp.array(dtype=wp.float64),
     spans: wp.array(dtype=wp.float64),
 ):
     env = wp.tid()
+    if mask:
+        if mask[env] == 0:
+            return
     ratio = wp.float64(0.0)
     if previous_dts:
         ratio = bdf2_ratio(dts[env], previous_dts[env])
@@ -77,6 +81,7 @@ def _span_kernel(
 
 @wp.kernel
 def _predict_kernel(
+    mask: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     velocities: wp.array2d(dtype=wp.vec3d),
     previous_positions: wp.array2d(dtype=wp.vec3d),
@@ -91,6 +96,9 @@ def _predict_kernel(
     predictions: wp.array2d(dtype=wp.vec3d),
 ):
     env, node = wp.tid()
+    if mask:
+        if mask[env] == 0:
+            return
     x = positions[env, node]
     v = velocities[env, node]
     anchor = x
@@ -246,8 +254,10 @@ class InertiaPotential(Potential):
         velocities: wp.array,
         dts: wp.array | None = None,
         history: StepHistory | None = None,
+        mask: wp.array | None = None,
     ) -> None:
-        """Predict where the nodes would go without forces other than gravity.
+        """Predict where the nodes would go without forces other than gravity, in the environments
+        of ``mask`` (int32, [env_count]); in all when None.
 
         ``dts``: length of the step [s], float64, shape [env_count]; the scene's when None.
         ``history``: the step before, for BDF2; implicit Euler without it.
@@ -257,14 +267,14 @@ class InertiaPotential(Potential):
         wp.launch(
             _span_kernel,
             dim=m.env_count,
-            inputs=[self._dts, history.dts if history else None],
+            inputs=[mask, self._dts, history.dts if history else None],
             outputs=[self._carries, self.spans],
             device=m.device,
         )
         wp.launch(
             _predict_kernel,
             dim=positions.shape,
-            inputs=[positions, velocities]
+            inputs=[mask, positions, velocities]
             + [history.positions if history else positions]
             + [history.velocities if history else velocities]
             + [self._carries, self.spans, wp.vec3d(*m.scene.time.gravity_m_s2), m.gravity_scale]

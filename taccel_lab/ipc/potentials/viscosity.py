@@ -46,8 +46,13 @@ def _linear_stress(gained: wp.mat33d, d: ElementData, env: int, tet: int) -> wp.
 
 
 @wp.kernel
-def _linear_start_kernel(positions: wp.array2d(dtype=wp.vec3d), d: ElementData):
+def _linear_start_kernel(
+    mask: wp.array(dtype=wp.int32), positions: wp.array2d(dtype=wp.vec3d), d: ElementData
+):
     env, tet, q = wp.tid()
+    if mask:
+        if mask[env] == 0:
+            return
     d.start_strains[env, tet, q] = green_strain(linear_deformation(env, tet, positions, d))
 
 
@@ -122,8 +127,13 @@ def _linear_hessian_kernel(
 
 
 @wp.kernel
-def _quadratic_start_kernel(positions: wp.array2d(dtype=wp.vec3d), d: ElementData):
+def _quadratic_start_kernel(
+    mask: wp.array(dtype=wp.int32), positions: wp.array2d(dtype=wp.vec3d), d: ElementData
+):
     env, tet, q = wp.tid()
+    if mask:
+        if mask[env] == 0:
+            return
     d.start_strains[env, tet, q] = green_strain(quadratic_deformation(env, tet, q, positions, d))
 
 
@@ -223,8 +233,11 @@ class ViscousPotential(ElementSum):
         )
         self.data.rates = wp.zeros(model.env_count, dtype=wp.float64, device=device)
 
-    def begin_step(self, positions: wp.array, dts: wp.array | None = None) -> None:
-        """Strains gained from here on are resisted.
+    def begin_step(
+        self, positions: wp.array, dts: wp.array | None = None, mask: wp.array | None = None
+    ) -> None:
+        """Strains gained from here on are resisted, in the environments of ``mask`` (int32,
+        [env_count]); in all when None.
 
         ``dts``: length of the step [s], float64, shape [env_count]; the scene's when None.
         """
@@ -238,6 +251,6 @@ class ViscousPotential(ElementSum):
         wp.launch(
             self._start,
             dim=self.data.start_strains.shape,
-            inputs=[positions, self.data],
+            inputs=[mask, positions, self.data],
             device=m.device,
         )
