@@ -43,12 +43,12 @@ class ListRoom:
 
     counts: entries; more than there is room for where the list was too short, [env_count].
     starts: place of the first entry, and the end of all room, [env_count + 1].
-    wanted: how many entries did not fit, 0 where all did, [env_count].
+    peaks: most entries so far, those included that did not fit, [env_count].
     """
 
     counts: wp.array(dtype=wp.int32)
     starts: wp.array(dtype=wp.int32)
-    wanted: wp.array(dtype=wp.int32)
+    peaks: wp.array(dtype=wp.int32)
 
 
 @wp.func
@@ -75,11 +75,12 @@ def claim_place(env: int, room: ListRoom) -> int:
 
 @wp.func
 def overflows(env: int, room: ListRoom) -> bool:
-    """Whether a list was too short; notes how long it should be, and empties it."""
+    """Whether a list was too short, which empties it; notes how long it should be."""
     count = room.counts[env]
+    if count > room.peaks[env]:
+        room.peaks[env] = count
     if count <= room_for(env, room):
         return False
-    room.wanted[env] = wp.max(room.wanted[env], count)
     room.counts[env] = 0
     return True
 
@@ -141,18 +142,30 @@ def move_entries(
     return new
 
 
-def plan_rooms(rooms: np.ndarray, wanted: np.ndarray, limit: int, most: int) -> np.ndarray:
-    """Entries that each environment shall have room for, int64, [env_count].
+def plan_rooms(rooms: np.ndarray, peaks: np.ndarray, limit: int, most: int) -> np.ndarray:
+    """Entries that each environment shall have room for, int64, [env_count], when some have less
+    than their ``peaks``, the most that they ever listed.
 
-    Half as much again as what did not fit (``wanted``), but no more than ``limit``. Environments
-    that want more than that keep the ``rooms`` they have, and so do those that want most, one after
-    the other, as long as all together would have room for more than ``most``.
+    These get half as much again as their peak, but no more than ``limit``. What more than one
+    environment, and more than one in sixteen, has needed is no burst, though: room for that goes to
+    all, as moving the lists and taking a step again for each in turn would cost more.
+
+    Environments that want more than the limit keep the ``rooms`` they have, and so do those that
+    want most, one after the other, as long as all together would have room for more than ``most``.
     """
-    rooms, wanted = rooms.astype(np.int64), wanted.astype(np.int64)
-    grows = (wanted > rooms) & (wanted <= limit)
-    planned = np.where(grows, np.minimum(3 * wanted // 2, limit), rooms)
+    rooms, peaks = rooms.astype(np.int64), peaks.astype(np.int64)
+    if not (peaks > rooms).any():
+        return rooms
+    grows = (peaks > rooms) & (peaks <= limit)
+    planned = np.where(grows, np.minimum(3 * peaks // 2, limit), rooms)
+    rank = 2 + len(rooms) // 16
+    if len(rooms) >= rank:
+        usual = np.sort(np.where(peaks <= limit, peaks, 0))[-rank]
+        for_all = np.maximum(planned, min(3 * usual // 2, limit))
+        if for_all.sum() <= most:
+            return for_all
     excess = planned.sum() - most
-    for env in np.argsort(-wanted, kind="stable"):
+    for env in np.argsort(-peaks, kind="stable"):
         if excess <= 0:
             break
         excess -= planned[env] - rooms[env]
@@ -179,8 +192,8 @@ class GrowingList:
         """Entries of an environment beyond which it is given up."""
         self.counts = wp.zeros(env_count, dtype=wp.int32, device=device)
         """Entries, int32, shape [env_count]; more than there is room for where that was short."""
-        self.wanted = wp.zeros(env_count, dtype=wp.int32, device=device)
-        """Counts that did not fit, int32, shape [env_count]."""
+        self.peaks = wp.zeros(env_count, dtype=wp.int32, device=device)
+        """Most entries so far, where a step looked at them, int32, shape [env_count]."""
         self.entry_bytes = sum(map(wp.types.type_size_in_bytes, self.columns.values()))
         """Memory of an entry; who keeps arrays of the same length adds theirs."""
         self.starts = wp.zeros(env_count + 1, dtype=wp.int32, device=device)
@@ -189,20 +202,14 @@ class GrowingList:
             setattr(self, name, wp.zeros(0, dtype=dtype, device=device))
         self._allocate(min(room, limit))
 
-    @property
-    def capacity(self) -> int:
-        """Entries there is room for, in all environments together."""
-        return int(self.rooms.sum())
-
-    @property
-    def largest_room(self) -> int:
-        """Entries there is room for where there is most."""
-        return int(self.rooms.max(initial=0))
-
     def _allocate(self, rooms: int | np.ndarray) -> None:
         """Give each environment room for so many entries; what is listed and still fits stays."""
         self.rooms = np.broadcast_to(np.asarray(rooms, dtype=np.int64), self.counts.shape).copy()
         """Entries there is room for, int64, shape [env_count]."""
+        self.capacity = int(self.rooms.sum())
+        """Entries there is room for, in all environments together."""
+        self.largest_room = int(self.rooms.max(initial=0))
+        """Entries there is room for where there is most."""
         starts = np.concatenate([[0], np.cumsum(self.rooms)])
         old_starts = self.starts
         self.starts = wp.array(starts.astype(np.int32), dtype=wp.int32, device=self.device)
@@ -211,7 +218,7 @@ class GrowingList:
             setattr(self, name, moved)
         self.room = ListRoom()
         """For kernels; of the list as it is now."""
-        self.room.counts, self.room.starts, self.room.wanted = self.counts, self.starts, self.wanted
+        self.room.counts, self.room.starts, self.room.peaks = self.counts, self.starts, self.peaks
 
     def clear(self, active: wp.array) -> None:
         """Empty the lists of the active environments (int32, [env_count])."""
@@ -223,9 +230,7 @@ class GrowingList:
         There can be none beyond ``limit``, and none beyond the free memory of the device: then the
         environment that wants most has to stand back.
         """
-        wanted = self.wanted.numpy().copy()
-        self.wanted.zero_()
-        return self._grow(wanted)
+        return self._grow(self.peaks.numpy())
 
     def fit(self) -> bool:
         """Look at the counts and make room; whether entries are missing that now would fit.
@@ -234,18 +239,21 @@ class GrowingList:
         """
         counts = self.counts.numpy()
         short = counts > self.rooms
-        refused = self._grow(counts)
+        refused = self._grow(np.maximum(counts, self.peaks.numpy()))
         if refused.any():
             self.counts.assign(np.where(refused, 0, counts))
         return bool((short & ~refused).any())
 
-    def _grow(self, wanted: np.ndarray) -> np.ndarray:
-        if not (wanted > self.rooms).any():
-            return np.zeros(len(wanted), dtype=bool)
-        rooms = plan_rooms(self.rooms, wanted, self.limit, self._affordable())
+    def _grow(self, peaks: np.ndarray) -> np.ndarray:
+        if not (peaks > self.rooms).any():
+            return np.zeros(len(peaks), dtype=bool)
+        rooms = plan_rooms(self.rooms, peaks, self.limit, self._affordable())
         if (rooms > self.rooms).any():
             self._allocate(rooms)
-        return wanted > rooms
+        refused = peaks > rooms
+        # Who was refused has to ask again.
+        self.peaks.assign(np.minimum(peaks, rooms).astype(np.int32))
+        return refused
 
     def _affordable(self) -> int:
         """Entries that there could be room for, in all environments together."""

@@ -293,7 +293,7 @@ class FrictionPotential(EnergyTerm):
             setattr(frozen, name, move_entries(old, self.counts, self._starts, c.starts))
         self._starts = c.starts
         room = ListRoom()
-        room.counts, room.starts, room.wanted = self.counts, c.starts, c.wanted
+        room.counts, room.starts, room.peaks = self.counts, c.starts, c.peaks
         frozen.room = room
         self.energies = wp.zeros(c.capacity, dtype=wp.float64, device=self.model.device)
 
