@@ -1,362 +1,319 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numeric block Cholesky factorisation in block-arrow form by one thread block, and its solves.
+"""Block-arrow factorisation by one thread block.
 
-Level by level: all blocks of the level subtract their pairs, then lanes factor the diagonal blocks
-and scale what lies below. The border among itself is a small dense matrix, the Schur complement,
-which is inverted. Extra blocks between two gel rows have no place in the factor and are left out.
+A level costs two barriers and some tens of reads, of shared memory where there is room. At the end
+blocks are scaled to A = L D L^T with unit L, for the sake of the solves (``arrow_solve``).
+
+``memory`` and ``program`` are the addresses of the numbers and of the words, of either kind of
+memory; see ``ArrowLayout`` for what is where.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.linear.block_ops import block_barrier
-from taccel_lab.ipc.linear.extra_rows import ExtraRows
-from taccel_lab.ipc.linear.preconditioner import sweep
+from taccel_lab.ipc.linear.arrow_program import SCHUR_CHUNKS, ArrowLayout
 
 wp.set_module_options({"enable_backward": False})
 
-SUM_CHUNKS = 32
-"""Partial sums of a border row."""
-SCHUR_CHUNKS = 4
-"""Partial sums of an element of the Schur complement."""
+NAMES = """
+    double* const numbers = reinterpret_cast<double*>(memory);
+    const int* const words = reinterpret_cast<const int*>(program);
+    double* const factor = numbers;
+    (void)words;
+    (void)factor;
+"""
+"""How snippets call what is in memory."""
+
+# Element (i, j) of block code >> 1 lies at (j, i) where the code is odd.
+_LOAD_SNIPPET = (
+    NAMES
+    + """
+    int* const copied = reinterpret_cast<int*>(program);
+    const int* const source = listed.data;
+    if (copied != source) {
+        #pragma unroll 4
+        for (int e = lane; e < layout.word_count; e += lanes)
+            copied[e] = source[e];
+    }
+    const int* const code = codes.data;
+    const double* const value = values.data;
+    const int end = 9 * layout.blocks;
+    #pragma unroll 8
+    for (int e = lane; e < end; e += lanes) {
+        const int own = code[e / 9];
+        const int part = e % 9;
+        const int turned = own & 1 ? 3 * (part % 3) + part / 3 : part;
+        factor[e] = own < 0 ? 0.0 : value[9 * (own >> 1) + turned];
+    }
+    if (lane == 0)
+        numbers[layout.flag] = 0.0;
+    WP_TILE_SYNC();
+    // Every block is listed twice: one of them is that of a border row and a gel column.
+    #pragma unroll 1
+    for (int e = lane; e < 9 * extra_count; e += lanes) {
+        const int own = extra_codes.data[e / 9];
+        const int part = e % 9;
+        const int i = extra_places.data[own >> 1][own & 1];
+        const int j = extra_places.data[own >> 1][1 - (own & 1)];
+        const int c = border_places.data[i];
+        const bool inner = border_places.data[j] < 0;
+        const int turned = own & 1 ? 3 * (part % 3) + part / 3 : part;
+        if (c >= 0 && inner)
+            factor[9 * (words[layout.starts + places.data[j]] + 1 + c) + part] +=
+                extra_values.data[9 * (own >> 1) + turned];
+        if (c < 0 && inner)
+            numbers[layout.flag] = 1.0;
+    }
+"""
+)
 
 
-@wp.struct
-class ArrowLists:
-    """``Elimination`` on the device; what it calls n columns, m border rows.
-
-    starts, columns, codes, pair_starts, pairs, level_starts, level_columns, row_starts,
-    row_entries, column_starts, column_entries: as there.
-    border_codes: blocks of the pattern of the border among itself, row by row, [m m].
-    border_places: number in the border of each row of the system, or -1, [n + m].
-    places: place of each row of the system, those of the border last, [n + m].
-    border_count: m.
-    """
-
-    starts: wp.array(dtype=wp.int32)
-    columns: wp.array(dtype=wp.int32)
-    codes: wp.array(dtype=wp.int32)
-    pair_starts: wp.array(dtype=wp.int32)
-    pairs: wp.array(dtype=wp.vec2i)
-    level_starts: wp.array(dtype=wp.int32)
-    level_columns: wp.array(dtype=wp.int32)
-    row_starts: wp.array(dtype=wp.int32)
-    row_entries: wp.array(dtype=wp.vec2i)
-    column_starts: wp.array(dtype=wp.int32)
-    column_entries: wp.array(dtype=wp.vec2i)
-    border_codes: wp.array(dtype=wp.int32)
-    border_places: wp.array(dtype=wp.int32)
-    places: wp.array(dtype=wp.int32)
-    border_count: int
-
-
-@wp.func
-def _component(code: int, i: int, j: int) -> int:
-    """Where element (i, j) of a coded block is among the scalars of the pattern's blocks."""
-    if code & 1:
-        return 9 * (code >> 1) + 3 * j + i
-    return 9 * (code >> 1) + 3 * i + j
-
-
-@wp.func
+@wp.func_native(_LOAD_SNIPPET)
 def load_matrix(
-    env: int,
+    memory: wp.uint64,
+    program: wp.uint64,
     lane: int,
     lanes: int,
-    lists: ArrowLists,
+    layout: ArrowLayout,
+    listed: wp.array(dtype=wp.int32),
+    codes: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.float64),
-    extra: ExtraRows,
+    places: wp.array(dtype=wp.int32),
+    border_places: wp.array(dtype=wp.int32),
+    extra_count: int,
+    extra_codes: wp.array(dtype=wp.int32),
     extra_places: wp.array(dtype=wp.vec2i),
     extra_values: wp.array(dtype=wp.float64),
-    factor: wp.array(dtype=wp.float64),
-):
-    """Blocks of the matrix at their places in the factor, without the border among itself."""
-    for e in range(lane, factor.shape[0], lanes):
-        code = lists.codes[e / 9]
-        value = wp.float64(0.0)
-        if code >= 0:
-            value = values[_component(code, e % 9 / 3, e % 3)]
-        factor[e] = value
-    block_barrier()
-    first = extra.starts[env][0]
-    for e in range(lane, 9 * extra.totals[env, 0], lanes):
-        code = extra.codes[2 * first + e / 9]
-        k = first + code / 2
-        i = extra_places[k][0]
-        j = extra_places[k][1]
-        # Every block is listed twice: here as that of a border row and a gel column.
-        if code & 1:
-            swap = i
-            i = j
-            j = swap
-        c = lists.border_places[i]
-        if c >= 0 and lists.border_places[j] < 0:
-            at = 9 * (lists.starts[lists.places[j]] + 1 + c) + e % 9
-            factor[at] += extra_values[9 * first + _component(code, e % 9 / 3, e % 3)]
-
-
-@wp.func
-def _inverse_root(a: wp.array(dtype=wp.float64), at: int) -> wp.mat33d:
-    """Inverse of the lower Cholesky factor of the 3x3 block at ``at``; NaN where it has none."""
-    one = wp.float64(1.0)
-    r00 = one / wp.sqrt(a[at])
-    l10 = a[at + 3] * r00
-    l20 = a[at + 6] * r00
-    r11 = one / wp.sqrt(a[at + 4] - l10 * l10)
-    l21 = (a[at + 7] - l20 * l10) * r11
-    r22 = one / wp.sqrt(a[at + 8] - l20 * l20 - l21 * l21)
-    r10 = -l10 * r00 * r11
-    r20 = -(l20 * r00 + l21 * r10) * r22
-    zero = wp.float64(0.0)
-    return wp.mat33d(r00, zero, zero, r10, r11, zero, r20, -l21 * r11 * r22, r22)
-
-
-# Written out in C++: arrays of Warp carry strides, which cost registers and multiplications here.
-_PAIRS_SNIPPET = """
-    const wp::vec_t<2, wp::int32>* pair = pairs.data;
-    const wp::float64* blocks = factor.data;
-    wp::float64 total = 0.0;
-    #pragma unroll 2
-    for (int e = first; e < end; ++e) {
-        const wp::float64* a = blocks + 9 * pair[e][0] + row;
-        const wp::float64* b = blocks + 9 * pair[e][1] + column;
-        total += a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    }
-    return total;
-"""
-
-
-@wp.func_native(_PAIRS_SNIPPET)
-def _pair_sum(
-    first: int,
-    end: int,
-    row: int,
-    column: int,
-    pairs: wp.array(dtype=wp.vec2i),
-    factor: wp.array(dtype=wp.float64),
-) -> wp.float64:
-    """Sum of an element of a b^T over pairs; ``row`` and ``column`` start rows of a and b."""
+) -> None:
+    """The ``listed`` program, and blocks of the matrix at their places in the factor, without the
+    border among itself. The flag says whether extra blocks between gel rows were left out. Ends
+    without a barrier: nothing of the first level subtracts anything."""
     ...
 
 
-_ROW_SNIPPET = """
-    const wp::vec_t<2, wp::int32>* entry = entries.data;
-    wp::vec_t<3, wp::float64> total;
-    #pragma unroll 2
-    for (int e = first; e < end; ++e) {
-        const wp::float64* a = factor.data + 9 * entry[e][0];
-        const wp::float64* y = z.data + 3 * entry[e][1];
-        const int across = flipped ? 3 : 1;
-        const int down = flipped ? 1 : 3;
-        total[0] += a[0] * y[0] + a[across] * y[1] + a[2 * across] * y[2];
-        a += down;
-        total[1] += a[0] * y[0] + a[across] * y[1] + a[2 * across] * y[2];
-        a += down;
-        total[2] += a[0] * y[0] + a[across] * y[1] + a[2 * across] * y[2];
+_FACTOR_SNIPPET = (
+    NAMES
+    + """
+    double* const roots = numbers + layout.roots;
+    const int* const pair_starts = words + layout.pair_starts;
+    const int* const pairs = words + layout.pairs;
+    const int* const owners = words + layout.owners;
+    const int* const level_starts = words + layout.level_starts;
+    const auto inverse_root = [](double value) {
+#if defined(__CUDA_ARCH__)
+        return ::rsqrt(value);
+#else
+        return 1.0 / wp::sqrt(value);
+#endif
+    };
+    // Words never change: the first that a lane needs after a barrier are read before it.
+    int first = level_starts[0];
+    int end = level_starts[1];
+    int begin = pair_starts[first + lane / 9];
+    int stop = pair_starts[first + lane / 9 + 1];
+    #pragma unroll 1
+    for (int level = 0; level < layout.level_count; ++level) {
+        const int next_end = level_starts[level + 2];
+        unsigned owner = owners[first + lane / 3];
+        #pragma unroll 1
+        for (int task = 9 * first + lane; task < 9 * end; task += lanes) {
+            const int block = task / 9;
+            if (task >= 9 * first + lanes) {
+                begin = pair_starts[block];
+                stop = pair_starts[block + 1];
+            }
+            const int row = 3 * (task % 9 / 3);
+            const int column = 3 * (task % 3);
+            double total = 0.0, more = 0.0, last = 0.0;
+            #pragma unroll 4
+            for (int e = begin; e < stop; ++e) {
+                const unsigned pair = pairs[e];
+                const double* const a = factor + 9 * (pair >> 16) + row;
+                const double* const b = factor + 9 * (pair & 0xffffu) + column;
+                total += a[0] * b[0];
+                more += a[1] * b[1];
+                last += a[2] * b[2];
+            }
+            if (stop > begin)
+                factor[task] -= total + more + last;
+        }
+        WP_TILE_SYNC();
+        if (9 * end + lane < 9 * next_end) {
+            begin = pair_starts[end + lane / 9];
+            stop = pair_starts[end + lane / 9 + 1];
+        }
+        #pragma unroll 1
+        for (int task = 3 * first + lane; task < 3 * end; task += lanes) {
+            const int block = task / 3;
+            if (task >= 3 * first + lanes)
+                owner = owners[block];
+            const int diagonal = owner & 0xffffu;
+            const double* const d = factor + 9 * diagonal;
+            const double r00 = inverse_root(d[0]);
+            const double l10 = d[3] * r00;
+            const double l20 = d[6] * r00;
+            // From the minor, which does not wait for the first root.
+            const double r11 = d[0] * r00 * inverse_root(d[0] * d[4] - d[3] * d[3]);
+            const double l21 = (d[7] - l20 * l10) * r11;
+            const double r22 = inverse_root(d[8] - l20 * l20 - l21 * l21);
+            const double r10 = -l10 * r00 * r11;
+            const double r21 = -l21 * r11 * r22;
+            const double r20 = -(l20 * r00 + l21 * r10) * r22;
+            if (block == diagonal) {
+                // One row for each of three lanes. The block itself is still read by others.
+                double* const root = roots + 9 * (owner >> 16);
+                const int i = task % 3;
+                root[3 * i] = i == 0 ? r00 : i == 1 ? r10 : r20;
+                root[3 * i + 1] = i == 0 ? 0.0 : i == 1 ? r11 : r21;
+                root[3 * i + 2] = i == 2 ? r22 : 0.0;
+            } else {
+                double* const a = factor + 3 * task;
+                const double a0 = a[0], a1 = a[1], a2 = a[2];
+                a[0] = r00 * a0;
+                a[1] = r10 * a0 + r11 * a1;
+                a[2] = r20 * a0 + r21 * a1 + r22 * a2;
+            }
+        }
+        first = end;
+        end = next_end;
+        WP_TILE_SYNC();
     }
-    return total;
 """
+)
 
 
-@wp.func_native(_ROW_SNIPPET)
-def _entry_sum(
-    first: int,
-    end: int,
-    flipped: int,
-    entries: wp.array(dtype=wp.vec2i),
-    factor: wp.array(dtype=wp.float64),
-    z: wp.array(dtype=wp.float64),
-) -> wp.vec3d:
-    """Sum of L z over the entries (block, place) of a row, of L^T z over those of a column."""
-    ...
-
-
-@wp.func
+@wp.func_native(_FACTOR_SNIPPET)
 def factor_columns(
-    lane: int,
-    lanes: int,
-    lists: ArrowLists,
-    factor: wp.array(dtype=wp.float64),
-    roots: wp.array(dtype=wp.mat33d),
-):
-    """Factor all columns; ``roots`` receives the inverses of the diagonal blocks of the factor."""
-    for level in range(lists.level_starts.shape[0] - 1):
-        first = lists.level_starts[level]
-        end = lists.level_starts[level + 1]
-        block_barrier()
-        for task in range(9 * first + lane, 9 * end, lanes):
-            block = task / 9
-            begin = lists.pair_starts[block]
-            stop = lists.pair_starts[block + 1]
-            if stop > begin:
-                # Element (i, j) is that of row i of a and row j of b.
-                i = 3 * (task % 9 / 3)
-                j = 3 * (task % 3)
-                factor[task] -= _pair_sum(begin, stop, i, j, lists.pairs, factor)
-        block_barrier()
-        for task in range(3 * first + lane, 3 * end, lanes):
-            block = task / 3
-            column = lists.columns[block]
-            diagonal = lists.starts[column]
-            root = _inverse_root(factor, 9 * diagonal)
-            if block == diagonal:
-                if task % 3 == 0:
-                    roots[column] = root
-            else:
-                at = 3 * task
-                row = root * wp.vec3d(factor[at], factor[at + 1], factor[at + 2])
-                factor[at] = row[0]
-                factor[at + 1] = row[1]
-                factor[at + 2] = row[2]
-    block_barrier()
+    memory: wp.uint64, program: wp.uint64, lane: int, lanes: int, layout: ArrowLayout
+) -> None:
+    """Cholesky factor of all columns; inverses of its diagonal blocks go to the roots."""
+    ...
 
 
-@wp.func
-def invert_schur(
-    env: int,
+_SCHUR_SUM_SNIPPET = (
+    NAMES
+    + """
+    const int width = 3 * layout.m;
+    const int* const starts = words + layout.starts;
+    const int triangle = width * (width + 1) / 2;
+    double* const sums = numbers + layout.sums;
+    // Row i of the lower triangle starts at i (i + 1) / 2.
+    #pragma unroll 1
+    for (int task = lane; task < @SCHUR_CHUNKS@ * triangle; task += lanes) {
+        const int chunk = task / triangle;
+        const int e = task % triangle;
+        int i = 0;
+        for (int step = width; step > 0; step >>= 1)
+            while (i + step < width && (i + step) * (i + step + 1) / 2 <= e)
+                i += step;
+        const int j = e - i * (i + 1) / 2;
+        double total = 0.0, more = 0.0, last = 0.0;
+        #pragma unroll 4
+        for (int column = chunk; column < layout.n; column += @SCHUR_CHUNKS@) {
+            const double* const base = factor + 9 * (starts[column] + 1);
+            const double* const a = base + 3 * i;
+            const double* const b = base + 3 * j;
+            total += a[0] * b[0];
+            more += a[1] * b[1];
+            last += a[2] * b[2];
+        }
+        sums[task] = total + more + last;
+    }
+    WP_TILE_SYNC();
+    // From here on nothing needs the factor as it is: A = L D L^T with unit L.
+    const double* const roots = numbers + layout.roots;
+    const int* const owners = words + layout.owners;
+    #pragma unroll 1
+    for (int task = lane; task < 3 * layout.blocks; task += lanes) {
+        const int block = task / 3;
+        const unsigned owner = owners[block];
+        const double* const root = roots + 9 * (owner >> 16);
+        double* const a = factor + 3 * task;
+        double row[3];
+        if (block == static_cast<int>(owner & 0xffffu)) {
+            // Inverse of the diagonal block, from the roots alone.
+            const int i = task % 3;
+            row[0] = root[i];
+            row[1] = root[3 + i];
+            row[2] = root[6 + i];
+        } else {
+            row[0] = a[0];
+            row[1] = a[1];
+            row[2] = a[2];
+        }
+        for (int c = 0; c < 3; ++c)
+            a[c] = row[0] * root[c] + row[1] * root[3 + c] + row[2] * root[6 + c];
+    }
+    double* const schur = numbers + layout.schur;
+    #pragma unroll 1
+    for (int e = lane; e < width * width; e += lanes) {
+        const int i = e / width;
+        const int j = e % width;
+        const int own = border_codes.data[i / 3 * layout.m + j / 3];
+        double value = 0.0;
+        if (own >= 0)
+            value = values.data[
+                9 * (own >> 1) + (own & 1 ? 3 * (j % 3) + i % 3 : 3 * (i % 3) + j % 3)];
+        const int high = i > j ? i : j;
+        const int low = i > j ? j : i;
+        for (int chunk = 0; chunk < @SCHUR_CHUNKS@; ++chunk)
+            value -= sums[chunk * triangle + high * (high + 1) / 2 + low];
+        schur[e] = value;
+    }
+    WP_TILE_SYNC();
+    #pragma unroll 1
+    for (int e = lane; e < 9 * extra_count; e += lanes) {
+        const int own = extra_codes.data[e / 9];
+        const int part = e % 9;
+        const int i = border_places.data[extra_places.data[own >> 1][own & 1]];
+        const int j = border_places.data[extra_places.data[own >> 1][1 - (own & 1)]];
+        const int turned = own & 1 ? 3 * (part % 3) + part / 3 : part;
+        if (i >= 0 && j >= 0)
+            schur[(3 * i + part / 3) * width + 3 * j + part % 3] +=
+                extra_values.data[9 * (own >> 1) + turned];
+    }
+    // Gauss-Jordan, from one copy to the other and back; what has no Cholesky factor gives NaN.
+    double* old = schur;
+    double* next = schur + width * width;
+    #pragma unroll 1
+    for (int pivot = 0; pivot < width; ++pivot) {
+        WP_TILE_SYNC();
+        const double scale = old[pivot * width + pivot];
+        const double inverse = scale > 0.0 ? 1.0 / scale : wp::float64(NAN);
+        #pragma unroll 1
+        for (int e = lane; e < width * width; e += lanes) {
+            const int i = e / width;
+            const int j = e % width;
+            const double across = j == pivot ? 1.0 : old[pivot * width + j];
+            const double down = old[i * width + pivot];
+            const double rest = j == pivot ? 0.0 : old[e];
+            next[e] = i == pivot ? across * inverse : rest - down * across * inverse;
+        }
+        double* const swap = old;
+        old = next;
+        next = swap;
+    }
+""".replace("@SCHUR_CHUNKS@", str(SCHUR_CHUNKS))
+)
+
+
+@wp.func_native(_SCHUR_SUM_SNIPPET)
+def finish_factor(
+    memory: wp.uint64,
+    program: wp.uint64,
     lane: int,
     lanes: int,
-    lists: ArrowLists,
+    layout: ArrowLayout,
     values: wp.array(dtype=wp.float64),
-    extra: ExtraRows,
+    border_codes: wp.array(dtype=wp.int32),
+    border_places: wp.array(dtype=wp.int32),
+    extra_count: int,
+    extra_codes: wp.array(dtype=wp.int32),
     extra_places: wp.array(dtype=wp.vec2i),
     extra_values: wp.array(dtype=wp.float64),
-    factor: wp.array(dtype=wp.float64),
-    sums: wp.array(dtype=wp.float64),
-    schur: wp.array(dtype=wp.float64),
-):
-    """Inverse of the border's Schur complement, in the second half of ``schur``."""
-    width = 3 * lists.border_count
-    size = width * width
-    chunks = int(SCHUR_CHUNKS)
-    for task in range(lane, chunks * size, lanes):
-        e = task / chunks
-        i = e / width
-        j = e % width
-        total = wp.float64(0.0)
-        for column in range(task % chunks, lists.starts.shape[0], chunks):
-            first = 9 * (lists.starts[column] + 1)
-            a = first + 3 * i
-            b = first + 3 * j
-            total += factor[a] * factor[b]
-            total += factor[a + 1] * factor[b + 1]
-            total += factor[a + 2] * factor[b + 2]
-        sums[task] = total
-    block_barrier()
-    old = (width + 1) % 2 * size
-    for e in range(lane, size, lanes):
-        i = e / width
-        j = e % width
-        code = lists.border_codes[i / 3 * lists.border_count + j / 3]
-        value = wp.float64(0.0)
-        if code >= 0:
-            value = values[_component(code, i % 3, j % 3)]
-        for chunk in range(chunks):
-            value -= sums[e * chunks + chunk]
-        schur[old + e] = value
-    block_barrier()
-    start = extra.starts[env][0]
-    for e in range(lane, 9 * extra.totals[env, 0], lanes):
-        code = extra.codes[2 * start + e / 9]
-        i = lists.border_places[extra_places[start + code / 2][0]]
-        j = lists.border_places[extra_places[start + code / 2][1]]
-        if i >= 0 and j >= 0:
-            if code & 1:
-                swap = i
-                i = j
-                j = swap
-            at = (3 * i + e % 9 / 3) * width + 3 * j + e % 3
-            schur[old + at] += extra_values[9 * start + _component(code, e % 9 / 3, e % 3)]
-    new = size - old
-    for pivot in range(width):
-        block_barrier()
-        sweep(lane, lanes, width, pivot, old, new, schur)
-        swap_copy = old
-        old = new
-        new = swap_copy
-
-
-@wp.func
-def _solve_border(
-    lane: int,
-    lanes: int,
-    lists: ArrowLists,
-    factor: wp.array(dtype=wp.float64),
-    sums: wp.array(dtype=wp.float64),
-    schur: wp.array(dtype=wp.float64),
-    r: wp.array(dtype=wp.float64),
-    z: wp.array(dtype=wp.float64),
-):
-    """Border rows of z from its gel rows y; y less what the border takes from them."""
-    n = lists.starts.shape[0]
-    width = 3 * lists.border_count
-    chunks = int(SUM_CHUNKS)
-    for task in range(lane, chunks * width, lanes):
-        i = task / chunks
-        total = wp.float64(0.0)
-        for column in range(task % chunks, n, chunks):
-            a = 9 * (lists.starts[column] + 1) + 3 * i
-            total += factor[a] * z[3 * column]
-            total += factor[a + 1] * z[3 * column + 1]
-            total += factor[a + 2] * z[3 * column + 2]
-        sums[task] = total
-    block_barrier()
-    for i in range(lane, width, lanes):
-        total = r[3 * n + i]
-        for chunk in range(chunks):
-            total -= sums[i * chunks + chunk]
-        # Its own place in sums: no other lane reads that.
-        sums[i * chunks] = total
-    block_barrier()
-    for i in range(lane, width, lanes):
-        total = wp.float64(0.0)
-        for k in range(width):
-            # Down a column of the symmetric inverse.
-            total += schur[width * width + width * k + i] * sums[k * chunks]
-        z[3 * n + i] = total
-    block_barrier()
-    for task in range(lane, 3 * n, lanes):
-        column = task / 3
-        at = 9 * (lists.starts[column] + 1) + task % 3
-        total = z[task]
-        for k in range(width):
-            total -= factor[at + 3 * k] * z[3 * n + k]
-        z[task] = total
-    block_barrier()
-
-
-@wp.func
-def solve_factored(
-    lane: int,
-    lanes: int,
-    lists: ArrowLists,
-    factor: wp.array(dtype=wp.float64),
-    roots: wp.array(dtype=wp.mat33d),
-    sums: wp.array(dtype=wp.float64),
-    schur: wp.array(dtype=wp.float64),
-    r: wp.array(dtype=wp.vec3d),
-    r_scalars: wp.array(dtype=wp.float64),
-    z: wp.array(dtype=wp.vec3d),
-    z_scalars: wp.array(dtype=wp.float64),
-):
-    """z = (factored matrix)^-1 r, by places."""
-    level_count = lists.level_columns.shape[0] - 1
-    for level in range(level_count):
-        for row in range(lists.level_columns[level] + lane, lists.level_columns[level + 1], lanes):
-            begin = lists.row_starts[row]
-            end = lists.row_starts[row + 1]
-            total = r[row] - _entry_sum(begin, end, 0, lists.row_entries, factor, z_scalars)
-            z[row] = roots[row] * total
-        block_barrier()
-    if lists.border_count > 0:
-        _solve_border(lane, lanes, lists, factor, sums, schur, r_scalars, z_scalars)
-    for back in range(level_count):
-        level = level_count - 1 - back
-        for row in range(lists.level_columns[level] + lane, lists.level_columns[level + 1], lanes):
-            begin = lists.column_starts[row]
-            end = lists.column_starts[row + 1]
-            total = z[row] - _entry_sum(begin, end, 1, lists.column_entries, factor, z_scalars)
-            # v * M = M^T v
-            z[row] = total * roots[row]
-        block_barrier()
+) -> None:
+    """Scale the factor, diagonal blocks to the inverses of D, and invert the Schur complement of
+    the border, in the half of its copies where ``solve_factored`` looks for it, after barriers of
+    its own."""
+    ...

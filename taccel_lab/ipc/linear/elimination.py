@@ -42,14 +42,9 @@ class Elimination:
     """Range of each block in ``pairs``, [block_count + 1]."""
     pairs: np.ndarray
     """Blocks a, b: a b^T is subtracted from the block, [pair_count, 2]."""
-    row_starts: np.ndarray
-    """Range of each row in ``row_entries``, [column_count + 1]."""
-    row_entries: np.ndarray
-    """(block, place of its column) of the blocks left of the diagonal, ascending, [entry, 2]."""
-    column_starts: np.ndarray
-    """Range of each column in ``column_entries``, [column_count + 1]."""
-    column_entries: np.ndarray
-    """(block, place of its row) of the blocks of gel rows below the diagonal, [entry, 2]."""
+    inner: np.ndarray
+    """(block, place of its row) of the blocks of gel rows below the diagonal, by columns,
+    [inner_count, 2]."""
 
     @property
     def block_count(self) -> int:
@@ -129,14 +124,11 @@ def _number_blocks(
     place_of = {count + c: c for c in range(m)}
     index = {}
     rows_of_blocks: list[int] = []
-    row_lists: list[list[tuple[int, int]]] = [[] for _ in range(count)]
     for column, rows in enumerate(structure):
         block = int(starts[column])
         all_rows = [column, *place_of, *rows]
         for k, row in enumerate(all_rows):
             index[row, column] = block + k
-            if column < row < count:
-                row_lists[row].append((block + k, column))
         rows_of_blocks += all_rows
     pairs: list[list[tuple[int, int]]] = [[] for _ in rows_of_blocks]
     for column, rows in enumerate(structure):
@@ -153,10 +145,8 @@ def _number_blocks(
     system_row = np.concatenate([order, border])
     level_count = int(levels.max(initial=-1)) + 1
     level_columns = np.searchsorted(levels, np.arange(level_count + 1))
-    column_lists = [[(index[i, j], i) for i in rows] for j, rows in enumerate(structure)]
+    inner = [(index[i, j], i) for j, rows in enumerate(structure) for i in rows]
     block_starts = np.append(starts, sizes.sum())
-    row_starts, row_entries = _flat(row_lists)
-    column_starts, column_entries = _flat(column_lists)
     pair_starts, flat_pairs = _flat(pairs)
     return Elimination(
         order=order,
@@ -168,10 +158,7 @@ def _number_blocks(
         codes=_codes(pattern, system_row[rows_array], order[columns]),
         pair_starts=pair_starts,
         pairs=flat_pairs,
-        row_starts=row_starts,
-        row_entries=row_entries,
-        column_starts=column_starts,
-        column_entries=column_entries,
+        inner=np.array(inner, dtype=np.int64).reshape(-1, 2),
     )
 
 

@@ -8,8 +8,8 @@ from typing import Protocol
 
 import warp as wp
 
-from taccel_lab.ipc.linear.arrow_cg import ArrowCG
-from taccel_lab.ipc.linear.arrow_shared import ArrowShared, fits_shared
+from taccel_lab.ipc.linear import arrow
+from taccel_lab.ipc.linear.arrow import Arrow
 from taccel_lab.ipc.linear.block_cg import BlockCG
 from taccel_lab.ipc.linear.block_ops import team
 from taccel_lab.ipc.linear.dense_cholesky import DenseCholesky
@@ -34,8 +34,6 @@ class Solver(Protocol):
 
 MAX_DIRECT_ROWS = 400
 """Rows up to which a stiff system is factored: 1,200 unknowns take about 30 ms on one core."""
-MAX_ARROW_ROWS = 400
-"""Rows up to which a GPU factors the gels exactly in a thread block an environment."""
 
 
 class LinearSystem(LinearProblem):
@@ -89,10 +87,16 @@ METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
     "ssor": SsorCG,
     "dense": DenseCholesky,
     "cg": lambda system: BlockCG(system, system.clusters),
-    "arrow": lambda system: ArrowCG(system, system.clusters),
-    "arrow-shared": lambda system: ArrowShared(system, system.clusters),
+    "arrow": lambda system: Arrow(system, system.clusters),
     "pipelined": lambda system: PipelinedCG(system, system.clusters),
 }
+
+
+def usable_methods(row_count: int, device: wp.Device) -> list[str]:
+    """Those of ``METHODS`` that are made for a device and can hold systems of so many rows."""
+    if device.is_cpu:
+        return ["ssor", "dense"] if row_count <= MAX_DIRECT_ROWS else ["ssor"]
+    return ["arrow", "cg", "pipelined"] if row_count <= arrow.MAX_ROWS else ["cg", "pipelined"]
 
 
 def _method(
@@ -102,15 +106,12 @@ def _method(
     device: wp.Device,
     stiff: bool,
 ) -> str:
-    """The solver that suits the device and the size."""
-    if not device.is_cpu:
-        if pattern.free_count <= MAX_ARROW_ROWS:
-            # What a level of the factor waits for is ten times closer in shared memory; a
-            # multiprocessor has room for one such block at a time, which should still be quicker
-            # for thousands of environments (docs/solver.md has the times of each).
-            return "arrow-shared" if fits_shared(pattern, clusters, device) else "arrow"
-        # Several thread blocks an environment where one would have more than it can do at a time.
-        blocks = team(device, env_count, TASKS_PER_ROW * pattern.free_count).blocks
-        return "cg" if blocks == 1 else "pipelined"
-    # Gauss-Seidel sweeps run along the rows: quick on one CPU thread, hopeless on thousands.
-    return "dense" if stiff and pattern.free_count <= MAX_DIRECT_ROWS else "ssor"
+    """The solver that suits the device and the size; docs/solver.md has the times of each."""
+    if device.is_cpu:
+        # Gauss-Seidel sweeps run along the rows: quick on one CPU thread, hopeless on thousands.
+        return "dense" if stiff and pattern.free_count <= MAX_DIRECT_ROWS else "ssor"
+    if arrow.holds(pattern, clusters):
+        return "arrow"
+    # Several thread blocks an environment where one would have more than it can do at a time.
+    blocks = team(device, env_count, TASKS_PER_ROW * pattern.free_count).blocks
+    return "cg" if blocks == 1 else "pipelined"

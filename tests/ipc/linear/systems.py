@@ -13,7 +13,7 @@ from taccel_lab.ipc.linear.report import LinearReport
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import BlockPattern, block_pattern
 
-BACKENDS = ("ssor", "cg", "pipelined", "arrow", "arrow-shared")
+BACKENDS = ("ssor", "cg", "pipelined", "arrow")
 
 
 def delaunay_pattern(rng: np.random.Generator, node_count: int, bonded: int) -> BlockPattern:

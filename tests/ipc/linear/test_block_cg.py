@@ -11,7 +11,6 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.ipc.linear.arrow_cg import ArrowCG
 from taccel_lab.ipc.linear.block_cg import BlockCG
 from taccel_lab.ipc.linear.extra_rows import CROWD, ExtraRowLists
 from taccel_lab.ipc.linear.packed_rows import PackedRows
@@ -30,7 +29,6 @@ SOLVERS = [
     lambda system: BlockCG(system, system.clusters, LANES),
     lambda system: PipelinedCG(system, system.clusters, LANES, cluster_rows=0),
     lambda system: PipelinedCG(system, system.clusters, LANES, cluster_rows=8),
-    lambda system: ArrowCG(system, system.clusters, LANES),
 ]
 
 

@@ -116,7 +116,7 @@ def test_breakdown_is_flagged_where_it_happens(backend: str, trouble: str) -> No
     assert report.relative_residual[1] <= 1e-8
 
 
-@pytest.mark.parametrize("backend", sorted({*BACKENDS} - {"arrow", "arrow-shared"}))
+@pytest.mark.parametrize("backend", sorted({*BACKENDS} - {"arrow"}))
 def test_stops_at_the_iteration_limit_and_says_so(backend: str) -> None:
     rng = np.random.default_rng(6)
     pattern = delaunay_pattern(rng, 60, bonded=10)

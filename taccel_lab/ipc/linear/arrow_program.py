@@ -1,22 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Block-arrow factorisation laid out for the shared memory of one thread block.
+"""Block-arrow factorisation laid out for one thread block, and the memory that it is given.
 
 Every index that the factorisation and its solves need is one word of a program of integers, which
 the block copies next to the numbers before it starts: a level then waits for shared memory alone.
+How much of that a block can have depends on the chip, and the less it takes, the more blocks work
+on a multiprocessor at a time: kernels are compiled for a few sizes, and the smallest that holds the
+factor is taken. What is too long for that leaves the words in global memory, then the numbers too.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear.block_ops import MAX_LANES
-from taccel_lab.ipc.linear.elimination import Elimination
+from taccel_lab.ipc.linear.elimination import Elimination, eliminate
+from taccel_lab.model.matrix_pattern import BlockPattern
 
-SHARED_NUMBERS = 28_160
-"""float64 numbers of shared memory that a block takes: 220 KiB of the 227 that Hopper has."""
+ROOMS_KIB = (48, 99, 163, 227)
+"""Shared memory of a block for which kernels are compiled: what every chip has; RTX 30, 40 and 50
+(sm_86, 89, 120); A100 (sm_80); H100, H200 and B200 (sm_90, 100)."""
+STATIC_BYTES = 4096
+"""What Warp and ``team_sum`` take of that beside our numbers."""
+HASTES = (1.0, 0.25, 0.0)
+"""See ``least_degree_order``; two gels of 83 nodes take 20, 22 and 22 levels."""
 BORDER_CHUNKS = 32
 """Partial sums of a border row in a solve."""
 SCHUR_CHUNKS = 6
@@ -24,12 +34,12 @@ SCHUR_CHUNKS = 6
 
 
 @wp.struct
-class SharedLayout:
+class ArrowLayout:
     """Sizes and places; n gel rows, m border rows, b blocks.
 
     Places among the numbers, where the factor [9 b] starts at 0: roots, inverses of the diagonal
     blocks of the factor, [9 n]; r, z, x: vectors by places, [3 (n + m)]; schur: two copies,
-    [18 m m]; sums: partial sums; flag: see ``load_shared``; words: those of 32 bits.
+    [18 m m]; sums: partial sums; flag: see ``load_matrix``; words: those of 32 bits.
     Places among the words:
     pair_starts: range of each block in pairs, [b + 1]; pairs: a 2^16 + b.
     owners: column 2^16 + its diagonal block, of each block, [b].
@@ -67,26 +77,77 @@ class SharedLayout:
 
 
 @dataclass(frozen=True)
-class SharedProgram:
+class ArrowProgram:
     """Words and layout of a factorisation."""
 
-    layout: SharedLayout
+    layout: ArrowLayout
     words: np.ndarray
     """int32, [word_count]."""
     numbers: int
     """float64 numbers that all of it takes."""
 
+    addressable: bool
+    """Whether halves of words are long enough for its indices."""
+
+    def placement(self, limit_bytes: int) -> Placement:
+        """The least shared memory that holds as much as possible of it, of at most
+        ``limit_bytes`` a block."""
+        rooms = [(1024 * kib - STATIC_BYTES) // 8 for kib in ROOMS_KIB if 1024 * kib <= limit_bytes]
+        for size, words_inside in ((self.numbers, True), (self.layout.words, False)):
+            for room in rooms:
+                if size <= room:
+                    return Placement(room, words_inside)
+        return Placement(0, False)
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Which memory a thread block works in."""
+
+    room: int
+    """float64 numbers of shared memory; 0: all is in global memory."""
+    words_inside: bool
+    """Whether that holds the words, too."""
+
     @property
-    def fits(self) -> bool:
-        """Whether a block has room for it; halves of words then are long enough, too."""
-        return self.numbers <= SHARED_NUMBERS
+    def shared_bytes(self) -> int:
+        """Shared memory that a block takes in all."""
+        return 8 * self.room + STATIC_BYTES
+
+    def __str__(self) -> str:
+        if not self.room:
+            return "global memory"
+        lists = "" if self.words_inside else ", its lists in global memory"
+        return f"{self.shared_bytes // 1024} KiB of shared memory{lists}"
 
 
-def shared_program(plan: Elimination) -> SharedProgram:
+def plan_arrow(
+    pattern: BlockPattern,
+    clusters: list[tuple[int, int]],
+    limit_bytes: int,
+    hastes: Sequence[float] = HASTES,
+) -> tuple[Elimination, ArrowProgram]:
+    """Factorisation with the rows of affine bodies, ``clusters``, as the border, for blocks that
+    may have ``limit_bytes``: the order that needs the least shared memory, with fewer levels among
+    equals, or that is the shortest where there is none."""
+    none = np.zeros(0, dtype=np.int64)
+    border = np.concatenate([none, *(np.arange(first, end) for first, end in clusters)])
+    plans = [eliminate(pattern, border, haste) for haste in hastes]
+
+    def rank(found: tuple[Elimination, ArrowProgram]) -> tuple[bool, bool, bool, int]:
+        program = found[1]
+        place = program.placement(limit_bytes)
+        size = place.room or program.numbers
+        return not program.addressable, not place.room, not place.words_inside, size
+
+    return min([(plan, arrow_program(plan)) for plan in plans], key=rank)
+
+
+def arrow_program(plan: Elimination) -> ArrowProgram:
     """Program of a symbolic factorisation."""
     n, m, blocks = len(plan.order), len(plan.border), plan.block_count
     width = 3 * m
-    layout = SharedLayout()
+    layout = ArrowLayout()
     layout.n, layout.m, layout.blocks = n, m, blocks
     layout.level_count = len(plan.level_columns) - 1
     room = 9 * blocks
@@ -104,10 +165,10 @@ def shared_program(plan: Elimination) -> SharedProgram:
         room += size
     # Nobody needs the roots any more when a solve begins.
     layout.x = layout.roots
-    inner, rows_below = plan.column_entries.T
-    own_columns = plan.columns[inner]
-    forward = _steps(plan.level_columns, inner, own_columns, rows_below)
-    back = _steps(plan.level_columns, inner, rows_below, own_columns)[::-1]
+    below, rows_below = plan.inner.T
+    own_columns = plan.columns[below]
+    forward = _steps(plan.level_columns, below, own_columns, rows_below)
+    back = _steps(plan.level_columns, below, rows_below, own_columns)[::-1]
     layout.forward_steps, layout.step_count = len(forward), len(forward) + len(back)
     steps = forward + back
     targets = [(row, len(entries)) for step in steps for row, entries in step]
@@ -134,9 +195,10 @@ def shared_program(plan: Elimination) -> SharedProgram:
     sections["end"] = np.zeros(MAX_LANES // 2, dtype=np.int64)
     words = np.concatenate(list(sections.values())).astype(np.int64)
     layout.words, layout.word_count = room, len(words)
-    # Halves that run over belong to programs far too long to fit.
+    addressable = max(blocks, len(entries), n + m) < 1 << 16
+    # Halves that run over belong to programs that nobody runs.
     words = words.astype(np.uint32).astype(np.int32)
-    return SharedProgram(layout, words, room + (len(words) + 1) // 2)
+    return ArrowProgram(layout, words, room + (len(words) + 1) // 2, addressable)
 
 
 def _joined(high: np.ndarray, low: np.ndarray) -> np.ndarray:

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which linear methods a device and a size are offered."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import warp as wp
+
+from taccel_lab.ipc.linear.system import METHODS, usable_methods
+
+CPU = wp.get_device("cpu")
+GPU: Any = SimpleNamespace(is_cpu=False, is_cuda=True)
+
+
+@pytest.mark.parametrize(
+    ("device", "rows", "expected"),
+    [
+        (CPU, 400, ["ssor", "dense"]),
+        (CPU, 401, ["ssor"]),
+        (GPU, 400, ["arrow", "cg", "pipelined"]),
+        (GPU, 401, ["cg", "pipelined"]),
+    ],
+)
+def test_methods_are_offered_where_they_are_made_for(
+    device: Any, rows: int, expected: list[str]
+) -> None:
+    assert usable_methods(rows, device) == expected
+    assert set(expected) <= set(METHODS)
