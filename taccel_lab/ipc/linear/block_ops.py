@@ -3,8 +3,13 @@
 
 ``wp.tile_sum`` and reading its result back cost half a dozen barriers; a solver that lives in one
 block waits for little else. These cost one each. A team is what works on one environment: one
-block, or several that must all be resident on the GPU at the same time, because they wait for each
-other at a counter in memory.
+block, or several that wait for each other at a counter in memory.
+
+Blocks that wait for each other must all be resident on the GPU, and nobody else can know that they
+are: another solver, in a stream of its own, may hold the multiprocessors that the last ones need.
+So a team is made by the blocks themselves: those that run join it, until all are there or a short
+time is over, and the work is shared among them. Blocks that come too late find the team closed, and
+end. This needs neither cooperative launches nor clusters of blocks, and no particular chip.
 
 On Warp's CPU backend a team is one block with one lane, or with several under
 ``wp.config.enable_cpu_blocks`` (the tests use that to catch races).
@@ -32,9 +37,49 @@ def block_barrier() -> None:
     ...
 
 
-# One lane of a block waits for those of the other blocks. The count of arrivals only grows; blocks
-# of a team are a power of two, so that it may wrap. Blocks that are not all resident would wait for
-# ever: stop with an error instead, after seconds.
+# The first block to join closes the team: the highest bit of the count of those who joined.
+_JOIN_SNIPPET = """
+#if defined(__CUDA_ARCH__)
+    __shared__ unsigned int joined[2];
+    if (blocks > 1) {
+        __syncthreads();
+        if (threadIdx.x == 0) {
+            unsigned int* gate = reinterpret_cast<unsigned int*>(gates.data) + 32 * env;
+            volatile unsigned int* count = gate + 1;
+            volatile unsigned int* team = gate + 2;
+            const unsigned int closed = 1u << 31;
+            const unsigned int rank = atomicAdd(gate + 1, 1u);
+            if (rank == 0) {
+                const long long start = clock64();
+                while (*count < blocks && clock64() - start < patience) {
+                }
+                *team = atomicOr(gate + 1, closed);
+            } else if (rank < closed) {
+                while (*team == 0) {
+                }
+            }
+            joined[0] = rank;
+            joined[1] = rank < closed ? *team : 0;
+        }
+        __syncthreads();
+        return wp::vec_t<2, wp::int32>(joined[0], joined[1]);
+    }
+#endif
+    return wp::vec_t<2, wp::int32>(0, 1);
+"""
+
+
+@wp.func_native(_JOIN_SNIPPET)
+def join_team(env: int, blocks: int, patience: int, gates: wp.array(dtype=wp.int32)) -> wp.vec2i:
+    """(number of this block in the team of an environment, blocks of the team) of at most
+    ``blocks``; a size of 0 says that the block came too late and has to end. To be called once, by
+    all lanes. ``patience``: for how many clock cycles the first waits for the others. ``gates``: 32
+    counters an environment, of which three are used, to be zero at the start of the kernel."""
+    ...
+
+
+# One lane of a block waits for those of the other blocks; the count of arrivals only grows. It
+# never takes long: stop with an error after seconds, should a block ever be missing.
 _WAIT = """
             unsigned int* gate = reinterpret_cast<unsigned int*>(gates.data) + 32 * env;
             __threadfence();
@@ -63,8 +108,7 @@ _BARRIER_SNIPPET = """
 
 @wp.func_native(_BARRIER_SNIPPET)
 def team_barrier(env: int, blocks: int, gates: wp.array(dtype=wp.int32)) -> None:
-    """Wait for all lanes of the team of an environment. ``gates``: 32 counters an environment, of
-    which one is used, to be zero at the start of the kernel."""
+    """Wait for all lanes of the team of an environment, of ``blocks`` that joined it."""
     ...
 
 
@@ -160,7 +204,7 @@ class Team:
     lanes: int
     """Lanes of a block; a multiple of 32 on a GPU."""
     blocks: int = 1
-    """Blocks, a power of two."""
+    """Most blocks that may join."""
 
     @property
     def size(self) -> int:

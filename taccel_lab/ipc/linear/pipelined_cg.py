@@ -21,6 +21,7 @@ from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.linear.block_ops import (
     Team,
     block_barrier,
+    join_team,
     launch_team,
     team,
     team_barrier,
@@ -43,6 +44,8 @@ CLUSTER_ROWS = 16
 """Rows of a cluster of neighbours. More save iterations, but inverting them takes longer."""
 TASKS_PER_ROW = 6
 """Scalar rows of segments that a row has, about: what a team is sized by."""
+PATIENCE = 100_000
+"""Clock cycles for which a team waits for blocks that do not run yet: 50 us, a tenth of a solve."""
 
 # What a pass over the rows does; but for the first two it follows a product.
 _START = wp.constant(0)  # r = b; m = M^-1 r
@@ -159,7 +162,8 @@ def _update_row(
 @wp.kernel(grid_stride=False, launch_bounds=(512, 1))
 def _solve_kernel(
     lanes: int,
-    blocks: int,
+    most_blocks: int,
+    patience: int,
     active: wp.array(dtype=wp.int32),
     order: wp.array(dtype=wp.int32),
     block_starts: wp.array(dtype=wp.int32),
@@ -181,22 +185,30 @@ def _solve_kernel(
     breakdowns: wp.array(dtype=wp.int32),
 ):
     index, lane = wp.tid()
-    env = index / blocks
-    block = index % blocks
+    env = index / most_blocks
     n = rhs.shape[1]
-    first = block_starts[block]
-    end = block_starts[block + 1]
     zero = wp.float64(0.0)
     infinity = wp.float64(wp.inf)
     x = solutions[env]
     if active[env] == 0:
-        for place in range(first + lane, end, lanes):
-            x[order[place]] = wp.vec3d()
-        if block == 0 and lane == 0:
+        at = index % most_blocks * lanes + lane
+        for row in range(at, n, most_blocks * lanes):
+            x[row] = wp.vec3d()
+        if at == 0:
             iterations[env] = 0
             residuals[env] = zero
             breakdowns[env] = 0
         return
+    joined = join_team(env, most_blocks, patience, work.gates)
+    block = joined[0]
+    blocks = joined[1]
+    if blocks == 0:
+        return
+    # Parts of the rows are made for all blocks; who is there takes those of the others, too.
+    first_part = block * most_blocks / blocks
+    end_part = (block + 1) * most_blocks / blocks
+    first = block_starts[first_part]
+    end = block_starts[end_part]
     b = rhs[env]
     parts = work.parts_scalars[env]
     clustered = wp.min(3 * end, clusters.tasks.shape[0])
@@ -293,8 +305,8 @@ def _solve_kernel(
                 start_sq = r_sq
         if running == 1 and mode != _SHOW_X:
             m = work.m_scalars[env, 3 * turn * n : 3 * (turn + 1) * n]
-            begin = layout.task_starts[block]
-            tasks_end = layout.task_starts[block + 1]
+            begin = layout.task_starts[first_part]
+            tasks_end = layout.task_starts[end_part]
             multiply_fixed(begin + lane, tasks_end, lanes, layout, all_packed[env], m, parts)
             if has_extra:
                 multiply_extra(
@@ -331,11 +343,13 @@ class PipelinedCG:
         lanes: int | None = None,
         blocks: int | None = None,
         cluster_rows: int = CLUSTER_ROWS,
+        patience: int = PATIENCE,
     ) -> None:
         """``clusters``: ranges of rows that are stiff among themselves; ``cluster_rows``: clusters
         of so many neighbours are made of the others, none when 0. ``lanes`` of a thread block and
-        ``blocks`` of a team are chosen by size when left out."""
+        ``blocks`` of a team are chosen by size when left out. ``patience``: see ``join_team``."""
         self._problem = problem
+        self._patience = patience
         device, pattern = problem.device, problem.pattern
         n = pattern.free_count
         groups = [np.arange(first, end) for first, end in clusters]
@@ -394,8 +408,14 @@ class PipelinedCG:
             _solve_kernel,
             problem.env_count,
             self._team,
-            [self._team.lanes, self._team.blocks, active, self._order, self._block_starts]
-            + [layout, self._packed.values, self._extra.rows, self._extra.values]
+            [self._team.lanes, self._team.blocks, self._patience, active, self._order]
+            + [
+                self._block_starts,
+                layout,
+                self._packed.values,
+                self._extra.rows,
+                self._extra.values,
+            ]
             + [self._inverses.blocks, self._inverses.clusters, self._inverses.stores]
             + [problem.rhs, problem.tolerances, wp.float64(VERIFY_BELOW), max_iterations, work],
             [problem.solution, problem.iterations, problem.residuals, problem.breakdown],
