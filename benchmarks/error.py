@@ -15,15 +15,16 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
+import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_name
 from taccel_lab.benchmarks.front import NOISE, is_on_front
 from taccel_lab.benchmarks.results import ResultFile, spread
-from taccel_lab.benchmarks.shear_press import FRICTION, Outcome, Press, run
+from taccel_lab.benchmarks.shear_press import FRICTION, Outcome, Press, model_of, run
 from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.envs import PHYSICS, Accuracy
-from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.ipc.linear.system import METHODS
+from taccel_lab.errors import SimulationError
+from taccel_lab.ipc.linear.system import usable_methods
 from taccel_lab.scene import Element, TimeScheme
 from taccel_lab.solvers import SolverConfig
 
@@ -71,7 +72,7 @@ class Error(Suite):
     def measure_rows(self, result: ResultFile) -> None:
         """All rows, then which of them lie on the front."""
         presses = Presses(self.device, self.repeats)
-        for row in all_rows(self.quick):
+        for row in all_rows(self.quick, self.device):
             result.measure(f"{row.group}, {row.value}", partial(measure, row, presses), describe)
         result.put("front", judge(result.rows))
 
@@ -87,8 +88,8 @@ class Row:
     exact: Press
 
 
-def all_rows(quick: bool) -> Iterator[Row]:
-    """What is run, cheap groups first."""
+def all_rows(quick: bool, device: str) -> Iterator[Row]:
+    """What is run on a device, cheap groups first."""
     reference = QUICK_REFERENCE if quick else REFERENCE
     meshes = [(Element.LINEAR, n) for n in ((2, 3) if quick else (2, 3, 4, 6, 8))]
     meshes += [(Element.QUADRATIC, n) for n in ((2,) if quick else (2, 3, 4))]
@@ -104,7 +105,7 @@ def all_rows(quick: bool) -> Iterator[Row]:
     for eps in (1e-4, 1e-5, 1e-6, 1e-7)[few]:
         press = replace(DEFAULT, friction_eps_m=eps)
         yield Row("friction eps", f"{eps * 1e6:g} um", press, reference)
-    for name, choice in solver_choices():
+    for name, choice in solver_choices(device):
         press = replace(DEFAULT, solver=((name, choice),))
         yield Row(name.replace("_", " "), str(choice), press, reference)
     counts = (16, 32) if quick else (16, 32, 64, 128, 256)
@@ -134,9 +135,11 @@ def all_rows(quick: bool) -> Iterator[Row]:
                 yield Row("front", describe_settings(asdict(press)), press, reference)
 
 
-def solver_choices() -> Iterator[tuple[str, Any]]:
-    """Every value of every setting of the solver that is a choice: the linear method."""
-    yield from (("linear_method", name) for name in METHODS)
+def solver_choices(device: str) -> Iterator[tuple[str, Any]]:
+    """Every value of every setting of the solver that is a choice: the linear method, of those that
+    are made for the device and for a gel of this size."""
+    rows = model_of(DEFAULT, device).free_count
+    yield from (("linear_method", name) for name in usable_methods(rows, wp.get_device(device)))
 
 
 def errors(outcome: Outcome, exact: Outcome) -> dict[str, float]:
@@ -175,15 +178,14 @@ class Presses:
 
 
 def measure(row: Row, presses: Presses) -> dict[str, Any]:
-    """One row; ``failed`` says why where there is none: it does not converge, or the method cannot
-    hold a gel of this size."""
+    """One row; ``failed`` says why where there is none: it does not converge."""
     try:
         exact = presses.get(row.exact, 1)[0]
         settled = exact
         if row.group != "dt":
             settled = presses.get(replace(row.press, **_SETTLED, solver=()), 1)[0]
         outcome, seconds = presses.get(row.press)
-    except (InputError, SimulationError) as error:
+    except SimulationError as error:
         return {"group": row.group, "value": row.value, "failed": str(error)}
     return {
         "group": row.group,

@@ -18,6 +18,7 @@ from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import SimulationError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
+from taccel_lab.model import Model
 from taccel_lab.scene import (
     Ball,
     Element,
@@ -80,9 +81,8 @@ class Outcome:
     """Of the steps, by ``taccel_lab.benchmarks.clock``."""
 
 
-def run(press: Press, device: str = "cpu") -> Outcome:
-    """Press, shear, read."""
-    mesh = _mesh(press.layers)
+def model_of(press: Press, device: str = "cpu") -> Model:
+    """The gel, the ball and their material, on a device."""
     dynamic = press.steps > 0
     stepping = TimeStepping(
         quasi_static=not dynamic,
@@ -92,11 +92,18 @@ def run(press: Press, device: str = "cpu") -> Outcome:
     material = Material(
         YOUNG_PA, POISSON, DENSITY, damping_time_s=DAMPING_TIME_S if dynamic else 0.0
     )
+    soft = SoftBody(_mesh(press.layers), material, element=press.element)
+    return Scene(soft, KinematicBody(Ball(BALL_M), FRICTION), time=stepping).finalize(device)
+
+
+def run(press: Press, device: str = "cpu") -> Outcome:
+    """Press, shear, read."""
+    dynamic = press.steps > 0
     static = (
         {"friction_speed_m_s": EPS_V_M_S} if dynamic else {"friction_eps_m": press.friction_eps_m}
     )
-    soft = SoftBody(mesh, material, element=press.element)
-    model = Scene(soft, KinematicBody(Ball(BALL_M), FRICTION), time=stepping).finalize(device)
+    model = model_of(press, device)
+    soft = model.scene.soft_bodies[0]
     solver = SolverIPC(
         model,
         SolverConfig(
