@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every kernel compiles for every NVIDIA chip since Ampere, which needs no GPU.
+
+Fast: the linear solvers, whose C++ depends on the chip, as machine code for all; the others as
+assembly for the oldest and the newest, of materials the first. Slow: all as machine code for all.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pytest
+import warp as wp
+
+from taccel_lab.ipc.elasticity.laws import LAWS
+from taccel_lab.ipc.linear.arrow_kernel import solve_kernel
+from taccel_lab.ipc.linear.arrow_program import ROOMS_KIB, STATIC_BYTES
+from taccel_lab.ipc.potentials import viscosity
+from taccel_lab.ipc.potentials.linear_kernels import create_linear_kernels
+from taccel_lab.ipc.potentials.quadratic_points import elastic_quadratic_kernels
+from taccel_lab.outputs.stress import _stress_kernel
+from taccel_lab.scene import Element, MaterialModel
+from taccel_lab.signals.color_kernel import color_kernel
+
+PACKAGE = Path(__file__).parents[1] / "taccel_lab"
+LARGEST_BLOCK_KIB = {80: 163, 86: 99, 89: 99, 90: 227, 100: 227, 120: 99}
+"""Shared memory that a block may have, by chip [CUDA C++ Programming Guide, compute capabilities]:
+A100, RTX 30, RTX 40, H100 and H200, B200, RTX 50."""
+FACTORIES: dict[str, Callable[[], list[Any]]] = {
+    "ipc/linear/arrow_kernel.py": lambda: [solve_kernel(0, False)],
+    "ipc/potentials/linear_kernels.py": lambda: [create_linear_kernels(x) for x in LAWS.values()],
+    "ipc/potentials/quadratic_kernels.py": lambda: [
+        *(elastic_quadratic_kernels(model) for model in MaterialModel),
+        viscosity._quadratic_kernels(),
+    ],
+    "outputs/stress.py": lambda: [
+        _stress_kernel(*kind) for kind in product(MaterialModel, Element)
+    ],
+    "signals/color_kernel.py": lambda: [
+        color_kernel((64, 64, 64), "silu", encoded) for encoded in (False, True)
+    ],
+}
+"""What makes the kernels of files that make them on demand; of solvers in one memory."""
+
+
+def texts() -> Iterator[tuple[str, str]]:
+    """Files of the package that have kernels, and their text."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        if "@wp.kernel" in text:
+            yield str(path.relative_to(PACKAGE)), text
+
+
+FILES = [name for name, _ in texts()]
+LINEAR = [name for name in FILES if name.startswith("ipc/linear/")]
+
+
+def modules_of(name: str, kinds: int | None = 1) -> list[wp.Module]:
+    """Warp's modules with the kernels of a file, of the first ``kinds`` that are made on demand."""
+    path = "taccel_lab." + name.removesuffix(".py").replace("/", ".")
+    made: list[Any] = list(vars(importlib.import_module(path)).values())
+    made = [k for k in made if isinstance(k, wp.Kernel) and k.module.name == path]
+    for part in FACTORIES.get(name, list)()[:kinds]:
+        made += [part] if isinstance(part, wp.Kernel) else vars(part).values()
+    return list({kernel.module.name: kernel.module for kernel in made}.values())
+
+
+@dataclass(frozen=True)
+class Use:
+    """What a kernel takes, as its machine code says."""
+
+    registers: int
+    stack_bytes: int
+    """Of a thread: what the registers have no room for, and arrays indexed by variables."""
+    static_bytes: int
+    """Shared memory beside what the launch asks for."""
+
+
+_FRAME_SIZE, _REGISTER_COUNT = 0x11, 0x2F
+"""Attributes of section .nv.info."""
+
+
+def uses(cubin: bytes) -> dict[str, Use]:
+    """By kernel, from a 64-bit ELF file; .nv.info: (format, attribute, size, (symbol, value))."""
+    sections_at, width, count, names_index = struct.unpack_from("<Q10xHHH", cubin, 40)
+    headers = [
+        struct.unpack_from("<IIQQQQIIQQ", cubin, sections_at + width * i) for i in range(count)
+    ]
+    names_at = headers[names_index][4]
+
+    def text(at: int) -> str:
+        return cubin[at : cubin.index(b"\0", at)].decode()
+
+    by_name = {text(names_at + header[0]): header for header in headers}
+    symbols, strings = by_name[".symtab"], by_name[".strtab"]
+    info = by_name[".nv.info"]
+    found: dict[str, dict[int, int]] = {}
+    at = info[4]
+    while at < info[4] + info[5]:
+        form, attribute, size = struct.unpack_from("<BBH", cubin, at)
+        if form == 4 and attribute in (_FRAME_SIZE, _REGISTER_COUNT):
+            symbol, value = struct.unpack_from("<II", cubin, at + 4)
+            (name_at,) = struct.unpack_from("<I", cubin, symbols[4] + symbols[9] * symbol)
+            found.setdefault(text(strings[4] + name_at), {})[attribute] = value
+        at += 4 + (size if form == 4 else 0)
+    return {
+        kernel: Use(
+            values[_REGISTER_COUNT],
+            values[_FRAME_SIZE],
+            by_name[f".nv.shared.{kernel}"][5] if f".nv.shared.{kernel}" in by_name else 0,
+        )
+        for kernel, values in found.items()
+        if f".text.{kernel}" in by_name
+    }
+
+
+def test_every_kernel_is_covered() -> None:
+    on_demand = {name for name, text in texts() if "\n    @wp.kernel" in text}
+    assert on_demand == set(FACTORIES)
+    assert all(modules_of(name) for name in FILES)
+    assert len(FILES) > 40
+
+
+def compiled(module: wp.Module, arch: int, folder: Path) -> dict[str, Use]:
+    """What the kernels of a module take on a chip, from machine code. Fails where a launch would:
+    for want of registers for the lanes that are stated, or of shared memory."""
+    wp.compile_aot_module(module, arch=arch, module_dir=folder, use_ptx=False)
+    (cubin,) = folder.glob(f"*.sm{arch}.cubin")
+    (meta,) = folder.glob("*.meta")
+    asked = json.loads(meta.read_text())
+    found = uses(cubin.read_bytes())
+    assert found
+    for kernel, use in found.items():
+        shared = asked[f"{kernel}_smem_bytes"] + use.static_bytes
+        assert shared <= 1024 * LARGEST_BLOCK_KIB[arch], kernel
+    return found
+
+
+def rooms_of(arch: int) -> list[tuple[int, bool]]:
+    """Arguments of ``solve_kernel`` on a chip, the largest room first."""
+    kib = [kib for kib in ROOMS_KIB if kib <= LARGEST_BLOCK_KIB[arch]]
+    return [((1024 * k - STATIC_BYTES) // 8, inside) for k in kib[::-1] for inside in (True, False)]
+
+
+@pytest.mark.parametrize("arch", LARGEST_BLOCK_KIB)
+def test_gels_are_factored_on_every_chip(arch: int, tmp_path: Path) -> None:
+    """In the largest shared memory, and in global memory: without spilling a register."""
+    for i, room in enumerate([rooms_of(arch)[0], (0, False)]):
+        (use,) = compiled(solve_kernel(*room).module, arch, tmp_path / str(i)).values()
+        assert use.stack_bytes == 0
+        # 512 lanes share 65,536.
+        assert use.registers <= 128
+        assert use.static_bytes <= STATIC_BYTES
+
+
+@pytest.mark.parametrize("arch", LARGEST_BLOCK_KIB)
+def test_conjugate_gradients_compile_for_every_chip(arch: int, tmp_path: Path) -> None:
+    for name in LINEAR:
+        if name not in FACTORIES:
+            for i, module in enumerate(modules_of(name)):
+                compiled(module, arch, tmp_path / f"{Path(name).stem}{i}")
+
+
+@pytest.mark.parametrize("name", sorted({*FILES} - {*LINEAR}))
+def test_kernels_compile_for_the_oldest_and_the_newest(name: str, tmp_path: Path) -> None:
+    chips = (min(LARGEST_BLOCK_KIB), max(LARGEST_BLOCK_KIB))
+    modules = modules_of(name)
+    for module in modules:
+        wp.compile_aot_module(module, arch=chips, module_dir=tmp_path, use_ptx=True)
+    assert len(list(tmp_path.glob("*.ptx"))) == len(chips) * len(modules)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arch", LARGEST_BLOCK_KIB)
+def test_everything_compiles_for_every_chip(arch: int, tmp_path: Path) -> None:
+    for name in sorted({*FILES} - {"ipc/linear/arrow_kernel.py"}):
+        for i, module in enumerate(modules_of(name, None)):
+            compiled(module, arch, tmp_path / name / str(i))
+    for room, inside in rooms_of(arch):
+        compiled(solve_kernel(room, inside).module, arch, tmp_path / f"{room}{inside}")
