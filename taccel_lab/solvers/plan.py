@@ -53,8 +53,6 @@ def _capture(solver: SolverParts) -> tuple[bool, str]:
         return True, "a step is one launch, from the second with the same state on"
     if not solver.config.capture:
         return False, "SolverConfig.capture is off"
-    if not solver.linear.capturable:
-        return False, "the linear systems are solved by the host"
     return False, "the host refits the trees of soft bodies that may touch"
 
 

@@ -64,14 +64,11 @@ class SolverParts:
         self.friction = (
             FrictionPotential(model, self.collisions, static_range) if model.rubs else None
         )
-        # Where gels make up most of the unknowns CG is quicker, stiff bodies or not.
-        stiff = 8 * model.affine.count >= model.free_count
         first = model.free_count - 4 * model.affine.count
         self.linear = LinearSystem(
             model.pattern,
             model.env_count,
             model.device,
-            stiff,
             method=self.config.linear_method,
             clusters=[(first + 4 * i, first + 4 * i + 4) for i in range(model.affine.count)],
             extra_room=self._extra_room(),
@@ -132,10 +129,8 @@ class SolverParts:
     @property
     def captures(self) -> bool:
         """Whether steps become graphs."""
-        return (
-            self.config.capture
-            and self.linear.capturable
-            and (self.model.device.is_cuda or not self.model.contact_plan.soft_to_soft)
+        return self.config.capture and (
+            self.model.device.is_cuda or not self.model.contact_plan.soft_to_soft
         )
 
     @property

@@ -51,8 +51,6 @@ def _lanes(device: wp.Device, env_count: int, placement: Placement) -> int:
 class Arrow:
     """Block-arrow factor, one thread block an environment."""
 
-    capturable = True
-
     def __init__(
         self,
         problem: LinearProblem,

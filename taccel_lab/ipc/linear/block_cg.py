@@ -229,8 +229,6 @@ def _solve_kernel(
 class BlockCG:
     """CG with diagonal blocks as preconditioner, one thread block an environment."""
 
-    capturable = True
-
     def __init__(
         self, problem: LinearProblem, clusters: list[tuple[int, int]], lanes: int | None = None
     ) -> None:

@@ -334,8 +334,6 @@ def _solve_kernel(
 class PipelinedCG:
     """CG preconditioned by clusters of neighbours, a team of thread blocks an environment."""
 
-    capturable = True
-
     def __init__(
         self,
         problem: LinearProblem,

@@ -295,7 +295,6 @@ class SsorCG:
     """Solver of H p = rhs over the lower triangle of the pattern, on the CPU."""
 
     description = "CG with symmetric Gauss-Seidel, one kernel"
-    capturable = True
 
     def __init__(self, problem: LinearProblem) -> None:
         self._problem = problem

@@ -12,7 +12,6 @@ from taccel_lab.ipc.linear import arrow
 from taccel_lab.ipc.linear.arrow import Arrow
 from taccel_lab.ipc.linear.block_cg import BlockCG
 from taccel_lab.ipc.linear.block_ops import team
-from taccel_lab.ipc.linear.dense_cholesky import DenseCholesky
 from taccel_lab.ipc.linear.pipelined_cg import TASKS_PER_ROW, PipelinedCG
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.report import LinearReport
@@ -25,15 +24,10 @@ class Solver(Protocol):
     """What ``LinearSystem`` needs of a method."""
 
     description: str
-    capturable: bool
 
     def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
         ...
-
-
-MAX_DIRECT_ROWS = 400
-"""Rows up to which a stiff system is factored: 1,200 unknowns take about 30 ms on one core."""
 
 
 class LinearSystem(LinearProblem):
@@ -44,25 +38,21 @@ class LinearSystem(LinearProblem):
         pattern: BlockPattern,
         env_count: int,
         device: wp.Device,
-        stiff: bool = False,
         clusters: list[tuple[int, int]] | None = None,
         method: str = "auto",
         extra_room: int = 1,
         scratch: Scratch | None = None,
     ) -> None:
-        """``stiff``: whether most of the unknowns are those of affine bodies. ``clusters``: ranges
-        (first, end) of rows that are stiff among themselves, as the control nodes of an affine
-        body. ``method``: "auto" or one of ``METHODS``. ``extra_room``: blocks of an
-        environment that ``ExtraBlocks`` has room for at first.
-        ``scratch``: memory that is free during a solve.
+        """``clusters``: ranges (first, end) of rows that are stiff among themselves, as the control
+        nodes of an affine body. ``method``: "auto" or one of ``METHODS``. ``extra_room``: blocks of
+        an environment that ``ExtraBlocks`` has room for at first. ``scratch``: memory that is free
+        during a solve.
         """
         super().__init__(pattern, env_count, device, extra_room, scratch)
         self.clusters = list(clusters or [])
         if method == "auto":
-            method = _method(pattern, self.clusters, env_count, device, stiff)
+            method = _method(pattern, self.clusters, env_count, device)
         self._solver = METHODS[method](self)
-        self.capturable: bool = self._solver.capturable
-        """Whether ``solve`` needs no host, so that a CUDA graph can hold it."""
 
     def describe(self) -> str:
         """Method, rows and stored blocks of one environment, for people."""
@@ -85,7 +75,6 @@ class LinearSystem(LinearProblem):
 
 METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
     "ssor": SsorCG,
-    "dense": DenseCholesky,
     "cg": lambda system: BlockCG(system, system.clusters),
     "arrow": lambda system: Arrow(system, system.clusters),
     "pipelined": lambda system: PipelinedCG(system, system.clusters),
@@ -95,21 +84,17 @@ METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
 def usable_methods(row_count: int, device: wp.Device) -> list[str]:
     """Those of ``METHODS`` that are made for a device and can hold systems of so many rows."""
     if device.is_cpu:
-        return ["ssor", "dense"] if row_count <= MAX_DIRECT_ROWS else ["ssor"]
+        return ["ssor"]
     return ["arrow", "cg", "pipelined"] if row_count <= arrow.MAX_ROWS else ["cg", "pipelined"]
 
 
 def _method(
-    pattern: BlockPattern,
-    clusters: list[tuple[int, int]],
-    env_count: int,
-    device: wp.Device,
-    stiff: bool,
+    pattern: BlockPattern, clusters: list[tuple[int, int]], env_count: int, device: wp.Device
 ) -> str:
     """The solver that suits the device and the size; docs/solver.md has the times of each."""
     if device.is_cpu:
         # Gauss-Seidel sweeps run along the rows: quick on one CPU thread, hopeless on thousands.
-        return "dense" if stiff and pattern.free_count <= MAX_DIRECT_ROWS else "ssor"
+        return "ssor"
     if arrow.holds(pattern, clusters):
         return "arrow"
     # Several thread blocks an environment where one would have more than it can do at a time.

@@ -64,14 +64,14 @@ def list_extra(
 
 
 def contact_system(
-    envs: int, contacts: int = 40, bodies: int = 1
+    envs: int, contacts: int = 40, bodies: int = 1, on: str = "cpu"
 ) -> tuple[LinearSystem, np.ndarray]:
     """A gel and stiff bodies of four rows each, which come last, and the dense matrices.
 
     ``contacts`` faces of the gel touch the last body: a list of extra blocks, places repeated.
     """
     rng = np.random.default_rng(0)
-    device = wp.get_device("cpu")
+    device = wp.get_device(on)
     gel = delaunay_pattern(rng, 60, bonded=5)
     n = gel.free_count + 4 * bodies
     firsts = np.arange(gel.free_count, n, 4)

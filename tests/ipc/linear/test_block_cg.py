@@ -304,5 +304,4 @@ def test_clusters_of_neighbours_are_a_partition(seed: int, size: int, nodes: int
 
 def test_description_says_what_runs() -> None:
     system, _ = contact_system(1)
-    assert system.capturable
     assert "CG" in system.describe() and "1 of bodies" in system.describe()

@@ -39,7 +39,7 @@ def springs_between(
     return -outer, outer
 
 
-@pytest.mark.parametrize("method", [*BACKENDS, "dense"])
+@pytest.mark.parametrize("method", BACKENDS)
 def test_solvers_with_extra_blocks(method: str) -> None:
     rng = np.random.default_rng(3)
     pattern = delaunay_pattern(rng, 60, 5)

@@ -18,8 +18,7 @@ GPU: Any = SimpleNamespace(is_cpu=False, is_cuda=True)
 @pytest.mark.parametrize(
     ("device", "rows", "expected"),
     [
-        (CPU, 400, ["ssor", "dense"]),
-        (CPU, 401, ["ssor"]),
+        (CPU, 400, ["ssor"]),
         (GPU, 400, ["arrow", "cg", "pipelined"]),
         (GPU, 401, ["cg", "pipelined"]),
     ],
