@@ -154,7 +154,7 @@ def test_every_block_gives_forward_and_back_once() -> None:
 def test_the_smallest_memory_that_holds_a_factor_is_taken() -> None:
     """For every chip; where all of it is too long, its lists stay in global memory first."""
     patterns = [
-        delaunay_pattern(np.random.default_rng(1), n, 10) for n in (25, 35, 50, 65, 80, 200)
+        delaunay_pattern(np.random.default_rng(1), n, 10) for n in (25, 35, 50, 65, 80, 120)
     ]
     taken = set()
     gels = with_contact_in_pattern(peg())
