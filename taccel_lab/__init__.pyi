@@ -50,6 +50,7 @@ from taccel_lab.signals import MarkerLayout as MarkerLayout
 from taccel_lab.signals import SignalFusedSurface as SignalFusedSurface
 from taccel_lab.signals import SignalTactile as SignalTactile
 from taccel_lab.signals import SurfaceMode as SurfaceMode
+from taccel_lab.solvers import Control as Control
 from taccel_lab.solvers import EnvStatus as EnvStatus
 from taccel_lab.solvers import ShardedSolver as ShardedSolver
 from taccel_lab.solvers import SolverConfig as SolverConfig

@@ -13,7 +13,14 @@ from taccel_lab.bodies.scene_description import TimeScheme
 from taccel_lab.errors import InputError
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import control_positions, embed_vertices, rotate
-from taccel_lab.model.env_rows import copy_rows, device_mask, zero_rows
+from taccel_lab.model.env_rows import (
+    copy_rows,
+    device_mask,
+    given_array,
+    host_values,
+    on_device,
+    zero_rows,
+)
 from taccel_lab.model.kinematics import place_at_start
 
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
@@ -128,33 +135,27 @@ class State:
             self.wrenches = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
         return self.external_forces, self.wrenches
 
-    def load(
-        self, model: Model, forces: np.ndarray | None = None, wrenches: np.ndarray | None = None
-    ) -> None:
+    def load(self, model: Model, forces: Any = None, wrenches: Any = None) -> None:
         """Set forces on nodes [N], [env_count, node_count, 3], and wrenches on affine bodies,
-        [env_count, affine_count, 2, 3]; None leaves them as they are."""
-        for array, value, name in zip(
-            self.loads(model), (forces, wrenches), ("forces", "wrenches"), strict=True
-        ):
-            if value is None:
-                continue
-            value = np.asarray(value, dtype=np.float64)
-            expected = array.shape + (3,)
-            if value.shape != expected:
-                raise InputError(f"{name} have shape {value.shape}, expected {expected}")
-            if not np.isfinite(value).all():
-                raise InputError(f"{name} hold NaN or infinite values")
-            array.assign(value)
+        [env_count, affine_count, 2, 3]; None leaves them as they are.
+
+        Arrays of the host are checked, those of the model's device are read where they are.
+        """
+        shapes = (self.positions.shape, (model.env_count, model.affine.count, 2))
+        given = [
+            None if value is None else given_array(value, name, shape, wp.vec3d, model.device)
+            for value, name, shape in zip(
+                (forces, wrenches), ("forces", "wrenches"), shapes, strict=True
+            )
+        ]
+        for array, value in zip(self.loads(model), given, strict=True):
+            if value is not None:
+                wp.copy(array, value)
 
 
 def as_poses(model: Model, poses: np.ndarray) -> np.ndarray:
     """Check poses (x, y, z [m], quaternion x, y, z, w), shape [env_count, kinematic_count, 7]."""
-    value = np.asarray(poses, dtype=np.float64)
-    expected = (model.env_count, len(model.kinematic), 7)
-    if value.shape != expected:
-        raise InputError(f"poses have shape {value.shape}, expected {expected}")
-    if not np.isfinite(value).all():
-        raise InputError("poses hold NaN or infinite values")
+    value = host_values(poses, "poses", (model.env_count, len(model.kinematic), 7))
     norm = np.linalg.norm(value[..., 3:], axis=-1)
     if value.size and (np.abs(norm - 1) > 1e-6).any():
         raise InputError(f"pose quaternions (x, y, z, w) must have unit length, got {norm.min():g}")
@@ -168,22 +169,10 @@ def poses_array(model: Model, poses: Any) -> wp.array:
     numpy are checked, and stay on the host. What is on the model's device already, such as a torch
     tensor of float64, is not checked for its values: that would wait for the device.
     """
-    if isinstance(poses, np.ndarray) or not hasattr(poses, "__dlpack__"):
-        value = as_poses(model, np.asarray(poses))
-        shape = (model.env_count, len(model.kinematic))
-        return wp.array(value, dtype=wp.transformd, shape=shape, device="cpu", copy=False)
-    shared = poses if isinstance(poses, wp.array) else wp.from_dlpack(poses)
-    if shared.dtype is wp.float64 and shared.ndim == 3 and shared.shape[2] == 7:
-        shared = shared.view(wp.transformd)
-    expected = (model.env_count, len(model.kinematic))
-    if shared.shape != expected or shared.dtype is not wp.transformd:
-        raise InputError(
-            f"poses on the device are {shared.dtype.__name__} of shape {list(shared.shape)}; "
-            f"expected float64 of shape {[*expected, 7]}, or transformd of shape {[*expected]}"
-        )
-    if shared.device != model.device:
-        raise InputError(f"poses are on {shared.device}, the model is on {model.device}")
-    return shared
+    if not on_device(poses):
+        poses = as_poses(model, poses)
+    shape = (model.env_count, len(model.kinematic))
+    return given_array(poses, "poses", shape, wp.transformd, model.device)
 
 
 def initial_state(model: Model, poses: np.ndarray | None = None) -> State:

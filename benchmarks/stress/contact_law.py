@@ -95,7 +95,7 @@ def friction_forces(
 
 def friction_limits(pairs: dict[str, Array], pressing: Array, model: Model) -> Array:
     """Friction coefficient times normal force of each pair [N]."""
-    bodies, coefficients = model.surface.node_bodies.numpy(), model.pair_friction.numpy()
+    bodies, coefficients = model.surface.node_bodies.numpy(), model.pair_friction.numpy()[0]
     nodes = pairs["stencils"]
     return coefficients[bodies[nodes[:, 0]], bodies[nodes[:, 3]]] * pressing
 

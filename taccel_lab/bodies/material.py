@@ -29,7 +29,8 @@ class MaterialModel(StrEnum):
     """Rubber with a second invariant; infinite at inversion."""
 
 
-def _check_young(value: float, where: str = "") -> None:
+def check_young(value: float, where: str = "") -> None:
+    """Refuse a modulus that no gel has; ``where`` says whose it is, as for the checks below."""
     if not (math.isfinite(value) and _YOUNG_PA[0] <= value <= _YOUNG_PA[1]):
         raise InputError(
             f"Young's modulus{where} must lie in [100 Pa, 1 TPa], got {value:g} Pa "
@@ -37,7 +38,8 @@ def _check_young(value: float, where: str = "") -> None:
         )
 
 
-def _check_poisson(value: float, where: str = "") -> None:
+def check_poisson(value: float, where: str = "") -> None:
+    """Refuse a ratio that no compressible solid has."""
     if not (math.isfinite(value) and -1.0 < value < 0.5):
         raise InputError(
             f"Poisson's ratio{where} must lie in (-1, 0.5), got {value:g}; 0.5 is an "
@@ -45,7 +47,8 @@ def _check_poisson(value: float, where: str = "") -> None:
         )
 
 
-def _check_density(value: float, where: str = "") -> None:
+def check_density(value: float, where: str = "") -> None:
+    """Refuse a density that no solid has."""
     if not (math.isfinite(value) and _DENSITY_KG_M3[0] <= value <= _DENSITY_KG_M3[1]):
         raise InputError(f"density{where} must lie in [1, 3e4] kg/m^3, got {value:g}")
 
@@ -55,7 +58,9 @@ def _check_damping(value: float) -> None:
         raise InputError(f"damping_time_s must lie in [0, 1e4] s, got {value:g}")
 
 
-def _check_mooney(model: MaterialModel, ratio: float, poisson: float, where: str = "") -> None:
+def check_mooney(model: MaterialModel, ratio: float, poisson: float, where: str = "") -> None:
+    """Refuse a ratio c01 / (c10 + c01) that the law, or the law with this Poisson's ratio, cannot
+    have."""
     if not isinstance(model, MaterialModel):
         raise InputError(f"model must be one of {', '.join(MaterialModel)}, got {model!r}")
     if model is not MaterialModel.MOONEY_RIVLIN:
@@ -94,11 +99,11 @@ class Material:
     strains Rayleigh's factor of the stiffness matrix. 0 switches damping off."""
 
     def __post_init__(self) -> None:
-        _check_young(self.young_modulus_pa)
-        _check_poisson(self.poisson_ratio)
-        _check_density(self.density_kg_m3)
+        check_young(self.young_modulus_pa)
+        check_poisson(self.poisson_ratio)
+        check_density(self.density_kg_m3)
         _check_damping(self.damping_time_s)
-        _check_mooney(self.model, self.mooney_ratio, self.poisson_ratio)
+        check_mooney(self.model, self.mooney_ratio, self.poisson_ratio)
 
     @classmethod
     def mooney_rivlin(
@@ -175,13 +180,13 @@ class MaterialField:
         for name, array in arrays.items():
             array.setflags(write=False)
             object.__setattr__(self, name, array)
-        _check_each(_check_young, arrays["young_modulus_pa"])
-        _check_each(_check_poisson, arrays["poisson_ratio"])
-        _check_each(_check_density, arrays["density_kg_m3"])
+        _check_each(check_young, arrays["young_modulus_pa"])
+        _check_each(check_poisson, arrays["poisson_ratio"])
+        _check_each(check_density, arrays["density_kg_m3"])
         pairs = np.broadcast_arrays(arrays["mooney_ratio"], arrays["poisson_ratio"])
         unique, first = np.unique(np.stack([p.ravel() for p in pairs]), axis=1, return_index=True)
         for (ratio, poisson), tet in zip(unique.T, first, strict=True):
-            _check_mooney(self.model, float(ratio), float(poisson), f" of tet {tet}")
+            check_mooney(self.model, float(ratio), float(poisson), f" of tet {tet}")
 
     @property
     def tet_count(self) -> int | None:

@@ -32,6 +32,12 @@ class TimeScheme(StrEnum):
     """Second order backward differences: less damping at the same step."""
 
 
+def check_dt(dt_s: float) -> None:
+    """Refuse a length of a step [s] that makes no sense."""
+    if not (math.isfinite(dt_s) and 1e-6 <= dt_s <= 10):
+        raise InputError(f"dt must lie in [1e-6, 10] s, got {dt_s}")
+
+
 @dataclass(frozen=True)
 class TimeStepping:
     """How a step advances time."""
@@ -47,8 +53,7 @@ class TimeStepping:
             names = ", ".join(TimeScheme)
             raise InputError(f"scheme must be one of {names}, got {self.scheme!r}")
         object.__setattr__(self, "scheme", TimeScheme(self.scheme))
-        if not (math.isfinite(self.dt_s) and 1e-6 <= self.dt_s <= 10):
-            raise InputError(f"dt must lie in [1e-6, 10] s, got {self.dt_s}")
+        check_dt(self.dt_s)
         gravity = self.gravity_m_s2
         if len(gravity) != 3 or not all(math.isfinite(g) for g in gravity):
             raise InputError(f"gravity_m_s2 must be three finite numbers, got {gravity}")

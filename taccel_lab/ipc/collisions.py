@@ -147,8 +147,8 @@ class Collisions(GrowingList):
         surface.rest_positions = model.rest_positions
         surface.self_ranges = self_ranges(model, self.dhat)
         surface.body_ranks = wp.array(body_ranks(model), dtype=wp.int32, device=model.device)
-        kappas, surface.stiff_kappa = body_kappas(model, self.kappa)
-        surface.body_kappas = wp.array(kappas, dtype=wp.float64, device=model.device)
+        surface.body_kappas = body_kappas(model, self.kappa)
+        self._moduli = model.largest_moduli
         surface.dhat, surface.guard = self.dhat, self.guard
         return surface
 
@@ -172,6 +172,10 @@ class Collisions(GrowingList):
         the lists of others stay as they are."""
         model, plan = self.model, self.model.contact_plan
         self.clear(active)
+        if self._moduli is not model.largest_moduli:
+            # They differ by environment since.
+            self._surface.body_kappas = body_kappas(model, self.kappa)
+            self._moduli = model.largest_moduli
         common = [positions, self.geometry, self._surface]
 
         def narrow(kernel: wp.Kernel, pairs: PairList) -> None:

@@ -19,22 +19,22 @@ STIFF_KAPPA_PA = 1e6
 """Contact stiffness of a scene without soft bodies."""
 
 
-def body_kappas(model: Model, kappa: float | None) -> tuple[np.ndarray, float]:
-    """Contact stiffness that each body asks for [Pa], float64, shape [body_count], and that between
-    bodies that ask for none [Pa].
+def body_kappas(model: Model, kappa: float | None) -> wp.array:
+    """Contact stiffness that each body asks for, and in the last column that between bodies that
+    ask for none [Pa], float64, shape [1 or env_count, body_count + 1].
 
     ``kappa`` where one is given; else Young's modulus of a soft body, 0 for the others, and between
     these the largest modulus of the scene. A gel is thus pressed the same whatever else is in the
     scene: with the largest modulus for all contacts, the layer in front of a soft gel beside one a
-    million times as stiff was nearly dhat thick, which raised its force by 3 %.
+    million times as stiff was nearly dhat thick, which raised its force by 3 %. Where moduli differ
+    by environment (``Model.set_body``), so does the stiffness: it is that of a model built with the
+    environment's moduli.
     """
-    if kappa is not None:
-        return np.full(len(model.scene.bodies), kappa), kappa
-    kappas = [
-        body.material.largest_young_modulus_pa if isinstance(body, SoftBody) else 0.0
-        for body in model.scene.bodies
-    ]
-    return np.array(kappas), max(kappas, default=0.0) or STIFF_KAPPA_PA
+    if kappa is None and model.scene.soft_bodies:
+        return model.largest_moduli
+    shape = (1, len(model.bodies) + 1)
+    value = STIFF_KAPPA_PA if kappa is None else kappa
+    return wp.full(shape, value, dtype=wp.float64, device=model.device)
 
 
 def body_ranks(model: Model) -> np.ndarray:

@@ -35,9 +35,9 @@ class ContactSurface:
     self_ranges: gap from which a node repels its own body [m], [rest_count, node_count].
     body_ranks: of two bodies the nodes of the one that ranks higher measure the contact, of both
         when they rank the same, [body_count].
-    body_kappas: barrier stiffness that a body asks for [Pa], 0 for none, [body_count]; of a pair
-        the larger one counts (``pair_kappa``).
-    stiff_kappa: barrier stiffness between bodies that ask for none [Pa].
+    body_kappas: barrier stiffness that a body asks for [Pa], 0 for none, and in the last column
+        that between bodies that ask for none, [1 or env_count, body_count + 1]; of a pair the
+        larger one counts (``pair_kappa``).
     dhat: range of the contact [m]; guard: range of the guard [m].
     """
 
@@ -56,20 +56,20 @@ class ContactSurface:
     rest_positions: wp.array2d(dtype=wp.vec3d)
     self_ranges: wp.array2d(dtype=wp.float64)
     body_ranks: wp.array(dtype=wp.int32)
-    body_kappas: wp.array(dtype=wp.float64)
-    stiff_kappa: wp.float64
+    body_kappas: wp.array2d(dtype=wp.float64)
     dhat: wp.float64
     guard: wp.float64
 
 
 @wp.func
-def pair_kappa(first: int, second: int, surface: ContactSurface) -> wp.float64:
+def pair_kappa(env: int, first: int, second: int, surface: ContactSurface) -> wp.float64:
     """Barrier stiffness of the contact of two bodies [Pa]: it is their own, whatever else is in the
     scene."""
-    kappa = wp.max(surface.body_kappas[first], surface.body_kappas[second])
+    row = env % surface.body_kappas.shape[0]
+    kappa = wp.max(surface.body_kappas[row, first], surface.body_kappas[row, second])
     if kappa > wp.float64(0.0):
         return kappa
-    return surface.stiff_kappa
+    return surface.body_kappas[row, surface.body_kappas.shape[1] - 1]
 
 
 @wp.func
@@ -216,7 +216,7 @@ def collect_ball_face(
     zero = wp.float64(0.0)
     kept = kept_distance(ball, face[0], geometry)
     rest = env % surface.node_areas.shape[0]
-    kappa = pair_kappa(geometry.node_bodies[ball], geometry.node_bodies[face[0]], surface)
+    kappa = pair_kappa(env, geometry.node_bodies[ball], geometry.node_bodies[face[0]], surface)
     # A face speaks for those of its corners of which it is the first face.
     reach = kept + surface.dhat
     for k in range(3):
@@ -271,7 +271,7 @@ def collect_node_face(
     reach_sq = (kept + gap) * (kept + gap)
     if pair.distance_sq >= reach_sq:
         return
-    kappa = pair_kappa(node_body, face_body, surface)
+    kappa = pair_kappa(env, node_body, face_body, surface)
     stiffness = weight[1] * kappa * surface.node_areas[rest, node]
     if pair.region == wp.static(int(PointTriangleRegion.T)):
         nodes = wp.vec4i(node, face[0], face[1], face[2])
@@ -341,7 +341,7 @@ def collect_edge_edge(
     )
     threshold = edge_edge_mollifier_threshold(ra0, ra1, rb0, rb1)
     nodes = wp.vec4i(a[0], a[1], b[0], b[1])
-    kappa = pair_kappa(geometry.node_bodies[a[0]], geometry.node_bodies[b[0]], surface)
+    kappa = pair_kappa(env, geometry.node_bodies[a[0]], geometry.node_bodies[b[0]], surface)
     add_collision(env, 3, nodes, kappa * area, threshold, gap, wp.float64(0.0), lists)
 
 
@@ -404,7 +404,7 @@ def node_plane_kernel(
     height = wp.dot(positions[env, node] - positions[env, plane], geometry.plane_normals[plane])
     if height < kept_distance(node, plane, geometry) + surface.dhat:
         rest = env % surface.node_areas.shape[0]
-        stiffness = pair_kappa(first, second, surface) * surface.node_areas[rest, node]
+        stiffness = pair_kappa(env, first, second, surface) * surface.node_areas[rest, node]
         nodes = wp.vec4i(node, plane, plane, plane)
         none = wp.float64(-1.0)
         zero = wp.float64(0.0)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.bodies import KinematicBody, Plane
+from taccel_lab.bodies.bodies import KinematicBody, Plane, SoftBody
 from taccel_lab.bodies.element import Element
 from taccel_lab.bodies.mass_properties import MassProperties, mass_properties
 from taccel_lab.bodies.primitives import Ball, TriangleMesh
@@ -358,6 +358,10 @@ def build_model(
 
     bodies = scene.bodies
     plan = contact_plan(scene, surfaces, put)
+    moduli = [
+        body.material.largest_young_modulus_pa if isinstance(body, SoftBody) else 0.0
+        for body in bodies
+    ]
     friction = np.array([[scene.friction_between(a, b) for b in bodies] for a in bodies])
     present = np.ones((scene.env_count, len(bodies)), dtype=np.int32)
     for index, body in enumerate(bodies):
@@ -413,7 +417,8 @@ def build_model(
         targets=_targets(layout, wp_device, put),
         contact_plan=plan,
         present=put(present, wp.int32),
-        pair_friction=put(friction, wp.float64),
+        pair_friction=put(friction[None], wp.float64),
+        largest_moduli=put(np.array([[*moduli, max(moduli)]]), wp.float64),
         largest_thickness_m=max(
             (bodies[i].surface.thickness_m + bodies[j].surface.thickness_m for i, j in plan.pairs),
             default=0.0,

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -37,11 +36,13 @@ class ElementArrays:
     volumes: wp.array
     """Rest volumes [m^3], float64, shape [rest_count, element_count]."""
     mu: wp.array
-    """Shear modulus [Pa], float64, shape [element_count]."""
+    """Shear modulus [Pa], float64, shape [element_count]; once moduli differ by environment those
+    of one after the other, [env_count * element_count], and ``lam`` and ``mooney_ratio`` with it.
+    """
     lam: wp.array
-    """Lame's first parameter [Pa], float64, shape [element_count]."""
+    """Lame's first parameter [Pa], float64, the same shape."""
     mooney_ratio: wp.array
-    """c01 / (c10 + c01), float64, shape [element_count]; empty unless Mooney-Rivlin."""
+    """c01 / (c10 + c01), float64, the same shape; empty unless Mooney-Rivlin."""
     damping_times: wp.array
     """Viscous over elastic stress per strain rate [s], float64, shape [element_count]."""
     gather_nodes: wp.array
@@ -58,6 +59,10 @@ class ElementArrays:
     rim_starts: wp.array
     rim_sources: wp.array
     rim_nodes: wp.array
+    young_moduli: wp.array | None = None
+    """What ``mu`` and ``lam`` come from [Pa], float64, [env_count * element_count], and Poisson's
+    ratios; None until moduli differ by environment."""
+    poisson_ratios: wp.array | None = None
 
     @property
     def element_count(self) -> int:
@@ -66,16 +71,6 @@ class ElementArrays:
     @property
     def nodes_per_element(self) -> int:
         return self.elements.shape[1]
-
-    @cached_property
-    def volumetric_lam(self) -> wp.array:
-        """Part of lambda [Pa] that an element takes of its mean dilatation, float64,
-        [element_count]. For linear tets all of it; of quadratic Mooney-Rivlin tets the shape part
-        keeps 2 ratio mu."""
-        if self.element is not Element.QUADRATIC or self.law is not MaterialModel.MOONEY_RIVLIN:
-            return self.lam
-        rest = self.lam.numpy() - 2 * self.mooney_ratio.numpy() * self.mu.numpy()
-        return wp.array(rest, dtype=wp.float64, device=self.lam.device)
 
     def set_gather(self, gather: BlockGather, put: Put) -> None:
         """Say where the element blocks go in the matrix of the scene."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -59,19 +60,88 @@ def zero_rows(mask: wp.array, values: wp.array) -> None:
         wp.launch(_zero_rows_kernel, dim=rows.shape, inputs=[mask, rows], device=values.device)
 
 
-def device_mask(mask: np.ndarray | wp.array, env_count: int, device: wp.Device) -> wp.array:
-    """A mask as kernels take it, int32, [env_count]; one that is that already is taken as it is.
+@wp.kernel
+def _as_int_kernel(mask: wp.array(dtype=wp.bool), result: wp.array(dtype=wp.int32)):
+    env = wp.tid()
+    result[env] = int(mask[env])
+
+
+def on_device(value: Any) -> bool:
+    """Whether ``value`` is a device's array, one of Warp or a torch tensor, and not the host's."""
+    return hasattr(value, "__dlpack__") and not isinstance(value, np.ndarray | np.generic)
+
+
+def device_array(value: Any) -> wp.array:
+    """The array of Warp on the memory of a value for which ``on_device`` holds."""
+    return value if isinstance(value, wp.array) else wp.from_dlpack(value)
+
+
+def host_values(value: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """Values of the host as float64 of one shape, all finite.
 
     Raises:
-        InputError: Of another shape, or no mask of bool.
+        InputError: Of another shape, or not finite.
     """
-    if isinstance(mask, wp.array):
-        if mask.shape != (env_count,) or mask.dtype is not wp.int32 or mask.device != device:
+    found = np.asarray(value, dtype=np.float64)
+    if found.shape != shape:
+        raise InputError(f"{name} have shape {found.shape}, expected {shape}")
+    if not np.isfinite(found).all():
+        raise InputError(f"{name} hold NaN or infinite values")
+    return found
+
+
+def given_array(
+    value: Any, name: str, shape: tuple[int, ...], dtype: Any, device: wp.Device
+) -> wp.array:
+    """An array of Warp of float64, vec3d or transformd on the memory of ``value``.
+
+    ``value`` has the components as its last axis. The host's is checked and stays on the host; what
+    is on ``device`` already is not checked for its values: that would wait for the device.
+
+    Raises:
+        InputError: Of another shape, type or device.
+    """
+    width = wp.types.type_size_in_bytes(dtype) // 8
+    expected = shape if width == 1 else (*shape, width)
+    if not on_device(value):
+        found = host_values(value, name, expected)
+        return wp.array(found, dtype=dtype, shape=shape, device="cpu", copy=False)
+    shared = device_array(value)
+    if shared.dtype is wp.float64 and shared.shape == expected and width > 1:
+        shared = shared.view(dtype)
+    if shared.shape != shape or shared.dtype is not dtype:
+        also = "" if width == 1 else f", or {dtype.__name__} of shape {list(shape)}"
+        raise InputError(
+            f"{name} on the device are {shared.dtype.__name__} of shape {list(shared.shape)}; "
+            f"expected float64 of shape {list(expected)}{also}"
+        )
+    if shared.device != device:
+        raise InputError(f"{name} are on {shared.device}, the model is on {device}")
+    return shared
+
+
+def device_mask(mask: Any, env_count: int, device: wp.Device) -> wp.array:
+    """A mask as kernels take it, int32, [env_count]; one that is that already is taken as it is.
+
+    ``mask``: bool of numpy, or what is on the device, bool or int32: an array of Warp or a torch
+    tensor.
+
+    Raises:
+        InputError: Of another shape, type or device.
+    """
+    if on_device(mask):
+        found = device_array(mask)
+        known = found.dtype in (wp.int32, wp.bool)
+        if found.shape != (env_count,) or not known or found.device != device:
             raise InputError(
-                f"a mask on the device is int32 of shape [{env_count}] on {device}, got "
-                f"{mask.dtype.__name__} of shape {list(mask.shape)} on {mask.device}"
+                f"a mask on the device is bool or int32 of shape [{env_count}] on {device}, got "
+                f"{found.dtype.__name__} of shape {list(found.shape)} on {found.device}"
             )
-        return mask
+        if found.dtype is wp.int32:
+            return found
+        result = wp.empty(env_count, dtype=wp.int32, device=device)
+        wp.launch(_as_int_kernel, env_count, inputs=[found, result], device=device)
+        return result
     value = np.asarray(mask)
     if value.shape != (env_count,) or value.dtype != bool:
         raise InputError(

@@ -16,21 +16,37 @@ points. A vertex X in the principal frame is y0 + sum_k (X_k / L) y_k. In that f
 of the control nodes is diagonal: the mass, and the second moments over L^2.
 
 Arrays of rest quantities have ``rest_count`` rows, which is 1 when all environments share one rest
-shape and ``env_count`` otherwise; kernels index them with ``env % rest_count``.
+shape and ``env_count`` otherwise; kernels index them with ``env % rest_count``. So are arrays of
+physical parameters: one row until ``set_body`` or ``set_friction`` makes environments differ.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 import warp as wp
 
+from taccel_lab.bodies.bodies import check_friction
 from taccel_lab.bodies.mass_properties import MassProperties
+from taccel_lab.bodies.material import check_density, check_mooney, check_poisson, check_young
 from taccel_lab.bodies.scene_description import SceneDescription
+from taccel_lab.errors import InputError
 from taccel_lab.model.contact_plan import ContactPlan
 from taccel_lab.model.elastic import ElementArrays
+from taccel_lab.model.env_parameters import (
+    check_mass,
+    env_values,
+    widened,
+    write_densities,
+    write_friction,
+    write_largest,
+    write_moduli,
+    write_scaled,
+)
+from taccel_lab.model.env_rows import device_mask
 from taccel_lab.model.matrix_pattern import BlockPattern
 from taccel_lab.model.surface import SurfaceArrays, SurfaceTrees
 
@@ -120,7 +136,8 @@ class Model:
     free_nodes: wp.array
     """Node of each row, int32, shape [free_count]."""
     masses: wp.array
-    """Lumped mass [kg], float64, shape [rest_count, node_count]."""
+    """Lumped mass [kg], float64, shape [rest_count, node_count], or [env_count, node_count] once
+    masses differ by environment."""
     gravity_scale: wp.array
     """1 for nodes that gravity acts on, 0 for the control nodes y1..y3, float64, [node_count]."""
     parents: wp.array
@@ -145,7 +162,11 @@ class Model:
     present: wp.array
     """1 where a body is present, int32, shape [env_count, body_count]."""
     pair_friction: wp.array
-    """Coulomb coefficient of each pair of bodies, float64, shape [body_count, body_count]."""
+    """Coulomb coefficient of each pair of bodies, float64, shape [1, body_count, body_count], or
+    [env_count, ...] once friction differs by environment."""
+    largest_moduli: wp.array
+    """Largest Young's modulus of each soft body [Pa], 0 of others, and in the last column of all,
+    float64, shape [1, body_count + 1], or [env_count, ...] once moduli differ by environment."""
     largest_thickness_m: float
     """Largest sum of the thicknesses of two bodies [m]."""
     rubs: bool
@@ -156,6 +177,208 @@ class Model:
     row_starts: wp.array
     columns: wp.array
     diagonal: wp.array
+    scene_masses: wp.array | None = None
+    """``masses`` as the scene says, once they differ by environment."""
+    changes: int = 0
+    """How often parameters were set by environment."""
+    moves: int = 0
+    """How often arrays of parameters were replaced by larger ones, which stale graphs point to."""
+
+    # Parameters by environment -----------------------------------------------------------------
+
+    def set_body(
+        self,
+        body: str,
+        *,
+        young_modulus_pa: Any = None,
+        poisson_ratio: Any = None,
+        density_kg_m3: Any = None,
+        mass_kg: Any = None,
+        mask: Any = None,
+    ) -> None:
+        """Set physical parameters of a body in the environments of ``mask``, from the next step on.
+
+        Each is a number, or an array with a value for each environment, [env_count]; moduli and
+        densities of a soft body may also differ by tet, [env_count, tet_count]. What is left out
+        stays. Arrays of numpy are checked as those of a ``Material`` are; arrays that are on the
+        model's device already, such as torch tensors of float64, are read there, and not checked
+        for their values. Everything follows that a model built with these values would have: the
+        stiffness of the body's contacts, masses, weights, and damping.
+
+        Args:
+            body: Name of a soft body, or of an affine one, which has density and mass only: its
+                modulus is there to keep it rigid.
+            mass_kg: Total mass; it is spread as the scene's densities spread it. In place of
+                ``density_kg_m3``.
+            mask: Bool, or int32 on the device, [env_count]; all when None. Values of the other
+                environments are ignored.
+
+        Raises:
+            InputError: Bad values, shapes or names; nothing is changed then.
+        """
+        index = self._named(body)
+        kind = self.bodies[index].kind
+        stiffness = {"young_modulus_pa": young_modulus_pa, "poisson_ratio": poisson_ratio}
+        inertia = {"density_kg_m3": density_kg_m3, "mass_kg": mass_kg}
+        given = [name for name, value in (stiffness | inertia).items() if value is not None]
+        if not given:
+            raise InputError(f"nothing is set of body {body!r}: give a modulus, density or mass")
+        if kind not in (BodyKind.SOFT, BodyKind.AFFINE):
+            raise InputError(f"body {body!r} is prescribed: it has no {given[0]}")
+        if kind is BodyKind.AFFINE and given[0] in stiffness:
+            raise InputError(
+                f"{given[0]} of {body!r} cannot be set: it is an affine body, whose stiffness only "
+                "keeps it rigid; its density or mass can"
+            )
+        if len(given) > 1 and given[-2:] == list(inertia):
+            raise InputError(f"give either density_kg_m3 or mass_kg of {body!r}, not both")
+        if kind is BodyKind.SOFT:
+            self._set_soft(index, stiffness, inertia, mask)
+        else:
+            self._set_affine(index, inertia, mask)
+        self.changes += 1
+
+    def set_friction(self, first: str, second: str, coefficient: Any, mask: Any = None) -> None:
+        """Set the Coulomb coefficient of a pair of bodies in the environments of ``mask``, from the
+        next step on; arguments as those of ``set_body``.
+
+        Raises:
+            InputError: Bad values, shapes or names, a pair that may not touch, or one in a scene
+                without any friction, whose solvers leave it out; nothing is changed then.
+        """
+        a, b = sorted((self._named(first), self._named(second)))
+        if (a, b) not in self.contact_plan.pairs:
+            raise InputError(
+                f"bodies {first!r} and {second!r} may not touch, so nothing rubs there"
+            )
+        if not self.rubs:
+            raise InputError(
+                "no pair of bodies of this scene has friction, so that its solvers leave it out: "
+                f"give {first!r} and {second!r} a coefficient above 0 in the scene first"
+            )
+        chosen = self._mask(mask)
+
+        def check(value: float, where: str) -> None:
+            check_friction(value, f"{first!r} and {second!r}{where}")
+
+        name = f"friction coefficient of {first!r} and {second!r}"
+        value = env_values(coefficient, name, self.env_count, self.device, check, mask)
+        if self.pair_friction.shape[0] < self.env_count:
+            self.pair_friction = self._widened(self.pair_friction)
+        write_friction(chosen, value, a, b, self.pair_friction)
+        self.changes += 1
+
+    def _set_soft(
+        self, index: int, stiffness: dict[str, Any], inertia: dict[str, Any], mask: Any
+    ) -> None:
+        body, material = self.bodies[index], self.scene.soft_bodies[index].material
+        group, member = next(
+            (group, member)
+            for group in self.elastic
+            for member in group.bodies
+            if member[0] == index
+        )
+        tet_count = member[2] - member[1]
+        ratio = float(np.max(getattr(material, "mooney_ratio", 0.0)))
+
+        def check_ratio(value: float, where: str) -> None:
+            check_poisson(value, where)
+            check_mooney(material.model, ratio, value, where)
+
+        checks = {
+            "young_modulus_pa": check_young,
+            "poisson_ratio": check_ratio,
+            "density_kg_m3": check_density,
+            "mass_kg": check_mass,
+        }
+        chosen = self._mask(mask)
+        values = {
+            name: env_values(
+                value,
+                f"{name} of {body.name!r}",
+                self.env_count,
+                self.device,
+                checks[name],
+                mask,
+                1 if name == "mass_kg" else tet_count,
+            )
+            for name, value in (stiffness | inertia).items()
+            if value is not None
+        }
+        young, poisson = values.get("young_modulus_pa"), values.get("poisson_ratio")
+        if young is not None or poisson is not None:
+            self._widen_moduli(group)
+            write_moduli(group, member, chosen, young, poisson)
+        if young is not None:
+            if self.largest_moduli.shape[0] < self.env_count:
+                self.largest_moduli = self._widened(self.largest_moduli)
+            write_largest(chosen, young, index, self.largest_moduli)
+        if "density_kg_m3" in values:
+            self._widen_masses()
+            densities = values["density_kg_m3"]
+            write_densities(group, member, body.nodes, chosen, densities, self.masses)
+        elif "mass_kg" in values:
+            of_scene = self._widen_masses()
+            totals = of_scene.numpy()[:, body.node_slice].sum(axis=1)
+            write_scaled(body.nodes, chosen, values["mass_kg"], totals, of_scene, self.masses)
+
+    def _set_affine(self, index: int, inertia: dict[str, Any], mask: Any) -> None:
+        at = index - len(self.scene.soft_bodies)
+        body = self.scene.affine_bodies[at]
+        chosen = self._mask(mask)
+        name, value = next(item for item in inertia.items() if item[1] is not None)
+        dense = name == "density_kg_m3"
+        check = check_density if dense else check_mass
+        whose = f"{name} of {body.name!r}"
+        given = env_values(value, whose, self.env_count, self.device, check, mask)
+        of_scene = body.density_kg_m3 if dense else self.affine.properties[at].mass_kg
+        first = self.affine.first_control + 4 * at
+        base = self._widen_masses()
+        write_scaled((first, first + 4), chosen, given, [of_scene], base, self.masses)
+
+    def _named(self, body: str) -> int:
+        try:
+            return self.body_id(body)
+        except KeyError as error:
+            raise InputError(str(error.args[0])) from None
+
+    def _mask(self, mask: Any) -> wp.array:
+        if mask is None:
+            return wp.full(self.env_count, 1, dtype=wp.int32, device=self.device)
+        return device_mask(mask, self.env_count, self.device)
+
+    def _widened(self, shared: wp.array) -> wp.array:
+        self.moves += 1
+        return widened(shared, (self.env_count, *shared.shape[1:]))
+
+    def _widen_moduli(self, group: ElementArrays) -> None:
+        """Give each environment moduli of its own."""
+        if group.young_moduli is not None:
+            return
+        self.moves += 1
+        shape = (self.env_count * group.element_count,)
+
+        def of_scene(name: str) -> wp.array:
+            bodies = self.scene.soft_bodies
+            parts = [
+                np.broadcast_to(getattr(bodies[body].material, name), last - first)
+                for body, first, last in group.bodies
+            ]
+            shared = wp.array(np.concatenate(parts), dtype=wp.float64, device=self.device)
+            return widened(shared, shape)
+
+        group.young_moduli = of_scene("young_modulus_pa")
+        group.poisson_ratios = of_scene("poisson_ratio")
+        group.mu, group.lam = widened(group.mu, shape), widened(group.lam, shape)
+        if len(group.mooney_ratio):
+            group.mooney_ratio = widened(group.mooney_ratio, shape)
+
+    def _widen_masses(self) -> wp.array:
+        """Give each environment masses of its own; returns those of the scene."""
+        if self.scene_masses is None:
+            self.scene_masses = self.masses
+            self.masses = self._widened(self.masses)
+        return self.scene_masses
 
     @property
     def kinematic(self) -> list[BodyRange]:

@@ -18,7 +18,7 @@ import warp as wp
 from taccel_lab.bodies.element import Element
 from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.elasticity.laws import LAWS, Moduli
-from taccel_lab.ipc.potentials.element_data import ElementData
+from taccel_lab.ipc.potentials.element_data import ElementData, modulus_index
 from taccel_lab.ipc.potentials.linear_kernels import linear_deformation
 from taccel_lab.ipc.potentials.quadratic_shape import common_deformation, point_deformation
 from taccel_lab.model import Model
@@ -36,6 +36,7 @@ def _stress_kernel(model: MaterialModel, element: Element) -> wp.Kernel:
     dilatation = law.dilatation
     dilatation_slope = law.dilatation_slope
     volumetric = law.volumetric
+    volumetric_modulus = law.volumetric_modulus
     module = wp.get_module(f"{__name__}.{model.value}.{element.value}")
     wp.set_module_options({"enable_backward": False}, module=module)
 
@@ -51,7 +52,8 @@ def _stress_kernel(model: MaterialModel, element: Element) -> wp.Kernel:
             env, tet = wp.tid()
             f = linear_deformation(env, tet, positions, d)
             j = wp.determinant(f)
-            stresses[env, tet] = piola(f, d.moduli, tet) * wp.transpose(f) / j
+            p = piola(f, d.moduli, modulus_index(env, tet, d))
+            stresses[env, tet] = p * wp.transpose(f) / j
             volumes[env, tet] = j * d.volumes[env % d.volumes.shape[0], tet]
 
         return _linear_stress_kernel
@@ -72,13 +74,14 @@ def _stress_kernel(model: MaterialModel, element: Element) -> wp.Kernel:
             f = point_deformation(env, tet, q, common, positions, d)
             mean += quarter * dilatation(f)
             q += 1
-        pressure = d.moduli.lam[tet] * volumetric(mean)[1]
+        i = modulus_index(env, tet, d)
+        pressure = volumetric_modulus(d.moduli, i) * volumetric(mean)[1]
         kirchhoff = wp.mat33d()
         growth = wp.float64(0.0)
         q = int(0)
         while q < 4:
             f = point_deformation(env, tet, q, common, positions, d)
-            p = shape_piola(f, d.moduli, tet) + pressure * dilatation_slope(f)
+            p = shape_piola(f, d.moduli, i) + pressure * dilatation_slope(f)
             kirchhoff += quarter * (p * wp.transpose(f))
             growth += quarter * wp.determinant(f)
             q += 1
@@ -150,7 +153,7 @@ class StressReader:
             group.volumes,
         )
         data.moduli = Moduli()
-        data.moduli.mu, data.moduli.lam = group.mu, group.volumetric_lam
+        data.moduli.mu, data.moduli.lam = group.mu, group.lam
         data.moduli.ratio = group.mooney_ratio
         self._data = data
         shape, device = (model.env_count, group.element_count), model.device

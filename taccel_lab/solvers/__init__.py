@@ -2,6 +2,7 @@
 """Stepping a model: orchestration only."""
 
 from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.solvers.control import Control
 from taccel_lab.solvers.plan import Plan, PlanEntry
 from taccel_lab.solvers.ready_steps import ReadySteps
 from taccel_lab.solvers.report import EnvStatus, StepReport
@@ -9,6 +10,7 @@ from taccel_lab.solvers.sharded import Shard, ShardedSolver
 from taccel_lab.solvers.solver_ipc import SolverIPC
 
 __all__ = [
+    "Control",
     "EnvStatus",
     "Plan",
     "PlanEntry",

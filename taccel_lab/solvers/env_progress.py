@@ -9,6 +9,7 @@ import warp as wp
 
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.solvers.report import ReportBlock
 
 
 @wp.struct
@@ -169,16 +170,17 @@ class EnvProgress:
     """Whether the joints of any environment were open."""
 
 
-_REPORTED_INTS = ("status", "newton", "cg", "lags") + (
-    "searches",
-    "ccd_passes",
-    "starts_tried",
-    "starts_taken",
-)
-_REPORTED_FLOATS = ("residual", "excess", "contact_force", "min_distance") + (
-    "violation",
-    "smallest_step",
-)
+_REPORTED = {
+    "newton_iterations": "newton",
+    "cg_iterations": "cg",
+    "friction_lags": "lags",
+    "residual_n": "residual",
+    "residual_ratio": "excess",
+    "contact_force_n": "contact_force",
+    "min_distance_m": "min_distance",
+    "joint_violation_m": "violation",
+}
+"""Names of the figures of a report here, where they differ."""
 NO_LIMIT = 2**30
 """Rounds of a call that ends when all environments are through."""
 _FLAGS = ("running", "searching", "freezing", "closing", "reopened")
@@ -186,39 +188,27 @@ _ANY = ("any_turning", "any_flight", "any_curved", "rounds", "most_rounds")
 
 
 class EnvProgressArrays:
-    """The arrays of an ``EnvProgress``, laid out so that a report takes one copy to the host."""
+    """The arrays of an ``EnvProgress``."""
 
     def __init__(
         self,
         env_count: int,
         body_count: int,
         radii_m: np.ndarray,
-        energy_rounding_j: np.ndarray,
         device: wp.Device,
     ) -> None:
         self.data = EnvProgress()
         """For kernels."""
-        # Two rows of integers take the place of one of floating point numbers.
-        int_rows = -(-len(_REPORTED_INTS) // 2)
-        shape = (len(_REPORTED_FLOATS) + int_rows, env_count)
-        self._reported = wp.zeros(shape, dtype=wp.float64, device=device)
-        for i, name in enumerate(_REPORTED_FLOATS):
-            setattr(self.data, name, self._reported[i])
-        ints = wp.array(
-            ptr=self._reported[len(_REPORTED_FLOATS)].ptr,
-            dtype=wp.int32,
-            shape=(2 * int_rows, env_count),
-            device=device,
-        )
-        ints._ref = self._reported
-        for i, name in enumerate(_REPORTED_INTS):
-            setattr(self.data, name, ints[i])
-        given = (*_REPORTED_FLOATS, *_REPORTED_INTS, *_FLAGS, *_ANY, "energy_rounding")
+        self.report = ReportBlock.zeros(env_count, device)
+        """What a report needs, on the memory of ``data``."""
+        reported = {_REPORTED.get(name, name): a for name, a in self.report.arrays.items()}
+        for name, array in reported.items():
+            setattr(self.data, name, array)
+        given = (*reported, *_FLAGS, *_ANY)
         for name, member in EnvProgress.vars.items():
             if name not in given and member.type.ndim == 1:
                 zeros = wp.zeros(env_count, dtype=member.type.dtype, device=device)
                 setattr(self.data, name, zeros)
-        self.data.energy_rounding = wp.array(energy_rounding_j, dtype=wp.float64, device=device)
         radii = np.tile(radii_m, (env_count // len(radii_m), 1))
         self.data.radii = wp.array(radii, dtype=wp.float64, device=device)
         self.data.turns = wp.zeros_like(self.data.radii)
@@ -243,13 +233,6 @@ class EnvProgressArrays:
             zero_rows(mask, mine)
         self.underway &= ~who
         self.again &= ~who
-
-    def read(self) -> dict[str, np.ndarray]:
-        """What a report needs, by name; waits for the device."""
-        floats = self._reported.numpy()
-        ints = floats[len(_REPORTED_FLOATS) :].view(np.int32).reshape(-1, floats.shape[1])
-        found = {name: ints[i].copy() for i, name in enumerate(_REPORTED_INTS)}
-        return found | {name: floats[i].copy() for i, name in enumerate(_REPORTED_FLOATS)}
 
 
 def make_rules(

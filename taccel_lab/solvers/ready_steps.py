@@ -69,6 +69,7 @@ class ReadySteps:
         if target_poses is not None:
             targets = poses_array(solver.model, target_poses).to(solver.model.device)
         copy_rows(beginning, targets, solver.end_poses)
+        solver.follow_parameters()
         separate = solver.find_separate(self.state)
         overlapping = who & ~separate
         who &= separate

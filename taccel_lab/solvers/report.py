@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a step did, per environment: numbers first."""
+"""What a step did, per environment: numbers first. They stay on the device until they are asked
+for; a step itself reads its statuses, which decide whether it is taken again in halves."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 
 class EnvStatus(IntEnum):
@@ -39,9 +42,61 @@ class EnvStatus(IntEnum):
     """BDF2 met an impact: the solver takes the step again by implicit Euler at once."""
 
 
+_INTS = ("status", "newton_iterations", "cg_iterations", "friction_lags") + (
+    "searches",
+    "ccd_passes",
+    "starts_tried",
+    "starts_taken",
+)
+_FLOATS = ("residual_n", "residual_ratio", "contact_force_n", "min_distance_m") + (
+    "joint_violation_m",
+    "smallest_step",
+)
+
+
+class ReportBlock:
+    """The figures of a report on the device, laid out so that one copy takes them all."""
+
+    def __init__(self, rows: wp.array) -> None:
+        """``rows``: float64, see ``zeros``."""
+        self._rows = rows
+        count = len(_FLOATS)
+        self.arrays: dict[str, wp.array] = {name: rows[i] for i, name in enumerate(_FLOATS)}
+        """Arrays of shape [env_count] by name, float64 or int32, on the memory of the block."""
+        # Two rows of integers take the place of one of floating point numbers.
+        ints = wp.array(
+            ptr=rows[count].ptr,
+            dtype=wp.int32,
+            shape=(2 * (rows.shape[0] - count), rows.shape[1]),
+            device=rows.device,
+        )
+        ints._ref = rows
+        self.arrays |= {name: ints[i] for i, name in enumerate(_INTS)}
+
+    @classmethod
+    def zeros(cls, env_count: int, device: wp.Device) -> ReportBlock:
+        """A block of zeros."""
+        shape = (len(_FLOATS) + (len(_INTS) + 1) // 2, env_count)
+        return cls(wp.zeros(shape, dtype=wp.float64, device=device))
+
+    def copy(self) -> ReportBlock:
+        """The same on memory of its own; does not wait for the device."""
+        return ReportBlock(wp.clone(self._rows))
+
+    def read(self) -> dict[str, np.ndarray]:
+        """All arrays on the host, int64 or float64; waits for the device."""
+        rows = self._rows.numpy()
+        ints = rows[len(_FLOATS) :].view(np.int32).reshape(-1, rows.shape[1])
+        found = {name: ints[i].astype(np.int64) for i, name in enumerate(_INTS)}
+        return found | {name: rows[i].copy() for i, name in enumerate(_FLOATS)}
+
+
 @dataclass(frozen=True)
 class StepReport:
-    """Per-environment arrays of shape [env_count], unless said otherwise."""
+    """Per-environment arrays of shape [env_count], unless said otherwise.
+
+    Of a step that went through at once, what is not read stays on the device: ``on`` has it there.
+    """
 
     status: np.ndarray
     """``EnvStatus``; environments that did not converge were rolled back."""
@@ -77,6 +132,51 @@ class StepReport:
     """Parts the step was taken in: 1 unless it failed as a whole."""
     seconds: float
     """Wall time of the whole call, all environments."""
+
+    @classmethod
+    def of_block(cls, block: ReportBlock) -> StepReport:
+        """The report of one attempt at a step. Reads the statuses, 4 bytes an environment, and the
+        rest of ``block``, which belongs to the report from now on, when it is first asked for."""
+        report = object.__new__(cls)
+        status = block.arrays["status"].numpy().copy()
+        substeps = (status == EnvStatus.CONVERGED).astype(np.int64)
+        report.__dict__.update(status=status, substeps=substeps, seconds=0.0, _block=block)
+        return report
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Fields that have not been read yet."""
+            block = self.__dict__.get("_block")
+            if block is None or name not in self.__dataclass_fields__:
+                raise AttributeError(f"a step report has no {name!r}")
+            self.__dict__.update(block.read() | self.__dict__)
+            return self.__dict__[name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def on(self, device: wp.Device | str) -> dict[str, wp.array]:
+        """The arrays by name on a device, int32 or float64 of Warp; torch takes them through DLPack
+        (``wp.to_torch``).
+
+        Those of a step that went through at once are there already, are not copied, and stay as
+        they are when the solver goes on; a step that was taken in parts has been put together on
+        the host.
+        """
+        block = self.__dict__.get("_block")
+        found: dict[str, wp.array] = {} if block is None else block.arrays
+        for field in fields(self):
+            if field.name != "seconds" and field.name not in found:
+                value = getattr(self, field.name)
+                dtype = wp.int32 if value.dtype.kind == "i" else wp.float64
+                found[field.name] = wp.array(value, dtype=dtype, device=device)
+        return {name: array.to(device) for name, array in found.items()}
+
+    def timed(self, seconds: float) -> StepReport:
+        """The same report, with the wall time of the whole call."""
+        object.__setattr__(self, "seconds", seconds)
+        return self
 
     @property
     def converged(self) -> np.ndarray:

@@ -116,7 +116,7 @@ def elastic_power(
     for part, group in zip(solver.elastic, groups or solver.model.elastic, strict=True):
         data = part.data
         own = data.moduli.mu, data.moduli.lam, data.moduli.ratio, data.volumes
-        data.moduli.mu, data.moduli.lam = group.mu, group.volumetric_lam
+        data.moduli.mu, data.moduli.lam = group.mu, group.lam
         data.moduli.ratio, data.volumes = group.mooney_ratio, group.volumes
         try:
             part.add_gradient(active, state.positions, gradient)

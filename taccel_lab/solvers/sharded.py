@@ -41,16 +41,16 @@ class _TurnTaker(SolverIPC):
         super().__init__(model, config)
         self._turn = turn
 
-    def _read_report(self, who: np.ndarray) -> StepReport:
+    def _read_report(self) -> StepReport:
         if not self._turn.locked():
             # Stepped by itself, outside ``ShardedSolver.step``.
-            return super()._read_report(who)
+            return super()._read_report()
         self._turn.release()
         try:
             wp.synchronize_stream(self.model.device)
         finally:
             self._turn.acquire()
-        return super()._read_report(who)
+        return super()._read_report()
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from taccel_lab.bodies.scene_description import check_dt
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.capacity import grow_all
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import embed_vertices
-from taccel_lab.model.env_rows import copy_rows, device_mask
+from taccel_lab.model.env_rows import copy_rows, device_mask, given_array
 from taccel_lab.model.kinematics import place_at_start, place_poses_between
 from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.solvers.control import Control
 from taccel_lab.solvers.measure_and_judge import evaluate_forces
 from taccel_lab.solvers.plan import Plan, make_plan
 from taccel_lab.solvers.report import EnvStatus, StepReport
@@ -29,6 +31,8 @@ from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.step_graph import StepGraphs
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.state import State, initial_state, poses_array
+
+wp.set_module_options({"enable_backward": False})
 
 if TYPE_CHECKING:
     from taccel_lab.ipc.overlap_search import OverlapSearch
@@ -43,16 +47,29 @@ HALVING_HELPS = [
 """Failures that a shorter step may avoid."""
 
 
+@wp.kernel
+def _add_mask_kernel(mask: wp.array(dtype=wp.int32), result: wp.array(dtype=wp.int32)):
+    env = wp.tid()
+    if mask[env] != 0:
+        result[env] = 1
+
+
 class SolverIPC(SolverParts):
     """Steps a model."""
 
     def __init__(self, model: Model, config: SolverConfig | None = None) -> None:
         super().__init__(model, config)
         self.graphs = StepGraphs(self)
+        self._unchecked = wp.full(model.env_count, 1, dtype=wp.int32, device=model.device)
+        """Environments that are to be searched for overlaps, int32, [env_count]."""
+        self._all_checked = False
+        """Whether there are none."""
         self._start: State | None = None
         """Where environments are put back to; made by the first reset."""
         self._overlaps: OverlapSearch | None = None
         """Made by the first check of starts."""
+        self._changes, self._moves = -1, model.moves
+        """Of the parameters of the model, as they were followed last."""
 
     @property
     def plan(self) -> Plan:
@@ -62,15 +79,14 @@ class SolverIPC(SolverParts):
     def step(
         self,
         state: State,
-        target_poses: Any = None,
+        control: Control | Any = None,
         *,
         who: np.ndarray | None = None,
         again: bool = False,
     ) -> StepReport:
-        """Advance ``state`` in place by dt; kinematic bodies end at ``target_poses``.
+        """Advance ``state`` in place by dt.
 
-        ``target_poses``: [env_count, kinematic_count, 7]; where they are when None. What is on the
-        solver's device already, a torch tensor of float64, say, is not checked for its values.
+        ``control``: what is asked of the step; an array is taken for ``Control.target_poses``.
         ``who``: environments to step, bool, [env_count]; all when None. The others, their forces
         too, stay as they are, with status SKIPPED.
         ``again``: take the latest step again to other targets. ``state`` is where it ended, which
@@ -80,6 +96,10 @@ class SolverIPC(SolverParts):
         times; one that fails even so is rolled back to the start of the whole step and flagged.
         Before their first step, environments are searched for bodies that overlap: these are
         flagged and not stepped (``ipc.start_checks.check_start`` says what is wrong).
+
+        The host waits once a step, for the statuses, 4 bytes an environment: they decide whether
+        anything is taken again. After resets it also reads which environments overlap. All other
+        figures stay on the device until they are read from the report.
         """
         started = time.perf_counter()
         if self.progress.underway.any():
@@ -87,29 +107,34 @@ class SolverIPC(SolverParts):
         if again and (self.inertia is not None or self.joints is not None):
             raise InputError("only a step of a quasi-static scene without joints is taken again")
         who = np.ones(self.model.env_count, dtype=bool) if who is None else who
-        targets = state.poses if target_poses is None else poses_array(self.model, target_poses)
-        wp.copy(self.end_poses, targets)
+        dt = self._take(
+            control if isinstance(control, Control) else Control(target_poses=control), state
+        )
+        self.follow_parameters()
         separate = self.find_separate(state)
-        dt = self.model.scene.time.dt_s
         self.progress.data.again.fill_(int(again))
         report = self._attempt(state, separate & who, dt)
-        report.status[~separate & who] = EnvStatus.OVERLAP
+        overlapping = ~separate & who
+        if overlapping.any():
+            status = np.where(overlapping, np.int32(EnvStatus.OVERLAP), report.status)
+            report = replace(report, status=status)
         if not report.converged.all() and self.config.max_substep_halvings > 0:
             report = self._in_halves(state, report, dt, 1)
         if not report.converged[who].all():
             self.refresh_forces(state, ~report.converged & who)
-        return replace(report, seconds=time.perf_counter() - started)
+        return report.timed(time.perf_counter() - started)
 
-    def reset(self, state: State, mask: np.ndarray, poses: Any = None) -> None:
-        """Put the environments of ``mask`` (bool, [env_count]) back to their initial state.
+    def reset(self, state: State, mask: Any, poses: Any = None) -> None:
+        """Put the environments of ``mask`` back to their initial state, on the device.
 
+        ``mask``: bool, [env_count]; on the solver's device also int32 (see ``device_mask``).
         ``poses``: of the kinematic bodies, as ``target_poses`` of ``step``; those of other
         environments are ignored. They stay where they are when None. The other environments are not
         touched. A step that is underway there (``ReadySteps``) is given up.
         """
         chosen = device_mask(mask, self.model.env_count, self.model.device)
         if self.progress.underway.any():
-            self.progress.drop(np.asarray(mask), chosen)
+            self.progress.drop(chosen.numpy() != 0, chosen)
         if poses is not None:
             copy_rows(chosen, poses_array(self.model, poses).to(self.model.device), state.poses)
         if self._start is None:
@@ -118,22 +143,68 @@ class SolverIPC(SolverParts):
         state.restore(start, chosen)
         place_at_start(self.model, state.poses, state.positions, chosen)
         embed_vertices(self.model, state.positions)
-        self._separate[mask] = False
+        wp.launch(
+            _add_mask_kernel,
+            self.model.env_count,
+            inputs=[chosen, self._unchecked],
+            device=self.model.device,
+        )
+        self._all_checked = False
         if self.joints is not None:
             self.joints.reset(chosen)
 
+    def follow_parameters(self) -> None:
+        """What depends on parameters of bodies that were set since the last step."""
+        if self._moves != self.model.moves:
+            self._moves = self.model.moves
+            self.graphs.clear()
+        if self._changes != self.model.changes:
+            self._changes = self.model.changes
+            rounding = self.progress.data.energy_rounding
+            rounding.zero_()
+            everyone = wp.full(self.model.env_count, 1, dtype=wp.int32, device=self.model.device)
+            for part in self.elastic:
+                part.add_energy_rounding(everyone, rounding)
+
     def find_separate(self, state: State) -> np.ndarray:
-        """Environments whose bodies did not overlap before their first step, bool, [env_count]."""
+        """Environments whose bodies did not overlap before their first step, bool, [env_count];
+        those that were not looked at yet are."""
         if not self.config.check_start:
             self._separate[:] = True
-        elif not self._separate.all():
+        elif not self._all_checked:
             if self._overlaps is None:
                 from taccel_lab.ipc.overlap_search import OverlapSearch
 
                 self._overlaps = OverlapSearch(self.model)
-            new = device_mask(~self._separate, self.model.env_count, self.model.device)
-            self._separate[:] |= self._overlaps.find(state, new).numpy() == 0
+            wp.copy(self._unchecked, self._overlaps.find(state, self._unchecked))
+            self._separate[:] = self._unchecked.numpy() == 0
+            self._all_checked = bool(self._separate.all())
         return self._separate
+
+    def _take(self, control: Control, state: State) -> float:
+        """Check what is asked for, then copy it to where the step reads it; returns dt [s]."""
+        model = self.model
+        poses = control.target_poses
+        targets = state.poses if poses is None else poses_array(model, poses)
+        dt = model.scene.time.dt_s
+        if control.dt_s is not None:
+            if self.inertia is None:
+                raise InputError("dt_s of a step needs quasi_static=False: otherwise it has none")
+            check_dt(control.dt_s)
+            dt = float(control.dt_s)
+        drives = None
+        if control.joint_targets is not None:
+            if self.joints is None:
+                raise InputError("joint_targets are given, but the scene has no joints")
+            shape = self.joints.targets.shape
+            values = control.joint_targets
+            drives = given_array(values, "joint_targets", shape, wp.float64, model.device)
+        if control.forces is not None or control.wrenches is not None:
+            state.load(model, control.forces, control.wrenches)
+        if drives is not None and self.joints is not None:
+            wp.copy(self.joints.targets, drives)
+        wp.copy(self.end_poses, targets)
+        return dt
 
     # Parts of a step -----------------------------------------------------------------------------
 
@@ -173,29 +244,10 @@ class SolverIPC(SolverParts):
             self._who = who.copy()
             self.progress.data.who.assign(who.astype(np.int32))
         self.graphs.launch(state)
-        return self._read_report(who)
+        return self._read_report()
 
-    def _read_report(self, who: np.ndarray) -> StepReport:
-        found = self.progress.read()
-        converged = who & (found["status"] == EnvStatus.CONVERGED)
-        return StepReport(
-            status=found["status"],
-            newton_iterations=found["newton"].astype(np.int64),
-            cg_iterations=found["cg"].astype(np.int64),
-            friction_lags=found["lags"].astype(np.int64),
-            searches=found["searches"].astype(np.int64),
-            ccd_passes=found["ccd_passes"].astype(np.int64),
-            starts_tried=found["starts_tried"].astype(np.int64),
-            starts_taken=found["starts_taken"].astype(np.int64),
-            residual_n=found["residual"],
-            residual_ratio=found["excess"],
-            contact_force_n=found["contact_force"],
-            min_distance_m=found["min_distance"],
-            smallest_step=found["smallest_step"],
-            joint_violation_m=found["violation"],
-            substeps=converged.astype(np.int64),
-            seconds=0.0,
-        )
+    def _read_report(self) -> StepReport:
+        return StepReport.of_block(self.progress.report.copy())
 
     def _in_halves(self, state: State, failed: StepReport, dt: float, level: int) -> StepReport:
         """The step of length dt to ``end_poses`` again, in two halves, where it failed."""

@@ -115,7 +115,6 @@ class SolverParts:
             model.env_count,
             len(model.bodies),
             model.kinematic_radii_m,
-            self._energy_rounding(),
             device,
         )
         self.rules = make_rules(
@@ -149,15 +148,6 @@ class SolverParts:
         if model.affine.count and model.scene.soft_bodies and not model.contact_in_pattern:
             return initial_capacity(model.env_count)
         return 32 if model.affine.count or model.contact_plan.soft_to_soft else 1
-
-    def _energy_rounding(self) -> np.ndarray:
-        """2e-17 of the shear modulus times the volume: a block of 20 mm and 1 MPa, turned, shows
-        about a sixth of that."""
-        model = self.model
-        total = np.zeros(model.rest_count)
-        for group in model.elastic:
-            total += (group.volumes.numpy() * group.mu.numpy()).sum(axis=1)
-        return 2e-17 * np.tile(total, model.env_count // model.rest_count)
 
     def share_energies(self) -> None:
         """One buffer for the energies of all terms; graphs that used the old one are stale."""

@@ -27,19 +27,20 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.struct
 class Moduli:
-    """Material parameters of the elements."""
+    """Material parameters of the elements, of all environments or of one after the other: see
+    ``ElementArrays``."""
 
     mu: wp.array(dtype=wp.float64)
-    """Shear modulus [Pa], shape [element_count]."""
+    """Shear modulus [Pa]."""
     lam: wp.array(dtype=wp.float64)
-    """Lame's first parameter [Pa], shape [element_count]."""
+    """Lame's first parameter [Pa]."""
     ratio: wp.array(dtype=wp.float64)
-    """c01 / (c10 + c01), shape [element_count]; empty unless the material is Mooney-Rivlin."""
+    """c01 / (c10 + c01); empty unless the material is Mooney-Rivlin."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """Functions of a material. ``m`` are the Moduli, ``i`` the element."""
+    """Functions of a material. ``m`` are the Moduli, ``i`` the place of the element in them."""
 
     model: MaterialModel
     energy: Any
@@ -58,7 +59,9 @@ class Law:
     dilatation_slope: Any
     """``(f)``: de/dF."""
     volumetric: Any
-    """``(e)``: u and its first two derivatives; the energy is lambda u [J/m^3]."""
+    """``(e)``: u and its first two derivatives; the energy is l u [J/m^3]."""
+    volumetric_modulus: Any
+    """``(m, i)``: l [Pa], lambda without what the shape energy keeps of it."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,10 @@ def _of_lame(
         return hessian(f, m.mu[i], m.lam[i], mode)
 
     @wp.func
+    def volumetric_modulus(m: Moduli, i: int) -> wp.float64:
+        return m.lam[i]
+
+    @wp.func
     def shape_energy(f: wp.mat33d, m: Moduli, i: int) -> wp.float64:
         return energy(f, m.mu[i], wp.float64(0.0))
 
@@ -132,6 +139,7 @@ def _of_lame(
         volumetric.dilatation,
         volumetric.slope,
         volumetric.function,
+        volumetric_modulus,
     )
 
 
@@ -141,8 +149,7 @@ def _of_lame_and_ratio(
     """Law of functions (f, mu, lam, ratio).
 
     The shape part keeps the part 2 ratio mu of lambda: with none at all the coefficient of
-    (ln J)^2 is negative, and a quadrature point could collapse. See
-    ``ElementArrays.volumetric_lam`` for the rest.
+    (ln J)^2 is negative, and a quadrature point could collapse.
     """
 
     @wp.func
@@ -156,6 +163,10 @@ def _of_lame_and_ratio(
     @wp.func
     def law_hessian(f: wp.mat33d, m: Moduli, i: int, mode: int) -> PrincipalHessian:
         return pressed(f, m.mu[i], m.lam[i], m.ratio[i], wp.float64(0.0), mode)
+
+    @wp.func
+    def volumetric_modulus(m: Moduli, i: int) -> wp.float64:
+        return m.lam[i] - wp.float64(2.0) * m.ratio[i] * m.mu[i]
 
     @wp.func
     def shape_energy(f: wp.mat33d, m: Moduli, i: int) -> wp.float64:
@@ -184,6 +195,7 @@ def _of_lame_and_ratio(
         volumetric.dilatation,
         volumetric.slope,
         volumetric.function,
+        volumetric_modulus,
     )
 
 

@@ -89,7 +89,7 @@ def freeze_contact(
     at: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
-    pair_friction: wp.array2d(dtype=wp.float64),
+    pair_friction: wp.array3d(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
     previous: wp.array2d(dtype=wp.vec3d),
     frozen: FrozenContacts,
@@ -109,7 +109,9 @@ def freeze_contact(
             positions[env, nodes[3]],
         )
         force *= edge_edge_mollifier(cross_sq, threshold)
-    mu = pair_friction[geometry.node_bodies[nodes[0]], geometry.node_bodies[nodes[3]]]
+    first = geometry.node_bodies[nodes[0]]
+    second = geometry.node_bodies[nodes[3]]
+    mu = pair_friction[env % pair_friction.shape[0], first, second]
     frozen.stencils[at] = nodes
     frozen.weights[at] = pair.weights
     frozen.normals[at] = pair_normal(pair)
@@ -128,7 +130,7 @@ def _lag_kernel(
     lanes: int,
     lists: CollisionLists,
     geometry: ContactGeometry,
-    pair_friction: wp.array2d(dtype=wp.float64),
+    pair_friction: wp.array3d(dtype=wp.float64),
     positions: wp.array2d(dtype=wp.vec3d),
     previous: wp.array2d(dtype=wp.vec3d),
     frozen: FrozenContacts,

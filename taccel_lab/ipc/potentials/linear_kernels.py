@@ -13,7 +13,7 @@ import warp as wp
 
 from taccel_lab.ipc.elasticity.laws import Law
 from taccel_lab.ipc.elasticity.principal import principal_block
-from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
+from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels, modulus_index
 from taccel_lab.ipc.potentials.staged_rows import (
     flush_blocks,
     flush_forces,
@@ -61,7 +61,8 @@ def create_linear_kernels(law: Law) -> ElementKernels:
         if active[env] == 0:
             return
         f = linear_deformation(env, tet, positions, d)
-        energies[env, tet] = d.volumes[env % d.volumes.shape[0], tet] * energy(f, d.moduli, tet)
+        psi = energy(f, d.moduli, modulus_index(env, tet, d))
+        energies[env, tet] = d.volumes[env % d.volumes.shape[0], tet] * psi
 
     @wp.kernel(module=module)
     def _linear_gradient_kernel(
@@ -76,7 +77,7 @@ def create_linear_kernels(law: Law) -> ElementKernels:
         if active[env] != 0:
             rest = env % d.volumes.shape[0]
             f = linear_deformation(env, tet, positions, d)
-            p = d.volumes[rest, tet] * piola(f, d.moduli, tet)
+            p = d.volumes[rest, tet] * piola(f, d.moduli, modulus_index(env, tet, d))
             for i in range(4):
                 put_force(stage, local_gradients, item, i, p * d.gradients[rest, tet, i])
         flush_forces(stage, local_gradients, item, active[env] != 0)
@@ -96,7 +97,7 @@ def create_linear_kernels(law: Law) -> ElementKernels:
             rest = env % d.volumes.shape[0]
             f = linear_deformation(env, tet, positions, d)
             volume = d.volumes[rest, tet]
-            h = hessian(f, d.moduli, tet, psd_mode)
+            h = hessian(f, d.moduli, modulus_index(env, tet, d), psd_mode)
             to_principal = wp.transpose(h.v)
             beta_1 = to_principal * d.gradients[rest, tet, 1]
             beta_2 = to_principal * d.gradients[rest, tet, 2]

@@ -24,7 +24,7 @@ import warp as wp
 from taccel_lab.ipc.elasticity.corner_guard import corner_guard, volume_hessian
 from taccel_lab.ipc.elasticity.invariants import cofactor
 from taccel_lab.ipc.elasticity.principal import lifted
-from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
+from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels, modulus_index
 from taccel_lab.ipc.potentials.point_hessian import PointHessian, point_hessian
 from taccel_lab.ipc.potentials.quadratic_guard import (
     GUARD_WEIGHT,
@@ -48,11 +48,11 @@ wp.set_module_options({"enable_backward": False})
 @dataclass(frozen=True)
 class PointLaw:
     """What happens at a quadrature point. ``start`` is the Green strain at the start of the step
-    there, zero unless viscous; ``d`` the ElementData, ``i`` the element."""
+    there, zero unless viscous; ``d`` the ElementData, ``i`` the place of the element's moduli."""
 
     name: str
     start: Any
-    """``(env, i, q, d)``."""
+    """``(env, tet, q, d)``."""
     energy: Any
     """``(f, start, d, i)``: without the volumetric part [J/m^3]."""
     piola: Any
@@ -62,13 +62,15 @@ class PointLaw:
     """``(f)``."""
     volumetric: Any
     """``(e)``: u, u', u''."""
+    volumetric_modulus: Any
+    """``(moduli, i)``: what u is multiplied by [Pa]."""
     scale: Any
-    """``(env, i, d)``: what the others leave out [1, or 1/s]."""
+    """``(env, tet, d)``: what the others leave out, 1 unless viscous."""
     hessian: Any
     """``(f, start, d, i, pressure, psd_mode)``: a PointHessian, with ``pressure`` times the
     dilatation."""
     guarded: Any
-    """``(env, i, positions, d)``: whether the element needs its guard."""
+    """``(env, tet, positions, d)``: whether the element needs its guard."""
 
 
 @wp.func
@@ -106,6 +108,7 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
     dilatation = law.dilatation
     dilatation_slope = law.dilatation_slope
     volumetric = law.volumetric
+    volumetric_modulus = law.volumetric_modulus
     scale = law.scale
     hessian = law.hessian
     guarded = law.guarded
@@ -122,6 +125,7 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         env, tet = wp.tid()
         if active[env] == 0:
             return
+        i = modulus_index(env, tet, d)
         quarter = wp.float64(0.25)
         shape = wp.float64(0.0)
         mean = wp.float64(0.0)
@@ -130,7 +134,7 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         while q < 4:
             f = point_deformation(env, tet, q, common, positions, d)
             start = start_of(env, tet, q, d)
-            shape += quarter * energy(f, start, d, tet)
+            shape += quarter * energy(f, start, d, i)
             mean += quarter * dilatation(f, start)
             q += 1
         kept = wp.float64(0.0)
@@ -141,11 +145,11 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
                     wp.determinant(guarded_deformation(env, tet, q, positions, d))
                 )[0]
                 q += 1
-        volume_part = volumetric(mean)
+        bulk = volumetric_modulus(d.moduli, i) * volumetric(mean)[0]
         energies[env, tet] = (
             d.volumes[env % d.volumes.shape[0], tet]
             * scale(env, tet, d)
-            * (shape + d.moduli.lam[tet] * volume_part[0] + GUARD_WEIGHT * d.moduli.mu[tet] * kept)
+            * (shape + bulk + GUARD_WEIGHT * d.moduli.mu[i] * kept)
         )
 
     @wp.func
@@ -175,9 +179,10 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         if active[env] == 0:
             return
         rest = env % d.volumes.shape[0]
+        i = modulus_index(env, tet, d)
         common = common_deformation(env, tet, positions, d)
         mean = _mean_dilatation(env, tet, common, positions, d)
-        pressure = d.moduli.lam[tet] * volumetric(mean)[1]
+        pressure = volumetric_modulus(d.moduli, i) * volumetric(mean)[1]
         factor = d.volumes[rest, tet] * scale(env, tet, d)
         # Stress integrals: l_c P over the element for each corner c, from l_c = OTHER + ...
         total = wp.mat33d()
@@ -189,7 +194,7 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         while q < 4:
             f = point_deformation(env, tet, q, common, positions, d)
             start = start_of(env, tet, q, d)
-            p = piola(f, start, d, tet) + pressure * dilatation_slope(f)
+            p = piola(f, start, d, i) + pressure * dilatation_slope(f)
             total += p
             if q == 0:
                 own_0 = p
@@ -226,7 +231,7 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
             f = guarded_deformation(env, tet, q, positions, d)
             push = corner_guard(wp.determinant(f))[1]
             if push != wp.float64(0.0):
-                stress = (factor * GUARD_WEIGHT * d.moduli.mu[tet] * push) * cofactor(f)
+                stress = (factor * GUARD_WEIGHT * d.moduli.mu[i] * push) * cofactor(f)
                 rows = guarded_gradients(env, tet, q, stress, d)
                 for a in range(d.nodes.shape[1]):
                     local_gradients[env, tet, a] = local_gradients[env, tet, a] + row_of(rows, a)
@@ -244,6 +249,7 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         if active[env] == 0:
             return
         rest = env % d.volumes.shape[0]
+        i = modulus_index(env, tet, d)
         # Held in a variable so that Warp keeps the loops rolled.
         node_count = d.nodes.shape[1]
         common = common_deformation(env, tet, positions, d)
@@ -260,24 +266,25 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
             q += 1
         volume_part = volumetric(mean)
         factor = d.volumes[rest, tet] * scale(env, tet, d)
-        bulk = factor * d.moduli.lam[tet] * lifted(volume_part[2], psd_mode)
+        modulus = volumetric_modulus(d.moduli, i)
+        bulk = factor * modulus * lifted(volume_part[2], psd_mode)
         pair = int(0)
         for a in range(node_count):
             left = bulk * row_of(slope, a)
             for b in range(a, node_count):
                 blocks[env, tet, pair] = wp.outer(left, row_of(slope, b))
                 pair += 1
-        pressure = d.moduli.lam[tet] * volume_part[1]
+        pressure = modulus * volume_part[1]
         q = int(0)
         while q < 4:
             f = point_deformation(env, tet, q, common, positions, d)
-            h = hessian(f, start_of(env, tet, q, d), d, tet, pressure, psd_mode)
+            h = hessian(f, start_of(env, tet, q, d), d, i, pressure, psd_mode)
             shapes = shape_gradients(env, tet, q, OTHER, OWN_LESS_OTHER, wp.transpose(h.frame), d)
             add_point_blocks(env, tet, wp.float64(0.25) * factor, h, shapes, node_count, blocks)
             q += 1
         if not guarded(env, tet, positions, d):
             return
-        guard_weight = factor * GUARD_WEIGHT * d.moduli.mu[tet]
+        guard_weight = factor * GUARD_WEIGHT * d.moduli.mu[i]
         q = int(0)
         while q < GUARDED:
             f = guarded_deformation(env, tet, q, positions, d)

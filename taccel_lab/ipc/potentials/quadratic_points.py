@@ -25,12 +25,12 @@ BEARS_INVERSION = (MaterialModel.STABLE_NEO_HOOKEAN, MaterialModel.ST_VENANT_KIR
 
 
 @wp.func
-def _no_start(env: int, i: int, q: int, d: ElementData) -> wp.mat33d:
+def _no_start(env: int, tet: int, q: int, d: ElementData) -> wp.mat33d:
     return wp.mat33d()
 
 
 @wp.func
-def _one(env: int, i: int, d: ElementData) -> wp.float64:
+def _one(env: int, tet: int, d: ElementData) -> wp.float64:
     return wp.float64(1.0)
 
 
@@ -94,6 +94,7 @@ def elastic_quadratic_kernels(model: MaterialModel) -> ElementKernels:
             dilatation=dilatation,
             dilatation_slope=law.dilatation_slope,
             volumetric=law.volumetric,
+            volumetric_modulus=law.volumetric_modulus,
             scale=_one,
             hessian=hessian,
             guarded=needs_none if model in BEARS_INVERSION else needs_guard,

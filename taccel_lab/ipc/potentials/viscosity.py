@@ -19,9 +19,15 @@ import warp as wp
 
 from taccel_lab.bodies.element import Element
 from taccel_lab.ipc.elasticity.dilatation import half_square, strain_trace_slope
+from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.elasticity.principal import lifted_matrix
 from taccel_lab.ipc.elasticity.st_venant_kirchhoff import green_strain
-from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels, ElementSum
+from taccel_lab.ipc.potentials.element_data import (
+    ElementData,
+    ElementKernels,
+    ElementSum,
+    modulus_index,
+)
 from taccel_lab.ipc.potentials.linear_kernels import linear_deformation
 from taccel_lab.ipc.potentials.point_hessian import PointHessian
 from taccel_lab.ipc.potentials.quadratic_guard import needs_none
@@ -38,11 +44,18 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
+def _share(env: int, tet: int, d: ElementData) -> wp.float64:
+    """tau / dt: what a strain gained in this step resists by, over what it is worth in energy."""
+    return d.rates[env] * d.damping_times[tet]
+
+
+@wp.func
 def _linear_stress(gained: wp.mat33d, d: ElementData, env: int, tet: int) -> wp.mat33d:
     """Second Piola-Kirchhoff stress [Pa] of a strain gained in this step."""
-    volumetric = d.moduli.lam[tet] * wp.trace(gained)
+    i = modulus_index(env, tet, d)
+    volumetric = d.moduli.lam[i] * wp.trace(gained)
     eye = wp.identity(n=3, dtype=wp.float64)
-    return d.rates[env] * (wp.float64(2.0) * d.moduli.mu[tet] * gained + volumetric * eye)
+    return _share(env, tet, d) * (wp.float64(2.0) * d.moduli.mu[i] * gained + volumetric * eye)
 
 
 @wp.kernel
@@ -106,8 +119,9 @@ def _linear_hessian_kernel(
     f = linear_deformation(env, tet, positions, d)
     gained = green_strain(f) - d.start_strains[env, tet, 0]
     stress = lifted_matrix(_linear_stress(gained, d, env, tet), psd_mode)
-    mu = d.rates[env] * d.moduli.mu[tet]
-    lam = d.rates[env] * d.moduli.lam[tet]
+    at = modulus_index(env, tet, d)
+    mu = _share(env, tet, d) * d.moduli.mu[at]
+    lam = _share(env, tet, d) * d.moduli.lam[at]
     left = f * wp.transpose(f)
     eye = wp.identity(n=3, dtype=wp.float64)
     k = int(0)
@@ -138,13 +152,13 @@ def _quadratic_start_kernel(
 
 
 @wp.func
-def _point_start(env: int, i: int, q: int, d: ElementData) -> wp.mat33d:
-    return d.start_strains[env, i, q]
+def _point_start(env: int, tet: int, q: int, d: ElementData) -> wp.mat33d:
+    return d.start_strains[env, tet, q]
 
 
 @wp.func
-def _point_rate(env: int, i: int, d: ElementData) -> wp.float64:
-    return d.rates[env]
+def _point_modulus(m: Moduli, i: int) -> wp.float64:
+    return m.lam[i]
 
 
 @wp.func
@@ -203,7 +217,8 @@ def _quadratic_kernels() -> ElementKernels:
             dilatation=_point_dilatation,
             dilatation_slope=strain_trace_slope,
             volumetric=half_square,
-            scale=_point_rate,
+            volumetric_modulus=_point_modulus,
+            scale=_share,
             hessian=_point_hessian,
             guarded=needs_none,
         )
@@ -224,10 +239,7 @@ class ViscousPotential(ElementSum):
         super().__init__(model, group, _quadratic_kernels() if quadratic else _LINEAR)
         self._start = _quadratic_start_kernel if quadratic else _linear_start_kernel
         device, point_count = model.device, POINT_COUNT if quadratic else 1
-        times = group.damping_times.numpy()
-        moduli = self.data.moduli
-        moduli.mu = wp.array(times * group.mu.numpy(), dtype=wp.float64, device=device)
-        moduli.lam = wp.array(times * group.lam.numpy(), dtype=wp.float64, device=device)
+        self.data.damping_times = group.damping_times
         self.data.start_strains = wp.zeros(
             (*self.energies.shape, point_count), dtype=wp.mat33d, device=device
         )

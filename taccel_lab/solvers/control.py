@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``Control``: what a user asks of a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass
+class Control:
+    """What a step is asked for; what is None stays as it is.
+
+    Arrays are numpy's, which are checked, or on the solver's device, such as torch tensors of
+    float64 (through DLPack) and arrays of Warp: these are read where they are, without the host,
+    and not checked for their values, as that would wait for the device.
+    """
+
+    target_poses: Any = None
+    """Where the kinematic bodies are at the end of the step: position [m], quaternion x, y, z, w,
+    [env_count, kinematic_count, 7]."""
+    joint_targets: Any = None
+    """Targets of the drives of joints [rad, m, rad/s or m/s], [env_count, joint_count], in the
+    order of the scene; they stay until changed, as ``solver.joints.targets``."""
+    dt_s: float | None = None
+    """Length of this step, of all environments [s]; the scene's when None. Not of a quasi-static
+    scene, whose steps have none."""
+    forces: Any = None
+    """Forces on nodes [N], [env_count, node_count, 3]; they stay until changed, see
+    ``State.load``."""
+    wrenches: Any = None
+    """Forces [N] and torques [N m] on affine bodies, [env_count, affine_count, 2, 3]; they stay
+    until changed."""

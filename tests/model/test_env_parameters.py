@@ -1,0 +1,418 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters by environment: each environment is that of a model built with its values."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry.block import block_mesh, free_block
+from taccel_lab.model import Model
+from taccel_lab.outputs import Outputs
+from taccel_lab.scene import (
+    AffineBody,
+    Element,
+    KinematicBody,
+    Material,
+    MaterialField,
+    MaterialModel,
+    Plane,
+    Scene,
+    SoftBody,
+    Surface,
+    TimeStepping,
+    box_mesh,
+    sphere_mesh,
+)
+from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.state import State, initial_state
+
+PAD = block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3))
+TETS = PAD.tet_count
+TOOL = sphere_mesh(2e-3, 1e-3)
+START_Z = 2.1e-3
+YOUNG = np.array([5e4, 1e5, 2e5])
+POISSON = np.array([0.3, 0.4, 0.45])
+FRICTION = np.array([0.0, 0.5, 1.0])
+MOONEY = Material(1e5, 0.4, model=MaterialModel.MOONEY_RIVLIN, mooney_ratio=0.3)
+
+
+def pressed_pad(
+    env_count: int,
+    material: Material | MaterialField,
+    element: Element = Element.LINEAR,
+    friction: float = 0.7,
+) -> Scene:
+    """A pad under a tool."""
+    return Scene(
+        SoftBody(PAD, material, name="pad", element=element),
+        KinematicBody(TOOL, name="tool", friction_coefficient=friction),
+        env_count,
+    )
+
+
+def tool_at(env_count: int, x_m: float, z_m: float) -> np.ndarray:
+    return np.tile([x_m, 0, z_m, 0, 0, 0, 1], (env_count, 1, 1))
+
+
+def press(model: Model, solver: SolverIPC | None = None) -> tuple[State, SolverIPC]:
+    """Down, then sideways."""
+    count = model.env_count
+    solver = solver or SolverIPC(model)
+    state = initial_state(model, tool_at(count, 0, START_Z))
+    for target in (tool_at(count, 0, START_Z - 2.5e-4), tool_at(count, 1e-4, START_Z - 2.5e-4)):
+        report = solver.step(state, target)
+        assert report.converged.all(), report.summary()
+    return state, solver
+
+
+def result(state: State, solver: SolverIPC) -> list[np.ndarray]:
+    arrays = [state.positions, state.velocities, solver.contact_gradient, solver.friction_gradient]
+    return [array.numpy() for array in arrays]
+
+
+def assert_same(found: list[np.ndarray], env: int, expected: list[np.ndarray]) -> None:
+    for value, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(value[env], other[0])
+    assert np.abs(expected[2]).max() > 2e-5, "the bodies were meant to touch"
+
+
+@pytest.mark.parametrize(
+    ("material", "element"),
+    [
+        (Material(1e5, 0.4), Element.LINEAR),
+        (Material(1e5, 0.4), Element.QUADRATIC),
+        (MOONEY, Element.QUADRATIC),
+    ],
+)
+def test_a_press_is_that_of_a_model_built_with_these_values(
+    material: Material, element: Element
+) -> None:
+    """Bitwise: modulus, Poisson's ratio, friction, and the stiffness of the contact with them."""
+    model = pressed_pad(3, material, element).finalize()
+    model.set_body("pad", young_modulus_pa=YOUNG, poisson_ratio=POISSON)
+    model.set_friction("tool", "pad", FRICTION)
+    state, solver = press(model)
+    stress = Outputs(solver).update(state).von_mises.numpy()
+    found = result(state, solver)
+    for env in range(3):
+        values = {"young_modulus_pa": YOUNG[env], "poisson_ratio": POISSON[env]}
+        built = pressed_pad(1, replace(material, **values), element, FRICTION[env]).finalize()
+        if not built.rubs:
+            # Without any friction a solver leaves it out: the same to the residual.
+            continue
+        alone, its_solver = press(built)
+        assert_same(found, env, result(alone, its_solver))
+        its_stress = Outputs(its_solver).update(alone).von_mises.numpy()
+        np.testing.assert_array_equal(stress[env], its_stress[0])
+        # What the line search takes for rounding.
+        rounding = [s.progress.data.energy_rounding.numpy() for s in (solver, its_solver)]
+        assert rounding[0][env] == rounding[1][0] > 0
+    pull = found[3][:, : model.soft_count].sum(axis=1)
+    push = found[2][:, : model.soft_count].sum(axis=1)
+    assert np.abs(pull[0]).max() == 0
+    assert push[2, 2] > 3.5 * push[0, 2], "the pads were meant to be stiffer and stiffer"
+
+
+def test_a_frictionless_environment_is_that_of_a_frictionless_model() -> None:
+    model = pressed_pad(2, Material(1e5, 0.4)).finalize()
+    model.set_friction("pad", "tool", 0.0)
+    found = result(*press(model))
+    alone = result(*press(pressed_pad(1, Material(1e5, 0.4), friction=0.0).finalize()))
+    force = found[2][0, : model.soft_count].sum(axis=0)
+    expected = alone[2][0, : model.soft_count].sum(axis=0)
+    assert np.abs(force - expected).max() < 1e-4 * np.abs(expected).max()
+
+
+def test_until_they_differ_all_environments_share_one_row() -> None:
+    model = pressed_pad(3, Material(1e5, 0.4)).finalize()
+    group = model.elastic[0]
+    arrays = model.masses, model.pair_friction, model.largest_moduli, group.mu, group.lam
+    assert [a.shape[0] for a in arrays] == [1, 1, 1, TETS, TETS]
+    assert group.young_moduli is None and model.moves == 0
+    model.set_friction("pad", "tool", FRICTION)
+    assert model.pair_friction.shape[0] == 3 and model.moves == 1
+    assert group.mu.shape == (TETS,) and model.masses.shape[0] == 1
+    model.set_friction("pad", "tool", 0.1)
+    assert model.moves == 1, "written in place from now on"
+
+
+class Cubes:
+    """A damped pad on a shaking mount under an affine cube, and a soft cube on a table."""
+
+    def __init__(
+        self,
+        env_count: int,
+        pad: Material | None = None,
+        soft: Material | None = None,
+        density: float = 1000.0,
+        **config: Any,
+    ) -> None:
+        pad = pad or Material(1e5, 0.4, damping_time_s=1e-2)
+        scene = Scene(
+            soft_bodies=[
+                SoftBody(
+                    PAD,
+                    pad,
+                    name="pad",
+                    mount="hand",
+                    element=Element.LINEAR,
+                    surface=Surface(collides_with=0b001),
+                ),
+                SoftBody(
+                    free_block((2, 2, 2), 2e-3),
+                    soft or Material(3e5, 0.4, damping_time_s=1e-2),
+                    name="soft cube",
+                    initial_pose=np.array([8e-3, 0, -7.985e-3, 0, 0, 0, 1.0]),
+                    element=Element.LINEAR,
+                    surface=Surface(layer=0b010),
+                ),
+            ],
+            kinematic_bodies=KinematicBody(None, name="hand"),
+            affine_bodies=[
+                AffineBody(
+                    box_mesh((3e-3, 3e-3, 3e-3)),
+                    density_kg_m3=density,
+                    name="cube",
+                    friction_coefficient=0.5,
+                    initial_pose=np.array([0.2e-3, 0, 1.52e-3, 0, 0, 0, 1.0]),
+                ),
+                AffineBody(
+                    box_mesh((1e-3, 1e-3, 1e-3)),
+                    name="die",
+                    friction_coefficient=0.5,
+                    initial_pose=np.array([-8e-3, 0, -9.485e-3, 0, 0, 0, 1.0]),
+                ),
+            ],
+            planes=Plane((0, 0, -1e-2), name="table", friction_coefficient=0.3),
+            time=TimeStepping(quasi_static=False, dt_s=2e-3, gravity_m_s2=(0.0, 0.0, -9.81)),
+            env_count=env_count,
+        )
+        self.model = scene.finalize()
+        options: dict[str, Any] = {"linear_method": "ssor"} | config
+        self.solver = SolverIPC(self.model, SolverConfig(**options))
+        self.state = initial_state(self.model, self.hand(0))
+
+    def hand(self, step: int) -> np.ndarray:
+        return np.tile([5e-5 * step, 0, 0, 0, 0, 0, 1], (self.model.env_count, 1, 1))
+
+    def steps(self, first: int, last: int) -> list[np.ndarray]:
+        for step in range(first, last):
+            report = self.solver.step(self.state, self.hand(step))
+            assert report.converged.all(), report.summary()
+        return result(self.state, self.solver)
+
+
+def test_masses_weights_and_damping_follow_bitwise() -> None:
+    """Density of one soft body, moduli of another of the same group: the rest stays."""
+    densities, young = np.array([500.0, 2000.0]), np.array([2e5, 6e4])
+    both = Cubes(2)
+    both.model.set_body("soft cube", density_kg_m3=densities)
+    both.model.set_body("pad", young_modulus_pa=young)
+    found = both.steps(1, 4)
+    for env in range(2):
+        pad = Material(young[env], 0.4, damping_time_s=1e-2)
+        soft = Material(3e5, 0.4, densities[env], damping_time_s=1e-2)
+        alone = Cubes(1, pad, soft)
+        assert_same(found, env, alone.steps(1, 4))
+        # The die on the table is pressed as by a model whose stiffest gel is this one.
+        np.testing.assert_array_equal(
+            both.solver.collisions.snapshot(env)["stiffnesses"],
+            alone.solver.collisions.snapshot(0)["stiffnesses"],
+        )
+        np.testing.assert_array_equal(both.model.masses.numpy()[env], alone.model.masses.numpy()[0])
+
+
+def test_lumped_masses_of_quadratic_tets_follow_bitwise() -> None:
+    model = pressed_pad(2, Material(1e5, 0.4), Element.QUADRATIC).finalize()
+    model.set_body("pad", density_kg_m3=[777.0, 1234.5])
+    for env, density in enumerate((777.0, 1234.5)):
+        built = pressed_pad(1, Material(1e5, 0.4, density), Element.QUADRATIC).finalize()
+        np.testing.assert_array_equal(model.masses.numpy()[env], built.masses.numpy()[0])
+
+
+@pytest.mark.parametrize("by_mass", [False, True])
+def test_affine_bodies_take_density_or_mass(by_mass: bool) -> None:
+    """To rounding: mass and moments of the solid are those of the scene times a factor."""
+    densities = np.array([300.0, 4000.0])
+    exact = {"relative_tolerance": 1e-8, "absolute_tolerance_n": 1e-13}
+    both = Cubes(2, **exact)
+    if by_mass:
+        both.model.set_body("cube", mass_kg=densities * 27e-9)
+    else:
+        both.model.set_body("cube", density_kg_m3=densities)
+    found = both.steps(1, 4)
+    for env in range(2):
+        alone = Cubes(1, density=densities[env], **exact)
+        expected = alone.steps(1, 4)
+        masses = both.model.masses.numpy()[env], alone.model.masses.numpy()[0]
+        np.testing.assert_allclose(*masses, rtol=1e-14)
+        start = alone.model.affine.first_control
+        np.testing.assert_allclose(found[0][env, start], expected[0][0, start], rtol=0, atol=1e-9)
+        weight = 9.81 * densities[env] * 27e-9
+        push = found[2][env, both.model.bodies[0].node_slice].sum(axis=0)
+        assert np.abs(push).max() > 0.2 * weight, "the cube was meant to weigh on the pad"
+
+
+def test_mass_of_a_soft_body_keeps_how_it_is_spread() -> None:
+    densities = np.linspace(500, 2000, TETS)
+    model = pressed_pad(2, MaterialField(1e5, 0.4, densities)).finalize()
+    before = model.masses.numpy()[0]
+    model.set_body("pad", mass_kg=np.array([1e-4, 3e-4]))
+    after = model.masses.numpy()
+    np.testing.assert_allclose(after.sum(axis=1), [1e-4, 3e-4], rtol=1e-12)
+    np.testing.assert_allclose(after[1], before * (3e-4 / before.sum()), rtol=1e-12)
+    model.set_body("pad", mass_kg=before.sum())
+    np.testing.assert_allclose(model.masses.numpy()[1], before, rtol=1e-12)
+
+
+def test_moduli_by_tet() -> None:
+    """A graded gel in each environment; the contact is as stiff as its stiffest tet."""
+    young = np.stack([np.linspace(5e4, 1e5, TETS), np.linspace(3e5, 5e4, TETS)])
+    model = pressed_pad(2, Material(1e5, 0.4)).finalize()
+    model.set_body("pad", young_modulus_pa=young)
+    found = result(*press(model))
+    for env in range(2):
+        built = pressed_pad(1, MaterialField(young[env], 0.4)).finalize()
+        assert_same(found, env, result(*press(built)))
+    np.testing.assert_array_equal(model.largest_moduli.numpy()[:, 0], [1e5, 3e5])
+
+
+def test_a_mask_a_later_change_and_what_is_left_out() -> None:
+    """A solver that has stepped takes what is set, in the environments of the mask alone."""
+    model = pressed_pad(3, Material(1e5, 0.4)).finalize()
+    solver = SolverIPC(model)
+    first = result(*press(model, solver))
+    model.set_body("pad", poisson_ratio=0.3, mask=np.array([False, True, True]))
+    wild = np.array([np.nan, np.nan, 2e5])
+    model.set_body("pad", young_modulus_pa=wild, mask=np.array([False, False, True]))
+    found = result(*press(model, solver))
+    np.testing.assert_array_equal([value[0] for value in found], [value[0] for value in first])
+    for env, material in ((1, Material(1e5, 0.3)), (2, Material(2e5, 0.3))):
+        assert_same(found, env, result(*press(pressed_pad(1, material).finalize())))
+
+
+@pytest.mark.parametrize("capture", [False, True])
+def test_captured_steps_notice(capture: bool) -> None:
+    """Widened arrays move, and what is written later is read by the same graph."""
+    run = Cubes(2, capture=capture)
+    run.steps(1, 4)
+    run.model.set_body("pad", young_modulus_pa=[2e5, 5e4])
+    run.model.set_body("cube", density_kg_m3=[500.0, 3000.0])
+    run.steps(4, 7)
+    launches = run.solver.graphs.launches
+    assert (launches > 0) is capture
+    run.model.set_body("pad", young_modulus_pa=[1e5, 8e4])
+    run.model.set_friction("cube", "pad", [0.1, 0.9])
+    found = run.steps(7, 10)
+    plain = Cubes(2, capture=False)
+    plain.steps(1, 4)
+    plain.model.set_body("pad", young_modulus_pa=[2e5, 5e4])
+    plain.model.set_body("cube", density_kg_m3=[500.0, 3000.0])
+    plain.steps(4, 7)
+    plain.model.set_body("pad", young_modulus_pa=[1e5, 8e4])
+    plain.model.set_friction("cube", "pad", [0.1, 0.9])
+    for value, other in zip(found, plain.steps(7, 10), strict=True):
+        np.testing.assert_array_equal(value, other)
+
+
+def test_arrays_on_the_device_are_read_there() -> None:
+    """Torch tensors and arrays of Warp, masks too: no host in between."""
+    values = torch.tensor([5e4, 1e5, 2e5], dtype=torch.float64)
+    mask = torch.tensor([True, False, True])
+    models = [pressed_pad(3, Material(1e5, 0.4)).finalize() for _ in range(3)]
+    models[0].set_body("pad", young_modulus_pa=values, mask=mask)
+    models[0].set_friction("pad", "tool", values / 2e5, mask=mask)
+    device = wp.array(values.numpy(), dtype=wp.float64, device="cpu")
+    chosen = wp.array([1, 0, 1], dtype=wp.int32, device="cpu")
+    models[1].set_body("pad", young_modulus_pa=device, mask=chosen)
+    models[1].set_friction("pad", "tool", wp.array([0.25, 0.5, 1.0], dtype=wp.float64), chosen)
+    models[2].set_body("pad", young_modulus_pa=values.numpy(), mask=mask.numpy())
+    models[2].set_friction("pad", "tool", [0.25, 0.5, 1.0], mask=mask.numpy())
+    first = result(*press(models[0]))
+    for model in models[1:]:
+        for value, other in zip(result(*press(model)), first, strict=True):
+            np.testing.assert_array_equal(value, other)
+    rows = torch.ones((3, TETS), dtype=torch.float64) * values[:, None]
+    models[1].set_body("pad", young_modulus_pa=rows, mask=mask)
+    np.testing.assert_array_equal(models[1].elastic[0].mu.numpy(), models[0].elastic[0].mu.numpy())
+
+
+def test_a_contact_stiffness_of_the_solver_stays() -> None:
+    model = pressed_pad(2, Material(1e5, 0.4)).finalize()
+    solver = SolverIPC(model, SolverConfig(kappa_pa=3e5))
+    press(model, solver)
+    model.set_body("pad", young_modulus_pa=[5e4, 4e5])
+    found = result(*press(model, solver))
+    for env, young in enumerate((5e4, 4e5)):
+        built = pressed_pad(1, Material(young, 0.4)).finalize()
+        fixed = SolverIPC(built, SolverConfig(kappa_pa=3e5))
+        assert_same(found, env, result(*press(built, fixed)))
+
+
+@pytest.mark.parametrize(
+    ("body", "values", "message"),
+    [
+        ("pad", {"young_modulus_pa": [1e5, -1.0]}, r"Young's modulus of environment 1 must lie"),
+        ("pad", {"young_modulus_pa": [np.nan, 1e5]}, r"of environment 0 must lie in .*got nan"),
+        ("pad", {"poisson_ratio": [0.4, 0.5]}, r"ratio of environment 1 must lie in \(-1, 0.5\)"),
+        ("pad", {"poisson_ratio": [0.05, 0.4]}, "needs a Poisson's ratio of at least 0.1875"),
+        ("pad", {"density_kg_m3": 0.1}, r"density of environment 0 must lie in \[1, 3e4\]"),
+        ("pad", {"mass_kg": 0.0}, r"mass of environment 0 must lie in \(0, 1e6\] kg"),
+        ("pad", {"young_modulus_pa": [1e5, 1e5, 1e5]}, r"number or of shape \[2\] or \[2, 108\]"),
+        ("pad", {"young_modulus_pa": "soft"}, "must be numbers of shape"),
+        ("pad", {"young_modulus_pa": torch.ones(2)}, "must be float64 of shape .* got float32"),
+        ("pad", {}, "nothing is set of body 'pad'"),
+        ("pad", {"mass_kg": 1e-3, "density_kg_m3": 1e3}, "either density_kg_m3 or mass_kg"),
+        ("gel", {"young_modulus_pa": 1e5}, "0 bodies are called 'gel'; there are 'pad', 'cube'"),
+        ("cube", {"young_modulus_pa": 1e9}, "is an affine body, whose stiffness only keeps it"),
+        ("table", {"mass_kg": 1.0}, "'table' is prescribed: it has no mass_kg"),
+        ("pad", {"young_modulus_pa": 2e5, "mask": [True]}, r"mask is bool of shape \[2\]"),
+        ("pad", {"young_modulus_pa": 2e5, "poisson_ratio": 0.6}, r"ratio of environment 0"),
+    ],
+)
+def test_bad_values_are_refused_and_change_nothing(
+    body: str, values: dict[str, Any], message: str
+) -> None:
+    model = refusing_model()
+    with pytest.raises(InputError, match=message):
+        model.set_body(body, **values)
+    assert model.changes == model.moves == 0 and model.elastic[0].young_moduli is None
+
+
+def refusing_model(friction: float | None = 0.5) -> Model:
+    cube = AffineBody(box_mesh((1e-3, 1e-3, 1e-3)), name="cube", friction_coefficient=friction)
+    return Scene(
+        SoftBody(PAD, MOONEY, name="pad"),
+        affine_bodies=cube,
+        planes=[Plane(name="table"), Plane(name="wall")],
+        time=TimeStepping(quasi_static=False),
+        env_count=2,
+    ).finalize()
+
+
+@pytest.mark.parametrize(
+    ("pair", "value", "message"),
+    [
+        (("pad", "cube"), [0.5, -0.1], r"'pad' and 'cube' of environment 1 must lie in \[0, 10\]"),
+        (("pad", "cube"), [0.5], r"must be a number or of shape \[2\], got shape \[1\]"),
+        (("pad", "hand"), 0.5, "0 bodies are called 'hand'"),
+        (("table", "wall"), 0.5, "'table' and 'wall' may not touch"),
+    ],
+)
+def test_bad_friction_is_refused(pair: tuple[str, str], value: Any, message: str) -> None:
+    model = refusing_model()
+    with pytest.raises(InputError, match=message):
+        model.set_friction(*pair, value)
+    assert model.changes == model.moves == 0
+
+
+def test_friction_needs_a_scene_with_friction() -> None:
+    with pytest.raises(InputError, match="a coefficient above 0 in the scene first"):
+        refusing_model(None).set_friction("pad", "cube", 0.5)

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a step is asked for: arrays of the host and of the device do the same, bad ones nothing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.scene import (
+    AffineBody,
+    KinematicBody,
+    Material,
+    PositionDrive,
+    RevoluteJoint,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    box_mesh,
+)
+from taccel_lab.solvers import Control, SolverConfig, SolverIPC
+from taccel_lab.state import State, initial_state
+
+G = 9.81
+CUBE = box_mesh((2e-3, 2e-3, 2e-3))
+
+
+def arm(env_count: int = 2) -> tuple[SolverIPC, State]:
+    """A block on a driven hinge at a hand, and a block in free fall."""
+    scene = Scene(
+        affine_bodies=[
+            AffineBody(CUBE, name="arm", initial_pose=np.array([3e-3, 0, 0, 0, 0, 0, 1.0])),
+            AffineBody(CUBE, name="free", initial_pose=np.array([0, 1e-2, 0, 0, 0, 0, 1.0])),
+        ],
+        kinematic_bodies=KinematicBody(None, name="hand"),
+        joints=RevoluteJoint(
+            "arm", "hand", anchor_m=(0, 0, 0), axis=(0, 1, 0), drive=PositionDrive(1e-3)
+        ),
+        time=TimeStepping(quasi_static=False, dt_s=2e-3, gravity_m_s2=(0.0, 0.0, -G)),
+        env_count=env_count,
+    )
+    model = scene.finalize()
+    return SolverIPC(model, SolverConfig()), initial_state(model)
+
+
+def asked(step: int) -> dict[str, Any]:
+    """Another request in each step and environment."""
+    poses = np.tile([1e-4 * step, 0, 0, 0, 0, 0, 1.0], (2, 1, 1))
+    poses[1, 0, 0] *= 2
+    wrenches = np.zeros((2, 2, 2, 3))
+    wrenches[:, 1, 0, 0] = 1e-5 * step, -2e-5
+    return {
+        "target_poses": poses,
+        "joint_targets": np.array([[0.05 * step], [-0.02 * step]]),
+        "wrenches": wrenches,
+        "dt_s": 1e-3 * step,
+    }
+
+
+def run(put: Any) -> tuple[np.ndarray, SolverIPC]:
+    solver, state = arm()
+    for step in (1, 2, 3):
+        request = {
+            name: value if name == "dt_s" else put(value) for name, value in asked(step).items()
+        }
+        report = solver.step(state, Control(**request))
+        assert report.converged.all(), report.summary()
+    return state.positions.numpy(), solver
+
+
+def test_arrays_of_the_device_do_what_those_of_the_host_do() -> None:
+    expected, solver = run(lambda value: value)
+    assert solver.joints is not None
+    np.testing.assert_array_equal(solver.joints.targets.numpy(), [[0.05 * 3], [-0.02 * 3]])
+    angles = solver.joints.coordinates.numpy()[:, 0]
+    assert angles[0] > angles[1], "the drives were meant to turn the arms"
+    np.testing.assert_array_equal(run(torch.from_numpy)[0], expected)
+    on_warp, _ = run(lambda value: wp.array(value, dtype=wp.float64, device="cpu"))
+    np.testing.assert_array_equal(on_warp, expected)
+
+
+def test_a_step_is_as_long_as_asked() -> None:
+    """Free fall by implicit Euler: v += g dt, z += v dt, with steps of any length."""
+    solver, state = arm(1)
+    free = solver.model.affine.first_control + 4
+    z = v = 0.0
+    for dt in (1e-3, 4e-3, 5e-4, None):
+        assert solver.step(state, Control(dt_s=dt)).converged.all()
+        v -= G * (dt or 2e-3)
+        z += v * (dt or 2e-3)
+        assert state.positions.numpy()[0, free, 2] == pytest.approx(z, rel=1e-9)
+    assert state.velocities.numpy()[0, free, 2] == pytest.approx(v, rel=1e-9)
+
+
+def test_poses_alone_need_no_control() -> None:
+    poses = asked(3)["target_poses"]
+    results = []
+    for control in (poses, Control(poses), Control(target_poses=torch.from_numpy(poses))):
+        solver, state = arm()
+        solver.step(state, control)
+        results.append(state.positions.numpy())
+    np.testing.assert_array_equal(results[1], results[0])
+    np.testing.assert_array_equal(results[2], results[0])
+
+
+def test_forces_are_those_of_the_state() -> None:
+    """Of the host or of the device; they stay until changed."""
+    results = []
+    for put in (torch.from_numpy, lambda value: value):
+        solver, state = arm()
+        forces = np.zeros((2, solver.model.node_count, 3))
+        forces[:, solver.model.bodies[1].nodes[0], 0] = 1e-5
+        solver.step(state, Control(forces=put(forces)))
+        solver.step(state)
+        results.append(state.positions.numpy())
+    np.testing.assert_array_equal(results[0], results[1])
+    solver, state = arm()
+    state.load(solver.model, forces)
+    solver.step(state)
+    solver.step(state)
+    np.testing.assert_array_equal(state.positions.numpy(), results[0])
+
+
+@pytest.mark.parametrize(
+    ("request_", "message"),
+    [
+        ({"dt_s": 0.0}, r"dt must lie in \[1e-6, 10\] s, got 0.0"),
+        ({"dt_s": float("nan")}, "dt must lie in"),
+        ({"joint_targets": np.zeros(2)}, r"joint_targets have shape \(2,\), expected \(2, 1\)"),
+        ({"joint_targets": [[np.nan], [0.0]]}, "joint_targets hold NaN"),
+        ({"joint_targets": torch.zeros(2, 1)}, r"joint_targets on the device are float32 .*"),
+        ({"wrenches": torch.zeros(2, 2, 3).double()}, r"expected float64 of shape \[2, 2, 2, 3\]"),
+        ({"target_poses": np.zeros((2, 1, 7))}, "must have unit length"),
+        ({"forces": np.zeros((2, 3))}, "forces have shape"),
+    ],
+)
+def test_bad_requests_are_refused_and_change_nothing(
+    request_: dict[str, Any], message: str
+) -> None:
+    solver, state = arm()
+    before = state.positions.numpy().copy()
+    good = {"joint_targets": np.ones((2, 1))} if "joint_targets" not in request_ else {}
+    with pytest.raises(InputError, match=message):
+        solver.step(state, Control(**good, **request_))
+    np.testing.assert_array_equal(state.positions.numpy(), before)
+    assert solver.joints is not None and not solver.joints.targets.numpy().any()
+    assert state.external_forces is None and state.wrenches is None
+
+
+def test_what_the_scene_does_not_have_is_refused() -> None:
+    gel = SoftBody(block_mesh((2, 2, 2), (2e-3, 2e-3, 2e-3)), Material(1e5, 0.4))
+    model = Scene(gel).finalize()
+    solver, state = SolverIPC(model), initial_state(model)
+    with pytest.raises(InputError, match="needs quasi_static=False"):
+        solver.step(state, Control(dt_s=1e-3))
+    with pytest.raises(InputError, match="the scene has no joints"):
+        solver.step(state, Control(joint_targets=np.zeros((1, 0))))
