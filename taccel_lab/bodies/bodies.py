@@ -50,6 +50,12 @@ def check_friction(value: float | None, whose: str) -> None:
         raise InputError(f"friction coefficient of {whose} must lie in [0, 10], got {value}")
 
 
+def check_stiff_density(value: float, where: str) -> None:
+    """Refuse a density that no affine body has; it may be light, as a shell that is not meshed."""
+    if not (math.isfinite(value) and 0 < value <= 3e4):
+        raise InputError(f"density{where} must lie in (0, 3e4] kg/m^3, got {value}")
+
+
 def check_pose(value: np.ndarray | None, whose: str) -> np.ndarray | None:
     """A pose or one an environment, [7] or [env, 7]: position [m], quaternion x, y, z, w."""
     if value is None:
@@ -149,10 +155,7 @@ class AffineBody:
     def __post_init__(self) -> None:
         if not isinstance(self.shape, TriangleMesh):
             raise InputError(f"affine body {self.name!r} needs a closed TriangleMesh")
-        if not (math.isfinite(self.density_kg_m3) and 0 < self.density_kg_m3 <= 3e4):
-            raise InputError(
-                f"density of {self.name!r} must lie in (0, 3e4] kg/m^3, got {self.density_kg_m3}"
-            )
+        check_stiff_density(self.density_kg_m3, f" of {self.name!r}")
         if not (math.isfinite(self.young_modulus_pa) and 1e3 <= self.young_modulus_pa <= 1e13):
             raise InputError(
                 f"young_modulus_pa of {self.name!r} must lie in [1e3, 1e13] Pa, "

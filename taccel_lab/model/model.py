@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.bodies import check_friction
+from taccel_lab.bodies.bodies import check_friction, check_stiff_density
 from taccel_lab.bodies.mass_properties import MassProperties
 from taccel_lab.bodies.material import check_density, check_mooney, check_poisson, check_young
 from taccel_lab.bodies.scene_description import SceneDescription
@@ -211,7 +211,8 @@ class Model:
             mass_kg: Total mass; it is spread as the scene's densities spread it. In place of
                 ``density_kg_m3``.
             mask: Bool, or int32 on the device, [env_count]; all when None. Values of the other
-                environments are ignored.
+                environments are ignored, but if the mask is on the device and they are not, they
+                are checked as well.
 
         Raises:
             InputError: Bad values, shapes or names; nothing is changed then.
@@ -328,7 +329,7 @@ class Model:
         chosen = self._mask(mask)
         name, value = next(item for item in inertia.items() if item[1] is not None)
         dense = name == "density_kg_m3"
-        check = check_density if dense else check_mass
+        check = check_stiff_density if dense else check_mass
         whose = f"{name} of {body.name!r}"
         given = env_values(value, whose, self.env_count, self.device, check, mask)
         of_scene = body.density_kg_m3 if dense else self.affine.properties[at].mass_kg

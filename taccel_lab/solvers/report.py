@@ -165,7 +165,7 @@ class StepReport:
         the host.
         """
         block = self.__dict__.get("_block")
-        found: dict[str, wp.array] = {} if block is None else block.arrays
+        found: dict[str, wp.array] = {} if block is None else dict(block.arrays)
         for field in fields(self):
             if field.name != "seconds" and field.name not in found:
                 value = getattr(self, field.name)

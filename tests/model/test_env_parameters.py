@@ -23,6 +23,7 @@ from taccel_lab.scene import (
     MaterialField,
     MaterialModel,
     Plane,
+    RevoluteJoint,
     Scene,
     SoftBody,
     Surface,
@@ -30,7 +31,7 @@ from taccel_lab.scene import (
     box_mesh,
     sphere_mesh,
 )
-from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.solvers import ShardedSolver, SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
 
 PAD = block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3))
@@ -258,6 +259,57 @@ def test_affine_bodies_take_density_or_mass(by_mass: bool) -> None:
         weight = 9.81 * densities[env] * 27e-9
         push = found[2][env, both.model.bodies[0].node_slice].sum(axis=0)
         assert np.abs(push).max() > 0.2 * weight, "the cube was meant to weigh on the pad"
+
+
+def pendulum(env_count: int, density: float) -> tuple[Model, SolverIPC, State]:
+    """Two links on hinges, let go from the horizontal."""
+    link = box_mesh((4e-3, 1e-3, 1e-3))
+    places = [np.array([x, 0, 0, 0, 0, 0, 1.0]) for x in (2e-3, 6e-3)]
+    scene = Scene(
+        affine_bodies=[
+            AffineBody(link, density, name="upper", initial_pose=places[0]),
+            AffineBody(link, name="lower", initial_pose=places[1]),
+        ],
+        joints=[
+            RevoluteJoint("upper", None, (0, 0, 0), (0, 1, 0), name="top"),
+            RevoluteJoint("lower", "upper", (4e-3, 0, 0), (0, 1, 0), name="middle"),
+        ],
+        time=TimeStepping(quasi_static=False, dt_s=2e-3, gravity_m_s2=(0.0, 0.0, -9.81)),
+        env_count=env_count,
+    )
+    model = scene.finalize()
+    tight = SolverConfig(relative_tolerance=1e-8, absolute_tolerance_n=1e-13)
+    return model, SolverIPC(model, tight), initial_state(model)
+
+
+def test_mechanisms_take_masses_whatever_their_penalties() -> None:
+    """A link twenty times as heavy as the scene's, and one a twentieth: penalties are the scene's,
+    joints are closed to their tolerance all the same."""
+    densities = np.array([50.0, 20000.0])
+    model, solver, state = pendulum(2, 1000.0)
+    model.set_body("upper", density_kg_m3=densities)
+    alone = [pendulum(1, density) for density in densities]
+    for _ in range(20):
+        assert solver.step(state).converged.all()
+        for _, its_solver, its_state in alone:
+            assert its_solver.step(its_state).converged.all()
+    found = state.positions.numpy()
+    for env, (_, _, its_state) in enumerate(alone):
+        np.testing.assert_allclose(found[env], its_state.positions.numpy()[0], rtol=0, atol=1e-8)
+    assert np.abs(found[0] - found[1]).max() > 1e-4, "the links were meant to swing otherwise"
+
+
+def test_shards_take_the_values_of_their_environments() -> None:
+    scene = pressed_pad(3, Material(1e5, 0.4))
+    model = scene.finalize()
+    model.set_body("pad", young_modulus_pa=YOUNG)
+    expected = result(*press(model))[0]
+    sharded = ShardedSolver(scene, ["cpu", "cpu"], poses=tool_at(3, 0, START_Z))
+    for shard in sharded.shards:
+        shard.model.set_body("pad", young_modulus_pa=YOUNG[shard.environments])
+    for x in (0, 1e-4):
+        assert sharded.step(tool_at(3, x, START_Z - 2.5e-4)).converged.all()
+    np.testing.assert_array_equal(sharded.positions(), expected)
 
 
 def test_mass_of_a_soft_body_keeps_how_it_is_spread() -> None:
