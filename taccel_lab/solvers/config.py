@@ -18,8 +18,8 @@ class SolverConfig:
     """Gap at which contact begins."""
     kappa_pa: float | None = None
     """Contact pressure at about half of dhat, of all contacts; when None of each the larger
-    Young's modulus of its soft bodies, between stiff bodies the largest of the scene, and 1 MPa in
-    a scene without soft bodies."""
+    Young's modulus of its soft bodies, between stiff bodies the largest of the scene, as they are
+    in the environment, and 1 MPa in a scene without soft bodies."""
     relative_tolerance: float = 1e-4
     """Force residual of a body over its contact force at which it has converged, sums of magnitudes
     over its nodes both; a step has converged where all bodies have."""
