@@ -127,7 +127,7 @@ def _begin_nodes_kernel(
 
 @wp.kernel
 def _stop_unfit_kernel(p: EnvProgress):
-    """Stop what cannot step; an infinite elastic energy (in ``before``) tells an inverted element."""
+    """Stop what cannot step; an infinite elastic energy (``before``) tells an inverted element."""
     env = wp.tid()
     if p.fresh[env] == 0:
         return
