@@ -3,8 +3,9 @@
 
 Environments that all do the same are the best case of a batch. In a learning loop each is in a
 phase of its own, its targets are an untrained policy's, and some begin anew at every step; the
-batch waits for its slowest environment. Resets, the check of new starts, setting targets, stepping
-and reading forces are timed.
+batch waits for its slowest environment, unless each goes at its own pace (``ReadySteps``), as those
+who make data may let it. Resets, the check of new starts, setting targets, stepping and reading
+forces are timed.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from taccel_lab.benchmarks.speed import parse_settings
 from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
-from taccel_lab.solvers import SolverIPC
+from taccel_lab.solvers import EnvStatus, ReadySteps, SolverIPC, StepReport
 from taccel_lab.state import initial_state
 
 
@@ -54,6 +55,11 @@ class Learning(Suite):
     offset_mm: float = 0.1
     """Targets of moving bodies are off by up to this along each axis, anew at every step; starts
     are not."""
+    pace: tuple[str, ...] = ("together",)
+    """together: a step ends when all environments are through. own: each begins its next step when
+    its last one is over, and a call does --iterations of them. A row each."""
+    iterations: int = 4
+    """Newton iterations of a call, of environments that go at their own pace."""
     seed: int = 0
     """Of phases, offsets and resets."""
     source: str = "auto"
@@ -68,6 +74,7 @@ class Learning(Suite):
             "repeats": self.repeats,
             "reset_share": self.reset_share,
             "offset_mm": self.offset_mm,
+            "iterations": self.iterations,
             "seed": self.seed,
             "solver": parse_settings(self.set),
             "clock": clock_name(self.device),
@@ -79,17 +86,20 @@ class Learning(Suite):
             raise InputError(f"scene must be of {', '.join(SCENES)}; got {self.scene!r}")
         if min(self.steps, self.warm_up, self.repeats, *self.envs) < 1:
             raise InputError("--envs, --steps, --warm-up and --repeats must be at least 1")
+        if not set(self.pace) <= {"together", "own"}:
+            raise InputError(f"--pace must be together or own, got {' '.join(self.pace)}")
         if not 0 <= self.reset_share <= 1:
             raise InputError(f"--reset-share must lie in [0, 1], got {self.reset_share:g}")
         for count in self.envs:
-            row = partial(measure, count, self)
-            result.measure(f"{self.scene}, {count}", row, describe)
+            for pace in self.pace:
+                row = partial(measure, count, pace, self)
+                result.measure(f"{self.scene}, {count}, {pace}", row, describe)
 
 
 class LearningLoop:
     """A scene stepped by an untrained policy, environments in phases of their own."""
 
-    def __init__(self, bench: BenchScene, options: Learning) -> None:
+    def __init__(self, bench: BenchScene, options: Learning, pace: str = "together") -> None:
         self._bench = bench
         self._options = options
         self.model = bench.scene.finalize(options.device)
@@ -102,7 +112,12 @@ class LearningLoop:
         self._moves = (np.ptp(bench.path, axis=0) > 0).any(axis=1)
         """Bodies whose targets are off, bool, [kinematic_count]."""
         self._first_reset = self._random.integers(0, options.warm_up, self.model.env_count)
-        self._step = 0
+        self._taken = np.zeros(self.model.env_count, dtype=np.int64)
+        self._ready = np.ones(self.model.env_count, dtype=bool)
+        """Environments that are to begin a step."""
+        self._own_pace = None
+        if pace == "own":
+            self._own_pace = ReadySteps(self.solver, self.state, options.iterations)
         self.resets = 0
         """Environments begun anew so far."""
 
@@ -114,37 +129,55 @@ class LearningLoop:
         targets[:, self._moves, :3] += self._random.uniform(-reach, reach, shape)
         return targets
 
+    def _begin(self, ready: np.ndarray) -> np.ndarray:
+        """Of the environments that are ready, those that begin anew; the others go on in phase."""
+        draw = self._random.random(self.model.env_count)
+        begin = draw < self._options.reset_share
+        begin |= (self._phase == self._bench.steps) | (self._first_reset == self._taken)
+        begin &= ready
+        self._phase[begin] = 0
+        self._phase[ready] += 1
+        self._taken[ready] += 1
+        return begin
+
     def run(self, steps: int, progress: Progress = silent) -> Motion:
-        """Steps from where the loop stands."""
-        motion = Motion(self.model.env_count)
+        """So many steps of each environment (in the mean, at their own pace) from where the loop
+        stands."""
+        motion = Motion()
         wp.synchronize_device(self.model.device)
-        for step in range(1, steps + 1):
+        wanted = steps * self.model.env_count
+        while motion.env_steps < wanted:
             # What a policy would decide is not the solver's time.
-            begin = self._random.random(self.model.env_count) < self._options.reset_share
-            begin |= (self._phase == self._bench.steps) | (self._first_reset == self._step)
-            self._phase[begin] = 0
-            self._phase += 1
+            ready = self._ready.copy()
+            begin = self._begin(ready)
             targets = self._targets()
             started = self._clock()
             if begin.any():
                 self.solver.reset(self.state, begin, self._bench.targets(0))
             before = self._clock()
-            report = self.solver.step(self.state, targets)
+            report = self._step(targets, ready)
             after = self._clock()
             self._forces.read()
             motion.add(report, self._clock() - started, after - before)
-            self._step += 1
             self.resets += int(begin.sum())
-            progress("steps", step, steps)
+            progress("steps", motion.env_steps // self.model.env_count, steps)
         return motion
 
+    def _step(self, targets: np.ndarray, ready: np.ndarray) -> StepReport:
+        """One call; the report of those environments that are through."""
+        if self._own_pace is None:
+            return self.solver.step(self.state, targets)
+        report = self._own_pace.step_ready(targets, ready)
+        self._ready = report.status != EnvStatus.RUNNING
+        return report.of(self._ready)
 
-def measure(count: int, options: Learning) -> dict[str, Any]:
+
+def measure(count: int, pace: str, options: Learning) -> dict[str, Any]:
     """One row."""
     chosen = SceneOptions(count, options.source, parse_settings(options.set))
     bench = build_scene(options.scene, chosen)
     with MemoryMeter(options.device) as meter:
-        loop = LearningLoop(bench, options)
+        loop = LearningLoop(bench, options, pace)
         label = f"{options.scene}, {count} environments"
         loop.run(options.warm_up, Ticker(f"{label}, warming up"))
         before = loop.resets
@@ -155,19 +188,23 @@ def measure(count: int, options: Learning) -> dict[str, Any]:
     bytes_used = meter.used_bytes()
     median = sorted(runs, key=lambda run: run.fps)[len(runs) // 2]
     residuals = [run.residual() for run in runs]
+    # Of environments at their own pace a call is less than a step.
+    calls = [len(run.seconds) / options.steps for run in runs]
     return {
         "scene": options.scene,
         "what": bench.what,
         "source": bench.source,
         "envs": count,
+        "pace": pace,
         "steps": options.steps,
         "soft_nodes": loop.model.soft_count,
         "unknowns": 3 * loop.model.free_count,
         "fps": spread([run.fps for run in runs]),
         "solver_fps": spread([run.solver_fps for run in runs]),
-        "ms_per_step": spread([1e3 * float(np.mean(run.seconds)) for run in runs]),
-        "beside_steps_ms": 1e3 * float(np.mean(median.seconds) - np.mean(median.solver_seconds)),
-        "worst_step_ms": 1e3 * max(median.seconds),
+        "ms_per_step": spread([1e3 * sum(run.seconds) / options.steps for run in runs]),
+        "calls_per_step": float(np.mean(calls)),
+        "beside_steps_ms": 1e3 * (sum(median.seconds) - sum(median.solver_seconds)) / options.steps,
+        "worst_call_ms": 1e3 * max(median.seconds),
         "resets_per_step": (loop.resets - before) / (options.steps * options.repeats),
         "residual": max(residuals, key=lambda r: (r["unconverged"], r["worst_over_allowed"])),
         **median.work(),
@@ -180,7 +217,8 @@ def describe(row: dict[str, Any]) -> str:
     """A line for the person who waits."""
     residual = row["residual"]
     line = (
-        f"{row['scene']}, {row['envs']} environments: {row['fps']['median']:,.1f} FPS, "
+        f"{row['scene']}, {row['envs']} environments, {row['pace']}: "
+        f"{row['fps']['median']:,.1f} FPS, "
         f"{row['ms_per_step']['median']:.2f} ms a step ({row['beside_steps_ms']:.2f} of it "
         f"{row['resets_per_step']:.1f} resets and reading forces), "
         f"Newton {row['newton_mean']:.1f}, largest of the batch {row['newton_largest_mean']:.1f}, "

@@ -156,7 +156,7 @@ class Party:
 
     def run(self, steps: int) -> Run:
         """The first steps of the motion, from where the environments are."""
-        motion, newton = Motion(self._solver.env_count), []
+        motion, newton = Motion(), []
         forces = np.zeros((self._solver.env_count, 0, 3))
         for step in range(1, steps + 1):
             started = time.perf_counter()

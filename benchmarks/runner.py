@@ -68,10 +68,13 @@ class ForceReader:
 class Motion:
     """Figures of a run, a list over its steps each unless said otherwise."""
 
-    env_count: int
+    env_steps: int = 0
+    """Steps of environments, of the whole run."""
     seconds: list[float] = field(default_factory=list)
     """End to end: targets set, stepped, forces read."""
     solver_seconds: list[float] = field(default_factory=list)
+    counts: list[int] = field(default_factory=list)
+    """Environments that are through; calls that none is have no entry here and below."""
     newton: list[float] = field(default_factory=list)
     """Mean over the environments."""
     newton_max: list[int] = field(default_factory=list)
@@ -96,17 +99,21 @@ class Motion:
     @property
     def fps(self) -> float:
         """Environments x steps / seconds, end to end."""
-        return self.env_count * len(self.seconds) / sum(self.seconds)
+        return self.env_steps / sum(self.seconds)
 
     @property
     def solver_fps(self) -> float:
         """The same without setting targets and reading forces."""
-        return self.env_count * len(self.seconds) / sum(self.solver_seconds)
+        return self.env_steps / sum(self.solver_seconds)
 
     def add(self, report: StepReport, seconds: float, solver_seconds: float) -> None:
-        """One step."""
+        """One step, or what a call finished of several."""
         self.seconds.append(seconds)
         self.solver_seconds.append(solver_seconds)
+        self.env_steps += len(report.status)
+        if len(report.status) == 0:
+            return
+        self.counts.append(len(report.status))
         self.newton.append(float(report.newton_iterations.mean()))
         self.newton_max.append(int(report.newton_iterations.max()))
         self.cg.append(float(report.cg_iterations.mean()))
@@ -135,7 +142,7 @@ class Motion:
             "worst_over_contact_force": max(self.residual_over_contact),
             "worst_over_allowed": max(self.residual_over_allowed),
             "allowed": f"max({RESIDUAL_RATIO:g} of the contact force, {RESIDUAL_N:g} N)",
-            "env_steps": self.env_count * len(self.seconds),
+            "env_steps": self.env_steps,
             "unconverged": self.unconverged,
             "taken_in_parts": self.halved,
             "causes": self.causes,
@@ -143,12 +150,16 @@ class Motion:
 
     def work(self) -> dict[str, Any]:
         """Iterations a step."""
+
+        def mean(values: list[float]) -> float:
+            return float(np.average(values, weights=self.counts))
+
         return {
-            "newton_mean": float(np.mean(self.newton)),
+            "newton_mean": mean(self.newton),
             "newton_worst": max(self.newton_max),
-            "cg_mean": float(np.mean(self.cg)),
-            "friction_lags_mean": float(np.mean(self.lags)),
-            "contact_force_mean_n": float(np.mean(self.contact_force_n)),
+            "cg_mean": mean(self.cg),
+            "friction_lags_mean": mean(self.lags),
+            "contact_force_mean_n": mean(self.contact_force_n),
             "min_distance_um": min(self.min_distance_um),
         }
 
@@ -187,7 +198,7 @@ class Runner:
     ) -> Motion:
         """The first ``steps`` of the motion, all of it when None, from the start."""
         count = self.bench.steps if steps is None else min(steps, self.bench.steps)
-        motion = Motion(self.model.env_count)
+        motion = Motion()
         wp.synchronize_device(self.model.device)
         for step in range(1, count + 1):
             started = self.clock()

@@ -107,6 +107,7 @@ def learning(document: Document) -> Iterator[str]:
     rows = [
         [
             f"{row['envs']:,}",
+            row["pace"],
             number(row["fps"]["median"]),
             number(row["ms_per_step"]["median"]),
             f"{number(row['beside_steps_ms'])} ({number(row['resets_per_step'])})",
@@ -115,8 +116,14 @@ def learning(document: Document) -> Iterator[str]:
         ]
         for row in document["rows"]
     ]
-    head = ["environments", "FPS", "ms a step", "of it resets (a step) and reading forces"]
-    head += ["Newton a step: mean, largest of the batch", "residual over contact force"]
+    head = [
+        "environments",
+        "pace",
+        "FPS",
+        "ms a step of each",
+        "of it resets (a step) and reading forces",
+    ]
+    head += ["Newton a step: mean, largest of those through at once", "residual over contact force"]
     yield markdown_table(head, rows)
 
 

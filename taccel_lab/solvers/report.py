@@ -178,6 +178,11 @@ class StepReport:
         object.__setattr__(self, "seconds", seconds)
         return self
 
+    def of(self, mask: np.ndarray) -> StepReport:
+        """What it says of the environments of ``mask`` (bool, [env_count]) alone."""
+        names = [field.name for field in fields(self) if field.name != "seconds"]
+        return replace(self, **{name: getattr(self, name)[mask] for name in names})
+
     @property
     def converged(self) -> np.ndarray:
         """Whether each environment reached its tolerance."""
