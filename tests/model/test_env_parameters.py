@@ -30,7 +30,7 @@ from taccel_lab.scene import (
     box_mesh,
     sphere_mesh,
 )
-from taccel_lab.solvers import ShardedSolver, SolverConfig, SolverIPC
+from taccel_lab.solvers import Control, ShardedSolver, SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
 
 PAD = block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3))
@@ -393,6 +393,40 @@ def test_arrays_on_the_device_are_read_there() -> None:
     rows = torch.ones((3, TETS), dtype=torch.float64) * values[:, None]
     models[1].set_body("pad", young_modulus_pa=rows, mask=mask)
     np.testing.assert_array_equal(models[1].elastic[0].mu.numpy(), models[0].elastic[0].mu.numpy())
+
+
+GPU = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device"),
+]
+
+
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=GPU)])
+def test_a_loop_in_torch_is_that_of_built_models_on_every_device(device: str) -> None:
+    """Values, masks and targets of the device; set again once steps are captured."""
+    model = pressed_pad(3, Material(1e5, 0.4)).finalize(device)
+    solver = SolverIPC(model)
+    where = wp.device_to_torch(model.device)
+    young = torch.tensor(YOUNG, device=where)
+    everyone = torch.ones(3, dtype=torch.bool, device=where)
+    start, down, aside = (
+        torch.from_numpy(tool_at(3, x, START_Z - z)).to(where)
+        for x, z in ((0, 0), (0, 2.5e-4), (1e-4, 2.5e-4))
+    )
+    state = initial_state(model, start)
+    for values in (young.flip(0), young, young):
+        model.set_body("pad", young_modulus_pa=values, mask=everyone)
+        model.set_friction("pad", "tool", values / 2e5, mask=everyone)
+        solver.reset(state, everyone, start)
+        for target in (down, aside):
+            status = solver.step(state, Control(target)).on(device)["status"]
+            assert (wp.to_torch(status) == 1).all()
+    forces = solver.contact_gradient.numpy()[:, : model.soft_count].sum(axis=1)
+    for env, value in enumerate(YOUNG):
+        built = pressed_pad(1, Material(value, 0.4), friction=value / 2e5).finalize("cpu")
+        _, its_solver = press(built)
+        expected = its_solver.contact_gradient.numpy()[0, : built.soft_count].sum(axis=0)
+        assert np.abs(forces[env] - expected).max() < 2e-4 * np.abs(expected).max()
 
 
 def test_a_contact_stiffness_of_the_solver_stays() -> None:
