@@ -56,7 +56,7 @@ class EnvProgress:
     moving: wp.array(dtype=wp.int32)
     """Mask of those whose frames are still on their way."""
     near: wp.array(dtype=wp.int32)
-    """Mask of those whose way is longer than their gaps, so that it may meet something."""
+    """Mask of those whose way may meet something, and is checked by CCD."""
     flying: wp.array(dtype=wp.int32)
     """Mask of those whose start is free flight alone."""
     turning: wp.array(dtype=wp.int32)

@@ -59,12 +59,18 @@ def _open_search_kernel(largest_turn: wp.float64, p: EnvProgress):
 
 
 @wp.kernel
-def _begin_trial_kernel(p: EnvProgress):
+def _begin_trial_kernel(smallest_bend: wp.float64, p: EnvProgress):
+    """How far the frames are; ``near`` become those whose way is not the chord that CCD checked."""
     env = wp.tid()
     if env == 0:
         p.searching[0] = 0
+    p.near[env] = 0
     if p.inner[env] == 0:
         return
+    if p.turning[env] != 0 or p.bend[env] > smallest_bend:
+        p.near[env] = 1
+        if p.any_curved[0] != 0:
+            p.ccd_passes[env] += 1
     progress = p.progress[env] + p.alpha[env] * (p.goal[env] - p.progress[env])
     if progress > wp.float64(1.0 - 1.0e-12):
         progress = wp.float64(1.0)
@@ -168,10 +174,10 @@ def evaluate_trial(run: StepLaunches) -> None:
 
     def check_path() -> None:
         """Unlike the chord, the way that a turning body takes was not checked."""
-        subtract_rows(p.inner, s.trial, state.positions, s.path)
-        limit_step(run.model, p.inner, s.candidates, state.positions, s.path, p.limit)
+        subtract_rows(p.near, s.trial, state.positions, s.path)
+        limit_step(run.model, p.near, s.candidates, state.positions, s.path, p.limit)
 
-    run.decide(_begin_trial_kernel, p)
+    run.decide(_begin_trial_kernel, SMALLEST_TURN, p)
     place_poses_between(p.inner, s.start_poses, s.end_poses, p.trial_progress, s.trial_poses)
     advance_positions(p.inner, state.positions, s.displacements, p.alpha, s.trial)
     if s.affine is not None:
