@@ -178,6 +178,7 @@ def test_kernels_compile_for_the_oldest_and_the_newest(name: str, tmp_path: Path
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("arch", LARGEST_BLOCK_KIB)
 def test_everything_compiles_for_every_chip(arch: int, tmp_path: Path) -> None:
     for name in sorted({*FILES} - {"ipc/linear/arrow_kernel.py"}):
