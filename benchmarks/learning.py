@@ -208,7 +208,7 @@ def measure(count: int, pace: str, options: Learning) -> dict[str, Any]:
         "resets_per_step": (loop.resets - before) / (options.steps * options.repeats),
         "residual": max(residuals, key=lambda r: (r["unconverged"], r["worst_over_allowed"])),
         **median.work(),
-        "newton_largest_mean": float(np.mean(median.newton_max)),
+        "newton_largest_mean": float(np.average(median.newton_max, weights=median.counts)),
         "memory_mib_per_env": bytes_used / 2**20 / count,
     }
 

@@ -11,12 +11,15 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.benchmarks.peers import read_field
+from taccel_lab.benchmarks.report.capture_sections import (
+    captures,
+    captures_headline,
+    check_errors,
+)
+from taccel_lab.benchmarks.report.figures import NOTHING, Document, Results, number
 from taccel_lab.report.markdown import markdown_table
 
-Document = dict[str, Any]
-Results = dict[str, list[Document]]
 Section = Callable[[Results], str]
-NOTHING = "No result yet."
 HEADLINES = {("peg", 1), ("peg", 256), ("peg", 4096), ("hand", 1), ("hand", 256), ("press_2005", 1)}
 """Scenes and environments whose speed the README shows."""
 
@@ -39,19 +42,6 @@ def of_each_result(suite: str, parts: Callable[[Document], Iterator[str]], resul
     """Where each result of a suite is from, and what it says."""
     texts = [t for document in results.get(suite, []) for t in (origin(document), *parts(document))]
     return "\n\n".join(texts) or NOTHING
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """Three digits that count, thousands grouped."""
-    if value is None:
-        return "-"
-    if value == 0:
-        return "0"
-    if abs(value) >= 1000:
-        return f"{round(value):,}"
-    if abs(value) < 1e-3:
-        return f"{value:.1e}"
-    return f"{value:.{digits}g}"
 
 
 def spread(value: dict[str, float]) -> str:
@@ -354,42 +344,6 @@ def study(document: Document) -> Iterator[str]:
     yield markdown_table([*head, "forces against the CPU's"], rows)
 
 
-def captures(document: Document) -> Iterator[str]:
-    """Calibrations of published captures against their goals."""
-    rows = [
-        [
-            row["set"],
-            f"`{row['command']}`",
-            row["figure"],
-            number(row["value"]),
-            f"{'at least' if row['at_least'] else 'at most'} {row['goal']:g}",
-            "met" if row["met"] else "**missed**",
-            row["verdict"] or "-",
-            "-" if row["fit_seconds"] is None else number(row["fit_seconds"], 2),
-            number(row["seconds"], 3),
-        ]
-        for row in document["rows"]
-    ]
-    head = ["captures", "calibration", "figure", "value", "goal", "", "verdict", "fit [s]"]
-    yield markdown_table([*head, "command [s]"], rows)
-
-
-def check_errors(document: Document) -> Iterator[str]:
-    """Named presses of all, good and spoiled, a row a fault and a column a set."""
-    rows = document["rows"]
-    sets = list(dict.fromkeys(row["set"] for row in rows))
-    cases = dict.fromkeys((row["case"], row.get("code", "any of those below")) for row in rows)
-    counts = {(row["case"], row["set"]): f"{row['named']} of {row['count']}" for row in rows}
-    yield markdown_table(
-        ["presses", "named by", *sets],
-        [
-            [case, f"`{code}`" if "_" in code or code.isalpha() else code]
-            + [counts.get((case, name), "-") for name in sets]
-            for case, code in cases
-        ],
-    )
-
-
 def picture(document: Document, kind: str, title: str) -> str:
     """Link to a picture of a result."""
     name = Path(document["file"]).stem
@@ -420,20 +374,6 @@ def headline(results: Results) -> str:
     ]
     head = ["scene", "on", "environments", "FPS", "residual over contact force"]
     return markdown_table([*head, "MiB an environment"], rows) if rows else NOTHING
-
-
-def captures_headline(results: Results) -> str:
-    """The same without times, for the README."""
-    rows = [
-        [row["set"], row["command"], row["figure"], number(row["value"]), f"{row['goal']:g}"]
-        for document in results.get("captures", [])
-        for row in document["rows"]
-    ]
-    return (
-        markdown_table(["captures", "calibration", "figure", "value", "goal"], rows)
-        if rows
-        else NOTHING
-    )
 
 
 VERIFICATION: dict[str, Section] = {
