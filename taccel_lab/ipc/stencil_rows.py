@@ -126,7 +126,11 @@ class StencilRows:
 
 @wp.func
 def stencil_rows(env: int, nodes: wp.vec4i, of_nodes: mat43d, system: NewtonSystem) -> StencilRows:
-    """Unknowns of a stencil whose unused entries repeat the last one; row i for node i."""
+    """Unknowns of a stencil whose unused entries repeat the last one; row i for node i.
+
+    Control nodes come first: so the blocks among them, which most contacts of an environment share,
+    have the same numbers in all of them.
+    """
     s = StencilRows()
     s.stage = stencil_stage()
     first_parent = int(-1)
@@ -134,39 +138,41 @@ def stencil_rows(env: int, nodes: wp.vec4i, of_nodes: mat43d, system: NewtonSyst
     second_parent = int(-1)
     second_start = int(0)
     control_count = int(4)
-    for i in range(4):
-        node = nodes[i]
-        is_new = True
-        if i > 0:
-            is_new = node != nodes[(i + 3) % 4]
-        if is_new:
+    turns = int(2)
+    for turn in range(turns):
+        for i in range(4):
+            node = nodes[i]
+            is_new = True
+            if i > 0:
+                is_new = node != nodes[(i + 3) % 4]
             parent = system.parents[node]
-            row = system.free_index[node]
-            own = wp.vec3d(of_nodes[i, 0], of_nodes[i, 1], of_nodes[i, 2])
-            if parent >= 0:
-                start = s.count
-                if parent == first_parent:
-                    start = first_start
-                elif parent == second_parent:
-                    start = second_start
-                else:
-                    if first_parent < 0:
-                        first_parent = parent
-                        first_start = start
+            if is_new and (parent >= 0) == (turn == 0):
+                row = system.free_index[node]
+                own = wp.vec3d(of_nodes[i, 0], of_nodes[i, 1], of_nodes[i, 2])
+                if parent >= 0:
+                    start = s.count
+                    if parent == first_parent:
+                        start = first_start
+                    elif parent == second_parent:
+                        start = second_start
                     else:
-                        second_parent = parent
-                        second_start = start
+                        if first_parent < 0:
+                            first_parent = parent
+                            first_start = start
+                        else:
+                            second_parent = parent
+                            second_start = start
+                        for k in range(control_count):
+                            open_row(s.stage, start + k, system.free_index[parent + k])
+                        s.count += control_count
                     for k in range(control_count):
-                        open_row(s.stage, start + k, system.free_index[parent + k])
-                    s.count += control_count
-                for k in range(control_count):
-                    add_coefficients(s.stage, start + k, system.weights[node][k] * own)
-            elif row >= 0:
-                open_row(s.stage, s.count, row)
-                add_coefficients(s.stage, s.count, own)
-                s.count += 1
-            else:
-                s.ways += wp.outer(own, system.displacements[env, node])
+                        add_coefficients(s.stage, start + k, system.weights[node][k] * own)
+                elif row >= 0:
+                    open_row(s.stage, s.count, row)
+                    add_coefficients(s.stage, s.count, own)
+                    s.count += 1
+                else:
+                    s.ways += wp.outer(own, system.displacements[env, node])
     return s
 
 
