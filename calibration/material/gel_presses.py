@@ -7,8 +7,6 @@ law in both of its constants): two or three groups of elements on the same nodes
 modulus of 1 Pa and with volumes scaled by what that modulus is in an environment, are a gel of its
 own in each. That is one evaluation of the elements more (of Mooney and Rivlin's law two); the rest
 of a step, the linear solves above all, costs as much as ever.
-
-Friction is frozen with the scene's coefficient of 1, and then scaled in each environment.
 """
 
 from __future__ import annotations
@@ -22,8 +20,6 @@ import warp as wp
 from taccel_lab.envs import Indenter, PressEnv
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.geometry import TetMesh
-from taccel_lab.ipc.potentials.friction import FrictionPotential, FrozenContacts
-from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.scene import Material, MaterialField, MaterialModel
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
@@ -102,7 +98,8 @@ class GelPresses(PressEnv):
             self.model.elastic = self._groups(materials)
             self.solver = SolverIPC(self.model, self.solver.config)
         if not one_friction:
-            self.solver.friction = _ScaledFriction(self.solver, frictions)
+            pad, tool = (body.name for body in self.model.bodies)
+            self.model.set_friction(pad, tool, np.array(frictions, dtype=np.float64))
 
     def go(self, stops: Sequence[Stop], stay: np.ndarray | None = None) -> StepReport:
         """Take the tool of each environment to its stop, but for those of ``stay`` (bool, [env]).
@@ -193,36 +190,3 @@ def split_by_modulus(
 def _same(first: Material | MaterialField, second: Material | MaterialField) -> bool:
     names = ("shear_modulus_pa", "lame_lambda_pa", "mooney_ratio")
     return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in names)
-
-
-@wp.kernel
-def _scale_frozen_kernel(
-    active: wp.array(dtype=wp.int32),
-    coefficients: wp.array(dtype=wp.float64),
-    frozen: FrozenContacts,
-):
-    env, slot = wp.tid()
-    if active[env] == 0 or slot >= frozen.counts[env]:
-        return
-    frozen.mu_lambdas[env, slot] = coefficients[env] * frozen.mu_lambdas[env, slot]
-
-
-class _ScaledFriction(FrictionPotential):
-    """Friction of a scene whose coefficient is 1, times one of each environment."""
-
-    def __init__(self, solver: SolverIPC, coefficients: Sequence[float]) -> None:
-        model: Model = solver.model
-        static_range = solver.config.static_range_m(model.scene.time)
-        super().__init__(model, solver.collisions, static_range)
-        self._coefficients = wp.array(coefficients, dtype=wp.float64, device=model.device)
-
-    def lag(self, active: wp.array, positions: wp.array, previous: wp.array) -> None:
-        """Freeze the current collisions of the active environments at ``positions``, in a step that
-        began at ``previous``."""
-        super().lag(active, positions, previous)
-        wp.launch(
-            _scale_frozen_kernel,
-            dim=self.frozen.mu_lambdas.shape,
-            inputs=[active, self._coefficients, self.frozen],
-            device=self.model.device,
-        )
