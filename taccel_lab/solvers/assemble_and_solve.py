@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 2 of an iteration: the Newton direction of bodies and of the frames' remaining motion."""
+"""Stage 1 of an iteration: the Newton direction of bodies and of the frames' remaining motion."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stage 1 of an iteration: which pairs may meet on the way ahead.
+"""Stage 2 of an iteration: which pairs may meet on the way ahead.
 
 They are searched for only where those that are known may no longer be all (``kept_pairs``).
 """
