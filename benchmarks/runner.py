@@ -80,6 +80,9 @@ class Motion:
     newton_max: list[int] = field(default_factory=list)
     cg: list[float] = field(default_factory=list)
     lags: list[float] = field(default_factory=list)
+    searches: list[float] = field(default_factory=list)
+    ccd_passes: list[float] = field(default_factory=list)
+    starts_taken: list[float] = field(default_factory=list)
     residual_n: list[float] = field(default_factory=list)
     """Largest over the environments, as the next two."""
     residual_over_contact: list[float] = field(default_factory=list)
@@ -118,6 +121,9 @@ class Motion:
         self.newton_max.append(int(report.newton_iterations.max()))
         self.cg.append(float(report.cg_iterations.mean()))
         self.lags.append(float(report.friction_lags.mean()))
+        self.searches.append(float(report.searches.mean()))
+        self.ccd_passes.append(float(report.ccd_passes.mean()))
+        self.starts_taken.append(float(report.starts_taken.mean()))
         good = report.converged
         residual = np.where(good, report.residual_n, 0.0)
         contact = report.contact_force_n

@@ -259,7 +259,7 @@ def peers(results: Results) -> str:
         names = dict.fromkeys(row["name"] for row in document["rows"])
         ours += [
             {
-                "name": f"{name}, run beside ours",
+                "name": f"{name}, run by us {document['run']['date'][:10]}",
                 "device": document["run"]["device"].replace("NVIDIA ", ""),
                 "kind": "measured",
                 "stop": document["settings"]["stop"],
