@@ -52,6 +52,7 @@ from taccel_lab.signals import SignalTactile as SignalTactile
 from taccel_lab.signals import SurfaceMode as SurfaceMode
 from taccel_lab.solvers import Control as Control
 from taccel_lab.solvers import EnvStatus as EnvStatus
+from taccel_lab.solvers import ReadySteps as ReadySteps
 from taccel_lab.solvers import ShardedSolver as ShardedSolver
 from taccel_lab.solvers import SolverConfig as SolverConfig
 from taccel_lab.solvers import SolverIPC as SolverIPC
