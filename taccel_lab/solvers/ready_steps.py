@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.capacity import grow_all
 from taccel_lab.model.env_rows import copy_rows, device_mask
 from taccel_lab.solvers.env_progress import NO_LIMIT
 from taccel_lab.solvers.report import EnvStatus, StepReport
@@ -79,16 +78,7 @@ class ReadySteps:
         p.most_rounds.fill_(NO_LIMIT)
         progress.underway |= who
         status = np.where(self.underway, report.status, int(EnvStatus.SKIPPED))
-        short = self.underway & (status == EnvStatus.CONTACT_OVERFLOW)
-        if short.any():
-            short &= ~grow_all(solver.lists)
-            if short.any():
-                solver.graphs.clear()
-        impacts = self.underway & (status == EnvStatus.IMPACT)
-        if impacts.any():
-            assert self.state.history is not None
-            self.state.history.forget(impacts)
-        progress.again[:] = short | impacts
+        progress.again[:] = solver.prepare_again(self.state, status)
         status[progress.again] = EnvStatus.RUNNING
         progress.underway &= status == EnvStatus.RUNNING
         status[overlapping] = EnvStatus.OVERLAP

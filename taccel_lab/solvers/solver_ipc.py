@@ -218,18 +218,24 @@ class SolverIPC(SolverParts):
         while True:
             part = self.attempt_once(state, who, dt)
             report = part if report is None else report.retaken(part, who)
-            short = part.status == EnvStatus.CONTACT_OVERFLOW
-            if short.any():
-                short &= ~grow_all(self.lists)
-                if short.any():
-                    self.graphs.clear()
-            impacts = part.status == EnvStatus.IMPACT
-            if impacts.any():
-                assert state.history is not None
-                state.history.forget(impacts)
-            who = impacts | short
+            who = self.prepare_again(state, part.status)
             if not who.any():
                 return report
+
+    def prepare_again(self, state: State, status: np.ndarray) -> np.ndarray:
+        """Environments whose attempt ended with a ``status`` after which it is made anew, bool,
+        [env_count]: those whose lists of contacts were too short, which have room now, and those
+        that met an impact, which forget the step before."""
+        short = status == EnvStatus.CONTACT_OVERFLOW
+        if short.any():
+            short &= ~grow_all(self.lists)
+            if short.any():
+                self.graphs.clear()
+        impacts = status == EnvStatus.IMPACT
+        if impacts.any():
+            assert state.history is not None
+            state.history.forget(impacts)
+        return impacts | short
 
     def attempt_once(self, state: State, who: np.ndarray, dt: float) -> StepReport:
         """One undivided step in the environments ``who``; lists may be too short."""

@@ -116,6 +116,7 @@ def _choose_others_kernel(p: EnvProgress):
 def _go_on_kernel(p: EnvProgress):
     env = wp.tid()
     if p.fresh[env] != 0:
+        p.flying[env] = 0
         leave(env, p)
 
 
@@ -130,7 +131,7 @@ def start_step(run: StepLaunches) -> None:
         plan_start(run)
     find_pairs(run, p.fresh, s.end_poses, p.margin)
     run.collide(p.fresh, x)
-    run.check_room(p.fresh, [s.collisions])
+    run.check_room(p.fresh, s.collisions)
     if s.friction is not None:
         s.friction.lag(p.fresh, x, s.origin)
     if not plans:

@@ -76,11 +76,10 @@ class StepLaunches:
         """Collisions at ``positions`` in the environments of ``mask``."""
         self.s.collisions.collect(mask, positions, self.s.candidates)
 
-    def check_room(self, mask: wp.array, lists: Sequence[GrowingList]) -> None:
+    def check_room(self, mask: wp.array, part: GrowingList) -> None:
         """Stop environments whose contacts did not fit; the host makes room for the next try."""
-        for part in lists:
-            if part.capacity:
-                self.decide(_stop_overflowed_kernel, mask, part.room, self.p)
+        if part.capacity:
+            self.decide(_stop_overflowed_kernel, mask, part.room, self.p)
 
     def motion(
         self, positions: wp.array | None = None, poses: wp.array | None = None
