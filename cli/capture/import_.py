@@ -61,12 +61,12 @@ class CaptureImport:
     def run(self) -> None:
         from rich.console import Console
 
-        from taccel_lab.calibration.capture import (
+        from taccel_lab.calibration.capture.importers import (
+            AUTO,
             ImportOptions,
-            import_captures,
-            load_capture_folder,
+            detect_layout,
+            import_folders,
         )
-        from taccel_lab.calibration.capture.importers import AUTO, detect_layout
         from taccel_lab.cli.console import print_json
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.sensors import sensor_family
@@ -90,34 +90,31 @@ class CaptureImport:
         layout = self.layout if self.layout != AUTO else detect_layout(self.source).name
         console = Console(stderr=self.json)
         with console.status(f"importing {self.source} as {layout}"):
-            folders = import_captures(self.source, self.out, layout, options)
+            folders = import_folders(self.source, self.out, layout, options)
         found = []
-        for path in folders:
-            captures = load_capture_folder(path)
-            lines = (path / "captures.toml").read_text(encoding="utf-8").splitlines()
-            notes = [line[2:] for line in lines if line.startswith("# ")]
-            origin = {key: captures.provenance[key] for key in ("source", "license")}
+        for folder in folders:
+            origin = {key: folder.provenance[key] for key in ("source", "license")}
             found.append(
                 {
-                    "path": str(path),
-                    "contents": captures.contents(),
-                    "assumed": captures.assumed,
-                    "notes": notes,
+                    "path": str(folder.path),
+                    "contents": folder.contents,
+                    "assumed": folder.assumed,
+                    "notes": list(folder.notes),
                     **origin,
                 }
             )
-            words = f"wrote {path}: {_in_words(captures.contents())}"
+            words = f"wrote {folder.path}: {_in_words(folder.contents)}"
             console.print(words, highlight=False, markup=False)
             said = [
                 *(f"{key}: {text}" for key, text in origin.items()),
-                *(f"assumed {name}: {text}" for name, text in captures.assumed.items()),
-                *notes,
+                *(f"assumed {name}: {text}" for name, text in folder.assumed.items()),
+                *folder.notes,
             ]
             for text in said:
                 console.print(f"  {text}", highlight=False, markup=False)
-        for path in folders:
+        for folder in folders:
             console.print(
-                f"next: taccel-lab capture check {shlex.quote(str(path))}",
+                f"next: taccel-lab capture check {shlex.quote(str(folder.path))}",
                 highlight=False,
                 markup=False,
             )

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from taccel_lab.cli.app import main
+from taccel_lab.reading.videos import count_frames
 from tests.cli.small_captures import everything_below, write_captures, write_image
+from tests.fuzz.samples.captures import write_video
 
 
 @pytest.fixture
@@ -102,6 +104,24 @@ def test_import_then_check(here: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert printed["layout"] == "plain"
     assert printed["folders"][0]["contents"]["ball_presses"] == 5
     assert run(["capture", "check", "out", "--json"]) == 0
+
+
+def test_nothing_is_read_of_an_import_that_stands(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A video whose end is searched for minutes would be refused after it was written."""
+    from taccel_lab.calibration.capture import video
+
+    write_video(here / "shear.avi")
+    counted, out = [], here / "out"
+
+    def count(path: Path) -> tuple[int, int]:
+        counted.append(out.exists())
+        return count_frames(path)
+
+    monkeypatch.setattr(video, "count_frames", count)
+    assert run(["capture", "import", "shear.avi", "out"]) == 0
+    assert out.is_dir() and counted and not any(counted)
 
 
 def test_several_sets_are_checked_one_by_one(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
@@ -48,9 +49,11 @@ __all__ = [
     "LAYOUTS",
     "Draft",
     "ImportOptions",
+    "Imported",
     "Layout",
     "detect_layout",
     "import_captures",
+    "import_folders",
     "import_taxim",
     "read_drafts",
 ]
@@ -130,6 +133,20 @@ def _leave_out_the_rest(source: Path, drafts: list[Draft], layout: str) -> None:
             drafts[0].leave_out(path, why)
 
 
+@dataclass(frozen=True)
+class Imported:
+    """A capture folder that was written."""
+
+    path: Path
+    contents: dict[str, int]
+    """How many there are of each kind of capture."""
+    assumed: dict[str, str]
+    """What no file of the source states, and why it was taken."""
+    provenance: dict[str, str]
+    notes: tuple[str, ...]
+    """Lines at the head of its manifest: among others what was left out, and why."""
+
+
 def import_captures(
     source: Path | str,
     out: Path | str,
@@ -145,21 +162,38 @@ def import_captures(
     Raises:
         InputError: Something in ``source`` cannot be used, or ``out`` holds foreign files.
     """
+    return [written.path for written in import_folders(source, out, layout, options)]
+
+
+def import_folders(
+    source: Path | str,
+    out: Path | str,
+    layout: str = AUTO,
+    options: ImportOptions | None = None,
+) -> list[Imported]:
+    """As ``import_captures``; says what each folder holds."""
     source, out = Path(source), Path(out)
     if (source / MANIFEST_NAME).is_file():
         raise InputError(f"{source} is a capture folder already: it has {MANIFEST_NAME}")
     _, drafts = read_drafts(source, layout, options)
+    written = []
     with atomic_directory(out) as staging:
         for draft in drafts:
             folder = staging / draft.part
             folder.mkdir(exist_ok=True)
             draft.write(folder)
             try:
-                freeze_split(load_capture_folder(folder), folder / MANIFEST_NAME)
+                captures = load_capture_folder(folder)
+                freeze_split(captures, folder / MANIFEST_NAME)
             except InputError as error:
                 text = str(error).replace(str(folder), str(source))
                 raise InputError(f"{text} (imported from {draft.place})") from error
-    return [out / draft.part for draft in drafts]
+            lines = (folder / MANIFEST_NAME).read_text(encoding="utf-8").splitlines()
+            notes = tuple(line[2:] for line in lines if line.startswith("# "))
+            # Nothing may fail of the folder once it stands: what is said of it is read before.
+            told = captures.contents(), captures.assumed, captures.provenance, notes
+            written.append(Imported(out / draft.part, *told))
+    return written
 
 
 def freeze_split(captures: CaptureFolder, manifest: Path) -> None:
