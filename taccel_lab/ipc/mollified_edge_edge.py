@@ -29,12 +29,9 @@ from taccel_lab.ipc.distance.edge_edge_mollifier import (
     edge_edge_mollifier_d1,
     edge_edge_mollifier_d2,
 )
+from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.ipc.matrix_types import mat43d
-from taccel_lab.ipc.pair_hessian import (
-    HESSIAN_EXACT,
-    HESSIAN_PSD,
-    pair_gradient,
-)
+from taccel_lab.ipc.pair_hessian import pair_gradient
 
 wp.set_module_options({"enable_backward": False})
 
@@ -99,7 +96,7 @@ def mollifier_terms(
 ) -> MollifierTerms:
     """What the mollifier adds to m times the Hessian of E; arguments of `mollified_gradient`.
 
-    mode: HESSIAN_EXACT, or HESSIAN_PSD for the sum of projected parts.
+    mode: PSD_NONE, or PSD_CLAMP for the sum of projected parts.
     """
     half = wp.float64(0.5)
     cross_sq = edge_edge_cross_sq(ea0, ea1, eb0, eb1)
@@ -113,10 +110,10 @@ def mollifier_terms(
     h.cross_gradient = edge_edge_cross_sq_gradient(ea0, ea1, eb0, eb1)
     h.left = slope * h.cross_gradient
     h.right = outer_rows(pair.weights, e1 * pair_normal(pair))
-    if mode == HESSIAN_EXACT:
+    if mode == PSD_NONE:
         h.bend = e0 * edge_edge_mollifier_d2(cross_sq, threshold)
         h.curvature = wp.float64(1.0)
-    if mode == HESSIAN_PSD:
+    if mode == PSD_CLAMP:
         left_norm = _norm(h.left)
         right_norm = _norm(h.right)
         if left_norm > wp.float64(0.0) and right_norm > wp.float64(0.0):

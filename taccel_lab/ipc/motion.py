@@ -127,13 +127,12 @@ def _negate_kernel(
 def _spread_kernel(
     active: wp.array(dtype=wp.int32),
     free_nodes: wp.array(dtype=wp.int32),
-    multiples: wp.array(dtype=wp.float64),
     solution: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
 ):
     env, row = wp.tid()
     if active[env] != 0:
-        displacements[env, free_nodes[row]] = multiples[env] * solution[env, row]
+        displacements[env, free_nodes[row]] = solution[env, row]
 
 
 @wp.kernel
@@ -299,16 +298,14 @@ def begin_rhs(model: Model, active: wp.array, reduced: wp.array, rhs: wp.array) 
 def spread_solution(
     model: Model,
     active: wp.array,
-    multiples: wp.array,
     solution: wp.array,
     displacements: wp.array,
 ) -> None:
-    """Write ``multiples`` [env_count] of the rows of ``solution`` [m] to their nodes, and to what
-    is embedded in them."""
+    """Write the rows of ``solution`` [m] to their nodes, and to what is embedded in them."""
     wp.launch(
         _spread_kernel,
         dim=solution.shape,
-        inputs=[active, model.free_nodes, multiples, solution],
+        inputs=[active, model.free_nodes, solution],
         outputs=[displacements],
         device=model.device,
     )

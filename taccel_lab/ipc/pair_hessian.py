@@ -21,16 +21,13 @@ import warp as wp
 
 from taccel_lab.ipc.distance.closest_pair import ClosestPair
 from taccel_lab.ipc.distance.derivatives import outer_rows, pair_frame, pair_normal
+from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.ipc.matrix_types import mat43d
 
 wp.set_module_options({"enable_backward": False})
 
-HESSIAN_EXACT = wp.constant(0)
-"""The second derivative itself, in general indefinite."""
-HESSIAN_PSD = wp.constant(1)
-"""The sum of its terms, each projected to positive semidefinite: at least the Hessian itself."""
-HESSIAN_GAUSS_NEWTON = wp.constant(2)
-"""Only max(E'', 0) grad d grad d^T."""
+GAUSS_NEWTON = 2
+"""Of a pair alone, beside PSD_*: max(E'', 0) grad d grad d^T."""
 
 
 @wp.struct
@@ -96,7 +93,8 @@ def pair_hessian(
 ) -> PairHessian:
     """Hessian of E(d) at the positions [m] of the pair; e1 = dE/dd [N], e2 = d2E/dd2 [N/m].
 
-    mode: HESSIAN_EXACT, HESSIAN_PSD or HESSIAN_GAUSS_NEWTON.
+    mode: PSD_NONE, PSD_CLAMP (each of its terms is projected: at least the Hessian itself) or
+    GAUSS_NEWTON.
     """
     zero = wp.float64(0.0)
     frame = pair_frame(pair, x0, x1, x2, x3)
@@ -104,9 +102,9 @@ def pair_hessian(
     h.axes = frame.axes
     h.weights = pair.weights
     h.normal = e2
-    if mode != HESSIAN_EXACT:
+    if mode != PSD_NONE:
         h.normal = wp.max(e2, zero)
-    if mode == HESSIAN_GAUSS_NEWTON:
+    if mode == GAUSS_NEWTON:
         return h
     h.slide_1 = frame.slide_1
     h.slide_2 = frame.slide_2
@@ -115,7 +113,7 @@ def pair_hessian(
     slides = wp.vec3d(zero, -e1, -e1 * distance)
     h.tangent_1 = wp.where(pair.free_count > 0, slides, held)
     h.tangent_2 = wp.where(pair.free_count > 1, slides, held)
-    if mode == HESSIAN_PSD:
+    if mode == PSD_CLAMP:
         weight_sq = wp.length_sq(h.weights)
         h.tangent_1 = _positive_part(h.tangent_1, weight_sq, wp.length_sq(h.slide_1))
         h.tangent_2 = _positive_part(h.tangent_2, weight_sq, wp.length_sq(h.slide_2))

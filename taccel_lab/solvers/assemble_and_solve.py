@@ -6,9 +6,8 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.capacity import ListRoom, overflows
-from taccel_lab.ipc.elasticity.principal import PSD_CLAMP
+from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.ipc.motion import aim_prescribed, begin_rhs, newton_system, spread_solution
-from taccel_lab.ipc.pair_hessian import HESSIAN_PSD
 from taccel_lab.model.kinematics import place_poses_between, turn_within
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import EnvProgress, Rules
@@ -19,26 +18,35 @@ wp.set_module_options({"enable_backward": False})
 
 _LINE_SEARCH = wp.constant(int(EnvStatus.LINE_SEARCH))
 _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
-LARGEST_BOOST = 64.0
-"""Longest step along Newton's direction."""
+EXACT_BELOW = 0.1
+"""Residual over contact force below which the matrix is not projected."""
+PROJECTED_AFTER = 4
+"""Iterations with projected matrices after one that was not, and was not positive definite."""
+STUCK_ABOVE = 0.7
+"""Part of the residual that a whole step leaves where an exact matrix is tried."""
 
 
 @wp.func
-def boosted(env: int, p: EnvProgress) -> wp.float64:
-    """Four times the last multiple after a full step that hardly lowered the residual, else one.
+def projection(env: int, p: EnvProgress, r: Rules) -> int:
+    """Whether the next matrix is projected to a positive definite one (PSD_*).
 
-    Near a saddle, where a gel snaps over an edge, the projected matrix is stiffer than the body:
-    whole steps go on for dozens of iterations and each takes the same small part of the way.
+    Far from the solution it has to be, or directions would lead up. Near it the projection is what
+    keeps Newton's method from converging quadratically: in a gel under a press half of the elements
+    have a mode that prestress makes negative, and an iteration leaves a fifth of the residual. Near
+    a saddle, where a bar buckles or a gel snaps over an edge, projected matrices are so much
+    stiffer than the body that whole steps hardly lower the residual.
     """
+    if p.projected[env] > 0:
+        p.projected[env] -= 1
+        return PSD_CLAMP
     one = wp.float64(1.0)
-    if p.progress[env] < one or p.damping[env] < one:
-        return one
-    ratio = p.excess[env] / p.last_excess[env]
-    if ratio < wp.float64(0.7) or ratio > wp.float64(2.0):
-        return one
-    if p.cuts[env] > 0 or p.alpha[env] < one or p.last_excess[env] == wp.float64(wp.inf):
-        return one
-    return wp.min(wp.float64(4.0) * p.boost[env], wp.float64(LARGEST_BOOST))
+    if p.progress[env] < one or p.alpha[env] < one or p.cuts[env] > 0:
+        return PSD_CLAMP
+    near = r.relative_tolerance * p.excess[env] < wp.float64(EXACT_BELOW)
+    stuck = p.residual[env] > wp.float64(STUCK_ABOVE) * p.last_residual[env]
+    if near or stuck:
+        return PSD_NONE
+    return PSD_CLAMP
 
 
 @wp.kernel
@@ -76,8 +84,8 @@ def _aim_kernel(p: EnvProgress, r: Rules, linear_tolerances: wp.array(dtype=wp.f
     p.goal[env] = goal
     if progress < one:
         p.moving[env] = 1
-    p.boost[env] = boosted(env, p)
-    p.last_excess[env] = p.excess[env]
+    p.psd_mode[env] = projection(env, p, r)
+    p.last_residual[env] = p.residual[env]
     ratio = one / wp.max(p.excess[env], wp.float64(1.0e-300))
     linear_tolerances[env] = wp.clamp(
         wp.float64(0.3) * ratio, wp.float64(1.0e-6), wp.float64(1.0e-2)
@@ -91,7 +99,8 @@ def _count_solve_kernel(
     extra: ListRoom,
     p: EnvProgress,
 ):
-    """After a breakdown the last iterate still descends, unless there is none."""
+    """After a breakdown the last iterate still descends, unless there is none: then an exact matrix
+    is projected in the next iteration, and this one stays where it is."""
     env = wp.tid()
     if p.active[env] == 0:
         return
@@ -100,7 +109,11 @@ def _count_solve_kernel(
         return
     p.cg[env] += iterations[env]
     p.newton[env] += 1
-    if breakdown[env] != 0 and iterations[env] == 0:
+    if breakdown[env] == 0:
+        return
+    if p.psd_mode[env] == PSD_NONE:
+        p.projected[env] = PROJECTED_AFTER
+    elif iterations[env] == 0:
         stop(env, _LINE_SEARCH, p)
 
 
@@ -114,7 +127,7 @@ def assemble_and_solve(run: StepLaunches) -> None:
     s.linear.solve(p.active, s.config.max_cg_iterations)
     solved = [s.linear.iterations, s.linear.breakdown, s.linear.extra.room]
     run.decide(_count_solve_kernel, *solved, p)
-    spread_solution(run.model, p.active, p.boost, s.linear.solution, s.displacements)
+    spread_solution(run.model, p.active, s.linear.solution, s.displacements)
 
 
 def _assemble(run: StepLaunches) -> None:
@@ -130,10 +143,10 @@ def _assemble(run: StepLaunches) -> None:
 
     def of_elements() -> None:
         for part in elements:
-            part.write_hessians(p.active, x, PSD_CLAMP)
+            part.write_hessians(p.active, x, p.psd_mode)
 
     def of_contact() -> None:
-        s.contact.add_hessian(p.active, x, system, int(HESSIAN_PSD))
+        s.contact.add_hessian(p.active, x, system, p.psd_mode)
 
     def of_friction() -> None:
         if s.friction is not None:
@@ -141,7 +154,7 @@ def _assemble(run: StepLaunches) -> None:
 
     def of_affine() -> None:
         if s.affine is not None:
-            s.affine.add_hessian(p.active, x, system, PSD_CLAMP)
+            s.affine.add_hessian(p.active, x, system, p.psd_mode)
 
     def gather() -> None:
         for part in elements:

@@ -77,9 +77,9 @@ def _begin_kernel(
     p.damping[env] = one
     p.margin[env] = r.dhat
     p.before[env] = zero
-    p.boost[env] = one
+    p.projected[env] = 0
     p.sharpness[env] = one
-    p.last_excess[env] = wp.float64(wp.inf)
+    p.last_residual[env] = wp.float64(wp.inf)
     if p.who[env] == 0:
         return
     p.status[env] = _RUNNING

@@ -118,10 +118,12 @@ class EnvProgress:
     """Rounding of the elastic energy, however small it is [J]."""
     sharpness: wp.array(dtype=wp.float64)
     """How much of the curvature of friction the next direction counts, see ``friction_hessian``."""
-    boost: wp.array(dtype=wp.float64)
-    """Multiple of Newton's direction that is searched along."""
-    last_excess: wp.array(dtype=wp.float64)
-    """``excess`` one iteration earlier; infinite after friction was frozen anew."""
+    psd_mode: wp.array(dtype=wp.int32)
+    """PSD_* of the next matrix: projected, or as it is."""
+    projected: wp.array(dtype=wp.int32)
+    """Iterations for which matrices are projected in any case."""
+    last_residual: wp.array(dtype=wp.float64)
+    """``residual`` one iteration earlier; infinite after friction was frozen anew."""
     bend: wp.array(dtype=wp.float64)
     """Largest angle by which the search direction turns an affine body [rad]."""
     deviation: wp.array(dtype=wp.float64)

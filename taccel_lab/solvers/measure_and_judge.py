@@ -101,7 +101,7 @@ def settle(env: int, p: EnvProgress, r: Rules):
                 change = p.lag_change[env]
                 if p.untouched[env] != 0:
                     change = wp.min(change, enough / r.relative_tolerance)
-                enough = wp.max(enough, wp.float64(0.1) * change)
+                enough = wp.max(enough, wp.float64(0.3) * change)
                 if p.excess[env] <= enough or p.damping[env] < wp.float64(1.0):
                     enter(env, FREEZING, p)
                     p.freezing[0] = 1
@@ -186,7 +186,7 @@ def _judge_friction_kernel(p: EnvProgress, r: Rules):
     else:
         p.damping[env] = wp.min(wp.float64(1.5) * damping, one)
     p.lag_change[env] = excess
-    p.last_excess[env] = wp.float64(wp.inf)
+    p.last_residual[env] = wp.float64(wp.inf)
     p.lags[env] += 1
     if excess <= one:
         stop(env, _CONVERGED, p)

@@ -27,7 +27,6 @@ import warp as wp
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.elasticity.principal import PSD_NONE
 from taccel_lab.ipc.motion import newton_system, spread_solution
-from taccel_lab.ipc.pair_hessian import HESSIAN_EXACT
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.scene import Material, MaterialField
 from taccel_lab.solvers.solver_ipc import SolverIPC
@@ -71,6 +70,7 @@ def node_rates(solver: SolverIPC, state: State, way: np.ndarray) -> NodeRates:
             "energy whose second derivatives are the slopes of the forces"
         )
     active = wp.full(model.env_count, 1, dtype=wp.int32, device=model.device)
+    exact = wp.full(model.env_count, PSD_NONE, dtype=wp.int32, device=model.device)
     _find_contacts(solver, state, active)
     moves = np.zeros((model.env_count, model.node_count, 3))
     moves[:, model.frame_nodes.numpy()] = np.asarray(way, dtype=np.float64)[
@@ -83,9 +83,9 @@ def node_rates(solver: SolverIPC, state: State, way: np.ndarray) -> NodeRates:
         linear.values.zero_()
         linear.rhs.zero_()
         linear.extra.clear()
-        solver.contact.add_hessian(active, x, system, int(HESSIAN_EXACT))
+        solver.contact.add_hessian(active, x, system, exact)
         for part in solver.elastic:
-            part.add_hessian(active, x, system, PSD_NONE)
+            part.add_hessian(active, x, system, exact)
         if not linear.extra.fit():
             break
         system = newton_system(model, linear, solver.displacements)
@@ -93,8 +93,7 @@ def node_rates(solver: SolverIPC, state: State, way: np.ndarray) -> NodeRates:
     linear.solve(active, _MORE_ITERATIONS * solver.config.max_cg_iterations)
     report = linear.report()
     solved = ~report.breakdown & (report.relative_residual < 10 * LINEAR_TOLERANCE)
-    ones = wp.full(model.env_count, 1.0, dtype=wp.float64, device=model.device)
-    spread_solution(model, active, ones, linear.solution, solver.displacements)
+    spread_solution(model, active, linear.solution, solver.displacements)
     return NodeRates(wp.clone(solver.displacements), solved, report.iterations)
 
 

@@ -95,7 +95,8 @@ class Dense:
     def hessian(self, free: np.ndarray, mode: int) -> np.ndarray:
         """Of one configuration, shape [3 free_count, 3 free_count]."""
         system = empty_system(self.model)
-        self.potential.add_hessian(self.active, self.positions(free[None]), system, mode)
+        modes = wp.full(self.model.env_count, mode, dtype=wp.int32, device=self.model.device)
+        self.potential.add_hessian(self.active, self.positions(free[None]), system, modes)
         return dense(self.model, system)[0]
 
 

@@ -376,7 +376,7 @@ def test_motion_of_a_kinematic_frame_reaches_the_right_hand_side(kind: str) -> N
     nodes = r.start[None]
     system = empty_system(r.model)
     r.joints.set_frames(r.poses, goals)
-    r.joints.add_hessian(r.active, r.positions(nodes), system, PSD_CLAMP)
+    r.joints.add_hessian(r.active, r.positions(nodes), system)
     rhs = system.rhs.numpy()[0]
     still = r.gradient(nodes)[0]
     r.joints.set_frames(goals)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import ipctk
 import numpy as np
 
-from taccel_lab.ipc.pair_hessian import HESSIAN_EXACT, HESSIAN_PSD
+from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from tests.ipc import batch
 from tests.ipc.batch import Array
 from tests.ipc.stencils import nearly_parallel_edges, random_stencils
@@ -49,7 +49,7 @@ def test_equals_ipctk() -> None:
 
 def test_parallel_edges_have_no_energy_and_no_gradient() -> None:
     x = np.array([[[0, 0, 0], [1, 0, 0], [0.25, 0, 0.1], [0.75, 0, 0.1]]], dtype=float)
-    value, gradient, hessian = batch.mollified_energy(HESSIAN_PSD, 1.0, 1.0, x, 1e-3)
+    value, gradient, hessian = batch.mollified_energy(PSD_CLAMP, 1.0, 1.0, x, 1e-3)
     assert value[0] == 0.0
     assert np.all(gradient == 0.0)
     assert np.all(np.isfinite(hessian))
@@ -59,10 +59,10 @@ def test_parallel_edges_have_no_energy_and_no_gradient() -> None:
 def test_mollified_energy_equals_finite_differences() -> None:
     x = mixed_edges(2, 600, (-2.5, -1.0))
     dhat, stiffness, threshold, step = 3.0, 2.0, 1e-2, 1e-7
-    _, gradient, hessian = batch.mollified_energy(HESSIAN_EXACT, dhat, stiffness, x, threshold)
+    _, gradient, hessian = batch.mollified_energy(PSD_NONE, dhat, stiffness, x, threshold)
     moved = perturbed(x, step)
     value_near, gradient_near, _ = batch.mollified_energy(
-        HESSIAN_EXACT, dhat, stiffness, moved, threshold
+        PSD_NONE, dhat, stiffness, moved, threshold
     )
     pairs, near = batch.query_pairs(batch.EDGE_EDGE, x), batch.query_pairs(batch.EDGE_EDGE, moved)
     cross = np.sum(np.cross(x[:, 1] - x[:, 0], x[:, 3] - x[:, 2]) ** 2, axis=1)
@@ -92,8 +92,8 @@ def test_mollified_energy_equals_finite_differences() -> None:
 def test_projected_hessian_is_semidefinite_and_close() -> None:
     x = mixed_edges(3, 2000)
     dhat, threshold = 1.0, 1e-3
-    exact = batch.mollified_energy(HESSIAN_EXACT, dhat, 1.0, x, threshold)[2]
-    psd = batch.mollified_energy(HESSIAN_PSD, dhat, 1.0, x, threshold)[2]
+    exact = batch.mollified_energy(PSD_NONE, dhat, 1.0, x, threshold)[2]
+    psd = batch.mollified_energy(PSD_CLAMP, dhat, 1.0, x, threshold)[2]
     assert np.all(np.isfinite(psd))
     values = np.linalg.eigvalsh(psd)
     assert np.all(values[:, 0] >= -1e-10 * np.maximum(values[:, -1], 1e-300))

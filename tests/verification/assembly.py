@@ -67,9 +67,9 @@ class Assembly:
 
     def elastic_hessian(self, positions: np.ndarray, mode: int) -> np.ndarray:
         """Matrix over free nodes [N/m], shape [env_count, 3 free_count, 3 free_count]."""
-        system = self.system()
+        system, modes = self.system(), self._modes(mode)
         for part in self.solver.elastic:
-            part.add_hessian(self.active, self.nodal(positions), system, mode)
+            part.add_hessian(self.active, self.nodal(positions), system, modes)
         return self.dense(system.values)
 
     def contact_system(
@@ -77,9 +77,12 @@ class Assembly:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Matrix and right-hand side [N] for a motion ``prescribed`` of the nodes without row."""
         self.collide(positions)
-        system = self.system(prescribed)
-        self.solver.contact.add_hessian(self.active, self.nodal(positions), system, mode)
+        system, modes = self.system(prescribed), self._modes(mode)
+        self.solver.contact.add_hessian(self.active, self.nodal(positions), system, modes)
         return self.dense(system.values), system.rhs.numpy()
+
+    def _modes(self, mode: int) -> wp.array:
+        return wp.full_like(self.active, mode)
 
     def system(self, prescribed: np.ndarray | None = None) -> NewtonSystem:
         """An empty Newton system."""

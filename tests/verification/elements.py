@@ -47,8 +47,9 @@ class ElementForces:
         system.values = wp.zeros((m.env_count, m.pattern.block_count), dtype=wp.mat33d)
         system.rhs = wp.zeros((m.env_count, m.free_count), dtype=wp.vec3d)
         system.displacements = self.nodal(motion)
+        modes = wp.full(m.env_count, mode, dtype=wp.int32)
         for part in self.parts:
-            part.add_hessian(self.active, x, system, mode)
+            part.add_hessian(self.active, x, system, modes)
         return system.values.numpy(), system.rhs.numpy()
 
     def hessian(self, positions: np.ndarray, mode: int) -> np.ndarray:

@@ -62,6 +62,8 @@ class Law:
     """``(e)``: u and its first two derivatives; the energy is l u [J/m^3]."""
     volumetric_modulus: Any
     """``(m, i)``: l [Pa], lambda without what the shape energy keeps of it."""
+    curvatures: Any = None
+    """``(f, mu, lam, pressure)``: those of exact_hessian.py [Pa], of laws that it holds for."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,7 @@ def _of_lame(
     pressed: Any,
     volumetric: _Volumetric,
     hessian: Any = None,
+    curvatures: Any = None,
 ) -> Law:
     """Law of functions (f, mu, lam); ``hessian``, if there is a quicker one without pressure."""
 
@@ -140,6 +143,7 @@ def _of_lame(
         volumetric.slope,
         volumetric.function,
         volumetric_modulus,
+        curvatures,
     )
 
 
@@ -209,6 +213,7 @@ LAWS = {
             neo_hookean.neo_hookean_pressed_hessian,
             _LOGARITHM,
             hessian=neo_hookean.neo_hookean_hessian,
+            curvatures=neo_hookean.neo_hookean_curvatures,
         ),
         _of_lame(
             MaterialModel.STABLE_NEO_HOOKEAN,

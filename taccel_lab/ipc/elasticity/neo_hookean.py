@@ -31,6 +31,7 @@ __all__ = [
     "PSD_CLAMP",
     "PSD_NONE",
     "log_excess",
+    "neo_hookean_curvatures",
     "neo_hookean_energy",
     "neo_hookean_hessian",
     "neo_hookean_piola",
@@ -156,3 +157,13 @@ def neo_hookean_pressed_hessian(
     slopes = wp.vec3d(wp.float64(0.5) * mu, zero, pressure - pull / j)
     curvatures = wp.vec3d(zero, zero, (pull + lam) / (j * j))
     return hessian_of_slopes(u, s, v, slopes, curvatures, mode)
+
+
+@wp.func
+def neo_hookean_curvatures(
+    f: wp.mat33d, mu: wp.float64, lam: wp.float64, pressure: wp.float64
+) -> wp.vec3d:
+    """a, c and e of the exact Hessian of psi + pressure J [Pa], see exact_hessian.py."""
+    j = wp.determinant(f)
+    push = pressure * j
+    return wp.vec3d(mu, mu - lam * wp.log(j) - push, lam + push)

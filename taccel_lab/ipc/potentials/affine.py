@@ -75,7 +75,7 @@ def _affine_hessian_kernel(
     control_starts: wp.array(dtype=wp.int32),
     lengths: wp.array(dtype=wp.float64),
     stiffness: wp.array(dtype=wp.float64),
-    psd_mode: int,
+    psd_modes: wp.array(dtype=wp.int32),
     system: NewtonSystem,
 ):
     env, body = wp.tid()
@@ -84,7 +84,7 @@ def _affine_hessian_kernel(
     start = control_starts[body]
     length = lengths[body]
     a = _body_map(env, start, length, positions)
-    h = orthogonality_hessian(a, stiffness[body], psd_mode)
+    h = orthogonality_hessian(a, stiffness[body], psd_modes[env])
     # Held in a variable: nine inlined copies of a block would only take longer to compile.
     count = int(3)
     for i in range(count):
@@ -126,9 +126,10 @@ class AffinePotential(Potential):
         self._launch(_affine_gradient_kernel, [active, positions, *self._bodies], [gradient])
 
     def add_hessian(
-        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_mode: int
+        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_modes: wp.array
     ) -> None:
-        """Add d^2 energy / dx^2 [N/m] to the Newton system; ``psd_mode`` is one of PSD_*."""
+        """Add d^2 energy / dx^2 [N/m] to the Newton system; ``psd_modes``: PSD_* of each
+        environment."""
         self._launch(
-            _affine_hessian_kernel, [active, positions, *self._bodies, psd_mode, system], []
+            _affine_hessian_kernel, [active, positions, *self._bodies, psd_modes, system], []
         )

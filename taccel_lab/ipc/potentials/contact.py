@@ -36,7 +36,7 @@ from taccel_lab.ipc.mollified_edge_edge import (
     mollifier_terms,
 )
 from taccel_lab.ipc.pair_hessian import (
-    HESSIAN_GAUSS_NEWTON,
+    GAUSS_NEWTON,
     pair_gradient,
     pair_hessian,
 )
@@ -220,7 +220,7 @@ def add_contact_hessian(
     curvature = mode
     if kind == 4:
         # The height over a plane is linear: its first term is the whole, and it is positive.
-        curvature = wp.static(int(HESSIAN_GAUSS_NEWTON))
+        curvature = wp.static(GAUSS_NEWTON)
     h = pair_hessian(pair, x0, x1, x2, x3, scale * e1, scale * e2, curvature)
     add_pair_hessian(env, nodes, h, part, parts, system)
     if mollified:
@@ -240,7 +240,7 @@ def _hessian_kernel(
     lists: CollisionLists,
     geometry: ContactGeometry,
     positions: wp.array2d(dtype=wp.vec3d),
-    mode: int,
+    modes: wp.array(dtype=wp.int32),
     parts: int,
     system: NewtonSystem,
 ):
@@ -248,7 +248,7 @@ def _hessian_kernel(
     if active[env] == 0:
         return
     for at in range(lists.room.starts[env] + lane, list_end(env, lists.room), lanes):
-        add_contact_hessian(env, at, lists, geometry, positions, mode, part, parts, system)
+        add_contact_hessian(env, at, lists, geometry, positions, modes[env], part, parts, system)
 
 
 class ContactPotential(EnergyTerm):
@@ -290,7 +290,7 @@ class ContactPotential(EnergyTerm):
         self._launch(_gradient_kernel, active, positions, [gradient, min_distance])
 
     def add_hessian(
-        self, active: wp.array, positions: wp.array, system: NewtonSystem, mode: int
+        self, active: wp.array, positions: wp.array, system: NewtonSystem, modes: wp.array
     ) -> None:
         """Add the Hessian of the collisions to the Newton system."""
         c, m = self.collisions, self.model
@@ -299,7 +299,7 @@ class ContactPotential(EnergyTerm):
         wp.launch(
             _hessian_kernel,
             dim=(m.env_count, lanes, parts),
-            inputs=[active, lanes, c.lists, c.geometry, positions, mode, parts, system],
+            inputs=[active, lanes, c.lists, c.geometry, positions, modes, parts, system],
             device=m.device,
             block_dim=STENCIL_THREADS,
         )

@@ -59,7 +59,7 @@ class ElementKernels:
     """Kernels of a kind of element with its material, launched over (environment, element):
 
     ``energy(active, x, data, out energies)``, ``gradient(active, x, data, out local_gradients)``,
-    ``hessian(active, x, data, psd_mode, out blocks)``.
+    ``hessian(active, x, data, psd_modes, out blocks)``.
     """
 
     energy: wp.Kernel
@@ -217,17 +217,17 @@ class ElementSum(Potential):
         )
 
     def add_hessian(
-        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_mode: int
+        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_modes: wp.array
     ) -> None:
         """Add d^2 energy / dx^2 [N/m] to the blocks of ``system``; what prescribed nodes that move
         contribute goes to its right-hand side [N]."""
-        self.write_hessians(active, positions, psd_mode)
+        self.write_hessians(active, positions, psd_modes)
         self.gather_hessians(active, system)
         self.gather_rim(active, system)
 
-    def write_hessians(self, active: wp.array, positions: wp.array, psd_mode: int) -> None:
+    def write_hessians(self, active: wp.array, positions: wp.array, psd_modes: wp.array) -> None:
         """Evaluate the blocks of all elements."""
-        self.launch(self.kernels.hessian, [active, positions, self.data, psd_mode], [self._blocks])
+        self.launch(self.kernels.hessian, [active, positions, self.data, psd_modes], [self._blocks])
 
     def gather_hessians(self, active: wp.array, system: NewtonSystem) -> None:
         """Add the blocks of the elements to the matrix, without atomics."""

@@ -55,9 +55,10 @@ class Potential(EnergyTerm):
         raise NotImplementedError
 
     def add_hessian(
-        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_mode: int
+        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_modes: wp.array
     ) -> None:
-        """Add d^2 energy / dx^2 [N/m] to the Newton system."""
+        """Add d^2 energy / dx^2 [N/m] to the Newton system, projected where ``psd_modes``
+        [env_count], one of PSD_*, says so."""
         raise NotImplementedError
 
 

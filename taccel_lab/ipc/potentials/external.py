@@ -138,7 +138,11 @@ class ExternalLoad(Potential):
         )
 
     def add_hessian(
-        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_mode: int = 0
+        self,
+        active: wp.array,
+        positions: wp.array,
+        system: NewtonSystem,
+        psd_modes: wp.array | None = None,
     ) -> None:
         """Nothing: the energy is linear."""
 

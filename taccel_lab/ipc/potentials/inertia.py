@@ -346,7 +346,11 @@ class InertiaPotential(Potential):
         self._launch(_derivative_kernel, active, positions, gradient)
 
     def add_hessian(
-        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_mode: int = 0
+        self,
+        active: wp.array,
+        positions: wp.array,
+        system: NewtonSystem,
+        psd_modes: wp.array | None = None,
     ) -> None:
         """Add M / s^2 [N/m] to the diagonal blocks; the same at all positions and definite."""
         m = self.model

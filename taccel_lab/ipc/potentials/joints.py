@@ -194,9 +194,13 @@ class JointPotential(Potential):
         )
 
     def add_hessian(
-        self, active: wp.array, positions: wp.array, system: NewtonSystem, psd_mode: int = 0
+        self,
+        active: wp.array,
+        positions: wp.array,
+        system: NewtonSystem,
+        psd_modes: wp.array | None = None,
     ) -> None:
-        """Add the Gauss-Newton matrix [N/m], positive semidefinite in every ``psd_mode``, and to
+        """Add the Gauss-Newton matrix [N/m], positive semidefinite in every mode, and to
         the right-hand side what the motion of kinematic frames to their goals asks for [N]."""
         self._evaluate(active, positions)
         inputs = [active, self._values, self._derivatives, self._poses, self._goals]

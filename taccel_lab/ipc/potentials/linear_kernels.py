@@ -8,11 +8,13 @@ scene uses is never compiled.
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import warp as wp
 
+from taccel_lab.ipc.elasticity.exact_hessian import exact_block
 from taccel_lab.ipc.elasticity.laws import Law
-from taccel_lab.ipc.elasticity.principal import principal_block
+from taccel_lab.ipc.elasticity.principal import PSD_NONE, PrincipalHessian, principal_block
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels, modulus_index
 from taccel_lab.ipc.potentials.staged_rows import (
     flush_blocks,
@@ -41,12 +43,94 @@ def linear_deformation(
     )
 
 
+@wp.struct
+class CornerBlocks:
+    """Blocks of the corners 1, 2 and 3 of a tet [N/m]; those of corner 0 follow."""
+
+    h_11: wp.mat33d
+    h_12: wp.mat33d
+    h_13: wp.mat33d
+    h_22: wp.mat33d
+    h_23: wp.mat33d
+    h_33: wp.mat33d
+
+
+@wp.func
+def _principal_blocks(
+    env: int, tet: int, h: PrincipalHessian, volume: wp.float64, d: ElementData
+) -> CornerBlocks:
+    rest = env % d.volumes.shape[0]
+    to_principal = wp.transpose(h.v)
+    beta_1 = to_principal * d.gradients[rest, tet, 1]
+    beta_2 = to_principal * d.gradients[rest, tet, 2]
+    beta_3 = to_principal * d.gradients[rest, tet, 3]
+    b = CornerBlocks()
+    b.h_11 = principal_block(h, volume * beta_1, beta_1)
+    b.h_12 = principal_block(h, volume * beta_1, beta_2)
+    b.h_13 = principal_block(h, volume * beta_1, beta_3)
+    b.h_22 = principal_block(h, volume * beta_2, beta_2)
+    b.h_23 = principal_block(h, volume * beta_2, beta_3)
+    b.h_33 = principal_block(h, volume * beta_3, beta_3)
+    return b
+
+
+@wp.func
+def _exact_blocks(
+    env: int, tet: int, f: wp.mat33d, curvatures: wp.vec3d, volume: wp.float64, d: ElementData
+) -> CornerBlocks:
+    rest = env % d.volumes.shape[0]
+    a = volume * curvatures[0]
+    c = volume * curvatures[1]
+    e = volume * curvatures[2]
+    inverse = wp.transpose(wp.inverse(f))
+    b_1 = d.gradients[rest, tet, 1]
+    b_2 = d.gradients[rest, tet, 2]
+    b_3 = d.gradients[rest, tet, 3]
+    g_1 = inverse * b_1
+    g_2 = inverse * b_2
+    g_3 = inverse * b_3
+    b = CornerBlocks()
+    b.h_11 = exact_block(c, e, a * wp.dot(b_1, b_1), g_1, g_1)
+    b.h_12 = exact_block(c, e, a * wp.dot(b_1, b_2), g_1, g_2)
+    b.h_13 = exact_block(c, e, a * wp.dot(b_1, b_3), g_1, g_3)
+    b.h_22 = exact_block(c, e, a * wp.dot(b_2, b_2), g_2, g_2)
+    b.h_23 = exact_block(c, e, a * wp.dot(b_2, b_3), g_2, g_3)
+    b.h_33 = exact_block(c, e, a * wp.dot(b_3, b_3), g_3, g_3)
+    return b
+
+
+def _law_blocks(law: Law) -> Any:
+    """``(env, tet, f, volume, i, psd_mode, d)``: CornerBlocks of a material."""
+    hessian = law.hessian
+
+    @wp.func
+    def principal(
+        env: int, tet: int, f: wp.mat33d, volume: wp.float64, i: int, mode: int, d: ElementData
+    ) -> CornerBlocks:
+        return _principal_blocks(env, tet, hessian(f, d.moduli, i, mode), volume, d)
+
+    if law.curvatures is None:
+        return principal
+    curvatures = law.curvatures
+
+    @wp.func
+    def quickest(
+        env: int, tet: int, f: wp.mat33d, volume: wp.float64, i: int, mode: int, d: ElementData
+    ) -> CornerBlocks:
+        if mode == PSD_NONE:
+            found = curvatures(f, d.moduli.mu[i], d.moduli.lam[i], wp.float64(0.0))
+            return _exact_blocks(env, tet, f, found, volume, d)
+        return principal(env, tet, f, volume, i, mode, d)
+
+    return quickest
+
+
 @cache
 def create_linear_kernels(law: Law) -> ElementKernels:
     """The kernels of a material, in a module of their own."""
     energy = law.energy
     piola = law.piola
-    hessian = law.hessian
+    blocks_of = _law_blocks(law)
     module = wp.get_module(f"{__name__}.{law.model.value}")
     wp.set_module_options({"enable_backward": False}, module=module)
 
@@ -87,7 +171,7 @@ def create_linear_kernels(law: Law) -> ElementKernels:
         active: wp.array(dtype=wp.int32),
         positions: wp.array2d(dtype=wp.vec3d),
         d: ElementData,
-        psd_mode: int,
+        psd_modes: wp.array(dtype=wp.int32),
         blocks: wp.array3d(dtype=wp.mat33d),
     ):
         env, tet = wp.tid()
@@ -96,32 +180,22 @@ def create_linear_kernels(law: Law) -> ElementKernels:
         if active[env] != 0:
             rest = env % d.volumes.shape[0]
             f = linear_deformation(env, tet, positions, d)
-            volume = d.volumes[rest, tet]
-            h = hessian(f, d.moduli, modulus_index(env, tet, d), psd_mode)
-            to_principal = wp.transpose(h.v)
-            beta_1 = to_principal * d.gradients[rest, tet, 1]
-            beta_2 = to_principal * d.gradients[rest, tet, 2]
-            beta_3 = to_principal * d.gradients[rest, tet, 3]
-            h_11 = principal_block(h, volume * beta_1, beta_1)
-            h_12 = principal_block(h, volume * beta_1, beta_2)
-            h_13 = principal_block(h, volume * beta_1, beta_3)
-            h_22 = principal_block(h, volume * beta_2, beta_2)
-            h_23 = principal_block(h, volume * beta_2, beta_3)
-            h_33 = principal_block(h, volume * beta_3, beta_3)
+            i = modulus_index(env, tet, d)
+            h = blocks_of(env, tet, f, d.volumes[rest, tet], i, psd_modes[env], d)
             # A rigid translation costs nothing: corner 0 has minus the sums of the others.
-            h_10 = -(h_11 + h_12 + h_13)
-            h_20 = -(wp.transpose(h_12) + h_22 + h_23)
-            h_30 = -(wp.transpose(h_13 + h_23) + h_33)
+            h_10 = -(h.h_11 + h.h_12 + h.h_13)
+            h_20 = -(wp.transpose(h.h_12) + h.h_22 + h.h_23)
+            h_30 = -(wp.transpose(h.h_13 + h.h_23) + h.h_33)
             put_block(stage, blocks, item, 0, -(h_10 + h_20 + h_30))
             put_block(stage, blocks, item, 1, wp.transpose(h_10))
             put_block(stage, blocks, item, 2, wp.transpose(h_20))
             put_block(stage, blocks, item, 3, wp.transpose(h_30))
-            put_block(stage, blocks, item, 4, h_11)
-            put_block(stage, blocks, item, 5, h_12)
-            put_block(stage, blocks, item, 6, h_13)
-            put_block(stage, blocks, item, 7, h_22)
-            put_block(stage, blocks, item, 8, h_23)
-            put_block(stage, blocks, item, 9, h_33)
+            put_block(stage, blocks, item, 4, h.h_11)
+            put_block(stage, blocks, item, 5, h.h_12)
+            put_block(stage, blocks, item, 6, h.h_13)
+            put_block(stage, blocks, item, 7, h.h_22)
+            put_block(stage, blocks, item, 8, h.h_23)
+            put_block(stage, blocks, item, 9, h.h_33)
         flush_blocks(stage, blocks, item, active[env] != 0)
 
     return ElementKernels(_linear_energy_kernel, _linear_gradient_kernel, _linear_hessian_kernel)

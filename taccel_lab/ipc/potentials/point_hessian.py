@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.elasticity.exact_hessian import exact_block
 from taccel_lab.ipc.elasticity.principal import PrincipalHessian
 from taccel_lab.ipc.svd import matrix_column
 
@@ -49,4 +50,25 @@ def point_hessian(p: PrincipalHessian) -> PointHessian:
     h.k_01 = _coupling_block(p, 0, 1)
     h.k_02 = _coupling_block(p, 0, 2)
     h.k_12 = _coupling_block(p, 1, 2)
+    return h
+
+
+@wp.func
+def exact_point_hessian(f: wp.mat33d, curvatures: wp.vec3d) -> PointHessian:
+    """The blocks of curvatures as in exact_hessian.py, in the frame of the gradients."""
+    c = curvatures[1]
+    e = curvatures[2]
+    inverse = wp.transpose(wp.inverse(f))
+    g_0 = matrix_column(inverse, 0)
+    g_1 = matrix_column(inverse, 1)
+    g_2 = matrix_column(inverse, 2)
+    none = wp.float64(0.0)
+    h = PointHessian()
+    h.frame = wp.identity(n=3, dtype=wp.float64)
+    h.k_00 = exact_block(c, e, curvatures[0], g_0, g_0)
+    h.k_11 = exact_block(c, e, curvatures[0], g_1, g_1)
+    h.k_22 = exact_block(c, e, curvatures[0], g_2, g_2)
+    h.k_01 = exact_block(c, e, none, g_0, g_1)
+    h.k_02 = exact_block(c, e, none, g_0, g_2)
+    h.k_12 = exact_block(c, e, none, g_1, g_2)
     return h

@@ -242,13 +242,14 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         active: wp.array(dtype=wp.int32),
         positions: wp.array2d(dtype=wp.vec3d),
         d: ElementData,
-        psd_mode: int,
+        psd_modes: wp.array(dtype=wp.int32),
         blocks: wp.array3d(dtype=wp.mat33d),
     ):
         env, tet = wp.tid()
         if active[env] == 0:
             return
         rest = env % d.volumes.shape[0]
+        psd_mode = psd_modes[env]
         i = modulus_index(env, tet, d)
         # Held in a variable so that Warp keeps the loops rolled.
         node_count = d.nodes.shape[1]

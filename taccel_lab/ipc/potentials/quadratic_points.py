@@ -10,8 +10,13 @@ import warp as wp
 from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.elasticity.dilatation import volume_growth
 from taccel_lab.ipc.elasticity.laws import LAWS
+from taccel_lab.ipc.elasticity.principal import PSD_NONE
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels
-from taccel_lab.ipc.potentials.point_hessian import PointHessian, point_hessian
+from taccel_lab.ipc.potentials.point_hessian import (
+    PointHessian,
+    exact_point_hessian,
+    point_hessian,
+)
 from taccel_lab.ipc.potentials.quadratic_guard import needs_guard, needs_none
 from taccel_lab.ipc.potentials.quadratic_kernels import (
     PointLaw,
@@ -44,7 +49,7 @@ def _pressure_of_matrix(pressure: wp.float64, mu: wp.float64, mode: int) -> wp.f
     pressure below zero (compression) makes every rotation's eigenvalue negative. Leaving such parts
     out is exact where the pressure is even, and always positive.
     """
-    if mode == 0:
+    if mode == PSD_NONE:
         return pressure
     return wp.clamp(pressure, wp.float64(0.0), mu)
 
@@ -79,11 +84,26 @@ def elastic_quadratic_kernels(model: MaterialModel) -> ElementKernels:
         return law_dilatation(f)
 
     @wp.func
-    def hessian(
+    def principal(
         f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int, pressure: wp.float64, mode: int
     ) -> PointHessian:
         bounded = pressure_of_matrix(pressure, d.moduli.mu[i], mode)
         return point_hessian(pressed(f, d.moduli, i, bounded, mode))
+
+    hessian = principal
+    if law.curvatures is not None:
+        curvatures = law.curvatures
+
+        @wp.func
+        def quickest(
+            f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int, pressure: wp.float64, mode: int
+        ) -> PointHessian:
+            if mode == PSD_NONE:
+                found = curvatures(f, d.moduli.mu[i], wp.float64(0.0), pressure)
+                return exact_point_hessian(f, found)
+            return principal(f, start, d, i, pressure, mode)
+
+        hessian = quickest
 
     return create_quadratic_kernels(
         PointLaw(

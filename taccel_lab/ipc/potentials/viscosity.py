@@ -109,7 +109,7 @@ def _linear_hessian_kernel(
     active: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     d: ElementData,
-    psd_mode: int,
+    psd_modes: wp.array(dtype=wp.int32),
     blocks: wp.array3d(dtype=wp.mat33d),
 ):
     env, tet = wp.tid()
@@ -118,7 +118,7 @@ def _linear_hessian_kernel(
     rest = env % d.volumes.shape[0]
     f = linear_deformation(env, tet, positions, d)
     gained = green_strain(f) - d.start_strains[env, tet, 0]
-    stress = lifted_matrix(_linear_stress(gained, d, env, tet), psd_mode)
+    stress = lifted_matrix(_linear_stress(gained, d, env, tet), psd_modes[env])
     at = modulus_index(env, tet, d)
     mu = _share(env, tet, d) * d.moduli.mu[at]
     lam = _share(env, tet, d) * d.moduli.lam[at]

@@ -153,9 +153,11 @@ class Contact:
                 found[:, parents[node] + k] += weights[node, k] * found[:, node]
         gradient.assign(gradient.numpy() + found)
 
-    def add_hessian(self, active: wp.array, x: wp.array, system: NewtonSystem, mode: int) -> None:
+    def add_hessian(
+        self, active: wp.array, x: wp.array, system: NewtonSystem, modes: wp.array
+    ) -> None:
         self._collide(active, x)
-        self.potential.add_hessian(active, x, system, mode)
+        self.potential.add_hessian(active, x, system, modes)
 
 
 @lru_cache
@@ -328,7 +330,7 @@ def test_prescribed_motion_reaches_the_right_hand_side() -> None:
         active, positions, wp.zeros_like(positions), contact.poses, contact.poses, 1e-3
     )
     contact.collisions.update(active, positions, contact.candidates)
-    contact.potential.add_hessian(active, positions, system, 0)
+    contact.potential.add_hessian(active, positions, system, wp.zeros(1, dtype=wp.int32))
     matrix, rhs = dense(model, system)[0], system.rhs.numpy()[0]
     assert rhs[:, 2].max() > 1
     # A flat contact: the plate's motion is worth that of all gel nodes together.

@@ -95,7 +95,7 @@ def test_inertia_matches_its_formula_and_differences(order: int) -> None:
     np.testing.assert_allclose(gradient, slope.reshape(-1, 3), atol=1e-7 * np.abs(gradient).max())
 
     system = assembly.system()
-    inertia.add_hessian(assembly.active, at_x, system, 1)
+    inertia.add_hessian(assembly.active, at_x, system)
     matrix = assembly.dense(system.values)[0]
     np.testing.assert_allclose(matrix, np.diag(np.repeat(masses[free] / span**2, 3)), rtol=1e-13)
 
