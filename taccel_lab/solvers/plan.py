@@ -48,12 +48,10 @@ def _count(number: int, what: str) -> str:
 
 
 def _capture(solver: SolverParts) -> tuple[bool, str]:
-    """Whether steps become graphs, and why not."""
-    if solver.captures:
+    """Whether steps become graphs."""
+    if solver.config.capture:
         return True, "a step is one launch, from the second with the same state on"
-    if not solver.config.capture:
-        return False, "SolverConfig.capture is off"
-    return False, "the host refits the trees of soft bodies that may touch"
+    return False, "SolverConfig.capture is off"
 
 
 def make_plan(solver: SolverParts) -> Plan:

@@ -126,13 +126,6 @@ class SolverParts:
         self.share_energies()
 
     @property
-    def captures(self) -> bool:
-        """Whether steps become graphs."""
-        return self.config.capture and (
-            self.model.device.is_cuda or not self.model.contact_plan.soft_to_soft
-        )
-
-    @property
     def active(self) -> wp.array:
         """Mask of the environments that a step works on, int32, shape [env_count]."""
         return self.progress.data.active

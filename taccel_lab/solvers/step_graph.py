@@ -33,7 +33,7 @@ class StepGraphs:
     def launch(self, state: State) -> None:
         """Take a step of the environments in ``progress.who`` to ``end_poses``."""
         run = StepLaunches(self._solver, state)
-        if not self._solver.captures:
+        if not self._solver.config.capture:
             take_step(run)
             return
         s = self._solver

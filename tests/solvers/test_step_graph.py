@@ -88,6 +88,46 @@ def test_a_captured_run_is_bitwise_the_same(eager: np.ndarray) -> None:
     assert solver.graphs.launches == STEPS - 2
 
 
+def gel_on_gel() -> Scene:
+    """A gel on a mount above another one, out of reach."""
+    mesh = block_mesh((3, 3, 2), (5e-3, 5e-3, 3e-3))
+    lower = SoftBody(
+        mesh, Material(1e5, 0.4), name="lower", friction_coefficient=0.5, element=Element.LINEAR
+    )
+    upper = SoftBody(
+        mesh,
+        Material(5e4, 0.4),
+        name="upper",
+        mount="hand",
+        friction_coefficient=0.5,
+        element=Element.LINEAR,
+    )
+    return Scene([lower, upper], [KinematicBody(None, name="hand")])
+
+
+@pytest.mark.parametrize("first_contact", [1, 5])
+def test_trees_of_soft_bodies_are_refitted_in_a_graph(first_contact: int) -> None:
+    """Also where the graph is recorded while they are out of reach, and searches no tree."""
+    heights = np.concatenate([np.linspace(1e-3, 2e-4, first_contact), -1e-4 * np.arange(1, 7)])
+    ends = []
+    for capture in (False, True):
+        model = gel_on_gel().finalize()
+        solver = SolverIPC(model, SolverConfig(dhat_m=5e-5, capture=capture))
+        targets = [
+            np.array([[[3e-4 + 1e-4 * k, 2e-4, z, 1.0, 0, 0, 0]]]) for k, z in enumerate(heights)
+        ]
+        state = initial_state(model, targets[0])
+        forces = []
+        for target in targets[1:]:
+            report = solver.step(state, target)
+            assert report.converged.all(), report.summary()
+            forces.append(report.contact_force_n[0])
+        assert (np.array(forces[: first_contact - 1]) == 0).all() and min(forces[-6:]) > 0
+        assert solver.graphs.launches == (len(targets) - 2 if capture else 0)
+        ends.append(state.positions.numpy())
+    np.testing.assert_array_equal(*ends)
+
+
 def test_targets_may_be_on_the_device(eager: np.ndarray) -> None:
     solver, state = make()
     np.testing.assert_array_equal(run(solver, state, on_device=True), eager)
