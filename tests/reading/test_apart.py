@@ -151,8 +151,9 @@ def test_a_plain_script_needs_no_guard_and_ctrl_c_leaves_nothing(tmp_path: Path)
     child = int(run.stdout.readline())
     time.sleep(0.5)  # until it waits for the sleeper, as somebody who grows impatient
     run.send_signal(signal.SIGINT)
-    assert run.wait(10) != 0
+    # Machines that do other things as well take their time.
+    assert run.wait(60) != 0
     with pytest.raises(ProcessLookupError):
-        for _ in range(100):
+        for _ in range(600):
             os.kill(child, 0)
-            time.sleep(0.05)
+            time.sleep(0.1)
