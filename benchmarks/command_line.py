@@ -26,6 +26,7 @@ COMMANDS = {
     "press_accuracy": "press_accuracy:PressAccuracy",
     "scaling": "scaling:Scaling",
     "skips": "skips:Skips",
+    "precision": "precision:Precision",
     "stress": "stress.suite:Stress",
     "peers": "peers:Peers",
     "study": "design_study:Study",

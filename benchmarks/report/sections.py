@@ -235,6 +235,25 @@ def skips(document: Document) -> Iterator[str]:
     yield markdown_table(head, rows)
 
 
+def precision(document: Document) -> Iterator[str]:
+    """Double beside single."""
+    rows = []
+    for double, single in zip(document["rows"][::2], document["rows"][1::2], strict=False):
+        both = (double, single)
+        failed = [f"{row['residual']['unconverged']} of {row['steps']}" for row in both]
+        rows.append(
+            [
+                double["scene"],
+                f"{double['tolerance']:.0e}",
+                " / ".join(failed),
+                " / ".join(number(row["newton_mean"]) for row in both),
+                " / ".join(number(row["ms_per_step"]) for row in both),
+            ]
+        )
+    head = ["scene", "residual over contact force", "steps that fail: double / single"]
+    yield markdown_table([*head, "Newton a step", "ms a step"], rows)
+
+
 def peers(results: Results) -> str:
     """The field's table with ours beside it, each with its conditions."""
     field = read_field()["peg"]
@@ -388,6 +407,7 @@ SECTIONS: dict[str, Section] = {
     "error": partial(of_each_result, "error", error),
     "scaling": partial(of_each_result, "scaling", scaling),
     "skips": partial(of_each_result, "skips", skips),
+    "precision": partial(of_each_result, "precision", precision),
     "stress": partial(of_each_result, "stress", stress),
     "study": partial(of_each_result, "study", study),
     "captures": partial(of_each_result, "captures", captures),

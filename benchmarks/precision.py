@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The suite ``precision``: what is left of a solve when all numbers have single precision.
+
+The scenes run with the package as it is and with a copy of it in which all types are exchanged in
+the text, so that nothing of the package has to know of a second precision. Both run in processes of
+their own.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+import taccel_lab
+from taccel_lab.benchmarks.results import ResultFile
+from taccel_lab.benchmarks.suite import Suite
+from taccel_lab.errors import InputError, SimulationError
+
+PACKAGE = Path(taccel_lab.__file__).parent
+_TYPES = (
+    (re.compile(r"\bwp\.float64\b"), "wp.float32"),
+    (re.compile(r"\bwp\.(vec\d|mat\d+|quat|transform)d\b"), r"wp.\1f"),
+    (re.compile(r"\bwp::float64\b"), "wp::float32"),
+    # What keeps divisors from zero is zero itself in single precision.
+    (re.compile(r"\b1\.0e-300\b"), "1.0e-30"),
+    (re.compile(r"\b1\.0e-150\b"), "1.0e-18"),
+)
+_DOUBLE = re.compile(r"\bdouble\b")
+_OTHER = {
+    "model/env_rows.py": (
+        ("type_size_in_bytes(array.dtype) // 8", "type_size_in_bytes(array.dtype) // 4"),
+        ("type_size_in_bytes(dtype) // 8", "type_size_in_bytes(dtype) // 4"),
+        (
+            "host_values(value, name, expected)\n",
+            "host_values(value, name, expected).astype('f')\n",
+        ),
+    ),
+    "solvers/report.py": (
+        ("2 * (rows.shape[0] - count)", "rows.shape[0] - count"),
+        ("(len(_INTS) + 1) // 2", "len(_INTS)"),
+    ),
+}
+"""Where the width of a number is counted on."""
+
+
+def write_single_precision(folder: Path) -> Path:
+    """Copy the package into ``folder`` with all types exchanged; returns the copy.
+
+    Raises:
+        InputError: The folder holds a package already, or a place that has to change is gone.
+    """
+    copy = folder / "taccel_lab"
+    if copy.exists():
+        raise InputError(f"{copy} exists already")
+    shutil.copytree(Path(taccel_lab.__file__).parent, copy, symlinks=False)
+    for path in copy.rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        for pattern, other in _TYPES:
+            text = pattern.sub(other, text)
+        if path.is_relative_to(copy / "ipc"):  # Elsewhere it is a word of file formats.
+            text = _DOUBLE.sub("float", text)
+        for old, new in _OTHER.get(path.relative_to(copy).as_posix(), ()):
+            if old not in text:
+                raise InputError(f"{path.name} no longer says {old!r}: look what does now")
+            text = text.replace(old, new)
+        path.write_text(text, encoding="utf-8")
+    return copy
+
+
+@dataclass(frozen=True)
+class Precision(Suite):
+    """Scenes in double and in single precision, at several tolerances."""
+
+    name: ClassVar[str] = "precision"
+    what: ClassVar[str] = (
+        "Steps that converge, Newton iterations and residual in double and in single precision."
+    )
+    scene: tuple[str, ...] = ("press_239", "peg", "bolt")
+    """Scenes."""
+    steps: int = 40
+    """First steps of each motion."""
+    tolerances: tuple[float, ...] = (1e-2, 1e-3, 1e-4)
+    """Residual over the contact force at which a step counts as converged; the same number of
+    newtons is enough, too, but never more than 1 mN."""
+    iterations: int = 100
+    """Newton iterations after which a step has failed; it is not halved."""
+
+    def settings(self) -> dict[str, Any]:
+        return {"steps": self.steps, "max_newton_iterations": self.iterations}
+
+    def measure_rows(self, result: ResultFile) -> None:
+        """By scene and tolerance, double before single."""
+        if min(self.steps, self.iterations) < 1 or min(self.tolerances) <= 0:
+            raise InputError("--steps, --iterations and --tolerances must be positive")
+        with tempfile.TemporaryDirectory() as folder:
+            single = write_single_precision(Path(folder)).parent
+            for scene in self.scene:
+                for tolerance in self.tolerances:
+                    for precision, root in (("double", PACKAGE.parent), ("single", single)):
+                        label = f"{scene}, {precision}, {tolerance:g}"
+                        row = partial(measure, scene, precision, root, tolerance, self)
+                        result.measure(label, row, describe)
+
+
+def measure(
+    scene: str, precision: str, root: Path, tolerance: float, options: Precision
+) -> dict[str, Any]:
+    """One row: the suite ``speed`` in a process that imports the package from ``root``."""
+    chosen = {
+        "relative_tolerance": tolerance,
+        "absolute_tolerance_n": min(tolerance, 1e-3),
+        "max_newton_iterations": options.iterations,
+        "max_substep_halvings": 0,
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "speed.json"
+        command = [sys.executable, "-m", "taccel_lab.benchmarks", "speed", "--scene", scene]
+        command += ["--steps", str(options.steps), "--repeats", "1", "--device", options.device]
+        command += ["--no-startup", "--no-check", "--out", str(out), "--set"]
+        run = subprocess.run(
+            [*command, *(f"{name}={value}" for name, value in chosen.items())],
+            cwd=folder,
+            env={
+                **os.environ,
+                "PYTHONPATH": os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")]),
+            },
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if run.returncode != 0:
+            raise SimulationError(f"{scene} in {precision} precision: {run.stderr.strip()[-500:]}")
+        found = json.loads(out.read_text(encoding="utf-8"))["rows"][0]
+    return {
+        "scene": scene,
+        "precision": precision,
+        "tolerance": tolerance,
+        **{key: found[key] for key in ("steps", "newton_mean", "newton_worst", "residual")},
+        "ms_per_step": found["ms_per_step"]["median"],
+        "contact_force_mean_n": found["contact_force_mean_n"],
+    }
+
+
+def describe(row: dict[str, Any]) -> str:
+    """One line for the terminal."""
+    failed = row["residual"]["unconverged"]
+    return (
+        f"{row['scene']}, {row['precision']}, {row['tolerance']:g}: {failed} of {row['steps']} "
+        f"steps failed, Newton {row['newton_mean']:.1f}, {row['ms_per_step']:.1f} ms a step"
+    )
