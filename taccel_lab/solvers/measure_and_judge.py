@@ -21,6 +21,9 @@ _NOT_A_NUMBER = wp.constant(int(EnvStatus.NOT_A_NUMBER))
 _FRICTION = wp.constant(int(EnvStatus.FRICTION))
 _JOINT = wp.constant(int(EnvStatus.JOINT))
 _TOUCHING = wp.constant(int(EnvStatus.TOUCHING))
+FREEZE_BELOW = 0.3
+"""Part of the last change by freezing, or in a first contact of the contact force, to which the
+residual has to fall before friction is frozen anew."""
 
 
 @wp.func
@@ -85,8 +88,8 @@ def settle(env: int, p: EnvProgress, r: Rules):
     """Stop what has converged; with friction, choose where it is frozen anew.
 
     Not where joints are open. While freezing anew still changes forces, solving in between to the
-    last digit is wasted: a tenth of the last change is enough, and one step when damped. In a first
-    contact friction waits for a residual of a tenth of the contact force: frames on their way
+    last digit is wasted: ``FREEZE_BELOW`` of the last change is enough, and one step when damped.
+    In a first contact friction waits for as small a part of the contact force: frames on their way
     squeeze what lies ahead, and friction frozen then holds it there.
     """
     if p.active[env] != 0:
@@ -101,7 +104,7 @@ def settle(env: int, p: EnvProgress, r: Rules):
                 change = p.lag_change[env]
                 if p.untouched[env] != 0:
                     change = wp.min(change, enough / r.relative_tolerance)
-                enough = wp.max(enough, wp.float64(0.3) * change)
+                enough = wp.max(enough, wp.float64(FREEZE_BELOW) * change)
                 if p.excess[env] <= enough or p.damping[env] < wp.float64(1.0):
                     enter(env, FREEZING, p)
                     p.freezing[0] = 1

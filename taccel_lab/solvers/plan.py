@@ -47,13 +47,6 @@ def _count(number: int, what: str) -> str:
     return f"{number:,} {what if number != 1 else one}"
 
 
-def _capture(solver: SolverParts) -> tuple[bool, str]:
-    """Whether steps become graphs."""
-    if solver.config.capture:
-        return True, "a step is one launch, from the second with the same state on"
-    return False, "SolverConfig.capture is off"
-
-
 def make_plan(solver: SolverParts) -> Plan:
     """Read the plan off what the solver has built."""
     model, scene = solver.model, solver.model.scene
@@ -145,6 +138,12 @@ def make_plan(solver: SolverParts) -> Plan:
             else "all bodies are in all environments",
         ),
         ("linear solver", True, solver.linear.describe()),
-        ("captured graph", *_capture(solver)),
+        (
+            "captured graph",
+            solver.config.capture,
+            "a step is one launch, from the second with the same state on"
+            if solver.config.capture
+            else "SolverConfig.capture is off",
+        ),
     ]
     return Plan(tuple(PlanEntry(*entry) for entry in entries))

@@ -7,7 +7,7 @@ For psi = a/2 tr F^T F + phi(J) a change dF turns the stress P = a F + phi' J F^
 
 so that the block of two nodes with shape gradients b_i, b_j is a (b_i . b_j) I + c g_j g_i^T
 + e g_i g_j^T, where g = F^-T b, c = -phi' J and e = phi'' J^2 + phi' J. On one core that takes a
-tenth of the time of the principal frame (principal.py), which a projection needs.
+fifth of the time of the principal frame (principal.py), which a projection needs.
 """
 
 from __future__ import annotations
