@@ -14,7 +14,7 @@ from taccel_lab.errors import InputError
 
 def test_nothing_of_the_copy_is_double(tmp_path: Path) -> None:
     copy = write_single_precision(tmp_path)
-    texts = {path: path.read_text() for path in copy.rglob("*.py")}
+    texts = {path: path.read_text(encoding="utf-8") for path in copy.rglob("*.py")}
     assert len(texts) > 500
     for path, text in texts.items():
         if path.name != "precision.py":
@@ -29,7 +29,7 @@ def test_nothing_of_the_copy_is_double(tmp_path: Path) -> None:
 def test_single_precision_stops_short_of_what_double_reaches(tmp_path: Path) -> None:
     out = tmp_path / "found.json"
     Precision(scene=("press_239",), steps=6, tolerances=(1e-2, 1e-4), out=out).run()
-    rows = json.loads(out.read_text())["rows"]
+    rows = json.loads(out.read_text(encoding="utf-8"))["rows"]
     failed = {(r["precision"], r["tolerance"]): r["residual"]["unconverged"] for r in rows}
     assert failed["double", 1e-2] == failed["double", 1e-4] == 0
     assert failed["single", 1e-4] > failed["single", 1e-2]
