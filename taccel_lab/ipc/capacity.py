@@ -33,8 +33,8 @@ _SHARE = 0.9
 
 def initial_capacity(env_count: int) -> int:
     """Entries of an environment that a list has room for at first: memory matters when there are
-    many lists."""
-    return 4096 if env_count <= 16 else 512
+    many lists, and what more they need they get in their first steps."""
+    return 4096 if env_count <= 16 else 128
 
 
 @wp.struct

@@ -22,7 +22,7 @@ from taccel_lab.bodies.surface_topology import (
 )
 from taccel_lab.model.contact_plan import BodySurface, contact_plan
 from taccel_lab.model.elastic import SoftDiscretization, build_element_groups, discretize
-from taccel_lab.model.matrix_pattern import block_pattern
+from taccel_lab.model.matrix_pattern import block_gather, block_pattern
 from taccel_lab.model.model import AffineArrays, BodyKind, BodyRange, Model, RigidTarget
 from taccel_lab.model.surface import Put, surface_arrays, surface_trees
 
@@ -342,19 +342,25 @@ def build_model(
     surfaces = _surfaces(layout, topology, face_starts)
     marks = _node_marks(scene, layout)
 
-    groups, connectivities = build_element_groups(
-        scene.soft_bodies, layout.soft, layout.starts[: len(layout.soft)], put
-    )
     moving = np.zeros(layout.node_count, dtype=bool)
     moving[layout.frame_followers()[0].astype(int)] = True
+    groups, parts = build_element_groups(
+        scene.soft_bodies,
+        layout.soft,
+        layout.starts[: len(layout.soft)],
+        free_index >= 0,
+        moving,
+        put,
+    )
     couples = _contact_couples(scene, layout, free_index)
     if not contact_in_pattern or len(couples) > MAX_CONTACT_COUPLES:
         couples = couples[:0]
-    pattern, gathers = block_pattern(
-        [*connectivities, _affine_connectivity(scene, layout), couples], free_index, moving
+    connectivities = [part.elements for part in parts]
+    pattern = block_pattern(
+        [*connectivities, _affine_connectivity(scene, layout), couples], free_index
     )
-    for group, gather in zip(groups, gathers, strict=False):
-        group.set_gather(gather, put)
+    for group, part in zip(groups, parts, strict=True):
+        group.set_gather(block_gather(pattern, part.first, part.second, free_index, moving), put)
 
     bodies = scene.bodies
     plan = contact_plan(scene, surfaces, put)

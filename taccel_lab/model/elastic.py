@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,8 +15,25 @@ from taccel_lab.bodies.element import Element
 from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region
-from taccel_lab.model.matrix_pattern import BlockGather, node_gather
+from taccel_lab.model.element_chunks import ChunkTables, chunk_lanes, chunk_sums
+from taccel_lab.model.matrix_pattern import BlockGather, node_gather, pair_nodes
 from taccel_lab.model.surface import Put
+
+
+@dataclass(frozen=True)
+class ElementChunks:
+    """Chunks of the elements of a group, and what each adds up before it is written."""
+
+    lanes: wp.array
+    """Element of each lane, -1 for none, int32, shape [lane_count]."""
+    blocks: ChunkTables
+    """Sums of element blocks."""
+    block_count: int
+    """Sums of element blocks, of all chunks."""
+    forces: ChunkTables
+    """Sums of nodal forces."""
+    force_count: int
+    """Sums of nodal forces, of all chunks."""
 
 
 @dataclass
@@ -51,6 +69,12 @@ class ElementArrays:
     """Range of each of them in ``node_entries``, int32."""
     node_entries: wp.array
     """nodes_per_element * element + local node, int32."""
+    chunks: ElementChunks | None
+    """Chunks of linear tets; None where each element keeps what it contributes to itself."""
+    force_starts: wp.array
+    """Range of each of ``gather_nodes`` in ``force_parts``, int32."""
+    force_parts: wp.array
+    """Forces that add up at it: sums of chunks, or ``node_entries``, int32."""
     blocks: wp.array
     """This and the following: see BlockGather; filled in by ``set_gather``."""
     source_starts: wp.array
@@ -166,21 +190,37 @@ def discretize(body: SoftBody) -> SoftDiscretization:
     )
 
 
+@dataclass(frozen=True)
+class BlockParts:
+    """What a group adds to a matrix: its connectivity, and what it writes of it."""
+
+    elements: np.ndarray
+    """Nodes of each element in the scene, int, shape [element_count, nodes_per_element]."""
+    first: np.ndarray
+    """The part ``first[i], second[i]`` of the matrix is written as one block, by an element or a
+    chunk: node numbers of the scene, int, shape [part_count]."""
+    second: np.ndarray
+
+
 def build_element_groups(
     bodies: Sequence[SoftBody],
     parts: Sequence[SoftDiscretization],
     starts: Sequence[int],
+    free: np.ndarray,
+    moving: np.ndarray,
     put: Put,
-) -> tuple[list[ElementArrays], list[np.ndarray]]:
-    """Element groups and their connectivities in node numbers of the scene.
+) -> tuple[list[ElementArrays], list[BlockParts]]:
+    """Element groups and what they add to the matrix.
 
-    ``starts``: first node of each body. ``ElementArrays.set_gather`` comes later, with the matrix.
+    ``starts``: first node of each body. ``free``, ``moving``: nodes that have a row in the matrix,
+    and nodes that are prescribed to move, bool, shape [node_count].
+    ``ElementArrays.set_gather`` comes later, with the matrix.
     """
     members: dict[tuple[MaterialModel, Element, bool], list[int]] = {}
     for index, body in enumerate(bodies):
         damped = body.material.damping_time_s > 0
         members.setdefault((body.material.model, body.element, damped), []).append(index)
-    groups, connectivities = [], []
+    groups, written = [], []
     for (law, element, damped), indices in members.items():
         connectivity = np.concatenate([parts[i].elements + starts[i] for i in indices])
         ends = np.cumsum([0] + [len(parts[i].elements) for i in indices])
@@ -200,13 +240,25 @@ def build_element_groups(
 
         mooney = law is MaterialModel.MOONEY_RIVLIN
         nodes, node_starts, entries = node_gather(connectivity)
+        whole = [(int(first), int(end)) for first, end in itertools.pairwise(ends)]
+        first, second = pair_nodes(connectivity)
+        chunks, force_starts, force_parts = None, node_starts, entries
+        if element is Element.LINEAR:
+            # Of the mesh, not of an environment: what an environment gives to the last bit does not
+            # depend on which others there are.
+            corners = [bodies[i].mesh.nodes_m[parts[i].elements] for i in indices]
+            lanes = chunk_lanes(np.concatenate(corners).mean(axis=1), whole)
+            chunks, (first, second), force_nodes = _element_chunks(
+                lanes, connectivity, free, moving, put
+            )
+            _, force_starts, force_parts = node_gather(force_nodes[:, None])
         none = put(np.zeros(0), wp.int32)
         groups.append(
             ElementArrays(
                 law=law,
                 element=element,
                 damped=damped,
-                bodies=[(i, int(ends[k]), int(ends[k + 1])) for k, i in enumerate(indices)],
+                bodies=[(i, *ranged) for i, ranged in zip(indices, whole, strict=True)],
                 elements=put(connectivity, wp.int32),
                 shape_gradients=put(
                     np.concatenate([spread(g) for g, _ in rests], axis=1), wp.vec3d
@@ -219,6 +271,9 @@ def build_element_groups(
                 gather_nodes=put(nodes, wp.int32),
                 node_starts=put(node_starts, wp.int32),
                 node_entries=put(entries, wp.int32),
+                chunks=chunks,
+                force_starts=put(force_starts, wp.int32),
+                force_parts=put(force_parts, wp.int32),
                 blocks=none,
                 source_starts=none,
                 sources=none,
@@ -228,5 +283,27 @@ def build_element_groups(
                 rim_nodes=none,
             )
         )
-        connectivities.append(connectivity)
-    return groups, connectivities
+        written.append(BlockParts(connectivity, first, second))
+    return groups, written
+
+
+def _element_chunks(
+    lanes: np.ndarray, elements: np.ndarray, free: np.ndarray, moving: np.ndarray, put: Put
+) -> tuple[ElementChunks, tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Chunks, the two nodes of each of their sums of blocks, and the node of each sum of forces."""
+    count = len(free)
+    coupled = free | moving
+    first, second = (nodes.reshape(len(elements), -1) for nodes in pair_nodes(elements))
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    wanted = (free[low] & coupled[high]) | (coupled[low] & free[high])
+    keys = np.where(wanted, low.astype(np.int64) * count + high, -1)
+    blocks = chunk_sums(lanes, keys, first > second, size=9)
+    forces = chunk_sums(lanes, elements.astype(np.int64), np.zeros(elements.shape, bool), size=3)
+    chunks = ElementChunks(
+        lanes=put(lanes, wp.int32),
+        blocks=blocks.tables(put),
+        block_count=len(blocks.keys),
+        forces=forces.tables(put),
+        force_count=len(forces.keys),
+    )
+    return chunks, np.divmod(blocks.keys, count), forces.keys

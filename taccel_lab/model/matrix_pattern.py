@@ -15,11 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 
 
-def element_pairs(node_count: int) -> list[tuple[int, int]]:
-    """Pairs (i, j), i <= j, of local nodes, in the order in which element blocks are stored."""
-    return [(i, j) for i in range(node_count) for j in range(i, node_count)]
-
-
 @dataclass(frozen=True)
 class BlockPattern:
     """Block-CSR pattern of the lower triangle."""
@@ -62,63 +57,92 @@ class BlockPattern:
 
 @dataclass(frozen=True)
 class BlockGather:
-    """Which element blocks of one group add up in which block of the matrix, in a fixed order."""
+    """Which parts of one group of elements add up in which block of the matrix, in a fixed order.
+
+    A part is d^2E / dx_first dx_second of some of its elements: one, or all of a chunk.
+    """
 
     blocks: np.ndarray
     """Entries of the pattern that the group touches, ascending, int32, shape [touched]."""
     source_starts: np.ndarray
     """Range of each of them in ``sources``, int32, shape [touched + 1]."""
     sources: np.ndarray
-    """Element blocks as 2 (pair_count element + pair) + transposed, int32."""
+    """Parts as 2 part + transposed, int32."""
     rim_rows: np.ndarray
     """Rows whose right-hand side feels prescribed nodes that move, ascending, int32."""
     rim_starts: np.ndarray
     """Range of each of them in the next two, int32, shape [rim + 1]."""
     rim_sources: np.ndarray
-    """Element blocks d^2E / dx_row dx_node, coded like ``sources``, int32."""
+    """Parts d^2E / dx_row dx_node, coded like ``sources``, int32."""
     rim_nodes: np.ndarray
     """The prescribed nodes, int32."""
 
 
-def block_pattern(
-    groups: Sequence[np.ndarray], free_index: np.ndarray, moving_nodes: np.ndarray | None = None
-) -> tuple[BlockPattern, list[BlockGather]]:
-    """Pattern of elements that couple all their nodes, and what each group of them adds to it.
+def block_pattern(groups: Sequence[np.ndarray], free_index: np.ndarray) -> BlockPattern:
+    """Pattern of elements that couple all their nodes.
 
     ``groups``: node indices, int, shape [element, nodes_per_element] each. ``free_index``: row of
-    each node or -1 when it is prescribed, shape [node_count]. ``moving_nodes``: prescribed nodes
-    that do move (a gel on a mount), bool, shape [node_count]; none when left out. Every row has its
-    diagonal block, also that of a node in no element.
+    each node or -1 when it is prescribed, shape [node_count]. Every row has its diagonal block,
+    also that of a node in no element.
     """
     free_index = np.asarray(free_index, dtype=np.int64)
     free_count = int((free_index >= 0).sum())
-    moving = np.zeros(len(free_index), dtype=bool) if moving_nodes is None else moving_nodes
-    entries = [_matrix_entries(np.asarray(e, dtype=np.int64), free_index) for e in groups]
-    diagonal_keys = np.arange(free_count, dtype=np.int64) * (free_count + 1)
-    keys = np.unique(np.concatenate([diagonal_keys, *(key for key, _ in entries)]))
-    rows, columns = np.divmod(keys, max(free_count, 1))
-    pattern = BlockPattern(
+    rows = np.arange(free_count, dtype=np.int64)
+    keys = [rows * free_count + rows]
+    for elements in groups:
+        keys.append(_keys(*pair_nodes(np.asarray(elements, dtype=np.int64)), free_index)[0])
+    key = np.unique(np.concatenate(keys))
+    rows, columns = np.divmod(key, max(free_count, 1))
+    return BlockPattern(
         row_starts=np.searchsorted(rows, np.arange(free_count + 1)).astype(np.int32),
         columns=columns.astype(np.int32),
         diagonal=np.flatnonzero(rows == columns).astype(np.int32),
     )
-    gathers = []
-    for elements, (key, code) in zip(groups, entries, strict=True):
-        blocks, starts, order = _sorted_ranges(key, code)
-        rim_row, rim_code, rim_node = _rim_entries(np.asarray(elements), free_index, moving)
-        rim_rows, rim_starts, rim_order = _sorted_ranges(rim_row, rim_code)
-        gathers.append(
-            BlockGather(
-                blocks=np.searchsorted(keys, blocks).astype(np.int32),
-                source_starts=starts,
-                sources=code[order].astype(np.int32),
-                rim_rows=rim_rows.astype(np.int32),
-                rim_starts=rim_starts,
-                rim_sources=rim_code[rim_order].astype(np.int32),
-                rim_nodes=rim_node[rim_order].astype(np.int32),
-            )
-        )
-    return pattern, gathers
+
+
+def pair_nodes(elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First and second node of each element block, shape [element_count * pair_count]."""
+    first, second = np.triu_indices(elements.shape[1])
+    return elements[:, first].ravel(), elements[:, second].ravel()
+
+
+def block_gather(
+    pattern: BlockPattern,
+    first: np.ndarray,
+    second: np.ndarray,
+    free_index: np.ndarray,
+    moving: np.ndarray | None = None,
+) -> BlockGather:
+    """Where parts d^2E / dx_first dx_second go, both int, shape [part_count].
+
+    ``free_index``: see ``block_pattern``. ``moving``: prescribed nodes that do move (a gel on a
+    mount), bool, shape [node_count]; none when left out.
+    """
+    free_index = np.asarray(free_index, dtype=np.int64)
+    key, parts, turned = _keys(first, second, free_index)
+    code = 2 * parts + turned
+    blocks, starts, order = _sorted_ranges(key, code)
+    keys = pattern.rows.astype(np.int64) * pattern.free_count + pattern.columns
+    none = np.zeros(0, dtype=np.int64)
+    rim_row, rim_code, rim_node = [none], [none], [none]
+    if moving is not None:
+        part = np.arange(len(first), dtype=np.int64)
+        for own, other, turned in ((first, second, 0), (second, first, 1)):
+            rim = (free_index[own] >= 0) & (free_index[other] < 0) & moving[other]
+            rim_row.append(free_index[own[rim]])
+            rim_code.append(2 * part[rim] + turned)
+            rim_node.append(other[rim])
+    rim_codes = np.concatenate(rim_code)
+    rim_rows, rim_starts, rim_order = _sorted_ranges(np.concatenate(rim_row), rim_codes)
+    return BlockGather(
+        blocks=np.searchsorted(keys, blocks).astype(np.int32),
+        source_starts=starts,
+        sources=code[order].astype(np.int32),
+        rim_rows=rim_rows.astype(np.int32),
+        rim_starts=rim_starts,
+        rim_sources=rim_codes[rim_order].astype(np.int32),
+        rim_nodes=np.concatenate(rim_node)[rim_order].astype(np.int32),
+    )
 
 
 def node_gather(elements: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -136,36 +160,13 @@ def _sorted_ranges(key: np.ndarray, code: np.ndarray) -> tuple[np.ndarray, np.nd
     return unique, np.append(starts, len(key)).astype(np.int32), order
 
 
-def _matrix_entries(elements: np.ndarray, free_index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Key row * free_count + column in the lower triangle, and code, of each element block."""
-    free_count = int((free_index >= 0).sum())
-    pairs = element_pairs(elements.shape[1])
-    ids = len(pairs) * np.arange(len(elements), dtype=np.int64)
-    keys, codes = [], []
-    for pair, (i, j) in enumerate(pairs):
-        first, second = free_index[elements[:, i]], free_index[elements[:, j]]
-        keep = (first >= 0) & (second >= 0)
-        key = np.maximum(first, second) * free_count + np.minimum(first, second)
-        keys.append(key[keep])
-        codes.append((2 * (ids + pair) + (first < second))[keep])
-    return np.concatenate(keys), np.concatenate(codes)
-
-
-def _rim_entries(
-    elements: np.ndarray, free_index: np.ndarray, moving: np.ndarray
+def _keys(
+    first: np.ndarray, second: np.ndarray, free_index: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Row, code and prescribed node of each block between a free and a moving prescribed node."""
-    touched = np.flatnonzero(moving[elements].any(axis=1))
-    if not len(touched):
-        none = np.zeros(0, dtype=np.int64)
-        return none, none, none
-    pairs = element_pairs(elements.shape[1])
-    rows, codes, nodes = [], [], []
-    for pair, (i, j) in enumerate(pairs):
-        for own, other, transposed in ((i, j, 0), (j, i, 1)):
-            row, node = free_index[elements[touched, own]], elements[touched, other]
-            keep = (row >= 0) & (free_index[node] < 0) & moving[node]
-            rows.append(row[keep])
-            nodes.append(node[keep])
-            codes.append((2 * (len(pairs) * touched + pair) + transposed)[keep])
-    return np.concatenate(rows), np.concatenate(codes), np.concatenate(nodes)
+    """Key row * free_count + column in the lower triangle, number and whether it is transposed, of
+    each part between free nodes."""
+    free_count = int((free_index >= 0).sum())
+    row, column = free_index[first], free_index[second]
+    free = np.flatnonzero((row >= 0) & (column >= 0))
+    row, column = row[free], column[free]
+    return np.maximum(row, column) * free_count + np.minimum(row, column), free, row < column

@@ -140,7 +140,7 @@ class SolverParts:
         model = self.model
         if model.affine.count and model.scene.soft_bodies and not model.contact_in_pattern:
             return initial_capacity(model.env_count)
-        return 32 if model.affine.count or model.contact_plan.soft_to_soft else 1
+        return 32 if model.affine.count > 1 or model.contact_plan.soft_to_soft else 1
 
     def share_energies(self) -> None:
         """One buffer for the energies of all terms; graphs that used the old one are stale."""

@@ -111,8 +111,6 @@ class Arrow:
             work.numbers = problem.scratch.take(shape, wp.float64, device)
         work.p = wp.zeros(problem.shape, dtype=wp.vec3d, device=device)
         work.p_scalars = scalars(work.p)
-        shape = (envs, 3 * len(self._slices.columns))
-        work.packed = problem.scratch.take(shape, wp.float64, device)
         dots = 2 * self._team.lanes if device.is_cpu else 1
         work.dots = wp.zeros((envs, dots), dtype=wp.vec3d, device=device)
         work.gates = wp.zeros(1, dtype=wp.int32, device=device)

@@ -13,8 +13,8 @@ from taccel_lab.ipc.linear.arrow_program import ArrowLayout
 from taccel_lab.ipc.linear.arrow_solve import get_number, get_vector, put_vector, solve_factored
 from taccel_lab.ipc.linear.block_ops import block_barrier, team_sum
 from taccel_lab.ipc.linear.extra_rows import ExtraRows
-from taccel_lab.ipc.linear.packed_rows import RowSlices, pack_slices
-from taccel_lab.ipc.linear.row_products import multiply_extra, multiply_fixed, row_sum
+from taccel_lab.ipc.linear.packed_rows import RowSlices
+from taccel_lab.ipc.linear.row_products import multiply_extra, multiply_unpacked, row_sum
 
 wp.set_module_options({"enable_backward": False})
 
@@ -40,13 +40,12 @@ class ArrowLists:
 class ArrowWork:
     """What an environment has in global memory, [env_count, ...].
 
-    numbers: the factor and its vectors, without shared memory. For CG: p by places, packed rows,
-    and products of segments. dots, gates: see ``team_sum``."""
+    numbers: the factor and its vectors, without shared memory. For CG: p by places and products of
+    segments. dots, gates: see ``team_sum``."""
 
     numbers: wp.array2d(dtype=wp.float64)
     p: wp.array2d(dtype=wp.vec3d)
     p_scalars: wp.array2d(dtype=wp.float64)
-    packed: wp.array2d(dtype=wp.float64)
     parts: wp.array2d(dtype=wp.vec3d)
     parts_scalars: wp.array2d(dtype=wp.float64)
     dots: wp.array2d(dtype=wp.vec3d)
@@ -169,7 +168,6 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
         p = work.p[env]
         p_scalars = work.p_scalars[env]
         parts = work.parts_scalars[env]
-        packed = work.packed[env]
         goal = tolerances[env] * tolerances[env] * b_sq
         r_sq = b_sq
         rho_old = zero
@@ -195,8 +193,6 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
                 count = int(1)
                 r_sq = zero
             else:
-                if count == 0:
-                    pack_slices(lane, lanes, slices, values[env], packed)
                 for place in range(lane, n, lanes):
                     p_row = get_vector(memory, layout.x, place)
                     if count > 0:
@@ -206,7 +202,9 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
                 block_barrier()
                 end = 3 * slices.segments.shape[0]
                 share = wp.vec3d()
-                share[0] = multiply_fixed(lane, end, lanes, slices, packed, p_scalars, parts)
+                share[0] = multiply_unpacked(
+                    lane, end, lanes, slices, values[env], p_scalars, parts
+                )
                 share[0] += multiply_extra(env, lane, lanes, extra, extra_values, p_scalars)
                 curvature = team_sum(share, env, 0, 1, lane, 0, work.gates, dots)[0]
                 if not (curvature > zero and curvature < infinity):

@@ -328,7 +328,8 @@ class ExtraRowLists:
         segments = WIDTH * -(-segments // WIDTH)
         # Room for four blocks a row, as a body that touches all of them needs; and for filling up.
         packed = np.minimum(entries, 4 * n)
-        packed = WIDTH * (-(-15 * packed // (4 * WIDTH)) + 2 * SEGMENT_LENGTH)
+        longest = np.minimum(entries, SEGMENT_LENGTH)
+        packed = WIDTH * (-(-15 * packed // (4 * WIDTH)) + 2 * longest)
         starts = np.zeros((problem.env_count + 1, 3), dtype=np.int64)
         starts[1:] = np.cumsum(np.stack([extra.rooms, segments, packed], axis=1), axis=0)
         blocks, segment_count, packed_count = map(int, starts[-1])

@@ -17,7 +17,7 @@ _SEGMENT_SNIPPET = """
     const wp::float64* across = values.data;
     wp::float64 total = 0.0;
     #pragma unroll 2
-    for (int k = first; k < end; ++k) {
+    for (int k = first; k < end && code[k] >= 0; k += stride) {
         // Blocks of the upper triangle are stored transposed.
         const int flipped = code[k] & 1;
         const int step = flipped ? 3 : 1;
@@ -33,13 +33,14 @@ _SEGMENT_SNIPPET = """
 def _segment_product(
     first: int,
     end: int,
+    stride: int,
     component: int,
     columns: wp.array(dtype=wp.int32),
     codes: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.float64),
     x: wp.array(dtype=wp.float64),
 ) -> wp.float64:
-    """One scalar row of the product of listed blocks with x."""
+    """One scalar row of the product of listed blocks with x; every ``stride``-th, up to none."""
     ...
 
 
@@ -61,6 +62,37 @@ def multiply_fixed(
         if segment[0] >= 0:
             span = layout.slices[task / 32]
             part = packed_product(span[0], span[1], task % 32, layout.columns, packed, x)
+            parts[3 * segment[1] + task % 3] = part
+            share += part * x[3 * segment[0] + task % 3]
+    return share
+
+
+@wp.func
+def multiply_unpacked(
+    first: int,
+    end: int,
+    step: int,
+    layout: RowSlices,
+    values: wp.array(dtype=wp.float64),
+    x: wp.array(dtype=wp.float64),
+    parts: wp.array(dtype=wp.float64),
+) -> wp.float64:
+    """The same straight from the blocks of the pattern: for few products, without a copy."""
+    share = wp.float64(0.0)
+    for task in range(first, end, step):
+        segment = layout.segments[task / 3]
+        if segment[0] >= 0:
+            span = layout.slices[task / 32]
+            part = _segment_product(
+                span[0] + task % 32,
+                span[0] + 32 * span[1],
+                32,
+                task % 3,
+                layout.columns,
+                layout.codes,
+                values,
+                x,
+            )
             parts[3 * segment[1] + task % 3] = part
             share += part * x[3 * segment[0] + task % 3]
     return share
@@ -93,6 +125,7 @@ def multiply_extra(
             part = _segment_product(
                 2 * blocks + segment[1],
                 2 * blocks + segment[2],
+                1,
                 task % 3,
                 extra.columns,
                 extra.codes,

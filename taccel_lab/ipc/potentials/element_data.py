@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What element kernels read, and how nodes and matrix blocks gather what elements wrote.
 
-One thread per (environment, element) evaluates an element; nodes and blocks then add up their
-elements in a fixed order, so that no result depends on the order of execution.
+One thread per (environment, element) evaluates an element; linear tets add up what they contribute
+by chunks (``chunk_stage``), others write it as it is. Nodes and blocks then add up those parts in a
+fixed order, so that no result depends on the order of execution.
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ import warp as wp
 
 from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.potentials.chunk_stage import STAGED_THREADS
 from taccel_lab.ipc.potentials.energy import Potential
-from taccel_lab.ipc.potentials.staged_rows import STAGED_THREADS
 from taccel_lab.ipc.reduce import add_row_sums
 from taccel_lab.ipc.scratch import Scratch
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
+from taccel_lab.model.element_chunks import ChunkTables
 
 wp.set_module_options({"enable_backward": False})
 
@@ -35,6 +37,10 @@ class ElementData:
     """Rest volumes [m^3], shape [rest_count, element_count]."""
     moduli: Moduli
     """See ``modulus_index``."""
+    lanes: wp.array(dtype=wp.int32)
+    """See ``ElementChunks``; of linear tets only, as the next two."""
+    block_sums: ChunkTables
+    force_sums: ChunkTables
     damping_times: wp.array(dtype=wp.float64)
     """Viscous over elastic stress per strain rate [s], shape [element_count]; of a viscous
     potential only."""
@@ -56,10 +62,12 @@ def modulus_index(env: int, tet: int, d: ElementData) -> int:
 
 @dataclass(frozen=True)
 class ElementKernels:
-    """Kernels of a kind of element with its material, launched over (environment, element):
+    """Kernels of a kind of element with its material, launched over (environment, element), but
+    gradients and Hessians of linear tets over (environment, lane):
 
-    ``energy(active, x, data, out energies)``, ``gradient(active, x, data, out local_gradients)``,
-    ``hessian(active, x, data, psd_modes, out blocks)``.
+    ``energy(active, x, data, out energies)``, ``gradient(active, x, data, out force_parts)``,
+    ``hessian(active, x, data, psd_modes, out block_parts)``. Parts are those of elements, shape
+    [env_count, element_count, entries], or of linear tets those of chunks, [env_count, sum_count].
     """
 
     energy: wp.Kernel
@@ -72,27 +80,24 @@ def _gather_gradient_kernel(
     active: wp.array(dtype=wp.int32),
     nodes: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
-    entries: wp.array(dtype=wp.int32),
-    local_gradients: wp.array3d(dtype=wp.vec3d),
+    sources: wp.array(dtype=wp.int32),
+    parts: wp.array2d(dtype=wp.vec3d),
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
     env, i = wp.tid()
     if active[env] == 0:
         return
     node = nodes[i]
-    width = local_gradients.shape[2]
     total = gradient[env, node]
     for k in range(starts[i], starts[i + 1]):
-        code = entries[k]
-        total += local_gradients[env, code // width, code % width]
+        total += parts[env, sources[k]]
     gradient[env, node] = total
 
 
 @wp.func
-def _element_block(env: int, code: int, element_blocks: wp.array3d(dtype=wp.mat33d)) -> wp.mat33d:
-    """One block of an element, the right way round."""
-    width = 2 * element_blocks.shape[2]
-    block = element_blocks[env, code // width, (code % width) // 2]
+def _block_part(env: int, code: int, parts: wp.array2d(dtype=wp.mat33d)) -> wp.mat33d:
+    """One part, the right way round."""
+    block = parts[env, code // 2]
     if code % 2 == 1:
         block = wp.transpose(block)
     return block
@@ -104,7 +109,7 @@ def _gather_blocks_kernel(
     blocks: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
     sources: wp.array(dtype=wp.int32),
-    element_blocks: wp.array3d(dtype=wp.mat33d),
+    parts: wp.array2d(dtype=wp.mat33d),
     values: wp.array2d(dtype=wp.mat33d),
 ):
     env, i = wp.tid()
@@ -113,7 +118,7 @@ def _gather_blocks_kernel(
     block = blocks[i]
     total = values[env, block]
     for k in range(starts[i], starts[i + 1]):
-        total += _element_block(env, sources[k], element_blocks)
+        total += _block_part(env, sources[k], parts)
     values[env, block] = total
 
 
@@ -124,7 +129,7 @@ def _gather_rim_kernel(
     starts: wp.array(dtype=wp.int32),
     sources: wp.array(dtype=wp.int32),
     nodes: wp.array(dtype=wp.int32),
-    element_blocks: wp.array3d(dtype=wp.mat33d),
+    parts: wp.array2d(dtype=wp.mat33d),
     displacements: wp.array2d(dtype=wp.vec3d),
     rhs: wp.array2d(dtype=wp.vec3d),
 ):
@@ -133,7 +138,7 @@ def _gather_rim_kernel(
         return
     total = rhs[env, rows[i]]
     for k in range(starts[i], starts[i + 1]):
-        total -= _element_block(env, sources[k], element_blocks) * displacements[env, nodes[k]]
+        total -= _block_part(env, sources[k], parts) * displacements[env, nodes[k]]
     rhs[env, rows[i]] = total
 
 
@@ -161,13 +166,29 @@ class ElementSum(Potential):
         data = ElementData()
         data.nodes, data.gradients = group.elements, group.shape_gradients
         data.volumes, data.moduli = group.volumes, Moduli()
+        self._lane_count, block_count, force_count = (
+            count,
+            count * width * (width + 1) // 2,
+            count * width,
+        )
+        if group.chunks is not None:
+            chunks = group.chunks
+            data.lanes, self._lane_count = chunks.lanes, len(chunks.lanes)
+            data.block_sums, data.force_sums = chunks.blocks, chunks.forces
+            block_count, force_count = chunks.block_count, chunks.force_count
         self._data = data
         self._bound: wp.array | None = None
         self.energies = wp.zeros(shape, dtype=wp.float64, device=device)
         """Energy of each element [J], shape [env_count, element_count]."""
-        pair_count = width * (width + 1) // 2
-        self._blocks = wp.zeros((*shape, pair_count), dtype=wp.mat33d, device=device)
-        self._gradients = Scratch(self._blocks).take((*shape, width), wp.vec3d, device)
+        envs = model.env_count
+        self._blocks = wp.zeros((envs, block_count), dtype=wp.mat33d, device=device)
+        self._forces = Scratch(self._blocks).take((envs, force_count), wp.vec3d, device)
+
+    def _by_element(self, parts: wp.array) -> wp.array:
+        """Parts as the kernels want them."""
+        if self.group.chunks is not None:
+            return parts
+        return parts.reshape((*self.energies.shape, -1))
 
     @property
     def data(self) -> ElementData:
@@ -183,11 +204,12 @@ class ElementSum(Potential):
         """What others may use after ``gather_rim`` and before the next evaluation."""
         return self._blocks
 
-    def launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
-        """Launch over (environment, element)."""
+    def launch(self, kernel: wp.Kernel, inputs: list, outputs: list, lanes: bool = False) -> None:
+        """Launch over (environment, element), or over the ``lanes`` of its chunks where it has
+        some."""
         wp.launch(
             kernel,
-            dim=self.energies.shape,
+            dim=(self.model.env_count, self._lane_count if lanes else self.group.element_count),
             inputs=inputs,
             outputs=outputs,
             device=self.model.device,
@@ -207,11 +229,12 @@ class ElementSum(Potential):
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N] to ``gradient``, shape [env_count, node_count]."""
         g = self.group
-        self.launch(self.kernels.gradient, [active, positions, self.data], [self._gradients])
+        outputs = [self._by_element(self._forces)]
+        self.launch(self.kernels.gradient, [active, positions, self.data], outputs, lanes=True)
         wp.launch(
             _gather_gradient_kernel,
             dim=(self.model.env_count, len(g.gather_nodes)),
-            inputs=[active, g.gather_nodes, g.node_starts, g.node_entries, self._gradients],
+            inputs=[active, g.gather_nodes, g.force_starts, g.force_parts, self._forces],
             outputs=[gradient],
             device=self.model.device,
         )
@@ -227,10 +250,11 @@ class ElementSum(Potential):
 
     def write_hessians(self, active: wp.array, positions: wp.array, psd_modes: wp.array) -> None:
         """Evaluate the blocks of all elements."""
-        self.launch(self.kernels.hessian, [active, positions, self.data, psd_modes], [self._blocks])
+        inputs = [active, positions, self.data, psd_modes]
+        self.launch(self.kernels.hessian, inputs, [self._by_element(self._blocks)], lanes=True)
 
     def gather_hessians(self, active: wp.array, system: NewtonSystem) -> None:
-        """Add the blocks of the elements to the matrix, without atomics."""
+        """Add the parts of elements or chunks to the matrix, without atomics."""
         g, m = self.group, self.model
         wp.launch(
             _gather_blocks_kernel,

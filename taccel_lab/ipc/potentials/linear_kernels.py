@@ -15,15 +15,15 @@ import warp as wp
 from taccel_lab.ipc.elasticity.exact_hessian import exact_block
 from taccel_lab.ipc.elasticity.laws import Law
 from taccel_lab.ipc.elasticity.principal import PSD_NONE, PrincipalHessian, principal_block
-from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels, modulus_index
-from taccel_lab.ipc.potentials.staged_rows import (
-    flush_blocks,
-    flush_forces,
+from taccel_lab.ipc.potentials.chunk_stage import (
     put_block,
     put_force,
     stage_blocks,
     stage_forces,
+    sum_blocks,
+    sum_forces,
 )
+from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels, modulus_index
 
 wp.set_module_options({"enable_backward": False})
 
@@ -153,18 +153,21 @@ def create_linear_kernels(law: Law) -> ElementKernels:
         active: wp.array(dtype=wp.int32),
         positions: wp.array2d(dtype=wp.vec3d),
         d: ElementData,
-        local_gradients: wp.array3d(dtype=wp.vec3d),
+        parts: wp.array2d(dtype=wp.vec3d),
     ):
-        env, tet = wp.tid()
-        item = env * d.volumes.shape[1] + tet
+        env, lane = wp.tid()
+        if active[env] == 0:
+            return
         stage = stage_forces()
-        if active[env] != 0:
+        tet = d.lanes[lane]
+        if tet >= 0:
             rest = env % d.volumes.shape[0]
             f = linear_deformation(env, tet, positions, d)
             p = d.volumes[rest, tet] * piola(f, d.moduli, modulus_index(env, tet, d))
             for i in range(4):
-                put_force(stage, local_gradients, item, i, p * d.gradients[rest, tet, i])
-        flush_forces(stage, local_gradients, item, active[env] != 0)
+                put_force(stage, lane, i, p * d.gradients[rest, tet, i])
+        s = d.force_sums
+        sum_forces(stage, env, lane, s.starts, s.source_starts, s.sources, parts)
 
     @wp.kernel(module=module)
     def _linear_hessian_kernel(
@@ -172,12 +175,14 @@ def create_linear_kernels(law: Law) -> ElementKernels:
         positions: wp.array2d(dtype=wp.vec3d),
         d: ElementData,
         psd_modes: wp.array(dtype=wp.int32),
-        blocks: wp.array3d(dtype=wp.mat33d),
+        parts: wp.array2d(dtype=wp.mat33d),
     ):
-        env, tet = wp.tid()
-        item = env * d.volumes.shape[1] + tet
+        env, lane = wp.tid()
+        if active[env] == 0:
+            return
         stage = stage_blocks()
-        if active[env] != 0:
+        tet = d.lanes[lane]
+        if tet >= 0:
             rest = env % d.volumes.shape[0]
             f = linear_deformation(env, tet, positions, d)
             i = modulus_index(env, tet, d)
@@ -186,16 +191,17 @@ def create_linear_kernels(law: Law) -> ElementKernels:
             h_10 = -(h.h_11 + h.h_12 + h.h_13)
             h_20 = -(wp.transpose(h.h_12) + h.h_22 + h.h_23)
             h_30 = -(wp.transpose(h.h_13 + h.h_23) + h.h_33)
-            put_block(stage, blocks, item, 0, -(h_10 + h_20 + h_30))
-            put_block(stage, blocks, item, 1, wp.transpose(h_10))
-            put_block(stage, blocks, item, 2, wp.transpose(h_20))
-            put_block(stage, blocks, item, 3, wp.transpose(h_30))
-            put_block(stage, blocks, item, 4, h.h_11)
-            put_block(stage, blocks, item, 5, h.h_12)
-            put_block(stage, blocks, item, 6, h.h_13)
-            put_block(stage, blocks, item, 7, h.h_22)
-            put_block(stage, blocks, item, 8, h.h_23)
-            put_block(stage, blocks, item, 9, h.h_33)
-        flush_blocks(stage, blocks, item, active[env] != 0)
+            put_block(stage, lane, 0, -(h_10 + h_20 + h_30))
+            put_block(stage, lane, 1, wp.transpose(h_10))
+            put_block(stage, lane, 2, wp.transpose(h_20))
+            put_block(stage, lane, 3, wp.transpose(h_30))
+            put_block(stage, lane, 4, h.h_11)
+            put_block(stage, lane, 5, h.h_12)
+            put_block(stage, lane, 6, h.h_13)
+            put_block(stage, lane, 7, h.h_22)
+            put_block(stage, lane, 8, h.h_23)
+            put_block(stage, lane, 9, h.h_33)
+        s = d.block_sums
+        sum_blocks(stage, env, lane, s.starts, s.source_starts, s.sources, parts)
 
     return ElementKernels(_linear_energy_kernel, _linear_gradient_kernel, _linear_hessian_kernel)

@@ -22,6 +22,14 @@ from taccel_lab.ipc.elasticity.dilatation import half_square, strain_trace_slope
 from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.elasticity.principal import lifted_matrix
 from taccel_lab.ipc.elasticity.st_venant_kirchhoff import green_strain
+from taccel_lab.ipc.potentials.chunk_stage import (
+    put_block,
+    put_force,
+    stage_blocks,
+    stage_forces,
+    sum_blocks,
+    sum_forces,
+)
 from taccel_lab.ipc.potentials.element_data import (
     ElementData,
     ElementKernels,
@@ -91,17 +99,22 @@ def _linear_gradient_kernel(
     active: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     d: ElementData,
-    local_gradients: wp.array3d(dtype=wp.vec3d),
+    parts: wp.array2d(dtype=wp.vec3d),
 ):
-    env, tet = wp.tid()
+    env, lane = wp.tid()
     if active[env] == 0:
         return
-    rest = env % d.volumes.shape[0]
-    f = linear_deformation(env, tet, positions, d)
-    gained = green_strain(f) - d.start_strains[env, tet, 0]
-    p = d.volumes[rest, tet] * (f * _linear_stress(gained, d, env, tet))
-    for i in range(4):
-        local_gradients[env, tet, i] = p * d.gradients[rest, tet, i]
+    stage = stage_forces()
+    tet = d.lanes[lane]
+    if tet >= 0:
+        rest = env % d.volumes.shape[0]
+        f = linear_deformation(env, tet, positions, d)
+        gained = green_strain(f) - d.start_strains[env, tet, 0]
+        p = d.volumes[rest, tet] * (f * _linear_stress(gained, d, env, tet))
+        for i in range(4):
+            put_force(stage, lane, i, p * d.gradients[rest, tet, i])
+    s = d.force_sums
+    sum_forces(stage, env, lane, s.starts, s.source_starts, s.sources, parts)
 
 
 @wp.kernel
@@ -110,34 +123,39 @@ def _linear_hessian_kernel(
     positions: wp.array2d(dtype=wp.vec3d),
     d: ElementData,
     psd_modes: wp.array(dtype=wp.int32),
-    blocks: wp.array3d(dtype=wp.mat33d),
+    parts: wp.array2d(dtype=wp.mat33d),
 ):
-    env, tet = wp.tid()
+    env, lane = wp.tid()
     if active[env] == 0:
         return
-    rest = env % d.volumes.shape[0]
-    f = linear_deformation(env, tet, positions, d)
-    gained = green_strain(f) - d.start_strains[env, tet, 0]
-    stress = lifted_matrix(_linear_stress(gained, d, env, tet), psd_modes[env])
-    at = modulus_index(env, tet, d)
-    mu = _share(env, tet, d) * d.moduli.mu[at]
-    lam = _share(env, tet, d) * d.moduli.lam[at]
-    left = f * wp.transpose(f)
-    eye = wp.identity(n=3, dtype=wp.float64)
-    k = int(0)
-    for i in range(4):
-        b_i = d.gradients[rest, tet, i]
-        a_i = f * b_i
-        for j in range(i, 4):
-            b_j = d.gradients[rest, tet, j]
-            a_j = f * b_j
-            block = (
-                wp.dot(b_i, stress * b_j) * eye
-                + mu * (wp.dot(b_i, b_j) * left + wp.outer(a_j, a_i))
-                + lam * wp.outer(a_i, a_j)
-            )
-            blocks[env, tet, k] = d.volumes[rest, tet] * block
-            k += 1
+    stage = stage_blocks()
+    tet = d.lanes[lane]
+    if tet >= 0:
+        rest = env % d.volumes.shape[0]
+        f = linear_deformation(env, tet, positions, d)
+        gained = green_strain(f) - d.start_strains[env, tet, 0]
+        stress = lifted_matrix(_linear_stress(gained, d, env, tet), psd_modes[env])
+        at = modulus_index(env, tet, d)
+        mu = _share(env, tet, d) * d.moduli.mu[at]
+        lam = _share(env, tet, d) * d.moduli.lam[at]
+        left = f * wp.transpose(f)
+        eye = wp.identity(n=3, dtype=wp.float64)
+        k = int(0)
+        for i in range(4):
+            b_i = d.gradients[rest, tet, i]
+            a_i = f * b_i
+            for j in range(i, 4):
+                b_j = d.gradients[rest, tet, j]
+                a_j = f * b_j
+                block = (
+                    wp.dot(b_i, stress * b_j) * eye
+                    + mu * (wp.dot(b_i, b_j) * left + wp.outer(a_j, a_i))
+                    + lam * wp.outer(a_i, a_j)
+                )
+                put_block(stage, lane, k, d.volumes[rest, tet] * block)
+                k += 1
+    s = d.block_sums
+    sum_blocks(stage, env, lane, s.starts, s.source_starts, s.sources, parts)
 
 
 @wp.kernel

@@ -113,7 +113,7 @@ def peg(seed: int = 0, contacts: int = 160) -> System:
     free[count:][free[count:] >= 0] += 80
     free = np.concatenate([free, 160 + np.arange(4)])
     groups = [tets, tets + count, 2 * count + np.arange(4)[None]]
-    pattern, _ = block_pattern(groups, free)
+    pattern = block_pattern(groups, free)
     elastic = elastic_blocks(nodes, tets)
     values = _assemble(
         pattern, np.concatenate([tets, tets + count]), free, np.concatenate([elastic, elastic])

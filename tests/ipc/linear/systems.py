@@ -22,7 +22,7 @@ def delaunay_pattern(rng: np.random.Generator, node_count: int, bonded: int) -> 
 
     tets = Delaunay(rng.random((node_count, 3))).simplices
     free_index = np.arange(node_count, dtype=np.int32) - bonded
-    return block_pattern([tets], np.maximum(free_index, -1))[0]
+    return block_pattern([tets], np.maximum(free_index, -1))
 
 
 def random_spd(rng: np.random.Generator, pattern: BlockPattern, stiffness: float) -> np.ndarray:

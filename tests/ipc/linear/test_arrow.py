@@ -199,6 +199,6 @@ def test_a_program_knows_what_it_can_number() -> None:
     """A chain that touches a border of 240 rows: half a word holds no number of its last blocks."""
     chain = np.stack([np.arange(299), np.arange(1, 300)], axis=1)
     border = 300 + np.arange(240)
-    pattern = block_pattern([chain, border[:, None]], np.arange(540))[0]
+    pattern = block_pattern([chain, border[:, None]], np.arange(540))
     assert not arrow_program(eliminate(pattern, border)).addressable
     assert arrow_program(eliminate(pattern, border[:150])).addressable

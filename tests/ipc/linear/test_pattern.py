@@ -6,7 +6,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.model.matrix_pattern import block_pattern, element_pairs, node_gather
+from taccel_lab.model.matrix_pattern import (
+    BlockGather,
+    BlockPattern,
+    block_gather,
+    block_pattern,
+    node_gather,
+    pair_nodes,
+)
 
 NODE_COUNT, FREE_COUNT = 14, 9
 
@@ -31,20 +38,28 @@ def random_elements(rng: np.random.Generator, group: np.ndarray) -> np.ndarray:
 
 
 def element_block(stored: np.ndarray, code: int) -> np.ndarray:
-    """The block that a source code means; ``stored``: [element, pair, 3, 3]."""
-    element, rest = divmod(int(code), 2 * stored.shape[1])
-    part = stored[element, rest // 2]
-    return part.T if rest % 2 else part
+    """The block that a source code means; ``stored``: [part, 3, 3]."""
+    part = stored[code // 2]
+    return part.T if code % 2 else part
 
 
 def stored_blocks(elements: np.ndarray) -> np.ndarray:
-    return np.stack([elements[:, i, :, j] for i, j in element_pairs(elements.shape[1])], axis=1)
+    """One part an element block, in the order of ``pair_nodes``."""
+    first, second = np.triu_indices(elements.shape[1])
+    return elements[:, first, :, second].swapaxes(0, 1).reshape(-1, 3, 3)
+
+
+def gathers_of(
+    groups: list[np.ndarray], free_index: np.ndarray, moving: np.ndarray | None = None
+) -> tuple[BlockPattern, list[BlockGather]]:
+    pattern = block_pattern(groups, free_index)
+    return pattern, [block_gather(pattern, *pair_nodes(g), free_index, moving) for g in groups]
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_gathered_blocks_equal_dense_assembly(seed: int) -> None:
     rng, groups, free_index = random_groups(seed)
-    pattern, gathers = block_pattern(groups, free_index)
+    pattern, gathers = gathers_of(groups, free_index)
     expected = np.zeros((FREE_COUNT, 3, FREE_COUNT, 3))
     values = np.zeros((1, pattern.block_count, 3, 3))
     for group, gather in zip(groups, gathers, strict=True):
@@ -78,7 +93,7 @@ def test_rim_is_the_coupling_with_moving_prescribed_nodes(seed: int) -> None:
     moving = np.zeros(NODE_COUNT, dtype=bool)
     moving[prescribed[:3]] = True
     motion = rng.normal(size=(NODE_COUNT, 3))
-    _, gathers = block_pattern(groups, free_index, moving)
+    _, gathers = gathers_of(groups, free_index, moving)
     found, expected = np.zeros((2, FREE_COUNT, 3))
     for group, gather in zip(groups, gathers, strict=True):
         elements = random_elements(rng, group)
@@ -96,14 +111,14 @@ def test_rim_is_the_coupling_with_moving_prescribed_nodes(seed: int) -> None:
 
 
 def test_a_node_in_no_element_has_its_diagonal() -> None:
-    pattern, _ = block_pattern([np.array([[0, 1]])], np.arange(3))
+    pattern = block_pattern([np.array([[0, 1]])], np.arange(3))
     np.testing.assert_array_equal(pattern.rows, [0, 1, 1, 2])
     np.testing.assert_array_equal(pattern.columns, [0, 0, 1, 2])
 
 
 def test_a_node_twice_in_an_element_of_controls() -> None:
     """A body without partner is listed as a pair with itself: its couplings, no others."""
-    pattern, _ = block_pattern([np.array([[0, 1, 0, 1]])], np.arange(3))
+    pattern = block_pattern([np.array([[0, 1, 0, 1]])], np.arange(3))
     np.testing.assert_array_equal(pattern.columns, [0, 0, 1, 2])
 
 
