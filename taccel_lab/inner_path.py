@@ -35,6 +35,9 @@ def inner_path(folder: Path, name: str) -> Path:
     try:
         inside = path.resolve().is_relative_to(folder.resolve())
         path.exists()  # Raises for a name that is too long, or a folder that may not be read.
+    except UnicodeEncodeError as error:
+        reason = f"this computer's file names cannot have {error.object[error.start]!r}"
+        raise InputError(f"{folder}: {name!r}: {reason}") from None
     except (OSError, RuntimeError) as error:  # A circle of links.
         raise InputError(f"{path} cannot be followed: {error}") from None
     if not inside:

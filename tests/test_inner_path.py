@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path
 
-PARTS = st.sampled_from(["..", ".", "a", "b c", "", "~", "*", "..a", "a..", "C:", "\\", "é", "\0"])
+PARTS = st.sampled_from(
+    ["..", ".", "a", "b c", "", "~", "*", "..a", "a..", "C:", "\\", "é", "\ud800", "\0"]
+)
 
 
 @given(parts=st.lists(PARTS, max_size=6), separator=st.sampled_from(["/", "//", "\\"]))
@@ -29,6 +31,8 @@ def test_no_name_leads_out(parts: list[str], separator: str) -> None:
 def test_names_that_no_file_can_have(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"cannot be followed: .*too long"):
         inner_path(tmp_path, "x" * 5000)
+    with pytest.raises(InputError, match=r"file names cannot have '\\ud800'"):
+        inner_path(tmp_path, "a\ud800b.png")
 
 
 @pytest.mark.parametrize("name", ["a.png", "a/b.png", "..a", "a..b/c", "./a", "~", "a b"])
