@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every step of a test taken on a second device, too, from the same state, and compared.
+
+``TACCEL_LAB_BESIDE=cuda:0 pytest tests/verification`` holds a GPU against the CPU on all scenes
+that are verified at all. What a step is accurate to is what it was asked for: a part of the contact
+force. On a CPU, beside itself, all bits are equal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.solvers import SolverIPC, StepReport
+from taccel_lab.solvers.control import Control
+from taccel_lab.state import State, StepHistory
+
+FORCES_WITHIN = 10.0
+"""Difference of the contact force on a body, over the residual that both steps may leave."""
+MOTION_WITHIN = 1e-2
+"""Difference of positions, over the largest motion in the step."""
+LEAST_M = 1e-8
+"""Difference of positions that is always allowed, where hardly anything moves [m]."""
+
+
+@dataclass
+class Beside:
+    """What was compared."""
+
+    device: str
+    steps: int = 0
+    left_out: int = 0
+    """Steps that were not compared: taken again, or of models whose parameters were changed."""
+    worst_force: float = 0.0
+    """Largest difference of forces, over what is allowed."""
+    worst_motion: float = 0.0
+    """Largest difference of positions, over what is allowed."""
+
+
+def moved(state: State, device: str) -> State:
+    """A copy on another device."""
+
+    def there(array: wp.array | None) -> wp.array | None:
+        return None if array is None else wp.clone(array, device=device)
+
+    history = state.history
+    return State(
+        positions=wp.clone(state.positions, device=device),
+        velocities=wp.clone(state.velocities, device=device),
+        poses=wp.clone(state.poses, device=device),
+        history=None if history is None else StepHistory(*map(there, history.arrays())),  # type: ignore[arg-type]
+        external_forces=there(state.external_forces),
+        wrenches=there(state.wrenches),
+    )
+
+
+def body_forces(solver: SolverIPC) -> np.ndarray:
+    """Resultant of contact and friction on each body [N], shape [env_count, body_count, 3]."""
+    nodal = -(solver.contact_gradient.numpy() + solver.friction_gradient.numpy())
+    return np.stack([nodal[:, slice(*body.nodes)].sum(axis=1) for body in solver.model.bodies], 1)
+
+
+@contextmanager
+def steps_beside(
+    device: str, change: Callable[[SolverIPC], None] = lambda twin: None
+) -> Iterator[Beside]:
+    """Take all steps within on ``device``, too; AssertionError where the two differ.
+
+    ``change``: what is done to each solver there once it is built; for tests of this comparison.
+    """
+    found = Beside(device)
+    twins: dict[int, tuple[SolverIPC, SolverIPC]] = {}
+    step = SolverIPC.step
+
+    def twin_of(solver: SolverIPC) -> SolverIPC:
+        if id(solver) not in twins:
+            config = replace(solver.config, linear_method="auto")
+            twin = SolverIPC(solver.model.scene.finalize(device), config)
+            change(twin)
+            twins[id(solver)] = (solver, twin)
+        return twins[id(solver)][1]
+
+    def both(
+        self: SolverIPC, state: State, control: Any = None, *, who: Any = None, again: bool = False
+    ) -> StepReport:
+        model = self.model
+        if again or model.changes or model.moves or isinstance(control, Control):
+            found.left_out += 1
+            return step(self, state, control, who=who, again=again)
+        twin, there = twin_of(self), moved(state, device)
+        if self.joints is not None and twin.joints is not None:
+            twin.joints.targets.assign(self.joints.targets.numpy())
+        before = state.positions.numpy()
+        report = step(self, state, control, who=who)
+        poses = control.numpy() if isinstance(control, wp.array) else control
+        other = step(twin, there, poses, who=who)
+        _compare(found, self, twin, report, other, before, state, there)
+        return report
+
+    SolverIPC.step = both  # type: ignore[method-assign]
+    try:
+        yield found
+    finally:
+        SolverIPC.step = step  # type: ignore[method-assign]
+
+
+def _compare(
+    found: Beside,
+    solver: SolverIPC,
+    twin: SolverIPC,
+    report: StepReport,
+    other: StepReport,
+    before: np.ndarray,
+    state: State,
+    there: State,
+) -> None:
+    """Where both have converged, in as many parts of the step; where one alone has not, the other
+    should not have either."""
+    both = report.converged & other.converged & (report.substeps == other.substeps)
+    found.steps += 1
+    np.testing.assert_array_equal(
+        other.converged, report.converged, f"converged on {found.device} (ACTUAL) and here"
+    )
+    if not both.any():
+        return
+    here, away = state.positions.numpy()[both], there.positions.numpy()[both]
+    motion = np.abs(here - before[both]).max()
+    off = np.abs(away - here).max() / max(MOTION_WITHIN * motion, LEAST_M)
+    found.worst_motion = max(found.worst_motion, float(off))
+    config = solver.config
+    scale = np.maximum(report.contact_force_n, other.contact_force_n)[both]
+    allowed = FORCES_WITHIN * np.maximum(
+        config.relative_tolerance * scale, config.absolute_tolerance_n
+    )
+    apart = np.linalg.norm(body_forces(twin)[both] - body_forces(solver)[both], axis=-1).max(axis=1)
+    worst = float((apart / allowed).max())
+    found.worst_force = max(found.worst_force, worst)
+    assert off <= 1 and worst <= 1, (
+        f"{found.device} and {solver.model.device} differ: positions by {off:.2g} of what is "
+        f"allowed, forces by {worst:.2g}"
+    )
