@@ -10,6 +10,10 @@ from __future__ import annotations
 
 import warp as wp
 
+WARP_THREADS = 32
+"""Threads of a block where there are few, with much to do each, such as one an affine body: blocks
+of a warp spread over the multiprocessors of a GPU, of which 256 bodies in one block keep one busy.
+"""
 _THREADS = 1 << 18
 """Threads that keep a large GPU busy."""
 

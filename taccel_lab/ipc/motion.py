@@ -13,7 +13,7 @@ from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import embed_vertices
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
 
 @wp.kernel

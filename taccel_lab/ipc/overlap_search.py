@@ -25,7 +25,7 @@ from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
 from taccel_lab.model import BodyKind, Model
 from taccel_lab.state import State
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
 _ROUNDING = wp.constant(wp.float64(64.0 * np.finfo(np.float64).eps))
 

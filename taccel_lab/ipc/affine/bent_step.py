@@ -24,7 +24,7 @@ from taccel_lab.ipc.affine.orthogonality import affine_map
 from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
 from taccel_lab.model import Model
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
 LARGEST_TURN = 0.1
 """Angle that one step may turn a body by [rad]: everything that a bent step may meet is a candidate

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.lanes import WARP_THREADS
 from taccel_lab.ipc.svd import signed_svd_3x3
 from taccel_lab.model import Model
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
 
 
 @wp.func

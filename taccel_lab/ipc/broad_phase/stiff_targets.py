@@ -28,14 +28,14 @@ from taccel_lab.ipc.broad_phase.swept_box import (
 from taccel_lab.ipc.capacity import ListRoom
 from taccel_lab.model import Model
 
-wp.set_module_options({"enable_backward": False})
+_SEARCH_THREADS = 64
+"""Of a block: one that waits for its longest query holds up few. A fifth quicker than 256 where an
+H200 searches 4,096 pegs."""
+wp.set_module_options({"enable_backward": False, "block_dim": _SEARCH_THREADS})
 
 _BIG = wp.constant(wp.float64(1.0e30))
 
 
-_SEARCH_THREADS = 64
-"""Of a block: one that waits for its longest query holds up few. A fifth quicker than 256 where an
-H200 searches 4,096 pegs."""
 NODE_FACE, FACE_VERTEX, EDGE_EDGE = range(3)
 """What is searched against what; the second belongs to the body with the frame."""
 
@@ -293,5 +293,4 @@ def run_search(
             + [model.surface.node_bodies, model.present, *path, frames],
             outputs=outputs,
             device=model.device,
-            block_dim=_SEARCH_THREADS,
         )

@@ -16,11 +16,12 @@ from taccel_lab.ipc.affine.orthogonality import (
     orthogonality_gradient,
     orthogonality_hessian,
 )
+from taccel_lab.ipc.lanes import WARP_THREADS
 from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": WARP_THREADS})
 
 
 @wp.func

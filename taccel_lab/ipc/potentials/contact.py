@@ -44,7 +44,7 @@ from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.stencil_rows import STENCIL_THREADS, add_pair_hessian, row_parts
 from taccel_lab.model import Model
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
 
 
 @wp.func
@@ -301,5 +301,4 @@ class ContactPotential(EnergyTerm):
             dim=(m.env_count, lanes, parts),
             inputs=[active, lanes, c.lists, c.geometry, positions, modes, parts, system],
             device=m.device,
-            block_dim=STENCIL_THREADS,
         )

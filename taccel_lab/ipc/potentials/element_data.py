@@ -22,7 +22,7 @@ from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.model.element_chunks import ChunkTables
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": STAGED_THREADS})
 
 
 @wp.struct

@@ -33,7 +33,7 @@ from taccel_lab.ipc.stencil_rows import STENCIL_THREADS, add_weighted_block, row
 from taccel_lab.ipc.touching import way_in
 from taccel_lab.model import Model
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
 
 
 @wp.struct
@@ -366,5 +366,4 @@ class FrictionPotential(EnergyTerm):
             dim=(m.env_count, lanes, parts),
             inputs=[active, lanes, self.frozen, motion, self.eps_u_m, sharpness] + [parts, system],
             device=m.device,
-            block_dim=STENCIL_THREADS,
         )

@@ -23,6 +23,7 @@ from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.elasticity.principal import lifted_matrix
 from taccel_lab.ipc.elasticity.st_venant_kirchhoff import green_strain
 from taccel_lab.ipc.potentials.chunk_stage import (
+    STAGED_THREADS,
     put_block,
     put_force,
     stage_blocks,
@@ -48,7 +49,7 @@ from taccel_lab.ipc.svd import matrix_column
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": STAGED_THREADS})
 
 
 @wp.func

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each module is launched with one size of thread blocks; a GPU compiles it anew for any other."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.scene import (
+    AffineBody,
+    Element,
+    KinematicBody,
+    Material,
+    Plane,
+    RevoluteJoint,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    box_mesh,
+)
+from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.state import initial_state
+from tests.verification.blocks import block_mesh
+
+
+def grasp() -> Scene:
+    """Two gels of either element on mounts, damped, a jointed pair between them, above a plane."""
+    gels = [
+        SoftBody(
+            block_mesh((2, 2, 1), (6e-3, 6e-3, 3e-3)),
+            Material(1e5, 0.4, damping_time_s=1e-3),
+            name=name,
+            mount=f"{name} mount",
+            element=element,
+            friction_coefficient=1.0,
+        )
+        for name, element in (("left", Element.LINEAR), ("right", Element.QUADRATIC))
+    ]
+    frames = [KinematicBody(None, name=f"{name} mount") for name in ("left", "right")]
+    cubes = [
+        AffineBody(
+            box_mesh((8e-3, 8e-3, 4e-3)),
+            name=name,
+            friction_coefficient=1.0,
+            initial_pose=np.array([0, 0, z, 0, 0, 0, 1]),
+        )
+        for name, z in (("lower", -2.2e-3), ("upper", 2.2e-3))
+    ]
+    hinge = RevoluteJoint("lower", "upper", (0, 0, 0), (0, 1, 0))
+    return Scene(
+        gels,
+        frames,
+        time=TimeStepping(quasi_static=False, dt_s=4e-3, gravity_m_s2=(0.0, 0.0, -9.81)),
+        affine_bodies=cubes,
+        planes=[Plane((0, 0, -5e-3), (0, 0, 1))],
+        joints=[hinge],
+    )
+
+
+def grasp_poses(step: int) -> np.ndarray:
+    half = np.sqrt(0.5)
+    gap = 4.05e-3 - 5e-5 * step
+    return np.array([[[-gap, 0, 0, 0, half, 0, half], [gap, 0, 0, 0, -half, 0, half]]])
+
+
+@pytest.mark.parametrize("method", ["ssor", "cg", "pipelined"])
+def test_a_module_has_one_size(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+    sizes: dict[str, dict[int, set[str]]] = defaultdict(lambda: defaultdict(set))
+
+    def noting(launch: Any) -> Any:
+        def note(kernel: wp.Kernel, *args: Any, **options: Any) -> Any:
+            module = kernel.module
+            size = options.get("block_dim") or module.options["block_dim"]
+            # The linear solvers choose theirs by the number of environments.
+            if ".linear." not in module.name:
+                sizes[module.name][size].add(kernel.key)
+            return launch(kernel, *args, **options)
+
+        return note
+
+    for name in ("launch", "launch_tiled"):
+        monkeypatch.setattr(wp, name, noting(getattr(wp, name)))
+    config = SolverConfig(dhat_m=1e-4, linear_method=method, capture=False)
+    solver = SolverIPC(grasp().finalize(), config)
+    state = initial_state(solver.model, grasp_poses(0))
+    for step in range(1, 4):
+        assert solver.step(state, grasp_poses(step)).converged.all()
+    assert solver.friction_gradient.numpy().any()
+    assert len(sizes) > 20
+    several = {name: dict(found) for name, found in sizes.items() if len(found) > 1}
+    assert not several
