@@ -5,7 +5,7 @@ Environments that all do the same are the best case of a batch. In a learning lo
 phase of its own, its targets are an untrained policy's, and some begin anew at every step; the
 batch waits for its slowest environment, unless each goes at its own pace (``ReadySteps``), as those
 who make data may let it. Resets, the check of new starts, setting targets, stepping and reading
-forces are timed.
+forces are timed, and what a policy sees of a step where one looks (``observation``).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_name, clock_of
 from taccel_lab.benchmarks.memory import MemoryMeter
+from taccel_lab.benchmarks.observation import OBSERVED, Observer, Sight
 from taccel_lab.benchmarks.results import ResultFile, Ticker, spread
 from taccel_lab.benchmarks.runner import ForceReader, Motion
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
@@ -60,6 +61,9 @@ class Learning(Suite):
     its last one is over, and a call does --iterations of them. A row each."""
     iterations: int = 4
     """Newton iterations of a call, of environments that go at their own pace."""
+    observe: tuple[str, ...] = ()
+    """What torch reads of each finished step, on the device: rgb, images of 64 x 64 pixels of each
+    gel; wrench, force and torque on each gel, in place of the forces that the host reads."""
     seed: int = 0
     """Of phases, offsets and resets."""
     source: str = "auto"
@@ -75,6 +79,7 @@ class Learning(Suite):
             "reset_share": self.reset_share,
             "offset_mm": self.offset_mm,
             "iterations": self.iterations,
+            "observe": list(self.observe),
             "seed": self.seed,
             "solver": parse_settings(self.set),
             "clock": clock_name(self.device),
@@ -88,6 +93,8 @@ class Learning(Suite):
             raise InputError("--envs, --steps, --warm-up and --repeats must be at least 1")
         if not set(self.pace) <= {"together", "own"}:
             raise InputError(f"--pace must be together or own, got {' '.join(self.pace)}")
+        if not set(self.observe) <= set(OBSERVED) or len(set(self.observe)) < len(self.observe):
+            raise InputError(f"--observe must be rgb, wrench or both, got {' '.join(self.observe)}")
         if not 0 <= self.reset_share <= 1:
             raise InputError(f"--reset-share must lie in [0, 1], got {self.reset_share:g}")
         for count in self.envs:
@@ -105,7 +112,8 @@ class LearningLoop:
         self.model = bench.scene.finalize(options.device)
         self.solver = SolverIPC(self.model, replace(bench.config, check_start=True))
         self.state = initial_state(self.model, bench.targets(0))
-        self._forces = ForceReader(self.solver)
+        self._forces = None if "wrench" in options.observe else ForceReader(self.solver)
+        self.observer = Observer(self.solver, options.observe) if options.observe else None
         self._clock = clock_of(self.model.device)
         self._random = np.random.default_rng(options.seed)
         self._phase = np.zeros(self.model.env_count, dtype=np.int64)
@@ -157,11 +165,18 @@ class LearningLoop:
             before = self._clock()
             report = self._step(targets, ready)
             after = self._clock()
-            self._forces.read()
+            if self._forces is not None:
+                self._forces.read(self.state)
+            if self.observer is not None:
+                self.observer.observe(self.state, None if self._own_pace is None else self._ready)
             motion.add(report, self._clock() - started, after - before)
             self.resets += int(begin.sum())
             progress("steps", motion.env_steps // self.model.env_count, steps)
         return motion
+
+    def take_sight(self) -> Sight:
+        """What was observed since this was asked last."""
+        return Sight.none(()) if self.observer is None else self.observer.take()
 
     def _step(self, targets: np.ndarray, ready: np.ndarray) -> StepReport:
         """One call; the report of those environments that are through."""
@@ -181,12 +196,18 @@ def measure(count: int, pace: str, options: Learning) -> dict[str, Any]:
         label = f"{options.scene}, {count} environments"
         loop.run(options.warm_up, Ticker(f"{label}, warming up"))
         before = loop.resets
-        runs = [
-            loop.run(options.steps, Ticker(f"{label}, run {i + 1}/{options.repeats}"))
-            for i in range(options.repeats)
-        ]
+        loop.take_sight()
+        runs, sights = [], []
+        for i in range(options.repeats):
+            runs.append(loop.run(options.steps, Ticker(f"{label}, run {i + 1}/{options.repeats}")))
+            sights.append(loop.take_sight())
     bytes_used = meter.used_bytes()
-    median = sorted(runs, key=lambda run: run.fps)[len(runs) // 2]
+    middle = int(np.argsort([run.fps for run in runs])[len(runs) // 2])
+    median, sight = runs[middle], sights[middle]
+    beside_s = sum(median.seconds) - sum(median.solver_seconds) - sight.total_s
+    observed = None
+    if loop.observer is not None:
+        observed = loop.observer.figures(sight, median.env_steps, sum(median.seconds))
     residuals = [run.residual() for run in runs]
     # Of environments at their own pace a call is less than a step.
     calls = [len(run.seconds) / options.steps for run in runs]
@@ -203,13 +224,14 @@ def measure(count: int, pace: str, options: Learning) -> dict[str, Any]:
         "solver_fps": spread([run.solver_fps for run in runs]),
         "ms_per_step": spread([1e3 * sum(run.seconds) / options.steps for run in runs]),
         "calls_per_step": float(np.mean(calls)),
-        "beside_steps_ms": 1e3 * (sum(median.seconds) - sum(median.solver_seconds)) / options.steps,
+        "beside_steps_ms": 1e3 * beside_s / options.steps,
         "worst_call_ms": 1e3 * max(median.seconds),
         "resets_per_step": (loop.resets - before) / (options.steps * options.repeats),
         "residual": max(residuals, key=lambda r: (r["unconverged"], r["worst_over_allowed"])),
         **median.work(),
         "newton_largest_mean": float(np.average(median.newton_max, weights=median.counts)),
         "memory_mib_per_env": bytes_used / 2**20 / count,
+        "observed": observed,
     }
 
 
@@ -224,6 +246,11 @@ def describe(row: dict[str, Any]) -> str:
         f"Newton {row['newton_mean']:.1f}, largest of the batch {row['newton_largest_mean']:.1f}, "
         f"residual {residual['worst_over_contact_force']:.1e} of the contact force"
     )
+    if observed := row["observed"]:
+        took = {name: observed[f"{name}_us_per_env_step"] for name in observed["what"]}
+        spent = ", ".join(f"{name} {us:,.0f} us" for name, us in took.items())
+        line += f"; observing {spent} a step of an environment"
+        line += f", {observed['fps_without']:,.1f} FPS without"
     if residual["unconverged"]:
         line += f"; {residual['unconverged']} of {residual['env_steps']} NOT converged"
         line += f" ({residual['causes']})"

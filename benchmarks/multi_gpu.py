@@ -162,7 +162,9 @@ class Party:
             started = time.perf_counter()
             targets = self._targets(step)
             report = self._solver.step(targets)
-            forces = np.concatenate([reader.read() for reader in self._forces])
+            states = self._solver.states
+            parts = zip(self._forces, states, strict=True)
+            forces = np.concatenate([reader.read(state) for reader, state in parts])
             motion.add(report, time.perf_counter() - started, report.seconds)
             newton.append(report.newton_iterations)
         return Run(motion, np.array(newton), forces)

@@ -18,50 +18,21 @@ from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.scenes.base import RESIDUAL_N, RESIDUAL_RATIO, BenchScene
 from taccel_lab.ipc.start_checks import check_start
 from taccel_lab.model import Model
+from taccel_lab.outputs.soft_wrenches import SoftWrenchReader
 from taccel_lab.progress import Progress, silent
 from taccel_lab.solvers import EnvStatus, SolverIPC, StepReport
-from taccel_lab.state import initial_state
-
-wp.set_module_options({"enable_backward": False})
-
-
-@wp.kernel
-def _sum_forces_kernel(
-    contact: wp.array2d(dtype=wp.vec3d),
-    friction: wp.array2d(dtype=wp.vec3d),
-    starts: wp.array(dtype=wp.int32),
-    forces: wp.array2d(dtype=wp.vec3d),
-):
-    env, body = wp.tid()
-    total = wp.vec3d()
-    for node in range(starts[body], starts[body + 1]):
-        total -= contact[env, node] + friction[env, node]
-    forces[env, body] = total
+from taccel_lab.state import State, initial_state
 
 
 class ForceReader:
     """Contact and friction force on each soft body [N], [env, soft body, 3], on the host."""
 
     def __init__(self, solver: SolverIPC) -> None:
-        model = solver.model
-        self._solver = solver
-        soft = model.bodies[: len(model.scene.soft_bodies)]
-        starts = np.array([body.nodes[0] for body in soft] + [model.soft_count], dtype=np.int32)
-        self._starts = wp.array(starts, dtype=wp.int32, device=model.device)
-        shape = (model.env_count, len(soft))
-        self._forces = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
+        self._wrenches = SoftWrenchReader(solver, in_mounts=False)
 
-    def read(self) -> np.ndarray:
-        """Of the last step."""
-        solver = self._solver
-        wp.launch(
-            _sum_forces_kernel,
-            dim=self._forces.shape,
-            inputs=[solver.contact_gradient, solver.friction_gradient, self._starts],
-            outputs=[self._forces],
-            device=solver.model.device,
-        )
-        return self._forces.numpy()
+    def read(self, state: State) -> np.ndarray:
+        """Of the last step, which led to ``state``; in world axes."""
+        return self._wrenches.read(state).numpy()[..., :3]
 
 
 @dataclass
@@ -212,7 +183,7 @@ class Runner:
             before = self.clock()
             report = self.solver.step(self.state, targets)
             after = self.clock()
-            forces = self.forces.read()
+            forces = self.forces.read(self.state)
             motion.add(report, self.clock() - started, after - before)
             if keep_forces:
                 motion.forces_n.append(forces.copy())

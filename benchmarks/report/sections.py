@@ -114,7 +114,19 @@ def learning(document: Document) -> Iterator[str]:
         "of it resets (a step) and reading forces",
     ]
     head += ["Newton a step: mean, largest of those through at once", "residual over contact force"]
+    if any(row.get("observed") for row in document["rows"]):
+        head += ["observed: us a step of each", "FPS without"]
+        for line, row in zip(rows, document["rows"], strict=True):
+            line += _observed(row.get("observed"))
     yield markdown_table(head, rows)
+
+
+def _observed(seen: dict[str, Any] | None) -> list[str]:
+    """What torch read of a step, and what the loop made beside that."""
+    if seen is None:
+        return ["nothing", "-"]
+    spent = [f"{name} {number(seen[f'{name}_us_per_env_step'])}" for name in seen["what"]]
+    return [", ".join(spent), number(seen["fps_without"])]
 
 
 def error(document: Document) -> Iterator[str]:

@@ -66,6 +66,29 @@ def _as_int_kernel(mask: wp.array(dtype=wp.bool), result: wp.array(dtype=wp.int3
     result[env] = int(mask[env])
 
 
+@wp.func
+def chosen_env(envs: wp.array(dtype=wp.int32), row: int) -> int:
+    """The environment that a row is of: the one that ``envs`` names, or its own where there is no
+    list."""
+    if envs.shape[0] == 0:
+        return row
+    return envs[row]
+
+
+def chosen_envs(who: Any, env_count: int, device: wp.Device) -> wp.array:
+    """The environments of a mask of the host one after the other, int32, on the device.
+
+    How many they are decides what is launched, so that a mask of the device will not do.
+
+    Raises:
+        InputError: Not bool of shape [env_count].
+    """
+    if on_device(who):
+        raise InputError("which environments are read is said by a mask of numpy, not the device's")
+    value = _checked_mask(who, env_count)
+    return wp.array(np.flatnonzero(value), dtype=wp.int32, device=device)
+
+
 def on_device(value: Any) -> bool:
     """Whether ``value`` is a device's array, one of Warp or a torch tensor, and not the host's."""
     return hasattr(value, "__dlpack__") and not isinstance(value, np.ndarray | np.generic)
@@ -142,9 +165,14 @@ def device_mask(mask: Any, env_count: int, device: wp.Device) -> wp.array:
         result = wp.empty(env_count, dtype=wp.int32, device=device)
         wp.launch(_as_int_kernel, env_count, inputs=[found, result], device=device)
         return result
+    value = _checked_mask(mask, env_count)
+    return wp.array(value.astype(np.int32), dtype=wp.int32, device=device)
+
+
+def _checked_mask(mask: Any, env_count: int) -> np.ndarray:
     value = np.asarray(mask)
     if value.shape != (env_count,) or value.dtype != bool:
         raise InputError(
             f"a mask is bool of shape [{env_count}], got {value.dtype} of shape {list(value.shape)}"
         )
-    return wp.array(value.astype(np.int32), dtype=wp.int32, device=device)
+    return value

@@ -16,6 +16,7 @@ from taccel_lab.outputs.contact_wrenches import (
     friction_wrenches,
 )
 from taccel_lab.outputs.momentum import Momentum, MomentumReader
+from taccel_lab.outputs.soft_wrenches import SoftWrenchReader
 from taccel_lab.outputs.stress import StressReader, peak_at, von_mises
 from taccel_lab.outputs.surface_load import SurfaceLoad, SurfaceLoadReader
 from taccel_lab.solvers.solver_ipc import SolverIPC
@@ -38,6 +39,7 @@ class Outputs:
         self._state: State | None = None
         self._momentum = MomentumReader(self._model)
         self._surface_load = SurfaceLoadReader(self._model)
+        self._soft_wrenches = SoftWrenchReader(solver)
 
     def update(self, state: State) -> Outputs:
         """Read from now on the step that led to ``state``."""
@@ -67,6 +69,16 @@ class Outputs:
         """Friction force on each node [N], vec3d, shape [env_count, node_count]."""
         _ = self.state
         return negated(self._solver.friction_gradient)
+
+    def soft_wrenches(self, who: np.ndarray | None = None) -> wp.array:
+        """Force and torque of contact and friction on each soft body, about the origin and in the
+        axes of its mount, of the world where it has none: (Fx, Fy, Fz, Mx, My, Mz) [N, N m], six
+        float64, shape [env_count, soft_count]. Does not wait for the device.
+
+        ``who``: environments to read, bool, [env_count], of the host, a row for each; all when
+        None.
+        """
+        return self._soft_wrenches.read(self.state, who)
 
     @cached_property
     def surface_load(self) -> SurfaceLoad:

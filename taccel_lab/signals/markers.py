@@ -21,6 +21,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
+from taccel_lab.model.env_rows import chosen_env
 from taccel_lab.signals.raster import GridMap, grid_map, pixel_of
 
 wp.set_module_options({"enable_backward": False})
@@ -110,24 +111,26 @@ def in_gel_frame(frames: wp.array(dtype=wp.transformd), env: int, point: wp.vec3
 def _project_markers_kernel(
     positions: wp.array2d(dtype=wp.vec3d),
     frames: wp.array(dtype=wp.transformd),
+    envs: wp.array(dtype=wp.int32),
     nodes: wp.array2d(dtype=wp.int32),
     weights: wp.array(dtype=wp.vec3d),
     grid: GridMap,
     # Out
     markers_px: wp.array2d(dtype=wp.vec2f),
 ):
-    env, marker = wp.tid()
+    row, marker = wp.tid()
+    env = chosen_env(envs, row)
     w = weights[marker]
     point = w[0] * positions[env, nodes[marker, 0]]
     point += w[1] * positions[env, nodes[marker, 1]]
     point += w[2] * positions[env, nodes[marker, 2]]
     point = in_gel_frame(frames, env, point)
     pixel = pixel_of(grid, point)
-    markers_px[env, marker] = wp.vec2f(wp.float32(pixel[0]), wp.float32(pixel[1]))
+    markers_px[row, marker] = wp.vec2f(wp.float32(pixel[0]), wp.float32(pixel[1]))
 
 
 class MarkerProjection:
-    """Pixel positions of markers; one launch for all environments."""
+    """Pixel positions of markers; one launch for all environments that are asked for."""
 
     def __init__(
         self, layout: MarkerLayout, grid: PixelGrid, *, env_count: int, first_node: int, device: Any
@@ -146,13 +149,17 @@ class MarkerProjection:
         self.markers_px = wp.empty((env_count, layout.count), dtype=wp.vec2f, device=device)
         """Columns and rows (u, v) [px], vec2f, shape [env, marker]."""
 
-    def update(self, positions: wp.array, frames: wp.array) -> None:
+    def update(self, positions: wp.array, frames: wp.array, envs: wp.array, count: int) -> None:
         """Read node positions [m], vec3d, [env, node], and world_from_gel, transformd, [env] (of
-        length 0 when positions are in the gel frame)."""
+        length 0 when positions are in the gel frame).
+
+        ``envs``: the environments that the first ``count`` rows are to be of, int32; of length 0
+        for all.
+        """
         wp.launch(
             _project_markers_kernel,
-            dim=self.markers_px.shape,
-            inputs=[positions, frames, self._nodes, self._weights, self._grid],
+            dim=(count, self.markers_px.shape[1]),
+            inputs=[positions, frames, envs, self._nodes, self._weights, self._grid],
             outputs=[self.markers_px],
             device=self.markers_px.device,
         )

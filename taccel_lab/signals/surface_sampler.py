@@ -22,6 +22,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
+from taccel_lab.model.env_rows import chosen_env
 from taccel_lab.signals.contact_surface import ContactSurface
 from taccel_lab.signals.face_patches import RECORD, build_patches_kernel
 from taccel_lab.signals.gradient_recovery import FEW_SWEEPS, NetworkScratch, recover_gradients
@@ -43,15 +44,17 @@ class SurfaceMode(enum.Enum):
 def _gather_surface_kernel(
     positions: wp.array2d(dtype=wp.vec3d),
     frames: wp.array(dtype=wp.transformd),
+    envs: wp.array(dtype=wp.int32),
     node_idx: wp.array(dtype=wp.int32),
     # Out
     surface: wp.array2d(dtype=wp.vec3d),
     height: wp.array2d(dtype=wp.float64),
 ):
-    env, node = wp.tid()
+    row, node = wp.tid()
+    env = chosen_env(envs, row)
     point = in_gel_frame(frames, env, positions[env, node_idx[node]])
-    surface[env, node] = point
-    height[env, node] = point[2]
+    surface[row, node] = point
+    height[row, node] = point[2]
 
 
 class SurfaceSampler:
@@ -102,6 +105,7 @@ class SurfaceSampler:
         at_rest = np.zeros((1, first_node + mesh.node_count, 3))
         at_rest[0, first_node:] = mesh.nodes_m
         self._no_frames = wp.empty(0, dtype=wp.transformd, device=device)
+        self._all_envs = wp.empty(0, dtype=wp.int32, device=device)
         samples = self.sample(wp.array(at_rest, dtype=wp.vec3d, device=device))
         self.rest_samples = wp.clone(samples[0])
         """Samples of the undeformed gel, vec3f, shape [height_px, width_px]."""
@@ -111,23 +115,27 @@ class SurfaceSampler:
         """Environments that the latest call had to rasterise, bool; waits for the device."""
         return self._walk.unsettled
 
-    def sample(self, positions: wp.array, frames: wp.array | None = None) -> wp.array:
+    def sample(
+        self, positions: wp.array, frames: wp.array | None = None, envs: wp.array | None = None
+    ) -> wp.array:
         """Sample the surface.
 
         Args:
             positions: Node positions [m], vec3d, shape [env, node].
             frames: world_from_gel, transformd, shape [env]; None when positions are in the gel
                 frame.
+            envs: The environments to sample, int32; all when None.
 
         Returns:
             vec3f, shape [env, height_px, width_px], NaN beside the pad; valid until the next call.
         """
-        count = positions.shape[0]
+        count = positions.shape[0] if envs is None else len(envs)
+        envs = self._all_envs if envs is None else envs
         points, height = self._points[:count], self._height[:count]
         wp.launch(
             _gather_surface_kernel,
             dim=points.shape,
-            inputs=[positions, self._no_frames if frames is None else frames, self._node_idx],
+            inputs=[positions, self._no_frames if frames is None else frames, envs, self._node_idx],
             outputs=[points, height],
             device=self._device,
         )

@@ -21,6 +21,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
+from taccel_lab.model.env_rows import chosen_envs
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
 from taccel_lab.signals.surface_sampler import SurfaceMode, SurfaceSampler
@@ -66,7 +67,8 @@ class SignalTactile:
 
     Construct, call ``update(positions)`` after each step, read the signals you want. A signal that
     is not read is not computed and takes no memory. Arrays are Warp arrays on the device of the
-    positions, the same ones at each read; ``wp.to_torch(signal.rgb)`` shares their memory.
+    positions, the same ones at each read, or their first rows where only some environments are
+    shown; ``wp.to_torch(signal.rgb)`` shares their memory.
     """
 
     def __init__(
@@ -128,6 +130,10 @@ class SignalTactile:
         self._positions: Any = None
         self._no_frames = wp.empty(0, dtype=wp.transformd, device=self.device)
         self._frames: Any = self._no_frames
+        self._all_envs = wp.empty(0, dtype=wp.int32, device=self.device)
+        self._envs: Any = self._all_envs
+        self._count = env_count
+        """Environments that are shown."""
 
     @classmethod
     def from_profile(
@@ -147,7 +153,12 @@ class SignalTactile:
             color["background_rgb"] = profile.background_rgb
         return cls(profile.mesh, profile.grid(), env_count=env_count, **color, **options)
 
-    def update(self, positions: wp.array, world_from_gel: wp.array | None = None) -> None:
+    def update(
+        self,
+        positions: wp.array,
+        world_from_gel: wp.array | None = None,
+        who: np.ndarray | None = None,
+    ) -> None:
         """Point the signals at a state; launches nothing.
 
         Args:
@@ -156,6 +167,8 @@ class SignalTactile:
                 ``update`` again after they did.
             world_from_gel: Pose of the gel in each environment, transformd, shape [env_count], for
                 instance ``state.poses[:, mount]``; None when positions are in the gel frame.
+            who: Environments to show, bool, [env_count], of the host; all when None. Signals then
+                have a row for each of these, in their order.
         """
         least = self._first_node + self._mesh.node_count
         if positions.dtype != wp.vec3d or positions.ndim != 2:
@@ -175,6 +188,10 @@ class SignalTactile:
             )
         self._positions = positions
         self._frames = self._no_frames if world_from_gel is None else world_from_gel
+        self._envs, self._count = self._all_envs, self.env_count
+        if who is not None:
+            self._envs = chosen_envs(who, self.env_count, self.device)
+            self._count = len(self._envs)
         self._fresh.clear()
         self._samples = None
 
@@ -216,12 +233,15 @@ class SignalTactile:
             if name not in self._arrays:
                 self._arrays[name] = self._make(name)
         if "markers_px" in stale and self._projection is not None:
-            self._projection.update(self._positions, self._frames)
+            self._projection.update(self._positions, self._frames, self._envs, self._count)
         images = [name for name in stale if name in _IMAGES]
         if images:
             self._render(images)
         self._fresh.update(stale)
-        return tuple(self._arrays[name] for name in names)
+        arrays = [self._arrays[name] for name in names]
+        if self._count < self.env_count:
+            arrays = [array[: self._count] for array in arrays]
+        return tuple(arrays)
 
     def rasterized_count(self) -> int:
         """How many environments of the latest chunk were folded or left pixels beside the pad,
@@ -268,10 +288,12 @@ class SignalTactile:
     def _render(self, names: list[str]) -> None:
         """Bring images up to date, chunk by chunk."""
         assert self._sampler is not None
-        for first in range(0, self.env_count, self.chunk_envs):
-            part = slice(first, min(first + self.chunk_envs, self.env_count))
+        for first in range(0, self._count, self.chunk_envs):
+            part = slice(first, min(first + self.chunk_envs, self._count))
             samples = self._samples
-            if samples is None:
+            if samples is None and len(self._envs):
+                samples = self._sampler.sample(self._positions, self._frames, self._envs[part])
+            elif samples is None:
                 frames = self._frames[part] if len(self._frames) else self._frames
                 samples = self._sampler.sample(self._positions[part], frames)
             if self.chunk_envs == self.env_count:

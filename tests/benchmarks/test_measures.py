@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks import error, learning, press_accuracy, scaling, skips
+from taccel_lab.benchmarks import error, press_accuracy, scaling, skips
 from taccel_lab.benchmarks.command_line import main
 from taccel_lab.benchmarks.report.plots import draw_error, draw_scaling
 from taccel_lab.benchmarks.report.sections import SECTIONS, VERIFICATION
@@ -178,32 +178,6 @@ def test_a_skip_row() -> None:
     assert row["on"]["residual"]["unconverged"] == row["off"]["residual"]["unconverged"] == 0
     on, off = (row[name]["ms_per_step"]["median"] for name in ("on", "off"))
     assert row["saved_percent"] == pytest.approx(100 * (1 - off / on))
-
-
-@pytest.mark.parametrize("pace", ["together", "own"])
-def test_a_learning_row(pace: str) -> None:
-    """Phases differ, some environments begin anew, and nothing else is left of before."""
-    options = learning.Learning(envs=(3,), steps=3, warm_up=4, reset_share=0.4, source="generated")
-    row = learning.measure(3, pace, options)
-    assert row["residual"]["unconverged"] == 0
-    assert row["residual"]["env_steps"] in ((9,) if pace == "together" else (9, 10, 11))
-    assert row["calls_per_step"] == 1 or pace == "own"
-    assert row["resets_per_step"] > 0
-    assert row["newton_largest_mean"] >= row["newton_mean"]
-    assert row["ms_per_step"]["median"] > row["beside_steps_ms"] > 0
-    text = SECTIONS["learning"](
-        {
-            "learning": [
-                {
-                    "rows": [row],
-                    "run": {"device": "cuda", "date": "", "commit": "", "packages": {}},
-                    "file": "learning.json",
-                    "complete": True,
-                }
-            ]
-        }
-    )
-    assert "largest of those through at once" in text and f"| 3 | {pace} |" in text
 
 
 def test_only_one_environment_moves_when_the_others_are_settled() -> None:

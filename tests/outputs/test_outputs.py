@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.gaps import SurfacePairs
 from taccel_lab.model import Model
@@ -125,6 +126,21 @@ def test_pairs_add_up_to_the_nodal_forces(pressed: Pressed) -> None:
             # Of the forces that are added up: friction all round the cube cancels.
             scale = np.linalg.norm(nodal[:, nodes], axis=-1).sum()
             np.testing.assert_allclose(totals[:, body], expected, atol=1e-12 * scale)
+
+
+def test_a_soft_body_has_the_sum_of_its_pairs(pressed: Pressed) -> None:
+    o, solver = pressed.outputs, pressed.solver
+    wrenches = o.soft_wrenches().numpy()
+    pairs = o.contact_wrenches().totals().numpy() + o.friction_wrenches().totals().numpy()
+    scale = np.linalg.norm(solver.contact_gradient.numpy()[:, :75], axis=-1).sum()
+    assert wrenches.shape == (2, 1, 6)
+    np.testing.assert_allclose(wrenches[:, 0], pairs[:, GEL], atol=1e-12 * scale)
+    assert np.abs(wrenches[0] - wrenches[1]).max() > 1e-6 * scale, "environments were to differ"
+    second = o.soft_wrenches(np.array([False, True])).numpy()
+    np.testing.assert_array_equal(second, wrenches[1:])
+    assert o.soft_wrenches(np.array([False, False])).shape == (0, 1)
+    with pytest.raises(InputError, match=r"a mask is bool of shape \[2\]"):
+        o.soft_wrenches(np.array([1]))
 
 
 def test_torques_move_with_the_point_of_reference(pressed: Pressed) -> None:

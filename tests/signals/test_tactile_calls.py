@@ -161,6 +161,35 @@ def test_a_gel_may_be_anywhere_among_the_nodes_and_in_the_world(device):
         assert np.nanmax(np.abs(here.numpy() - there.numpy())) < bound
 
 
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("chunk_images", [1, 2, ENV_COUNT])
+def test_some_environments_look_as_among_all(device: str, chunk_images: int) -> None:
+    """Whole or chunk by chunk, in the world or in the gel frame; a row for each that is shown."""
+    mesh = flat_pad(0.4, PAD_HALF_MM)
+    positions = on_device(presses(mesh), device)
+    poses = np.zeros((ENV_COUNT, 7))
+    poses[:, 2] = 1e-4 * np.arange(ENV_COUNT)
+    poses[:, 6] = 1.0
+    frames = wp.array(poses, dtype=wp.transformd, device=device)
+    chunk = chunk_images * (GRID.width_px * GRID.height_px + 8 * len(mesh.faces))
+    signal = make(mesh, device, chunk_pixels=chunk)
+    for shown in (None, frames):
+        signal.update(positions, shown)
+        expected = [array.numpy().copy() for array in signal.read(*ALL)]
+        for chosen in ([4], [0, 2, 3], [1, 4], []):
+            who = np.isin(np.arange(ENV_COUNT), chosen)
+            signal.update(positions, shown, who)
+            for array, all_of_it in zip(signal.read(*ALL), expected, strict=True):
+                assert array.shape[0] == len(chosen)
+                np.testing.assert_array_equal(array.numpy(), all_of_it[who])
+    signal.update(positions)
+    np.testing.assert_array_equal(signal.markers_px.numpy()[:, 0].shape, (ENV_COUNT, 2))
+    with pytest.raises(InputError, match=r"a mask is bool of shape \[5\]"):
+        signal.update(positions, None, np.array([0, 3]))
+    with pytest.raises(InputError, match="a mask of numpy, not the device's"):
+        signal.update(positions, None, wp.zeros(ENV_COUNT, dtype=wp.bool, device=device))
+
+
 def test_a_profile_says_all_but_the_markers():
     mesh = flat_pad(0.4, PAD_HALF_MM)
     model = color_model(GRID)

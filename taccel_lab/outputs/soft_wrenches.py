@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wrench on each soft body: ``F = sum f_i``, ``M = sum (x_i - x_mount) x f_i`` over its nodes.
+
+What ``signals.resultant_wrench`` says on the host, on the device and without waiting for it. Its
+nodes carry all contact and friction of a soft body, so that no pair has to be looked at.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.model.env_rows import chosen_env, chosen_envs
+from taccel_lab.outputs.contact_wrenches import vec6d
+from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.state import State
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def _soft_wrench_kernel(
+    contact: wp.array2d(dtype=wp.vec3d),
+    friction: wp.array2d(dtype=wp.vec3d),
+    positions: wp.array2d(dtype=wp.vec3d),
+    poses: wp.array2d(dtype=wp.transformd),
+    starts: wp.array(dtype=wp.int32),
+    mounts: wp.array(dtype=wp.int32),
+    envs: wp.array(dtype=wp.int32),
+    wrenches: wp.array2d(dtype=vec6d),
+):
+    """Of the gradients of the energies of contact and friction, which are minus the forces."""
+    row, body = wp.tid()
+    env = chosen_env(envs, row)
+    mount = mounts[body]
+    origin = wp.vec3d()
+    if mount >= 0:
+        origin = wp.transform_get_translation(poses[env, mount])
+    force = wp.vec3d()
+    torque = wp.vec3d()
+    for node in range(starts[body], starts[body + 1]):
+        slope = contact[env, node] + friction[env, node]
+        force -= slope
+        torque -= wp.cross(positions[env, node] - origin, slope)
+    if mount >= 0:
+        turn = wp.transform_get_rotation(poses[env, mount])
+        force = wp.quat_rotate_inv(turn, force)
+        torque = wp.quat_rotate_inv(turn, torque)
+    wrenches[row, body] = vec6d(force[0], force[1], force[2], torque[0], torque[1], torque[2])
+
+
+class SoftWrenchReader:
+    """Reads the wrenches of contact and friction on a solver's soft bodies."""
+
+    def __init__(self, solver: SolverIPC, in_mounts: bool = True) -> None:
+        """``in_mounts``: in the frames of the mounts, about their origins, where there are some;
+        otherwise in the world's, as bodies without a mount in any case."""
+        model = solver.model
+        self._solver = solver
+        soft = model.scene.soft_bodies
+        starts = [*(body.nodes[0] for body in model.bodies[: len(soft)]), model.soft_count]
+        names = [frame.name for frame in model.scene.kinematic_bodies]
+        mounts = [names.index(body.mount) if in_mounts and body.mount else -1 for body in soft]
+        self._starts = wp.array(np.array(starts), dtype=wp.int32, device=model.device)
+        self._mounts = wp.array(np.array(mounts), dtype=wp.int32, device=model.device)
+        self._everyone = wp.empty(0, dtype=wp.int32, device=model.device)
+
+    def read(self, state: State, who: np.ndarray | None = None) -> wp.array:
+        """Wrenches of the last step, which led to ``state``; see ``Outputs.soft_wrenches``."""
+        solver, model = self._solver, self._solver.model
+        envs = self._everyone if who is None else chosen_envs(who, model.env_count, model.device)
+        count = model.env_count if who is None else len(envs)
+        wrenches = wp.empty((count, len(self._mounts)), dtype=vec6d, device=model.device)
+        wp.launch(
+            _soft_wrench_kernel,
+            dim=wrenches.shape,
+            inputs=[solver.contact_gradient, solver.friction_gradient, state.positions]
+            + [state.poses, self._starts, self._mounts, envs],
+            outputs=[wrenches],
+            device=model.device,
+        )
+        return wrenches
