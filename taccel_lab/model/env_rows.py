@@ -116,7 +116,8 @@ def host_values(value: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
 def given_array(
     value: Any, name: str, shape: tuple[int, ...], dtype: Any, device: wp.Device
 ) -> wp.array:
-    """An array of Warp of float64, vec3d or transformd on the memory of ``value``.
+    """An array of Warp of float64, vec3d or transformd on the memory of ``value``, or on a copy's
+    where that has gaps or an order of its own, as some views of torch have.
 
     ``value`` has the components as its last axis. The host's is checked and stays on the host; what
     is on ``device`` already is not checked for its values: that would wait for the device.
@@ -130,6 +131,8 @@ def given_array(
         found = host_values(value, name, expected)
         return wp.array(found, dtype=dtype, shape=shape, device="cpu", copy=False)
     shared = device_array(value)
+    if not shared.is_contiguous:
+        shared = shared.contiguous()
     if shared.dtype is wp.float64 and shared.shape == expected and width > 1:
         shared = shared.view(dtype)
     if shared.shape != shape or shared.dtype is not dtype:

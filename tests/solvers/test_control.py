@@ -108,6 +108,26 @@ def test_poses_alone_need_no_control() -> None:
     np.testing.assert_array_equal(results[2], results[0])
 
 
+@pytest.mark.parametrize("view", ["expanded", "sliced", "turned"])
+def test_views_of_torch_are_read_as_they_look(view: str) -> None:
+    """Whatever the memory below them: by a step, and by a reset, which copies rows."""
+    poses = np.tile([1e-4, 0, 0, 0, 0, 0, 1.0], (2, 1, 1))
+    if view == "expanded":
+        given = torch.cat([torch.from_numpy(poses[:1]), torch.zeros(1, 1, 7)])[:1].expand(2, 1, 7)
+    else:
+        poses[1, 0, 0] *= 2
+        given = torch.zeros((2, 3, 7) if view == "sliced" else (7, 1, 2), dtype=torch.float64)
+        given = given[:, 1:2] if view == "sliced" else given.permute(2, 1, 0)
+        given[:] = torch.from_numpy(poses)
+    assert not given.is_contiguous()
+    solver, state = arm()
+    assert solver.step(state, given).converged.all()
+    np.testing.assert_array_equal(state.poses.numpy(), poses)
+    solver.reset(state, np.ones(2, dtype=bool), np.tile([0, 0, 0, 0, 0, 0, 1.0], (2, 1, 1)))
+    solver.reset(state, np.ones(2, dtype=bool), given)
+    np.testing.assert_array_equal(state.poses.numpy(), poses)
+
+
 def test_forces_are_those_of_the_state() -> None:
     """Of the host or of the device; they stay until changed."""
     results = []
