@@ -78,8 +78,8 @@ class Observer:
         self.wrenches: torch.Tensor | None = None
         """Latest wrenches on the soft bodies, float64, [env observed, soft body, 6]."""
         self.features: torch.Tensor | None = None
-        """What torch made of them, float32, [env observed, gel, 3 + 6]: mean of each colour, 0 to
-        1, and wrench, where they are observed."""
+        """What torch made of them, float32, [env observed, gel, ...]: the means of three colours, 0
+        to 1, and the six entries of the wrench, in the order asked for."""
         self._names = names
         self._spent = Sight.none(names)
 

@@ -135,9 +135,12 @@ class State:
             self.wrenches = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
         return self.external_forces, self.wrenches
 
-    def load(self, model: Model, forces: Any = None, wrenches: Any = None) -> None:
+    def load(
+        self, model: Model, forces: Any = None, wrenches: Any = None, mask: Any = None
+    ) -> None:
         """Set forces on nodes [N], [env_count, node_count, 3], and wrenches on affine bodies,
-        [env_count, affine_count, 2, 3]; None leaves them as they are.
+        [env_count, affine_count, 2, 3], in the environments of ``mask`` (bool, or int32 on the
+        device, [env_count]), in all when None; None leaves them as they are.
 
         Arrays of the host are checked, those of the model's device are read where they are.
         """
@@ -148,9 +151,11 @@ class State:
                 (forces, wrenches), ("forces", "wrenches"), shapes, strict=True
             )
         ]
+        if mask is not None:
+            mask = device_mask(mask, model.env_count, model.device)
         for array, value in zip(self.loads(model), given, strict=True):
             if value is not None:
-                wp.copy(array, value)
+                copy_rows(mask, value, array)
 
 
 def as_poses(model: Model, poses: np.ndarray) -> np.ndarray:

@@ -39,10 +39,14 @@ def _as_rows(array: wp.array) -> wp.array:
     return wp.array(ptr=array.ptr, dtype=wp.float64, shape=shape, device=array.device)
 
 
-def copy_rows(mask: wp.array, source: wp.array, result: wp.array) -> None:
+def copy_rows(mask: wp.array | None, source: wp.array, result: wp.array) -> None:
     """Copy the rows of the environments in ``mask`` (int32, [env_count]) from ``source``: an array
-    like ``result``, or one row for all."""
-    if result.size:
+    like ``result``, or one row for all, on the host or the device. Without a mask all of it."""
+    if mask is None:
+        wp.copy(result, source)
+    elif result.size:
+        # Held until the launch, as rows do not hold their memory.
+        source = source.to(result.device)
         into = _as_rows(result)
         wp.launch(
             _copy_rows_kernel,

@@ -168,7 +168,8 @@ class SignalTactile:
             world_from_gel: Pose of the gel in each environment, transformd, shape [env_count], for
                 instance ``state.poses[:, mount]``; None when positions are in the gel frame.
             who: Environments to show, bool, [env_count], of the host; all when None. Signals then
-                have a row for each of these, in their order.
+                have a row for each of these, in their order. Their list goes to the device at once,
+                which a CUDA graph does not repeat.
         """
         least = self._first_node + self._mesh.node_count
         if positions.dtype != wp.vec3d or positions.ndim != 2:

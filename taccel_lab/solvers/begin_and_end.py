@@ -188,7 +188,7 @@ def _begin_potentials(run: StepLaunches) -> None:
     for part in s.viscosity:
         part.begin_step(x, s.dts, fresh)
     if s.joints is not None:
-        s.joints.begin_step(x, state.poses, s.dts)
+        s.joints.begin_step(x, state.poses, s.dts, fresh)
         wp.copy(run.p.rounding, s.joints.rounding_n)
         wp.copy(run.p.joint_energy_rounding, s.joints.rounding_j)
     if s.load is not None:
@@ -212,6 +212,7 @@ def end_step(run: StepLaunches) -> None:
     embed_vertices(run.model, state.positions)
     if s.joints is not None:
         s.joints.end_step(p.done, state.positions)
+        s.joints.restore(p.failed)
     if s.inertia is not None:
         s.inertia.end_step(
             p.done, s.previous, state.positions, state.velocities, state.history, p.body_forces

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``Control``: what a user asks of a step."""
+"""``Control``: what a user asks of a step, of all environments or of those that begin one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Control:
     """Targets of the drives of joints [rad, m, rad/s or m/s], [env_count, joint_count], in the
     order of the scene; they stay until changed, as ``solver.joints.targets``."""
     dt_s: float | None = None
-    """Length of this step, of all environments [s]; the scene's when None. Not of a quasi-static
+    """Length of the step [s]; the scene's when None. Not of a quasi-static
     scene, whose steps have none."""
     forces: Any = None
     """Forces on nodes [N], [env_count, node_count, 3]; they stay until changed, see

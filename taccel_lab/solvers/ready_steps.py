@@ -16,10 +16,11 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.model.env_rows import copy_rows, device_mask
+from taccel_lab.solvers.control import Control
 from taccel_lab.solvers.env_progress import NO_LIMIT
 from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC
-from taccel_lab.state import State, poses_array
+from taccel_lab.state import State
 
 
 class ReadySteps:
@@ -29,13 +30,7 @@ class ReadySteps:
     """
 
     def __init__(self, solver: SolverIPC, state: State, iterations: int = 4) -> None:
-        """``iterations``: Newton iterations a call, at most.
-
-        Raises:
-            InputError: the scene has joints, whose forces are those of all environments' steps.
-        """
-        if solver.joints is not None:
-            raise InputError("scenes with joints are stepped together, by SolverIPC.step")
+        """``iterations``: Newton iterations a call, at most."""
         if iterations < 1:
             raise InputError(f"iterations must be at least 1, got {iterations}")
         self.solver, self.state, self.iterations = solver, state, iterations
@@ -45,10 +40,13 @@ class ReadySteps:
         """Environments whose step is not over, bool, [env_count]."""
         return self.solver.progress.underway
 
-    def step_ready(self, target_poses: Any = None, who: np.ndarray | None = None) -> StepReport:
+    def step_ready(
+        self, control: Control | Any = None, who: np.ndarray | None = None
+    ) -> StepReport:
         """Begin a step in the environments of ``who`` and go on in those underway.
 
-        ``target_poses``: as of ``SolverIPC.step``; read for ``who`` alone. ``who``: bool,
+        ``control``: what is asked of the steps that begin, as of ``SolverIPC.step``; read for
+        ``who`` alone, so that each environment's step may have a length of its own. ``who``: bool,
         [env_count]; all that are not underway when None.
 
         In the report, RUNNING are those whose step is underway, and SKIPPED those that take none.
@@ -64,17 +62,15 @@ class ReadySteps:
             env = int(np.flatnonzero(who & self.underway)[0])
             raise InputError(f"environment {env} has not finished its last step yet")
         beginning = device_mask(who, len(who), solver.model.device)
-        targets = self.state.poses
-        if target_poses is not None:
-            targets = poses_array(solver.model, target_poses).to(solver.model.device)
-        copy_rows(beginning, targets, solver.end_poses)
+        dt = solver.take(control, self.state, beginning)
+        solver.set_dt(dt, beginning if self.underway.any() else None)
         solver.follow_parameters()
         separate = solver.find_separate(self.state)
         overlapping = who & ~separate
         who &= separate
         p.again.zero_()
         p.most_rounds.fill_(self.iterations)
-        report = solver.attempt_once(self.state, who | progress.again, solver.model.scene.time.dt_s)
+        report = solver.attempt_once(self.state, who | progress.again)
         p.most_rounds.fill_(NO_LIMIT)
         progress.underway |= who
         status = np.where(self.underway, report.status, int(EnvStatus.SKIPPED))
@@ -97,4 +93,6 @@ class ReadySteps:
         begun = device_mask(who & ~progress.again, len(who), solver.model.device)
         copy_rows(begun, solver.previous, self.state.positions)
         copy_rows(begun, solver.start_poses, self.state.poses)
+        if solver.joints is not None:
+            solver.joints.restore(begun)
         progress.drop(who, device_mask(who, len(who), solver.model.device))

@@ -7,6 +7,7 @@ have arrived (``step`` takes the parts). Orchestration only: formulas are in ``i
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -107,9 +108,7 @@ class SolverIPC(SolverParts):
         if again and (self.inertia is not None or self.joints is not None):
             raise InputError("only a step of a quasi-static scene without joints is taken again")
         who = np.ones(self.model.env_count, dtype=bool) if who is None else who
-        dt = self._take(
-            control if isinstance(control, Control) else Control(target_poses=control), state
-        )
+        dt = self.take(control, state)
         self.follow_parameters()
         separate = self.find_separate(state)
         self.progress.data.again.fill_(int(again))
@@ -136,7 +135,7 @@ class SolverIPC(SolverParts):
         if self.progress.underway.any():
             self.progress.drop(chosen.numpy() != 0, chosen)
         if poses is not None:
-            copy_rows(chosen, poses_array(self.model, poses).to(self.model.device), state.poses)
+            copy_rows(chosen, poses_array(self.model, poses), state.poses)
         if self._start is None:
             self._start = initial_state(self.model).shared()
         start = replace(self._start, poses=state.poses)
@@ -181,9 +180,12 @@ class SolverIPC(SolverParts):
             self._all_checked = bool(self._separate.all())
         return self._separate
 
-    def _take(self, control: Control, state: State) -> float:
-        """Check what is asked for, then copy it to where the step reads it; returns dt [s]."""
+    def take(self, control: Control | Any, state: State, mask: wp.array | None = None) -> float:
+        """Check what is asked of a step, then copy it to where the step reads it, in the
+        environments of ``mask`` (int32, [env_count]), in all when None; returns dt [s]."""
         model = self.model
+        if not isinstance(control, Control):
+            control = Control(target_poses=control)
         poses = control.target_poses
         targets = state.poses if poses is None else poses_array(model, poses)
         dt = model.scene.time.dt_s
@@ -200,11 +202,22 @@ class SolverIPC(SolverParts):
             values = control.joint_targets
             drives = given_array(values, "joint_targets", shape, wp.float64, model.device)
         if control.forces is not None or control.wrenches is not None:
-            state.load(model, control.forces, control.wrenches)
+            state.load(model, control.forces, control.wrenches, mask)
         if drives is not None and self.joints is not None:
-            wp.copy(self.joints.targets, drives)
-        wp.copy(self.end_poses, targets)
+            copy_rows(mask, drives, self.joints.targets)
+        copy_rows(mask, targets, self.end_poses)
         return dt
+
+    def set_dt(self, dt: float, mask: wp.array | None = None) -> None:
+        """Steps that begin from now on are so long [s], in the environments of ``mask`` (int32,
+        [env_count]), in all when None."""
+        if dt != self._dt:
+            self._dt = dt if mask is None else math.nan
+            if mask is None:
+                self.dts.fill_(dt)
+            else:
+                one = wp.full(1, dt, dtype=wp.float64, device=self.model.device)
+                copy_rows(mask, one, self.dts)
 
     # Parts of a step -----------------------------------------------------------------------------
 
@@ -215,8 +228,9 @@ class SolverIPC(SolverParts):
         BDF2 met an impact by implicit Euler.
         """
         report: StepReport | None = None
+        self.set_dt(dt)
         while True:
-            part = self.attempt_once(state, who, dt)
+            part = self.attempt_once(state, who)
             report = part if report is None else report.retaken(part, who)
             who = self.prepare_again(state, part.status)
             if not who.any():
@@ -237,15 +251,12 @@ class SolverIPC(SolverParts):
             state.history.forget(impacts)
         return impacts | short
 
-    def attempt_once(self, state: State, who: np.ndarray, dt: float) -> StepReport:
+    def attempt_once(self, state: State, who: np.ndarray) -> StepReport:
         """One undivided step in the environments ``who``; lists may be too short."""
         if (state.external_forces is not None or state.wrenches is not None) and self.load is None:
             self.load = ExternalLoad(self.model)
             self.share_energies()
             self.graphs.clear()
-        if dt != self._dt:
-            self._dt = dt
-            self.dts.fill_(dt)
         if not np.array_equal(who, self._who):
             self._who = who.copy()
             self.progress.data.who.assign(who.astype(np.int32))

@@ -96,7 +96,9 @@ class SolverParts:
         self.reduced = wp.zeros((model.env_count, model.free_count), dtype=wp.vec3d, device=device)
         """Gradient of the total energy by the unknowns [N]."""
         self.dts = wp.zeros(model.env_count, dtype=wp.float64, device=device)
+        """Length of the step that each environment is in, or of its last one [s], float64."""
         self._dt = 0.0
+        """The same where all have one; not a number where they differ."""
         self._who = np.zeros(model.env_count, dtype=bool)
         self._separate = np.zeros(model.env_count, dtype=bool)
         """Environments known to have started without overlaps."""

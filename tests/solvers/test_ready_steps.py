@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,8 @@ from taccel_lab.scene import (
     Element,
     KinematicBody,
     Material,
+    PositionDrive,
+    PrismaticJoint,
     RevoluteJoint,
     Scene,
     SoftBody,
@@ -20,7 +24,7 @@ from taccel_lab.scene import (
     TimeStepping,
     box_mesh,
 )
-from taccel_lab.solvers import EnvStatus, ReadySteps, SolverConfig, SolverIPC
+from taccel_lab.solvers import Control, EnvStatus, ReadySteps, SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
 
 ENVS, STEPS = 3, 5
@@ -150,10 +154,210 @@ def test_settings_are_checked() -> None:
     solver, state = make(quasi_static=False)
     with pytest.raises(InputError, match="iterations must be at least 1, got 0"):
         ReadySteps(solver, state, 0)
-    joint = RevoluteJoint("box", "hand", (0, 0, 0), name="hinge")
-    box = AffineBody(box_mesh((1e-3, 1e-3, 1e-3)), name="box")
-    hand, time = KinematicBody(None, name="hand"), TimeStepping(quasi_static=False)
-    scene = Scene(kinematic_bodies=[hand], affine_bodies=[box], joints=[joint], time=time)
-    jointed = SolverIPC(scene.finalize())
-    with pytest.raises(InputError, match="scenes with joints are stepped together"):
-        ReadySteps(jointed, initial_state(jointed.model))
+    ready = ReadySteps(solver, state)
+    with pytest.raises(InputError, match="the scene has no joints"):
+        ready.step_ready(Control(joint_targets=np.zeros((ENVS, 1))))
+    assert not ready.underway.any()
+
+
+# Joints, and all that a step may be asked for ----------------------------------------------------
+
+
+def finger(scheme: TimeScheme = TimeScheme.EULER, **settings: object) -> tuple[SolverIPC, State]:
+    """A driven finger on a hinge at a hand presses a gel; a bolt on a slide at the finger runs
+    against its limits, so that joints open and close."""
+    gel = SoftBody(
+        block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3)),
+        Material(1e5, 0.4, damping_time_s=1e-3),
+        friction_coefficient=0.3,
+        element=Element.LINEAR,
+    )
+    at = np.array([-2e-3, 0, 1.1e-3, 0, 0, 0, 1.0])
+    above = np.array([-2e-3, 0, 3.5e-3, 0, 0, 0, 1.0])
+    scene = Scene(
+        gel,
+        KinematicBody(None, name="hand"),
+        ENVS,
+        TimeStepping(quasi_static=False, dt_s=5e-3, scheme=scheme, gravity_m_s2=(0, 0, -9.81)),
+        affine_bodies=[
+            AffineBody(box_mesh((8e-3, 2e-3, 2e-3)), name="finger", initial_pose=at),
+            AffineBody(box_mesh((1e-3, 1e-3, 1e-3)), name="bolt", initial_pose=above),
+        ],
+        joints=[
+            RevoluteJoint(
+                "finger",
+                "hand",
+                (-6e-3, 0, 1.1e-3),
+                (0, 1, 0),
+                name="hinge",
+                drive=PositionDrive(2e-3, 1e-5),
+            ),
+            PrismaticJoint(
+                "bolt",
+                "finger",
+                (-2e-3, 0, 3.5e-3),
+                (1, 0, 0),
+                name="slide",
+                limits_mm=(-0.2, 0.2),
+            ),
+        ],
+    )
+    solver = SolverIPC(scene.finalize(), SolverConfig(dhat_m=1e-4, **settings))
+    return solver, initial_state(solver.model, HAND)
+
+
+HAND = np.tile([0, 0, 0, 0, 0, 0, 1.0], (ENVS, 1, 1))
+DT_S = [0, 5e-3, 4e-3, 6e-3, 5e-3, 3e-3]
+"""Of each step."""
+
+
+def asked(solver: SolverIPC, steps: np.ndarray, dt_s: float | None = None) -> Control:
+    """Another request in each step and environment."""
+    env = np.arange(ENVS)
+    poses = HAND.copy()
+    poses[:, 0, 0] = 3e-5 * steps * env
+    wrenches = np.zeros((ENVS, 2, 2, 3))
+    wrenches[:, 1, 0, 0] = 1e-4 * (-1.0) ** (steps + env)
+    forces = np.zeros((ENVS, solver.model.node_count, 3))
+    forces[:, solver.model.bodies[0].node_slice, 1] = 1e-5 * (steps * (env + 1))[:, None]
+    targets = np.stack([0.05 * steps * (env + 1), 0.0 * env], axis=1)
+    return Control(poses, targets, dt_s, forces, wrenches)
+
+
+def found(solver: SolverIPC, state: State) -> dict[str, np.ndarray]:
+    """All that a step leaves behind."""
+    joints = solver.joints
+    assert joints is not None
+    arrays = {name: getattr(state, name) for name in ("positions", "velocities", "poses")}
+    names = ("coordinates", "rates", "efforts", "forces", "torques")
+    arrays |= {f"joint {name}": getattr(joints, name) for name in names}
+    arrays |= {"multipliers": joints._step.multipliers, "contact": solver.contact_gradient}
+    return {name: array.numpy().copy() for name, array in arrays.items()}
+
+
+@pytest.mark.parametrize("short", [False, True])
+@pytest.mark.parametrize("iterations", [1, 3])
+@pytest.mark.parametrize("scheme", [TimeScheme.EULER, TimeScheme.BDF2])
+def test_joints_and_controls_know_no_pace(scheme: TimeScheme, iterations: int, short: bool) -> None:
+    """Loads, drive targets and lengths of steps are those of an environment's own step, also of
+    one that begins anew since its lists of contacts were too ``short``."""
+    solver, state = finger(scheme)
+    rounds = 0
+    for step in range(1, STEPS + 1):
+        report = solver.step(state, asked(solver, np.full(ENVS, step), DT_S[step]))
+        assert report.converged.all() and (report.substeps == 1).all(), report.describe()
+        rounds += solver.progress.data.joint_rounds.numpy().sum()
+    expected = found(solver, state)
+    assert rounds > 0, "joints were meant to open"
+    assert np.ptp(expected["joint coordinates"], axis=0).min() > 1e-6
+    assert np.abs(expected["contact"]).max(axis=(1, 2)).min() > 1e-3
+
+    solver, state = finger(scheme)
+    for part in solver.lists if short else []:
+        part._allocate(1)
+    ready = ReadySteps(solver, state, iterations)
+    taken = np.zeros(ENVS, dtype=int)
+    apart = anew = 0
+    for _ in range(500):
+        free = ~ready.underway & (taken < STEPS)
+        step = taken[free].min(initial=STEPS) + 1
+        begins = free & (taken + 1 == step)
+        control = None
+        if begins.any():
+            # What is said of the others is not for them.
+            control = asked(solver, np.where(begins, step, 9), DT_S[step])
+        report = ready.step_ready(control, begins)
+        assert (report.converged | np.isin(report.status, UNFINISHED)).all(), report.describe()
+        taken += report.converged
+        apart = max(apart, np.ptp(taken))
+        anew += solver.progress.again.sum()
+        if (taken == STEPS).all():
+            break
+    assert (taken == STEPS).all()
+    assert apart > 0, "the paces were meant to differ"
+    assert anew > 0 or not short
+    for name, array in found(solver, state).items():
+        np.testing.assert_array_equal(array, expected[name], err_msg=name)
+
+
+UNFINISHED = [EnvStatus.RUNNING, EnvStatus.SKIPPED]
+
+
+def test_targets_of_drives_wait_for_the_next_step() -> None:
+    """Those set for environments that begin leave alone what is underway, by a control or not."""
+    solver, state = finger()
+    assert solver.step(state, asked(solver, np.full(ENVS, 1))).converged.all()
+    expected = found(solver, state)
+
+    solver, state = finger()
+    assert solver.joints is not None
+    ready = ReadySteps(solver, state, 1)
+    first = np.array([True, False, False])
+    ready.step_ready(asked(solver, np.full(ENVS, 1)), first)
+    assert ready.underway[0]
+    assert not solver.joints.targets.numpy()[1:].any() and not state.wrenches.numpy()[1:].any()
+    solver.joints.targets.fill_(0.3)
+    while ready.underway.any():
+        report = ready.step_ready(asked(solver, np.full(ENVS, 4)), ~first & ~ready.underway)
+        if report.converged[0]:
+            break
+    assert report.converged[0]
+    ready.drop(~first)
+    for name, array in found(solver, state).items():
+        np.testing.assert_array_equal(array[0], expected[name][0], err_msg=name)
+
+
+@pytest.mark.parametrize("by_reset", [True, False])
+def test_a_mechanism_whose_step_is_given_up_is_where_it_began(by_reset: bool) -> None:
+    solver, state = finger()
+    if not by_reset:
+        assert solver.step(state, asked(solver, np.full(ENVS, 1))).converged.all()
+    assert solver.joints is not None
+    before = found(solver, state)
+    ready = ReadySteps(solver, state, 1)
+    for _ in range(500):
+        ready.step_ready(asked(solver, np.full(ENVS, 3)), np.zeros(ENVS, bool) | ~ready.underway)
+        if solver.progress.data.joint_rounds.numpy()[ready.underway].any():
+            break
+    assert not np.array_equal(solver.joints._step.multipliers.numpy(), before["multipliers"])
+    everyone = np.ones(ENVS, dtype=bool)
+    if by_reset:
+        solver.reset(state, everyone, HAND)
+    else:
+        ready.drop(everyone)
+    after = found(solver, state)
+    for name in ("positions", "poses", "multipliers", "joint coordinates"):
+        np.testing.assert_array_equal(after[name], before[name], err_msg=name)
+
+
+def test_a_mechanism_that_fails_is_where_it_began() -> None:
+    """With joints that had to be corrected more often than was allowed."""
+    solver, state = finger(max_joint_rounds=1)
+    ready = ReadySteps(solver, state, 3)
+    before = found(solver, state)
+    for _ in range(100):
+        report = ready.step_ready(asked(solver, np.full(ENVS, 3)), ~ready.underway)
+        if (report.status == EnvStatus.JOINT).any():
+            break
+    failed = report.status == EnvStatus.JOINT
+    assert failed.any()
+    for name, array in found(solver, state).items():
+        if name != "contact":
+            np.testing.assert_array_equal(array[failed], before[name][failed], err_msg=name)
+
+
+def test_a_bad_control_begins_nothing() -> None:
+    solver, state = finger()
+    ready = ReadySteps(solver, state)
+    good = asked(solver, np.full(ENVS, 1))
+    for changes, message in (
+        ({"dt_s": -1.0}, "dt must lie in"),
+        ({"joint_targets": np.zeros((ENVS, 3))}, "joint_targets have shape"),
+        ({"wrenches": np.full((ENVS, 2, 2, 3), np.nan)}, "wrenches hold NaN"),
+        ({"target_poses": np.zeros((ENVS, 1, 7))}, "must have unit length"),
+    ):
+        with pytest.raises(InputError, match=message):
+            ready.step_ready(replace(good, **changes))
+        assert not ready.underway.any()
+    assert solver.joints is not None and not solver.joints.targets.numpy().any()
+    assert state.wrenches is None

@@ -128,15 +128,22 @@ def evaluate_rows_kernel(
 
 
 @wp.kernel
-def keep_coordinates_kernel(
-    values: wp.array3d(dtype=wp.float64), starts: wp.array2d(dtype=wp.float64)
+def begin_joints_kernel(
+    mask: wp.array(dtype=wp.int32),
+    values: wp.array3d(dtype=wp.float64),
+    targets: wp.array2d(dtype=wp.float64),
+    s: JointStep,
+    start_multipliers: wp.array3d(dtype=wp.float64),
 ):
-    """The last row of each joint, its coordinate, as that of the start of the step.
-
-    A kernel, since a CPU graph cannot hold a strided copy.
-    """
+    """What a step goes by from its start on: where the coordinate, the last row of each joint, is
+    then, the target of the drive, and the multipliers that a failed step goes back to."""
     env, joint = wp.tid()
-    starts[env, joint] = values[env, joint, values.shape[2] - 1]
+    if mask[env] == 0:
+        return
+    s.starts[env, joint] = values[env, joint, _COORDINATE]
+    s.targets[env, joint] = targets[env, joint]
+    for i in range(_ROWS):
+        start_multipliers[env, joint, i] = s.multipliers[env, joint, i]
 
 
 @wp.func
@@ -369,19 +376,8 @@ def largest_violation_kernel(
 
 
 @wp.kernel
-def restore_multipliers_kernel(
-    done: wp.array(dtype=wp.int32),
-    start: wp.array3d(dtype=wp.float64),
-    multipliers: wp.array3d(dtype=wp.float64),
-):
-    """Back to the start of the step where it failed."""
-    env, joint, i = wp.tid()
-    if done[env] == 0:
-        multipliers[env, joint, i] = start[env, joint, i]
-
-
-@wp.kernel
 def joint_rounding_kernel(
+    mask: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     first: int,
     count: int,
@@ -393,6 +389,8 @@ def joint_rounding_kernel(
     """Force [N] that the last digit of the positions makes in the penalties, and energy [J] that it
     makes with the multipliers."""
     env = wp.tid()
+    if mask[env] == 0:
+        return
     reach = wp.float64(0.0)
     for node in range(first, first + count):
         x = positions[env, node]

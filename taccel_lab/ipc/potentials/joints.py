@@ -3,7 +3,8 @@
 
 How the solver uses it in a step: ``begin_step``; then ``set_frames`` before energies and gradients
 whenever the kinematic bodies have moved; once Newton has converged, ``update_multipliers`` and, for
-environments in which a joint is still off by more than ``tolerance_m``, Newton again; ``end_step``.
+environments in which a joint is still off by more than ``tolerance_m``, Newton again; ``end_step``,
+or ``restore`` where the step failed.
 Multipliers last from step to step, so a mechanism under steady load needs no second round.
 
 The matrix leaves out the curvature of the rows (Gauss-Newton): it is that of a multiplier over a
@@ -18,6 +19,7 @@ import warp as wp
 from taccel_lab.ipc.joints.kernels import (
     JointStep,
     absorb_forces_kernel,
+    begin_joints_kernel,
     evaluate_rows_kernel,
     joint_energy_kernel,
     joint_gradient_kernel,
@@ -25,9 +27,7 @@ from taccel_lab.ipc.joints.kernels import (
     joint_outputs_kernel,
     joint_rounding_kernel,
     joint_violation_kernel,
-    keep_coordinates_kernel,
     largest_violation_kernel,
-    restore_multipliers_kernel,
 )
 from taccel_lab.ipc.joints.layout import joint_layout
 from taccel_lab.ipc.joints.prediction import close_joints_kernel
@@ -35,7 +35,7 @@ from taccel_lab.ipc.joints.rows import ROW_COUNT
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
-from taccel_lab.model.env_rows import device_mask, zero_rows
+from taccel_lab.model.env_rows import copy_rows, device_mask, zero_rows
 
 
 class JointPotential(Potential):
@@ -60,7 +60,7 @@ class JointPotential(Potential):
         """Energy of each joint [J], shape [env_count, joint_count]."""
         self.targets = scalars(layout.targets)
         """Targets of the drives [rad, m, rad/s or m/s], shape [env_count, joint_count]; set them
-        at any time."""
+        at any time. A step goes by what they are when it begins."""
         self.coordinates = scalars()
         """Angle [rad], whole turns included, or slide [m], shape [env_count, joint_count]."""
         self.rates = scalars()
@@ -87,7 +87,7 @@ class JointPotential(Potential):
             model.env_count, model.scene.time.dt_s, dtype=wp.float64, device=device
         )
         self._step.starts = scalars()
-        self._step.targets = self.targets
+        self._step.targets = scalars()
         self._step.multipliers = wp.zeros((*shape, ROW_COUNT), dtype=wp.float64, device=device)
         self._start_multipliers = wp.zeros_like(self._step.multipliers)
         kinematic = (model.env_count, len(model.scene.kinematic_bodies))
@@ -104,25 +104,33 @@ class JointPotential(Potential):
         self._poses = poses
         self._goals = poses if goals is None else goals
 
-    def begin_step(self, positions: wp.array, poses: wp.array, dts: wp.array | None = None) -> None:
-        """Start a step of length ``dts`` [s], float64 [env_count]; the scene's when None."""
+    def begin_step(
+        self,
+        positions: wp.array,
+        poses: wp.array,
+        dts: wp.array | None = None,
+        mask: wp.array | None = None,
+    ) -> None:
+        """Start a step of length ``dts`` [s], float64 [env_count], the scene's when None, in the
+        environments of ``mask`` (int32, [env_count]); in all when None."""
         if dts is None:
             self._step.dts.fill_(self.model.scene.time.dt_s)
         else:
             wp.copy(self._step.dts, dts)
         self.set_frames(poses)
-        self._bound_rounding(positions)
-        self._mask.fill_(1)
+        if mask is None:
+            self._mask.fill_(1)
+            mask = self._mask
+        self._bound_rounding(mask, positions)
         # The state may have been set anew since: coordinates follow it, by whole turns nearest.
-        self._evaluate(self._mask, positions, self.coordinates, derivatives=False)
+        self._evaluate(mask, positions, self.coordinates, derivatives=False)
         wp.launch(
-            keep_coordinates_kernel,
+            begin_joints_kernel,
             dim=self._shape,
-            inputs=[self._values],
-            outputs=[self._step.starts],
+            inputs=[mask, self._values, self.targets, self._step],
+            outputs=[self._start_multipliers],
             device=self.model.device,
         )
-        wp.copy(self._start_multipliers, self._step.multipliers)
 
     def close_predicted(self, active: wp.array, positions: wp.array) -> None:
         """Move control nodes of affine bodies, placed each by itself, so that joints are closed."""
@@ -153,7 +161,7 @@ class JointPotential(Potential):
 
     def end_step(self, done: wp.array, positions: wp.array) -> None:
         """Read coordinates and reactions where ``done`` (int32, [env_count]) is set, and keep the
-        forces as multipliers of the next step; the others go back to the start of this one."""
+        forces as multipliers of the next step."""
         self._evaluate(done, positions)
         wp.launch(
             joint_outputs_kernel,
@@ -163,13 +171,10 @@ class JointPotential(Potential):
             device=self.model.device,
         )
         self._absorb(done)
-        wp.launch(
-            restore_multipliers_kernel,
-            dim=self._step.multipliers.shape,
-            inputs=[done, self._start_multipliers],
-            outputs=[self._step.multipliers],
-            device=self.model.device,
-        )
+
+    def restore(self, mask: wp.array) -> None:
+        """Back to the start of the step in the environments of ``mask`` (int32, [env_count])."""
+        copy_rows(mask, self._start_multipliers, self._step.multipliers)
 
     def reset(self, mask: np.ndarray | wp.array) -> None:
         """Forget forces and whole turns in the environments of ``mask`` (bool, or int32 on the
@@ -224,12 +229,13 @@ class JointPotential(Potential):
             device=self.model.device,
         )
 
-    def _bound_rounding(self, positions: wp.array) -> None:
+    def _bound_rounding(self, mask: wp.array, positions: wp.array) -> None:
         affine = self.model.affine
         wp.launch(
             joint_rounding_kernel,
             dim=self.model.env_count,
-            inputs=[positions, affine.first_control, 4 * affine.count, self._table, self._step],
+            inputs=[mask, positions, affine.first_control, 4 * affine.count]
+            + [self._table, self._step],
             outputs=[self.rounding_n, self.rounding_j],
             device=self.model.device,
         )
