@@ -13,7 +13,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("taccel_lab", "cli", "sensors", "calibration", "cad", "studies", "benchmarks")
+PACKAGES = (
+    "taccel_lab",
+    "cli",
+    "sensors",
+    "calibration",
+    "cad",
+    "studies",
+    "benchmarks",
+    "robots",
+)
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 HEAVY = (
@@ -28,8 +37,10 @@ HEAVY = (
     "pyvista",
     "scipy",
     "torch",
+    "trimesh",
     "vtk",
     "warp",
+    "yourdfpy",
 )
 MAX_LINES = 450
 

@@ -44,7 +44,7 @@ def run_beside_the_users_own_modules(folder: Path, root: Path) -> str:
 
 
 def test_every_room_is_a_part_of_the_package() -> None:
-    assert ROOMS == ["benchmarks", "cad", "calibration", "cli", "sensors", "studies"]
+    assert ROOMS == ["benchmarks", "cad", "calibration", "cli", "robots", "sensors", "studies"]
     for room in ROOMS:
         assert (ROOT / "taccel_lab" / room).resolve() == ROOT / room
 

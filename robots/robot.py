@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``Robot``: links and joints, and where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.bodies.bodies import check_pose
+from taccel_lab.bodies.joints import JointKind
+from taccel_lab.errors import InputError
+from taccel_lab.robots.description import Link, RobotJoint, listed
+from taccel_lab.robots.inverse_kinematics import IKOptions, IKResult, solve
+from taccel_lab.robots.kinematics import Kinematics
+from taccel_lab.robots.shapes import MeshShape
+from taccel_lab.robots.transforms import matrix_of, pose_of
+
+IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A tree of links. Never changes: what adds or removes something returns another robot.
+
+    Poses are position [m] and quaternion x, y, z, w. Coordinates ``q`` [rad or m] are those of the
+    joints that move by themselves, in the order of ``dof_names``; one row, or a row for each
+    environment.
+    """
+
+    name: str
+    links: tuple[Link, ...]
+    joints: tuple[RobotJoint, ...]
+    world_from_base: np.ndarray = field(default_factory=IDENTITY_POSE.copy)
+    """Where the base stands, [7]."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_tree", Kinematics(self.links, self.joints))
+        pose = check_pose(np.asarray(self.world_from_base, dtype=np.float64), "the robot's base")
+        assert pose is not None
+        if pose.ndim != 1:
+            raise InputError(f"world_from_base must have shape [7], got {pose.shape}")
+        object.__setattr__(self, "world_from_base", pose)
+
+    # What it is ----------------------------------------------------------------------------------
+
+    @property
+    def tree(self) -> Kinematics:
+        """Its kinematics in the frame of the base."""
+        return self.__dict__["_tree"]
+
+    @property
+    def base(self) -> str:
+        """Name of the link that the others stand on."""
+        return self.tree.base
+
+    @property
+    def link_names(self) -> list[str]:
+        """Names of the links, in the order of ``forward_kinematics``."""
+        return [link.name for link in self.links]
+
+    @property
+    def dof_names(self) -> list[str]:
+        """Names of the joints that move by themselves, in the order of ``q``."""
+        return list(self.tree.dof_names)
+
+    @property
+    def dof(self) -> int:
+        """Number of coordinates."""
+        return len(self.tree.dof_names)
+
+    @property
+    def limits(self) -> np.ndarray:
+        """Smallest and largest coordinates [rad or m], infinite where there are none, [dof, 2]."""
+        return self.tree.limits.copy()
+
+    @property
+    def rest_q(self) -> np.ndarray:
+        """Coordinates as near to 0 as the limits let them, [dof]."""
+        return np.clip(np.zeros(self.dof), *self.tree.limits.T)
+
+    def link_id(self, link: str) -> int:
+        """Index of a link; InputError for one that is not there."""
+        if link not in self.link_names:
+            raise InputError(
+                f"robot {self.name!r} has no link {link!r}; there are {listed(self.link_names)}"
+            )
+        return self.link_names.index(link)
+
+    # Where its links are -------------------------------------------------------------------------
+
+    def forward_kinematics(self, q: Any) -> np.ndarray:
+        """world_from_link of all links for coordinates [n, dof], shape [n, link, 7].
+
+        Limits are not looked at. Raises InputError for another shape, or what is not finite.
+        """
+        return pose_of(self._world @ self.tree.all_links(self._rows(q)))
+
+    def link_poses(self, link: str, q: Any) -> np.ndarray:
+        """world_from_link of one link, [n, 7]; as ``forward_kinematics``, without the others."""
+        self.link_id(link)
+        return pose_of(self._world @ self.tree.along(link, self._rows(q))[:, -1])
+
+    def jacobian(self, link: str, q: Any) -> np.ndarray:
+        """Velocity of a link's origin [m] and its angular velocity [rad], in world axes, by the
+        rates of the coordinates: the geometric Jacobian, [n, 6, dof]."""
+        self.link_id(link)
+        frames = self.tree.along(link, self._rows(q))
+        local = self.tree.jacobian(link, frames, frames[:, -1, :3, 3])
+        turn = self._world[:3, :3]
+        return np.concatenate([turn @ local[:, :3], turn @ local[:, 3:]], axis=1)
+
+    def inverse_kinematics(
+        self, link: str, poses: Any, start: Any = None, options: IKOptions | None = None
+    ) -> IKResult:
+        """Coordinates within the limits that bring a link to poses.
+
+        Args:
+            link: Its name.
+            poses: world_from_link, [7] or [n, 7].
+            start: Coordinates to start from, [dof] or [n, dof]; ``rest_q`` when None.
+            options: Tolerances and attempts.
+
+        Returns:
+            The coordinates, and for each pose whether they reach it: one out of reach is no error.
+        """
+        self.link_id(link)
+        wanted = check_pose(np.atleast_2d(np.asarray(poses, dtype=np.float64)), "the link")
+        assert wanted is not None
+        begin = self._rows(self.rest_q if start is None else start)
+        if len(begin) not in (1, len(wanted)):
+            raise InputError(f"start has {len(begin)} rows, expected {len(wanted)} or one")
+        targets = np.linalg.inv(self._world) @ matrix_of(wanted)
+        begin = np.broadcast_to(begin, (len(wanted), self.dof))
+        return solve(self.tree, link, targets, begin, options or IKOptions())
+
+    # Other robots --------------------------------------------------------------------------------
+
+    def placed(self, world_from_base: Any) -> Robot:
+        """With its base elsewhere, [7]."""
+        return replace(self, world_from_base=world_from_base)
+
+    def attach(self, link: str, other: Robot, link_from_base: Any, prefix: str = "") -> Robot:
+        """With another robot fixed to a link; names of its links and joints get a prefix.
+
+        Args:
+            link: What carries it.
+            other: The other robot; where its base stands is forgotten.
+            link_from_base: Pose of its base in the link, [7].
+            prefix: "left/" makes of its link "tip" a "left/tip".
+        """
+        self.link_id(link)
+        pose = _one_pose(link_from_base, f"{other.name!r} on {link!r}")
+        joints = [
+            replace(
+                joint,
+                name=prefix + joint.name,
+                parent=prefix + joint.parent,
+                child=prefix + joint.child,
+                mimic=joint.mimic and replace(joint.mimic, joint=prefix + joint.mimic.joint),
+            )
+            for joint in other.joints
+        ]
+        bond = RobotJoint(
+            f"{link} to {prefix}{other.base}",
+            JointKind.FIXED,
+            link,
+            prefix + other.base,
+            matrix_of(pose),
+            np.array([0.0, 0.0, 1.0]),
+        )
+        return replace(
+            self,
+            links=(*self.links, *(replace(part, name=prefix + part.name) for part in other.links)),
+            joints=(*self.joints, bond, *joints),
+        )
+
+    def part(self, link: str) -> Robot:
+        """A link and what it carries, as a robot of its own whose base it is.
+
+        Raises InputError where one of its joints mimics another one that is not carried.
+        """
+        self.link_id(link)
+        kept = [name for name in self.link_names if self._carries(link, name)]
+        return replace(
+            self,
+            links=tuple(part for part in self.links if part.name in kept),
+            joints=tuple(j for j in self.joints if j.child in kept and j.child != link),
+            world_from_base=IDENTITY_POSE,
+        )
+
+    def _carries(self, link: str, other: str) -> bool:
+        path = self.tree.path_to(other)
+        return other == link or any(self.joints[i].parent == link for i in path)
+
+    def touching(self, links: Iterable[str]) -> Robot:
+        """With the collision shapes of these links alone: the others pass through everything."""
+        kept = list(links)
+        for link in kept:
+            self.link_id(link)
+        return replace(
+            self,
+            links=tuple(
+                link if link.name in kept else replace(link, shapes=()) for link in self.links
+            ),
+        )
+
+    def with_hulls(self, links: Iterable[str] | None = None) -> Robot:
+        """With the convex hulls of the meshes of these links, or of all when None."""
+        chosen = self.link_names if links is None else list(links)
+        for link in chosen:
+            self.link_id(link)
+        return replace(
+            self, links=tuple(_hulls(link) if link.name in chosen else link for link in self.links)
+        )
+
+    @cached_property
+    def _world(self) -> np.ndarray:
+        return matrix_of(self.world_from_base)
+
+    def _rows(self, q: Any) -> np.ndarray:
+        rows = np.atleast_2d(np.asarray(q, dtype=np.float64))
+        if rows.ndim != 2 or rows.shape[1] != self.dof:
+            raise InputError(
+                f"coordinates of {self.name!r} must have shape [{self.dof}] or [n, {self.dof}] "
+                f"({listed(self.dof_names)}), got {np.shape(q)}"
+            )
+        if not np.isfinite(rows).all():
+            raise InputError(f"coordinates of {self.name!r} hold NaN or infinite values")
+        return rows
+
+
+def _one_pose(value: Any, whose: str) -> np.ndarray:
+    pose = check_pose(np.asarray(value, dtype=np.float64), whose)
+    if pose is None or pose.ndim != 1:
+        raise InputError(f"pose of {whose} must have shape [7], got {np.shape(value)}")
+    return pose
+
+
+def _hulls(link: Link) -> Link:
+    shapes = tuple(
+        replace(item, shape=replace(item.shape, hull=True))
+        if isinstance(item.shape, MeshShape)
+        else item
+        for item in link.shapes
+    )
+    return replace(link, shapes=shapes)

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Collision shapes of links: described when a robot is read, made when a scene needs them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from taccel_lab.bodies.mesh_checks import check_surface
+from taccel_lab.errors import InputError, naming
+from taccel_lab.reading.triangle_file import read_triangle_file
+from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh
+
+
+@dataclass(frozen=True)
+class BoxShape:
+    """A box about the shape's origin."""
+
+    size_m: tuple[float, float, float]
+
+    def surface(self) -> TriangleMesh:
+        """Its 12 triangles in the frame of the shape; InputError for a size out of range."""
+        return box_mesh(self.size_m)
+
+
+@dataclass(frozen=True)
+class SphereShape:
+    """A sphere about the shape's origin."""
+
+    radius_m: float
+
+    def surface(self) -> Ball:
+        """A perfect ball; InputError for a size out of range."""
+        return Ball(self.radius_m)
+
+
+@dataclass(frozen=True)
+class CylinderShape:
+    """A cylinder about the shape's origin, its axis along z."""
+
+    radius_m: float
+    length_m: float
+
+    def surface(self) -> TriangleMesh:
+        """Its triangles in the frame of the shape, 64 around; InputError as of a box."""
+        return cylinder_mesh(self.radius_m, self.length_m)
+
+
+@dataclass(frozen=True)
+class MeshShape:
+    """A triangle mesh in a file: STL, PLY or OBJ."""
+
+    path: Path
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """File units times this are metres."""
+    hull: bool = False
+    """Whether its convex hull is touched instead of its triangles."""
+
+    def surface(self) -> TriangleMesh:
+        """Its triangles in the frame of the shape [m].
+
+        Raises InputError for a file that cannot be read, and for triangles that no body can touch,
+        such as a surface that crosses itself.
+        """
+        points, faces = read_triangle_file(self.path)
+        points = points * np.array(self.scale)
+        with naming(self.path):
+            if self.hull:
+                return TriangleMesh(*convex_hull(points))
+            if np.prod(self.scale) < 0:
+                faces = faces[:, ::-1]
+            try:
+                check_surface(points, faces, "its surface", closed=False)
+            except InputError as error:
+                raise InputError(
+                    f"{error}. Its convex hull can be touched: Robot.with_hulls"
+                ) from None
+        return TriangleMesh(points, faces)
+
+
+Shape = BoxShape | SphereShape | CylinderShape | MeshShape
+
+
+@dataclass(frozen=True)
+class CollisionShape:
+    """What others touch of a link."""
+
+    shape: Shape
+    link_from_shape: np.ndarray
+    """Where it is in the link, float64, [4, 4]."""
+
+    def surface(self) -> tuple[TriangleMesh | Ball, np.ndarray]:
+        """The surface, and the pose of its frame in the link [4, 4].
+
+        Meshes are in the link's frame already; a ball is about its own origin.
+        """
+        made = self.shape.surface()
+        if isinstance(made, Ball):
+            return made, self.link_from_shape
+        turn, shift = self.link_from_shape[:3, :3], self.link_from_shape[:3, 3]
+        return TriangleMesh(made.vertices_m @ turn.T + shift, made.faces), np.eye(4)
+
+
+def convex_hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [n, 3] and outward triangles [m, 3] of the convex hull of points [k, 3].
+
+    Raises InputError for points that lie in a plane.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        raise InputError("its points lie in a plane: they enclose nothing") from None
+    used, faces = np.unique(hull.simplices, return_inverse=True)
+    vertices, faces = points[used], faces.reshape(-1, 3)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    inward = np.einsum("fk,fk->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, [0, 2, 1]]
+    return vertices, faces

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses that a robot can reach are reached, others are said to be out of reach."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taccel_lab.errors import InputError
+from taccel_lab.robots import IKOptions, Robot, named
+from tests.robots.robot_files import REAL, random_coordinates
+
+pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
+HAND = named("three_finger_hand")
+
+
+def arrives(robot: Robot, link: str, count: int, options: IKOptions, seed: int = 1) -> np.ndarray:
+    """Whether random reachable poses are reached from random starts, checked by the forward way."""
+    poses = robot.link_poses(link, random_coordinates(robot, count, seed))
+    start = random_coordinates(robot, count, seed + 1)
+    found = robot.inverse_kinematics(link, poses, start, options)
+    low, high = robot.limits.T
+    assert ((found.q >= low) & (found.q <= high)).all()
+    at = robot.link_poses(link, found.q)
+    miss = np.linalg.norm(at[:, :3] - poses[:, :3], axis=1)
+    np.testing.assert_allclose(miss, found.position_error_m, atol=1e-12)
+    assert (miss[found.arrived] <= options.position_tolerance_m).all()
+    if not options.position_only:
+        chord = np.linalg.norm(at[:, 3:] - poses[:, 3:], axis=1)
+        other = np.linalg.norm(at[:, 3:] + poses[:, 3:], axis=1)
+        turn = 4 * np.arcsin(np.minimum(chord, other) / 2)
+        assert (turn[found.arrived] <= 1.01 * options.rotation_tolerance_rad + 1e-14).all()
+    return found.arrived
+
+
+@pytest.mark.parametrize("position_only", [False, True])
+def test_our_hand_reaches_what_it_can(position_only: bool) -> None:
+    assert arrives(HAND, "pad_2", 200, IKOptions(position_only=position_only)).all()
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_real_robots_reach_what_they_can(name: str) -> None:
+    links = {"panda": "panda_hand_tcp", "ur5_gripper": "tool0"}
+    robot = named(name)
+    link = links.get(name, robot.link_names[-1])
+    assert arrives(robot, link, 100, IKOptions()).mean() >= 0.99
+
+
+@given(
+    st.lists(st.floats(0.02, 0.98), min_size=9, max_size=9),
+    st.lists(st.floats(0.02, 0.98), min_size=9, max_size=9),
+    st.integers(1, 3),
+)
+@settings(max_examples=25, deadline=None)
+def test_any_pose_within_the_limits_is_reached(
+    there: list[float], start: list[float], finger: int
+) -> None:
+    low, high = HAND.limits.T
+    pose = HAND.link_poses(f"pad_{finger}", low + np.array(there) * (high - low))
+    begin = low + np.array(start) * (high - low)
+    found = HAND.inverse_kinematics(f"pad_{finger}", pose, begin)
+    assert found.arrived.all()
+    # The other fingers stay as they were.
+    others = [i for i, joint in enumerate(HAND.dof_names) if not joint.endswith(str(finger))]
+    np.testing.assert_array_equal(found.q[0, others], begin[others])
+
+
+def test_a_pose_out_of_reach_is_said_and_does_not_disturb_the_others() -> None:
+    gripper = named("parallel_gripper")
+    poses = gripper.link_poses("finger_left", [[0.01], [0.03], [0.02]])
+    poses[1, 0] -= 0.05
+    poses[2, 2] += 1e-3
+    found = gripper.inverse_kinematics("finger_left", poses)
+    np.testing.assert_array_equal(found.arrived, [True, False, False])
+    # As near as the slide comes: its end, and the foot of the perpendicular.
+    np.testing.assert_allclose(found.q[:, 0], [0.01, 0.04, 0.02], atol=1e-7)
+    np.testing.assert_allclose(found.position_error_m, [0, 0.04, 1e-3], atol=1e-7)
+    assert found.attempts[0] == 1 and found.attempts[1] == IKOptions().attempts
+    alone = gripper.inverse_kinematics("finger_left", poses[:1])
+    np.testing.assert_array_equal(alone.q, found.q[:1])
+
+
+def test_far_away_and_turned_over_is_out_of_reach() -> None:
+    pose = HAND.link_poses("pad_1", HAND.rest_q)
+    far = pose.copy()
+    far[:, 2] += 1.0
+    assert not HAND.inverse_kinematics("pad_1", far, options=IKOptions(attempts=3)).arrived.any()
+    over = pose.copy()
+    over[:, 3:] = [0, 0, 0, 1]  # The pad looks outwards.
+    assert not HAND.inverse_kinematics("pad_1", over, options=IKOptions(attempts=3)).arrived.any()
+    free = IKOptions(position_only=True)
+    assert HAND.inverse_kinematics("pad_1", over, options=free).arrived.all()
+
+
+def test_the_base_s_place_and_the_seed_do_not_matter_for_the_answer() -> None:
+    moved = HAND.placed([0.3, -0.2, 0.5, 0.5, 0.5, 0.5, 0.5])
+    q = random_coordinates(moved, 5)
+    for seed in (0, 7):
+        options = IKOptions(seed=seed)
+        found = moved.inverse_kinematics("pad_3", moved.link_poses("pad_3", q), None, options)
+        assert found.arrived.all()
+        # A finger's three joints bring its pad to a pose in one way only.
+        np.testing.assert_allclose(found.q[:, 6:], q[:, 6:], atol=1e-4)
+
+
+def test_bad_questions_are_refused() -> None:
+    pose = HAND.link_poses("pad_1", HAND.rest_q)
+    with pytest.raises(InputError, match="start has 2 rows, expected 1 or one"):
+        HAND.inverse_kinematics("pad_1", pose, np.zeros((2, 9)))
+    with pytest.raises(InputError, match="unit length"):
+        HAND.inverse_kinematics("pad_1", 2 * pose)
+    with pytest.raises(InputError, match="attempts must be at least 1, got 0"):
+        IKOptions(attempts=0)
+    with pytest.raises(InputError, match="position_tolerance_m must be positive, got nan"):
+        IKOptions(position_tolerance_m=float("nan"))

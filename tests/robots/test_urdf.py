@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is read of a URDF file, and what is refused by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taccel_lab.errors import InputError
+from taccel_lab.robots import load_urdf
+from taccel_lab.robots.shapes import MeshShape
+from taccel_lab.scene import Ball, TriangleMesh
+from tests.robots.robot_files import CHAIN, write
+
+pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
+
+TETRAHEDRON = """v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"""
+WITH_MESH = """<robot name="m"><link name="a"><collision>
+<geometry><mesh filename="{file}" scale="{scale}"/></geometry></collision></link></robot>"""
+
+
+def with_mesh(file: str, scale: str = "0.01 0.01 0.01") -> str:
+    return WITH_MESH.format(file=file, scale=scale)
+
+
+def test_limits_masses_and_shapes(tmp_path: Path) -> None:
+    robot = load_urdf(write(tmp_path, CHAIN))
+    # The follower, -0.8 q + 0.1 within [-1, 1], narrows its leader's [-2, 1.5] to 1.375; the slide
+    # of half the lift, within 0.1, does not.
+    wanted = [[-1.125, 1.375], [-0.05, 0.1], [-np.inf, np.inf]]
+    np.testing.assert_allclose(robot.limits, wanted, atol=1e-12)
+    assert [joint.max_effort for joint in robot.joints][:3] == [7, 50, np.inf]
+    links = {link.name: link for link in robot.links}
+    arm = links["arm"].mass
+    assert arm is not None and arm.mass_kg == 2
+    np.testing.assert_allclose(arm.center_m, [0, 0, 0.1])
+    # The frame of the inertia is turned by a quarter about z: x and y change places.
+    np.testing.assert_allclose(arm.inertia_kg_m2, np.diag([0.2, 0.1, 0.25]), atol=1e-15)
+    assert links["tip"].mass is None and links["tip"].shapes == ()
+    box, place = links["arm"].shapes[0].surface()
+    assert isinstance(box, TriangleMesh)
+    np.testing.assert_allclose(box.vertices_m.min(axis=0), [-0.01, -0.015, 0], atol=1e-15)
+    np.testing.assert_allclose(box.vertices_m.max(axis=0), [0.01, 0.015, 0.2], atol=1e-15)
+    np.testing.assert_array_equal(place, np.eye(4))
+    assert links["slide"].shapes[0].surface()[0] == Ball(0.01)
+    wheel, _ = links["wheel"].shapes[0].surface()
+    assert isinstance(wheel, TriangleMesh)
+    np.testing.assert_allclose(np.ptp(wheel.vertices_m, axis=0), [0.04, 0.01, 0.04], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "name", ["mesh.obj", "../shared/mesh.obj", "package://pack/mesh.obj", "file://{folder}/m.obj"]
+)
+def test_mesh_files_are_found(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "pack" / "urdf"
+    for place in ("urdf/mesh.obj", "shared/mesh.obj", "mesh.obj", "m.obj"):
+        write(tmp_path / "pack", TETRAHEDRON, place)
+    text = with_mesh(name.format(folder=tmp_path / "pack"))
+    shape = load_urdf(write(folder, text)).links[0].shapes[0].shape
+    assert isinstance(shape, MeshShape)
+    surface = shape.surface()
+    np.testing.assert_allclose(np.ptp(surface.vertices_m, axis=0), 0.01, atol=1e-9)
+
+
+@pytest.mark.parametrize("scale", ["0.01 0.02 0.03", "0.01 -0.02 0.03"])
+@pytest.mark.parametrize("hull", [False, True])
+def test_scaled_meshes_stay_outward(tmp_path: Path, scale: str, hull: bool) -> None:
+    write(tmp_path, TETRAHEDRON, "mesh.obj")
+    robot = load_urdf(write(tmp_path, with_mesh("mesh.obj", scale)))
+    surface, _ = (robot.with_hulls() if hull else robot).links[0].shapes[0].surface()
+    assert isinstance(surface, TriangleMesh)
+    a, b, c = (surface.vertices_m[surface.faces[:, k]] for k in range(3))
+    volume = np.einsum("fk,fk->f", a, np.cross(b, c)).sum() / 6
+    assert volume == pytest.approx(1e-6, rel=1e-6)
+
+
+def test_a_surface_that_crosses_itself_can_be_touched_as_its_hull(tmp_path: Path) -> None:
+    moved = "".join(
+        f"v {x + 0.2} {y + 0.2} {z + 0.2}\n" for x, y, z in np.vstack([np.zeros(3), np.eye(3)])
+    )
+    faces = "f 5 7 6\nf 5 6 8\nf 6 7 8\nf 7 5 8\n"
+    write(tmp_path, TETRAHEDRON + moved + faces, "mesh.obj")
+    robot = load_urdf(write(tmp_path, with_mesh("mesh.obj")))
+    with pytest.raises(InputError, match=r"mesh\.obj: its surface intersects.*Robot\.with_hulls"):
+        robot.links[0].shapes[0].surface()
+    surface, _ = robot.with_hulls(["a"]).links[0].shapes[0].surface()
+    assert isinstance(surface, TriangleMesh) and len(surface.vertices_m) >= 6
+
+
+CHANGES = {
+    "planar": ('type="continuous"', 'type="planar"', "joint 'spin' is planar, which is not supp"),
+    "floating": ('type="continuous"', 'type="floating"', "joint 'spin' is floating, which is not"),
+    "kind": ('type="continuous"', 'type="screw"', "'spin' is of type 'screw', which URDF does not"),
+    "no kind": ('name="spin" type="continuous"', 'name="spin"', "<joint> of the robot has no 'typ"),
+    "no name": ('<link name="tip"/>', "<link/>", "<link> of the robot has no 'name'"),
+    "axis": ('axis xyz="0 3 4"', 'axis xyz="0 0 0"', "axis of joint 'shoulder' has no length"),
+    "slide": ('axis xyz="0.6 0 0.8"', 'axis xyz="0 0 2"', "axis of joint 'lift' must have length "),
+    "words": ('axis xyz="0 3 4"', 'axis xyz="0 x 4"', "joint 'shoulder' must be 3 finite numbers"),
+    "two": ('axis xyz="0 3 4"', 'axis xyz="3 4"', "xyz of <axis> of joint 'shoulder' must be 3"),
+    "nan": ('lower="-2"', 'lower="nan"', "lower of <limit> of joint 'shoulder' must be a finite"),
+    "turned": ('lower="-2"', 'lower="2"', "limits of joint 'shoulder' must be lower <= upper, got"),
+    "limits": ('<limit lower="-2" upper="1.5" effort="7" velocity="1"/>', "", "has no <limit>; gi"),
+    "parent": ('parent link="wheel"', 'parent link="hub"', "parent of joint 'bond' is 'hub', whic"),
+    "two parents": ('child link="tip"', 'child link="thumb"', "'thumb' is the child of two joints"),
+    "bases": ('<link name="tip"/>', '<link name="tip"/><link name="x"/>', "2 links are the child "),
+    "ring": ('parent link="base"', 'parent link="tip"', "2 links|ring"),
+    "twice": ('<link name="tip"/>', '<link name="arm"/>', "2 links are called 'arm'"),
+    "joints": ('joint name="lift"', 'joint name="spin"', "2 joints are called 'spin'"),
+    "mimic": ('mimic joint="shoulder"', 'mimic joint="bond"', "'follow' mimics 'bond', which is f"),
+    "mimics": ('mimic joint="lift"', 'mimic joint="nail_slide"', "mimic each other in a ring"),
+    "no leader": ('mimic joint="lift"', 'mimic joint="x"', "mimics 'x', which is no joint of the "),
+    "apart": ('offset="0.1"', 'offset="9"', "joint 'shoulder' cannot be anywhere"),
+    "capsule": ('<sphere radius="0.01"/>', "<capsule/>", "shape of link 'slide' is 'capsule'; it "),
+    "empty": ('<sphere radius="0.01"/>', "", "shape of link 'slide' is 'nothing'; it must be one"),
+    "radius": ('<sphere radius="0.01"/>', "<sphere/>", "<sphere> of link 'slide' has no 'radius'"),
+    "mass": ('mass value="2"', 'mass value="-2"', "mass of link 'arm' must be positive, got -2 kg"),
+    "inertia": ('ixx="0.1" ', "", "<inertia> of link 'arm' has no 'ixx'"),
+    "open": ("</robot>", "", "is not valid XML: no element found"),
+    "root": ("robot>", "model>", "not valid XML: mismatched tag"),
+    "type": ('<robot name="chain">', "<!DOCTYPE robot><robot name='c'>", "has a document type"),
+    "macro": ("<gazebo ", "<x:macro xmlns:x='http://ros.org/wiki/xacro'/><gazebo ", "holds xacro"),
+    "nameless": ('<robot name="chain">', "<robot>", "<robot> of the robot has no 'name'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", list(CHANGES))
+def test_what_cannot_be_taken_over_is_said(tmp_path: Path, change: str) -> None:
+    old, new, message = CHANGES[change]
+    assert old in CHAIN
+    path = write(tmp_path, CHAIN.replace(old, new))
+    with pytest.raises(InputError, match=message) as error:
+        load_urdf(path)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("x.stl", r"mesh file 'x\.stl' is not there; looked in"),
+        ("package://other/x.stl", "'package://other/x.stl' is not there"),
+        ("x.dae", r"collision mesh 'x\.dae' of link 'a' is of a kind that is not read; allowed"),
+    ],
+)
+def test_mesh_files_that_cannot_be_used_are_said(tmp_path: Path, file: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        load_urdf(write(tmp_path, with_mesh(file)))
+
+
+def test_no_file_and_another_root(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist; expected a URDF file"):
+        load_urdf(tmp_path / "none.urdf")
+    with pytest.raises(InputError, match="root element is <sdf>; a URDF file's is <robot>"):
+        load_urdf(write(tmp_path, "<sdf><model/></sdf>"))
+    with pytest.raises(InputError, match="nested more than 100 deep"):
+        load_urdf(write(tmp_path, "<a>" * 200 + "</a>" * 200))
+
+
+def test_a_ring_beside_the_base_is_no_tree(tmp_path: Path) -> None:
+    joint = '<joint name="{0}{1}" type="fixed"><parent link="{0}"/><child link="{1}"/></joint>'
+    text = '<robot name="r"><link name="o"/><link name="a"/><link name="b"/>'
+    text += joint.format("a", "b") + joint.format("b", "a") + "</robot>"
+    with pytest.raises(InputError, match="links 'a', 'b' carry each other in a ring"):
+        load_urdf(write(tmp_path, text))
