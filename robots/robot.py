@@ -1,25 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``Robot``: links and joints, and where they are."""
+"""``Robot``: links and joints, where they are, and what of them stands in a scene."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.bodies.bodies import check_pose
 from taccel_lab.bodies.joints import JointKind
 from taccel_lab.errors import InputError
-from taccel_lab.robots.description import Link, RobotJoint, listed
+from taccel_lab.robots.description import Link, RobotJoint, check_names, listed
 from taccel_lab.robots.inverse_kinematics import IKOptions, IKResult, solve
 from taccel_lab.robots.kinematics import Kinematics
+from taccel_lab.robots.mounts import CarriedBody, Mount, carried_bodies, make_mount
 from taccel_lab.robots.shapes import MeshShape
 from taccel_lab.robots.transforms import matrix_of, pose_of
+from taccel_lab.scene import KinematicBody, SoftBody
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
 
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+LIMIT_SLACK = 1e-9
+"""How far beyond a limit a coordinate may be [rad or m]: rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +43,9 @@ class Robot:
     joints: tuple[RobotJoint, ...]
     world_from_base: np.ndarray = field(default_factory=IDENTITY_POSE.copy)
     """Where the base stands, [7]."""
+    mounts: tuple[Mount, ...] = ()
+    link_friction: float | None = None
+    """Coulomb friction of the links; None leaves it to what they touch."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_tree", Kinematics(self.links, self.joints))
@@ -172,11 +182,19 @@ class Robot:
             matrix_of(pose),
             np.array([0.0, 0.0, 1.0]),
         )
-        return replace(
+        carried = replace(
             self,
             links=(*self.links, *(replace(part, name=prefix + part.name) for part in other.links)),
             joints=(*self.joints, bond, *joints),
         )
+        for mount in other.mounts:
+            carried = carried.mount(
+                prefix + mount.link,
+                replace(mount.gel, mount=None),
+                pose_of(mount.link_from_gel),
+                prefix + mount.gel.name,
+            )
+        return carried
 
     def part(self, link: str) -> Robot:
         """A link and what it carries, as a robot of its own whose base it is.
@@ -189,6 +207,7 @@ class Robot:
             self,
             links=tuple(part for part in self.links if part.name in kept),
             joints=tuple(j for j in self.joints if j.child in kept and j.child != link),
+            mounts=tuple(mount for mount in self.mounts if mount.link in kept),
             world_from_base=IDENTITY_POSE,
         )
 
@@ -216,6 +235,62 @@ class Robot:
         return replace(
             self, links=tuple(_hulls(link) if link.name in chosen else link for link in self.links)
         )
+
+    # In a scene ----------------------------------------------------------------------------------
+
+    def mount(
+        self, link: str, gel: SensorProfile | SoftBody, pose: Any = IDENTITY_POSE, name: str = ""
+    ) -> Robot:
+        """With a gel on a link, whose bonded nodes follow the link exactly.
+
+        Args:
+            link: What carries it.
+            gel: A sensor, whose mesh, material and friction the gel has; or a gel in its own frame,
+                for another mesh or element.
+            pose: link_from_gel, [7]; the gel frame has z out of the contact face.
+            name: Of the soft body; "gel of" the link when empty.
+        """
+        self.link_id(link)
+        name = name or f"gel of {link}"
+        made = make_mount(self.name, link, gel, _one_pose(pose, f"the gel on {link!r}"), name)
+        check_names("gels", [mount.gel.name for mount in (*self.mounts, made)])
+        return replace(self, mounts=(*self.mounts, made))
+
+    def soft_bodies(self) -> list[SoftBody]:
+        """Its gels, for ``Scene(soft_bodies=)``."""
+        return [mount.gel for mount in self.mounts]
+
+    def kinematic_bodies(self) -> list[KinematicBody]:
+        """Frames of its gels and shapes of its links, for ``Scene(kinematic_bodies=)``.
+
+        Raises InputError for a collision mesh that cannot be read or touched, and for a shape whose
+        size no body may have.
+        """
+        return [carried.body for carried in self._carried]
+
+    def targets(self, q: Any) -> np.ndarray:
+        """Poses of ``kinematic_bodies`` for coordinates [n, dof], shape [n, body, 7]: what a step
+        takes as ``Control.target_poses``, a row an environment.
+
+        Raises InputError for coordinates out of the limits, also of joints that mimic others.
+        """
+        rows = self._rows(q)
+        low, high = self.tree.limits.T
+        beyond = (rows < low - LIMIT_SLACK) | (rows > high + LIMIT_SLACK)
+        if beyond.any():
+            env, i = np.argwhere(beyond)[0]
+            raise InputError(
+                f"coordinate {rows[env, i]:g} of joint {self.dof_names[i]!r} in row {env} is out "
+                f"of its limits [{low[i]:g}, {high[i]:g}]"
+            )
+        links = self._world @ self.tree.all_links(rows)
+        ids = [self.link_id(carried.link) for carried in self._carried]
+        offsets = np.array([carried.link_from_body for carried in self._carried])
+        return pose_of(links[:, ids] @ offsets.reshape(-1, 4, 4))
+
+    @cached_property
+    def _carried(self) -> list[CarriedBody]:
+        return carried_bodies(self.name, self.links, self.mounts, self.link_friction)
 
     @cached_property
     def _world(self) -> np.ndarray:

@@ -84,9 +84,9 @@ def test_a_surface_that_crosses_itself_can_be_touched_as_its_hull(tmp_path: Path
     write(tmp_path, TETRAHEDRON + moved + faces, "mesh.obj")
     robot = load_urdf(write(tmp_path, with_mesh("mesh.obj")))
     with pytest.raises(InputError, match=r"mesh\.obj: its surface intersects.*Robot\.with_hulls"):
-        robot.links[0].shapes[0].surface()
-    surface, _ = robot.with_hulls(["a"]).links[0].shapes[0].surface()
-    assert isinstance(surface, TriangleMesh) and len(surface.vertices_m) >= 6
+        robot.kinematic_bodies()
+    (body,) = robot.with_hulls(["a"]).kinematic_bodies()
+    assert isinstance(body.shape, TriangleMesh) and len(body.shape.vertices_m) >= 6
 
 
 CHANGES = {
