@@ -10,6 +10,12 @@ from functools import cached_property
 import numpy as np
 
 from taccel_lab.bodies.element import Element
+from taccel_lab.bodies.mass_properties import (
+    MassProperties,
+    StatedMass,
+    mass_properties,
+    with_stated_mass,
+)
 from taccel_lab.bodies.material import Material, MaterialField
 from taccel_lab.bodies.primitives import Ball, TriangleMesh
 from taccel_lab.errors import InputError
@@ -138,7 +144,7 @@ class AffineBody:
     """A stiff free body of 12 degrees of freedom [Lan et al. 2022, Affine Body Dynamics]."""
 
     shape: TriangleMesh
-    """Closed surface in the body frame; mass and inertia follow from it."""
+    """Closed surface in the body frame; mass and inertia follow from it and the density."""
     density_kg_m3: float = 1000.0
     young_modulus_pa: float = 1e9
     """Stiffness against any deformation: large, but not so large that rounding rules."""
@@ -151,6 +157,8 @@ class AffineBody:
     """Of the centre of mass."""
     initial_spin_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Angular velocity in world axes."""
+    stated_mass: StatedMass | None = None
+    """Mass, centre and inertia of a body that is not filled evenly; the density does not count."""
 
     def __post_init__(self) -> None:
         if not isinstance(self.shape, TriangleMesh):
@@ -165,6 +173,13 @@ class AffineBody:
         object.__setattr__(self, "initial_pose", check_pose(self.initial_pose, repr(self.name)))
         _check_vector(self.initial_velocity_m_s, "initial_velocity_m_s", repr(self.name))
         _check_vector(self.initial_spin_rad_s, "initial_spin_rad_s", repr(self.name))
+
+    def mass_properties(self) -> MassProperties:
+        """Of the even solid, or as stated; InputError for a mesh that encloses none."""
+        solid = mass_properties(self.shape, self.density_kg_m3)
+        if self.stated_mass is None:
+            return solid
+        return with_stated_mass(solid, self.stated_mass, self.shape)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,8 @@ from taccel_lab.bodies.mesh_checks import check_edges
 from taccel_lab.bodies.primitives import TriangleMesh
 from taccel_lab.errors import InputError
 
+_SOLID = 1 + 1e-6
+"""Sum of two principal moments over the third one: of a flat plate 1."""
 _FLAT = 1e-13
 """Volume over (area * extent) that is rounding error; a 10 um foil of 1 m has 1e-5."""
 
@@ -49,6 +51,60 @@ class MassProperties:
     def to_principal(self, points_m: np.ndarray) -> np.ndarray:
         """Coordinates X of points of the mesh's frame in the principal frame [m], [..., 3]."""
         return (points_m - self.center_m) @ self.axes
+
+
+@dataclass(frozen=True)
+class StatedMass:
+    """What a body weighs and where, measured or from CAD, in the frame of its mesh."""
+
+    mass_kg: float
+    center_m: np.ndarray
+    """Centre of mass [m], shape [3]; it may lie outside of the mesh."""
+    inertia_kg_m2: np.ndarray
+    """Inertia tensor about the centre, shape [3, 3]."""
+
+    def __post_init__(self) -> None:
+        center = np.array(self.center_m, dtype=np.float64)
+        inertia = np.array(self.inertia_kg_m2, dtype=np.float64)
+        if not (math.isfinite(self.mass_kg) and self.mass_kg > 0):
+            raise InputError(f"mass must be positive and finite, got {self.mass_kg:g} kg")
+        if center.shape != (3,) or inertia.shape != (3, 3):
+            raise InputError(
+                f"centre and inertia must have shapes [3] and [3, 3], got {center.shape} and "
+                f"{inertia.shape}"
+            )
+        if not (np.isfinite(center).all() and np.isfinite(inertia).all()):
+            raise InputError("centre and inertia must be finite")
+        low, middle, high = np.linalg.eigvalsh((inertia + inertia.T) / 2)
+        if np.abs(inertia - inertia.T).max() > 1e-6 * high or not low + middle > high * _SOLID:
+            raise InputError(
+                f"the inertia is that of no solid: it must be symmetric, and the sum of two of its "
+                f"principal moments larger than the third, got {low:.3g}, {middle:.3g}, {high:.3g} "
+                "kg m^2"
+            )
+        object.__setattr__(self, "center_m", center)
+        object.__setattr__(self, "inertia_kg_m2", (inertia + inertia.T) / 2)
+
+
+def with_stated_mass(
+    solid: MassProperties, stated: StatedMass, mesh: TriangleMesh
+) -> MassProperties:
+    """Properties of the solid inside ``mesh`` with the mass, centre and inertia that are stated.
+
+    Second moments follow from the inertia I: int rho X X^T dV = tr(I) / 2 - I.
+    """
+    inertia = stated.inertia_kg_m2
+    second = np.trace(inertia) / 2 * np.eye(3) - inertia
+    axes = _principal_axes(second)
+    arms = mesh.vertices_m[np.unique(mesh.faces)] - stated.center_m
+    return MassProperties(
+        volume_m3=solid.volume_m3,
+        mass_kg=float(stated.mass_kg),
+        center_m=stated.center_m,
+        axes=axes,
+        second_moments_kg_m2=np.diag(axes.T @ second @ axes).copy(),
+        radius_m=float(np.linalg.norm(arms, axis=1).max()),
+    )
 
 
 def mass_properties(mesh: TriangleMesh, density_kg_m3: float) -> MassProperties:

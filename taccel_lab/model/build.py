@@ -11,7 +11,7 @@ import warp as wp
 
 from taccel_lab.bodies.bodies import KinematicBody, Plane, SoftBody
 from taccel_lab.bodies.element import Element
-from taccel_lab.bodies.mass_properties import MassProperties, mass_properties
+from taccel_lab.bodies.mass_properties import MassProperties
 from taccel_lab.bodies.primitives import Ball, TriangleMesh
 from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.bodies.surface_topology import (
@@ -50,7 +50,7 @@ class _Layout:
         self.scene = scene
         self.soft: list[SoftDiscretization] = [discretize(body) for body in scene.soft_bodies]
         self.properties: list[MassProperties] = [
-            mass_properties(body.shape, body.density_kg_m3) for body in scene.affine_bodies
+            body.mass_properties() for body in scene.affine_bodies
         ]
         self.rest_count = max([len(part.rest_m) for part in self.soft], default=1)
         parts = [_Part(BodyKind.SOFT, part.rest_m, part.faces) for part in self.soft]

@@ -329,6 +329,8 @@ class Model:
         chosen = self._mask(mask)
         name, value = next(item for item in inertia.items() if item[1] is not None)
         dense = name == "density_kg_m3"
+        if dense and body.stated_mass is not None:
+            raise InputError(f"{body.name!r} has a stated mass, not a density: set mass_kg")
         check = check_stiff_density if dense else check_mass
         whose = f"{name} of {body.name!r}"
         given = env_values(value, whose, self.env_count, self.device, check, mask)

@@ -11,6 +11,7 @@ from taccel_lab.bodies.joints import (
     RevoluteJoint,
     VelocityDrive,
 )
+from taccel_lab.bodies.mass_properties import StatedMass
 from taccel_lab.bodies.material import Material, MaterialField, MaterialModel
 from taccel_lab.bodies.primitives import (
     Ball,
@@ -38,6 +39,7 @@ __all__ = [
     "RevoluteJoint",
     "Scene",
     "SoftBody",
+    "StatedMass",
     "Surface",
     "TimeScheme",
     "TimeStepping",

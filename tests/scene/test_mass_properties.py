@@ -8,7 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.bodies.mass_properties import mass_properties, winding_number
+from taccel_lab.bodies.mass_properties import (
+    StatedMass,
+    mass_properties,
+    winding_number,
+    with_stated_mass,
+)
 from taccel_lab.bodies.primitives import TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
 from taccel_lab.errors import InputError
 
@@ -202,3 +207,36 @@ def test_bad_meshes_are_refused(mesh: TriangleMesh, words: str) -> None:
 def test_bad_densities_are_refused(density: float) -> None:
     with pytest.raises(InputError, match="density must be positive"):
         mass_properties(TET, density)
+
+
+def test_stated_mass_of_an_even_solid_is_that_of_its_density() -> None:
+    mesh = moved(box_mesh((0.03, 0.02, 0.01)), rotation(3), np.array([0.1, -0.2, 0.3]))
+    even = mass_properties(mesh, 800.0)
+    stated = StatedMass(even.mass_kg, even.center_m, even.inertia_kg_m2)
+    found = with_stated_mass(mass_properties(mesh, 1.0), stated, mesh)
+    assert found.volume_m3 == even.volume_m3 and found.mass_kg == even.mass_kg
+    assert found.radius_m == pytest.approx(even.radius_m)
+    np.testing.assert_allclose(found.inertia_kg_m2, even.inertia_kg_m2, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        np.sort(found.second_moments_kg_m2), np.sort(even.second_moments_kg_m2), rtol=1e-9
+    )
+    assert np.linalg.det(found.axes) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("mass", "center", "inertia", "words"),
+    [
+        (0.0, np.zeros(3), np.eye(3), "mass must be positive and finite, got 0 kg"),
+        (np.nan, np.zeros(3), np.eye(3), "mass must be positive"),
+        (1.0, np.zeros(2), np.eye(3), "shapes"),
+        (1.0, np.array([0, np.nan, 0]), np.eye(3), "must be finite"),
+        (1.0, np.zeros(3), np.diag([1.0, 2.0, 3.0]), "that of no solid"),
+        (1.0, np.zeros(3), np.diag([0.0, 2.0, 2.0]), "that of no solid"),
+        (1.0, np.zeros(3), np.eye(3) + np.eye(3, k=1) / 9, "must be symmetric"),
+    ],
+)
+def test_bad_stated_masses_are_refused(
+    mass: float, center: np.ndarray, inertia: np.ndarray, words: str
+) -> None:
+    with pytest.raises(InputError, match=words):
+        StatedMass(mass, center, inertia)

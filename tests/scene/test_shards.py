@@ -44,7 +44,7 @@ SHARED = {
     SoftBody: "mesh material bonded_nodes name friction_coefficient mount element self_contact "
     "surface initial_velocity_m_s",
     AffineBody: "shape density_kg_m3 young_modulus_pa name friction_coefficient surface "
-    "initial_velocity_m_s initial_spin_rad_s",
+    "initial_velocity_m_s initial_spin_rad_s stated_mass",
     KinematicBody: "shape friction_coefficient name surface",
     Plane: "point_m normal friction_coefficient name surface",
     Surface: "layer collides_with thickness_m environments",

@@ -13,6 +13,7 @@ from taccel_lab.scene import (
     PositionDrive,
     PrismaticJoint,
     RevoluteJoint,
+    StatedMass,
     VelocityDrive,
 )
 from taccel_lab.solvers import SolverConfig
@@ -60,6 +61,26 @@ def test_small_swings_of_a_pendulum() -> None:
     assert len(crossings) >= 3
     period = 2 * run.dt * (crossings[2] - crossings[0]) / 2
     assert period == pytest.approx(2 * np.pi * run.dt / np.arctan(w * run.dt), abs=run.dt)
+
+
+def test_small_swings_of_a_body_whose_mass_is_stated() -> None:
+    """Centre and inertia are not those of the box: w^2 = m g d / (I + m d^2) all the same."""
+    mass, below, moment = 0.3, 0.05, 4e-4
+    start = 0.02
+    rotation = turned((0, 1, 0), start)
+    center = 0.02 * np.array([-np.sin(start), 0, -np.cos(start)])
+    stated = StatedMass(mass, np.array([0, 0, 0.02 - below]), np.diag([5e-4, moment, 3e-4]))
+    hinge = RevoluteJoint("rod", None, (0, 0, 0), (0, 1, 0), name="hinge")
+    run = Run(affine_scene([box("rod", ROD, center, rotation, stated_mass=stated)], [hinge]))
+    w = np.sqrt(mass * G * below / (moment + mass * below**2))
+    angle, rate = start, 0.0
+    for _ in range(60):
+        run.step()
+        rate = (rate - run.dt * w**2 * angle) / (1 + (w * run.dt) ** 2)
+        angle += run.dt * rate
+        assert start + coordinate(run) == pytest.approx(angle, abs=1e-3 * start)
+    assert run.masses[0].sum() > mass  # With those of the control vectors.
+    assert run.masses[0, 0] == mass
 
 
 def test_a_hanging_rod_pulls_with_its_weight() -> None:
