@@ -59,6 +59,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     from taccel_lab.cli.press import Press
     from taccel_lab.cli.preview import Preview
     from taccel_lab.cli.profile import ProfileCompare, ProfileReport, ProfileShow, ProfileValidate
+    from taccel_lab.cli.robot import RobotList, RobotShow
     from taccel_lab.cli.sensors import SensorsList, SensorsShow
     from taccel_lab.cli.study import Study
 
@@ -70,6 +71,9 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     sensors = SubcommandApp()
     sensors.command(name="list")(SensorsList)
     sensors.command(name="show")(SensorsShow)
+    robot = SubcommandApp()
+    robot.command(name="list")(RobotList)
+    robot.command(name="show")(RobotShow)
 
     app = SubcommandApp()
     app.command(name="demo")(Demo)
@@ -83,6 +87,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     app.command(profile, name="profile", help="Show, check, compare or report on sensor profiles.")
     app.command(name="export")(Export)
     app.command(sensors, name="sensors", help="List the sensors of the catalogue.")
+    app.command(robot, name="robot", help="Robots that can carry gels, by name or from URDF.")
     app.command(name="study")(Study)
     app.command(name="bench")(Bench)
     app.command(name="doctor")(Doctor)

@@ -99,6 +99,8 @@ COMMANDS = (
     "profile validate",
     "sensors list",
     "sensors show",
+    "robot list",
+    "robot show",
     "doctor",
 )
 

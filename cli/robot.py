@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab robot list`` and ``taccel-lab robot show``: robots that can carry gels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from tyro.conf import Positional
+
+
+@dataclass(frozen=True)
+class RobotList:
+    """List the robots of the catalogue."""
+
+    json: bool = False
+    """Print JSON instead of a table."""
+
+    def run(self) -> None:
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.robots.catalogue import ENTRIES, PACKAGE
+
+        rows = {
+            entry.name: {"summary": entry.summary, "from": "taccel-lab" if entry.ours else PACKAGE}
+            for entry in ENTRIES
+        }
+        if self.json:
+            print_json(rows)
+            return
+        _print_table(
+            ("robot", "what", "from"), [(name, *row.values()) for name, row in rows.items()]
+        )
+
+
+@dataclass(frozen=True)
+class RobotShow:
+    """Show a robot: joints with limits, links with masses and shapes, and what is refused."""
+
+    robot: Positional[str]
+    """A URDF file, or a robot of the catalogue, e.g. parallel_gripper."""
+    json: bool = False
+    """Print JSON instead of tables."""
+
+    def run(self) -> None:
+        from rich.console import Console
+        from rich.text import Text
+
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.robots.describe import describe_robot, robot_of
+
+        shown = describe_robot(robot_of(self.robot))
+        if self.json:
+            print_json(shown)
+            return
+        console = Console()
+        coordinates = len(shown["coordinates"])
+        head = f"{shown['name']}: {coordinates} coordinates, base {shown['base']}"
+        console.print(Text(head), soft_wrap=True)
+        _print_table(
+            ("joint", "kind", "parent", "child", "limits", "effort", "mimics"),
+            [_joint_row(name, joint) for name, joint in shown["joints"].items()],
+        )
+        _print_table(
+            ("link", "mass [kg]", "shapes"),
+            [
+                (name, _number(link["mass_kg"]), ", ".join(link["shapes"]))
+                for name, link in shown["links"].items()
+            ],
+        )
+        for sentence in shown["refused"]:
+            console.print(Text(f"refused: {sentence}", style="yellow"), soft_wrap=True)
+
+
+def _joint_row(name: str, joint: dict[str, Any]) -> tuple[str, ...]:
+    low, high = joint["limits"]
+    limits = "" if low is None or high is None else f"{low:.4g} to {high:.4g} {joint['unit']}"
+    effort = _number(joint["max_effort"])
+    return (
+        name, joint["kind"], joint["parent"], joint["child"], limits, effort, joint["mimics"] or "",
+    )  # fmt: skip
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}"
+
+
+def _print_table(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+    from rich.box import SIMPLE
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=SIMPLE, pad_edge=False)
+    for heading in headings:
+        table.add_column(heading, overflow="fold")
+    for first, *others in rows:
+        table.add_row(Text(first, style="cyan"), *map(Text, others))
+    Console().print(table)

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A robot in plain values, for people and JSON: joints, links, and what of it cannot be touched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.bodies.joints import JointKind
+from taccel_lab.errors import InputError
+from taccel_lab.robots.catalogue import named, names
+from taccel_lab.robots.description import RobotJoint
+from taccel_lab.robots.robot import Robot
+from taccel_lab.robots.shapes import BoxShape, CylinderShape, Shape, SphereShape
+from taccel_lab.robots.urdf import load_urdf
+
+
+def robot_of(text: str) -> Robot:
+    """A robot of the catalogue by its name, or of a URDF file by its path.
+
+    Raises InputError for a file that cannot be taken over, and a name that is neither.
+    """
+    if text in names():
+        return named(text)
+    if not text.lower().endswith((".urdf", ".xml")) and not Path(text).exists():
+        raise InputError(
+            f"{text!r} is neither a file nor a robot of the catalogue: {', '.join(names())}"
+        )
+    return load_urdf(text)
+
+
+def describe_robot(robot: Robot) -> dict[str, Any]:
+    """Names, joints with limits in degrees and millimetres, links with mass and shapes, and what is
+    refused when the robot is put into a scene: plain values; no limit is None."""
+    refused = []
+    links = {}
+    for link in robot.links:
+        for shape in link.shapes:
+            try:
+                shape.surface()
+            except InputError as error:
+                refused.append(f"collision shape of link {link.name!r}: {error}")
+        links[link.name] = {
+            "mass_kg": None if link.mass is None else link.mass.mass_kg,
+            "shapes": [_shape(shape.shape) for shape in link.shapes],
+        }
+    return {
+        "name": robot.name,
+        "base": robot.base,
+        "coordinates": robot.dof_names,
+        "joints": {joint.name: _joint(joint) for joint in robot.joints},
+        "links": links,
+        "refused": refused,
+    }
+
+
+def _joint(joint: RobotJoint) -> dict[str, Any]:
+    turning = joint.kind is JointKind.REVOLUTE
+    limits = np.array([joint.lower, joint.upper])
+    scaled = np.degrees(limits) if turning else 1e3 * limits
+    return {
+        "kind": "continuous" if turning and np.isinf(limits).all() else joint.kind.name.lower(),
+        "parent": joint.parent,
+        "child": joint.child,
+        "limits": [float(end) if np.isfinite(end) else None for end in scaled],
+        "unit": ("deg" if turning else "mm") if joint.moves else None,
+        "max_effort": float(joint.max_effort) if np.isfinite(joint.max_effort) else None,
+        "mimics": joint.mimic and joint.mimic.joint,
+    }
+
+
+def _shape(shape: Shape) -> str:
+    if isinstance(shape, BoxShape):
+        return "box " + " x ".join(f"{1e3 * edge:g}" for edge in shape.size_m) + " mm"
+    if isinstance(shape, SphereShape):
+        return f"sphere r {1e3 * shape.radius_m:g} mm"
+    if isinstance(shape, CylinderShape):
+        return f"cylinder r {1e3 * shape.radius_m:g}, length {1e3 * shape.length_m:g} mm"
+    return f"{'hull of ' if shape.hull else ''}{shape.path.name}"

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab robot list`` and ``show``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from taccel_lab.cli import app
+from taccel_lab.robots import names
+from tests.robots.robot_files import CHAIN, write
+from tests.robots.test_urdf import TETRAHEDRON, with_mesh
+
+pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
+
+
+def test_list(capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.main(["robot", "list"]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in names())
+    assert app.main(["robot", "list", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert list(listed) == names()
+    assert listed["parallel_gripper"]["from"] == "taccel-lab"
+    assert listed["panda"]["from"] == "example-robot-data"
+
+
+def test_show_of_the_catalogue(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "160")
+    assert app.main(["robot", "show", "parallel_gripper"]) == 0
+    text = capsys.readouterr().out
+    for word in ("1 coordinates, base palm", "slide_right", "0 to 40 mm", "box 12 x 24 x 60 mm"):
+        assert word in text
+    assert "refused" not in text
+
+
+def test_show_of_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert app.main(["robot", "show", str(write(tmp_path, CHAIN)), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["coordinates"] == ["shoulder", "lift", "spin"]
+    joints = shown["joints"]
+    assert joints["lift"]["limits"] == pytest.approx([-50, 100])
+    assert joints["shoulder"]["limits"] == pytest.approx([-114.59156, 85.94367])
+    assert (joints["lift"]["unit"], joints["spin"]["unit"]) == ("mm", "deg")
+    assert joints["spin"]["limits"] == [None, None] and joints["spin"]["kind"] == "continuous"
+    assert joints["follow"]["mimics"] == "shoulder" and joints["shoulder"]["max_effort"] == 7
+    assert shown["links"]["arm"] == {"mass_kg": 2.0, "shapes": ["box 20 x 30 x 200 mm"]}
+    assert shown["links"]["slide"]["shapes"] == ["sphere r 10 mm"]
+    assert shown["links"]["wheel"]["shapes"] == ["cylinder r 20, length 10 mm"]
+    assert shown["refused"] == []
+
+
+def test_what_is_refused_is_shown(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    # The second face is turned over.
+    write(tmp_path, TETRAHEDRON.replace("f 1 2 4", "f 1 4 2"), "mesh.obj")
+    path = write(tmp_path, with_mesh("mesh.obj"))
+    assert app.main(["robot", "show", str(path)]) == 0
+    assert "refused: collision shape of link 'a': " in capsys.readouterr().out
+    planar = write(tmp_path, CHAIN.replace('"continuous"', '"planar"'), "planar.urdf")
+    assert app.main(["robot", "show", str(planar)]) == 2
+    assert "joint 'spin' is planar, which is not supported" in capsys.readouterr().err
+    assert app.main(["robot", "show", "hand"]) == 2
+    assert "'hand' is neither a file nor a robot of the catalogue: par" in capsys.readouterr().err
