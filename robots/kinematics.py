@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from taccel_lab.bodies.joints import JointKind
 from taccel_lab.robots.description import Link, RobotJoint, base_of, coordinate_map, limits_of
-from taccel_lab.robots.transforms import turn_about
 
 
 class Kinematics:
@@ -22,9 +23,7 @@ class Kinematics:
         self._joints = joints
         self._ids = {link.name: i for i, link in enumerate(links)}
         self._carrier = {joint.child: i for i, joint in enumerate(joints)}
-        paths = {name: self.path_to(name) for name in self._ids}
-        # A joint comes after those that carry its parent.
-        self._order = sorted(range(len(joints)), key=lambda i: len(paths[joints[i].child]))
+        self._motions = [_motion(joint) for joint in joints]
 
     def path_to(self, link: str) -> list[int]:
         """Indices of the joints from the base to a link."""
@@ -34,15 +33,20 @@ class Kinematics:
             link = self._joints[path[-1]].parent
         return path[::-1]
 
-    def all_links(self, q: np.ndarray) -> np.ndarray:
-        """base_from_link of all links at coordinates [n, dof], shape [n, link, 4, 4]."""
-        result = np.empty((len(q), len(self._ids), 4, 4))
-        result[:, self._ids[self.base]] = np.eye(4)
-        for i in self._order:
-            joint = self._joints[i]
-            result[:, self._ids[joint.child]] = result[
-                :, self._ids[joint.parent]
-            ] @ self._parent_from_child(i, q)
+    def frames(
+        self, q: np.ndarray, links: Sequence[str], world_from_base: np.ndarray
+    ) -> np.ndarray:
+        """world_from_link of some links at coordinates [n, dof], shape [n, link, 4, 4]; what does
+        not carry them is not computed."""
+        known = {self.base: np.tile(world_from_base, (len(q), 1, 1))}
+        for link in links:
+            for i in self.path_to(link):
+                joint = self._joints[i]
+                if joint.child not in known:
+                    known[joint.child] = self._carried(known[joint.parent], i, q)
+        result = np.empty((len(q), len(links), 4, 4))
+        for k, link in enumerate(links):
+            result[:, k] = known[link]
         return result
 
     def along(self, link: str, q: np.ndarray) -> np.ndarray:
@@ -52,7 +56,7 @@ class Kinematics:
         result = np.empty((len(q), len(path) + 1, 4, 4))
         result[:, 0] = np.eye(4)
         for k, i in enumerate(path):
-            result[:, k + 1] = result[:, k] @ self._parent_from_child(i, q)
+            result[:, k + 1] = self._carried(result[:, k], i, q)
         return result
 
     def jacobian(self, link: str, frames: np.ndarray, point: np.ndarray) -> np.ndarray:
@@ -86,14 +90,32 @@ class Kinematics:
         steps = [self._joints[i].parent_from_joint[:3, 3] for i in self.path_to(link)]
         return float(sum(np.linalg.norm(step) for step in steps))
 
-    def _parent_from_child(self, i: int, q: np.ndarray) -> np.ndarray:
-        joint = self._joints[i]
-        if not joint.moves:
-            return joint.parent_from_joint
-        value = q @ self.factors[i] + self.offsets[i]
-        motion = np.tile(np.eye(4), (len(q), 1, 1))
-        if joint.kind is JointKind.PRISMATIC:
-            motion[:, :3, 3] = value[:, None] * joint.axis
-        else:
-            motion[:, :3, :3] = turn_about(joint.axis, value)
-        return joint.parent_from_joint @ motion
+    def _carried(self, frames: np.ndarray, i: int, q: np.ndarray) -> np.ndarray:
+        """Frames of a joint's child from those of its parent, [n, 4, 4]."""
+        still, first, second = self._motions[i]
+        result = frames.reshape(-1, 4) @ still
+        if first is not None:
+            value = np.repeat(q @ self.factors[i] + self.offsets[i], 4)[:, None]
+            flat = frames.reshape(-1, 4)
+            if second is None:
+                result += value * (flat @ first)
+            else:
+                # 1 - cos by the half angle: small turns keep their digits.
+                result += np.sin(value) * (flat @ first)
+                result += 2 * np.sin(value / 2) ** 2 * (flat @ second)
+        return result.reshape(-1, 4, 4)
+
+
+def _motion(joint: RobotJoint) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """parent_from_child as a sum of constant matrices [4, 4]: the first one, the second one times
+    the slide or the sine of the angle, the third one times 1 - cosine (Rodrigues' formula)."""
+    origin = joint.parent_from_joint
+    if not joint.moves:
+        return origin, None, None
+    first = np.zeros((4, 4))
+    if joint.kind is JointKind.PRISMATIC:
+        first[:3, 3] = joint.axis
+        return origin, origin @ first, None
+    x, y, z = joint.axis
+    first[:3, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    return origin, origin @ first, origin @ first @ first

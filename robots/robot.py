@@ -107,12 +107,12 @@ class Robot:
 
         Limits are not looked at. Raises InputError for another shape, or what is not finite.
         """
-        return pose_of(self._world @ self.tree.all_links(self._rows(q)))
+        return pose_of(self.tree.frames(self._rows(q), self.link_names, self._world))
 
     def link_poses(self, link: str, q: Any) -> np.ndarray:
         """world_from_link of one link, [n, 7]; as ``forward_kinematics``, without the others."""
         self.link_id(link)
-        return pose_of(self._world @ self.tree.along(link, self._rows(q))[:, -1])
+        return pose_of(self.tree.frames(self._rows(q), [link], self._world)[:, 0])
 
     def jacobian(self, link: str, q: Any) -> np.ndarray:
         """Velocity of a link's origin [m] and its angular velocity [rad], in world axes, by the
@@ -283,10 +283,10 @@ class Robot:
                 f"coordinate {rows[env, i]:g} of joint {self.dof_names[i]!r} in row {env} is out "
                 f"of its limits [{low[i]:g}, {high[i]:g}]"
             )
-        links = self._world @ self.tree.all_links(rows)
-        ids = [self.link_id(carried.link) for carried in self._carried]
-        offsets = np.array([carried.link_from_body for carried in self._carried])
-        return pose_of(links[:, ids] @ offsets.reshape(-1, 4, 4))
+        frames = self.tree.frames(rows, [carried.link for carried in self._carried], self._world)
+        for i, carried in enumerate(self._carried):
+            frames[:, i] = (frames[:, i].reshape(-1, 4) @ carried.link_from_body).reshape(-1, 4, 4)
+        return pose_of(frames)
 
     @cached_property
     def _carried(self) -> list[CarriedBody]:

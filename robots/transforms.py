@@ -26,18 +26,6 @@ def pose_of(matrix: np.ndarray) -> np.ndarray:
     return np.concatenate([matrix[..., :3, 3], turns.reshape(*matrix.shape[:-2], 4)], axis=-1)
 
 
-def turn_about(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Rotations [n, 3, 3] by angles [n] [rad] about a unit axis [3] (Rodrigues' formula)."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    # 1 - cos by the half angle: small turns keep their digits.
-    return (
-        np.eye(3)
-        + np.sin(angle)[:, None, None] * cross
-        + (2 * np.sin(angle / 2) ** 2)[:, None, None] * (cross @ cross)
-    )
-
-
 def rotation_vector(rotation: np.ndarray) -> np.ndarray:
     """Axis times angle [rad] of rotations [n, 3, 3], shape [n, 3]; angles up to pi."""
     from scipy.spatial.transform import Rotation

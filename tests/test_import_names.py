@@ -75,6 +75,8 @@ def test_the_wheel_installs_one_name(wheel: Path) -> None:
             for p in (wheel / "taccel_lab" / room).rglob("*.py")
         }
     assert not list(wheel.rglob("test_*.py"))
+    robots = {path.name for path in (ROOT / "robots" / "models").iterdir()}
+    assert robots == {path.name for path in (wheel / "taccel_lab/robots/models").iterdir()}
 
 
 def test_a_users_own_modules_do_no_harm_to_an_installed_wheel(wheel: Path, tmp_path: Path) -> None:
