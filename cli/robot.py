@@ -4,9 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from taccel_lab.robots import Robot
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,8 @@ class RobotShow:
     """A URDF file, or a robot of the catalogue, e.g. parallel_gripper."""
     json: bool = False
     """Print JSON instead of tables."""
+    picture: Path | None = None
+    """Draw the shapes of its links, coordinates as near to 0 as they can be, into this PNG file."""
 
     def run(self) -> None:
         from rich.console import Console
@@ -48,7 +54,10 @@ class RobotShow:
         from taccel_lab.cli.console import print_json
         from taccel_lab.robots.describe import describe_robot, robot_of
 
-        shown = describe_robot(robot_of(self.robot))
+        robot = robot_of(self.robot)
+        shown = describe_robot(robot)
+        if self.picture is not None:
+            _draw(robot, self.picture)
         if self.json:
             print_json(shown)
             return
@@ -69,6 +78,17 @@ class RobotShow:
         )
         for sentence in shown["refused"]:
             console.print(Text(f"refused: {sentence}", style="yellow"), soft_wrap=True)
+        if self.picture is not None:
+            console.print(f"wrote {self.picture}", highlight=False)
+
+
+def _draw(robot: Robot, path: Path) -> None:
+    from taccel_lab.errors import InputError
+    from taccel_lab.robots.picture import draw_robot
+
+    if path.suffix.lower() != ".png":
+        raise InputError(f"--picture {path} must end in .png")
+    draw_robot(robot, robot.rest_q, path)
 
 
 def _joint_row(name: str, joint: dict[str, Any]) -> tuple[str, ...]:

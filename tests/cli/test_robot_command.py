@@ -6,7 +6,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from taccel_lab.cli import app
 from taccel_lab.robots import names
@@ -36,6 +38,18 @@ def test_show_of_the_catalogue(
     for word in ("1 coordinates, base palm", "slide_right", "0 to 40 mm", "box 12 x 24 x 60 mm"):
         assert word in text
     assert "refused" not in text
+
+
+def test_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "hand.png"
+    assert app.main(["robot", "show", "three_finger_hand", "--picture", str(path)]) == 0
+    assert "hand.png" in capsys.readouterr().out.replace("\n", "")
+    pixels = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    covered = (pixels.min(axis=2) < 230).mean()
+    assert 0.1 < covered < 0.9
+    wrong = tmp_path / "hand.jpg"
+    assert app.main(["robot", "show", "three_finger_hand", "--picture", str(wrong)]) == 2
+    assert "must end in .png" in capsys.readouterr().err.replace("\n", " ")
 
 
 def test_show_of_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

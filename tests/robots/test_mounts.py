@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
@@ -16,6 +17,7 @@ from taccel_lab.interop.export import export_profile
 from taccel_lab.outputs import Outputs
 from taccel_lab.profile import SensorProfile
 from taccel_lab.robots import Robot, load_urdf, named, on_seat
+from taccel_lab.robots.picture import draw_robot
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import (
     AffineBody,
@@ -200,6 +202,15 @@ def test_the_exported_urdf_of_a_sensor_mounts(coarse: SensorProfile, tmp_path: P
         there = carried(hard[env], shape.vertices_m)
         gap = np.linalg.norm(soft[:, None] - there[None], axis=2).min(axis=1)
         assert gap.max() < 1e-8  # The STL file has single precision.
+
+
+def test_a_picture_shows_gels(tmp_path: Path) -> None:
+    """Blue where the pad that looks at us is, as seen along its normal."""
+    robot = named("parallel_gripper").mount("finger_left", GEL, on_seat(PAD))
+    for direction, seen in (((1.0, 0.0, 0.3), True), ((-1.0, 0.0, 0.3), False)):
+        draw_robot(robot.touching(["finger_left"]), [0.04], tmp_path / "gel.png", direction)
+        red, _, blue = np.asarray(Image.open(tmp_path / "gel.png")).astype(int).T
+        assert ((blue - red > 40).mean() > 0.005) == seen
 
 
 def test_a_step_takes_no_coordinates_out_of_the_limits() -> None:
