@@ -36,10 +36,15 @@ _UNIT_SLACK = 1e-3
 """How far the length of a slide's axis may be from 1: digits that were cut off."""
 
 
-def load_urdf(path: Path | str) -> Robot:
+def load_urdf(path: Path | str, *, shapes: bool = True) -> Robot:
     """A robot of the links, joints, limits, masses and collision shapes of a URDF file.
 
     Looks, transmissions and elements of other programs are left out.
+
+    Args:
+        path: The file.
+        shapes: Whether collision shapes are read. Without them a robot has kinematics and gels, and
+            its file may name meshes that cannot be read, such as Collada.
 
     Raises:
         InputError: Names the file and what of it cannot be taken over: no XML, something missing
@@ -49,7 +54,7 @@ def load_urdf(path: Path | str) -> Robot:
     path = Path(path)
     root = read_xml(path, "a URDF file")
     with naming(path):
-        parsed = _parse(checked_urdf(root))
+        parsed = _parse(checked_urdf(root, shapes))
         return Robot(
             parsed.name,
             tuple(_link(link, path) for link in parsed.links),

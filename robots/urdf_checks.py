@@ -63,8 +63,10 @@ _NEEDED_PARTS: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def checked_urdf(root: Element) -> Element:
+def checked_urdf(root: Element, shapes: bool = True) -> Element:
     """The robot of a URDF file's root, with the elements that are used alone.
+
+    ``shapes``: whether collision shapes are.
 
     Raises InputError: what is missing, no number, of an unknown kind or not supported.
     """
@@ -75,10 +77,10 @@ def checked_urdf(root: Element) -> Element:
             "it holds xacro macros, which are not expanded here: make a URDF of it first, "
             "xacro robot.urdf.xacro > robot.urdf"
         )
-    return _checked(root, "the robot")
+    return _checked(root, "the robot", () if shapes else ("collision",))
 
 
-def _checked(element: Element, what: str) -> Element:
+def _checked(element: Element, what: str, left_out: tuple[str, ...]) -> Element:
     tag = str(element.tag)
     for name in _NEEDED.get(tag, ()):
         if not (element.get(name) or "").strip():
@@ -91,8 +93,8 @@ def _checked(element: Element, what: str) -> Element:
     _check_kind(element, what)
     kept = Element(tag, dict(element.attrib))
     for child in element:
-        if child.tag in _PARTS.get(tag, ()):
-            part = _checked(child, what)
+        if child.tag in _PARTS.get(tag, ()) and child.tag not in left_out:
+            part = _checked(child, what, left_out)
             if part.tag != "inertial" or _says_something(part):
                 kept.append(part)
     for name in _NEEDED_PARTS.get(tag, ()):

@@ -144,8 +144,11 @@ def test_what_cannot_be_taken_over_is_said(tmp_path: Path, change: str) -> None:
     ],
 )
 def test_mesh_files_that_cannot_be_used_are_said(tmp_path: Path, file: str, message: str) -> None:
+    path = write(tmp_path, with_mesh(file))
     with pytest.raises(InputError, match=message):
-        load_urdf(write(tmp_path, with_mesh(file)))
+        load_urdf(path)
+    (link,) = load_urdf(path, shapes=False).links
+    assert link.name == "a" and link.shapes == ()
 
 
 def test_no_file_and_another_root(tmp_path: Path) -> None:
