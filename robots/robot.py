@@ -48,7 +48,7 @@ class Robot:
     """Coulomb friction of the links; None leaves it to what they touch."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_tree", Kinematics(self.links, self.joints))
+        _ = self.tree  # Refuses what is no tree.
         pose = check_pose(np.asarray(self.world_from_base, dtype=np.float64), "the robot's base")
         assert pose is not None
         if pose.ndim != 1:
@@ -57,10 +57,10 @@ class Robot:
 
     # What it is ----------------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def tree(self) -> Kinematics:
         """Its kinematics in the frame of the base."""
-        return self.__dict__["_tree"]
+        return Kinematics(self.links, self.joints)
 
     @property
     def base(self) -> str:

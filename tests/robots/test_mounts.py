@@ -14,6 +14,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.interop.export import export_profile
+from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs
 from taccel_lab.profile import SensorProfile
 from taccel_lab.robots import Robot, load_urdf, named, on_seat
@@ -28,10 +29,11 @@ from taccel_lab.scene import (
     SoftBody,
     TimeStepping,
     box_mesh,
+    sphere_mesh,
 )
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.solvers import SolverConfig, SolverIPC
-from taccel_lab.state import initial_state
+from taccel_lab.state import State, initial_state
 from tests.robots.robot_files import CHAIN, REAL, random_coordinates, write
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
@@ -63,6 +65,18 @@ def carried(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+def check_bonded_nodes(robot: Robot, model: Model, state: State, q: np.ndarray) -> None:
+    """Bonded nodes are where the links carry them, by forward kinematics alone."""
+    positions = state.positions.numpy()
+    bonded = PAD.bonded_nodes()
+    for mount in robot.mounts:
+        frames = matrix_of(robot.link_poses(mount.link, q)) @ mount.link_from_gel
+        first = model.bodies[model.body_id(mount.gel.name)].nodes[0]
+        for env, frame in enumerate(frames):
+            wanted = carried(pose_of(frame), PAD.nodes_m[bonded])
+            np.testing.assert_allclose(positions[env, first + bonded], wanted, rtol=0, atol=1e-15)
+
+
 def test_a_gripper_closes_on_a_box_with_equal_and_opposite_forces() -> None:
     """Between two steps the box's momentum changes by what the pads do, to the residual; at rest
     that is nothing."""
@@ -84,19 +98,8 @@ def test_a_gripper_closes_on_a_box_with_equal_and_opposite_forces() -> None:
         q = np.array([[a], [b]])
         report = solver.step(state, robot.targets(q))
         assert report.converged.all(), report.summary()
-        # Frames and bonded nodes are where the links are.
         np.testing.assert_array_equal(state.poses.numpy().reshape(2, -1, 7), robot.targets(q))
-        for side, name in ((left, "finger_left"), (right, "finger_right")):
-            place = matrix_of(robot.link_poses(name, q)) @ matrix_of(on_seat(PAD))
-            first = model.bodies[side].nodes[0]
-            bonded = PAD.bonded_nodes()
-            for env in range(2):
-                np.testing.assert_allclose(
-                    state.positions.numpy()[env, first + bonded],
-                    carried(pose_of(place[env]), PAD.nodes_m[bonded]),
-                    rtol=0,
-                    atol=1e-15,
-                )
+        check_bonded_nodes(robot, model, state, q)
         outputs.update(state)
         wrenches = sum(
             part.wrenches.numpy()[:, held, [left, right], :3]
@@ -112,6 +115,52 @@ def test_a_gripper_closes_on_a_box_with_equal_and_opposite_forces() -> None:
     assert (push > 0.2).all() and (push[0] > 1.2 * push[1]).all()
     # At rest: equal and opposite, to the residual.
     assert (np.linalg.norm(force.sum(axis=1), axis=1) <= 2 * report.residual_n + 1e-7).all()
+
+
+def test_a_hand_of_turning_joints_holds_a_ball() -> None:
+    """Knuckles bend in and middles out by the same angle: upright tips close on a free ball."""
+    robot = named("three_finger_hand")
+    for k in (1, 2, 3):
+        robot = robot.mount(f"pad_{k}", GEL, on_seat(PAD), f"pad {k}")
+    radius, dt = 25e-3, 0.02
+
+    def bent(angle: float) -> np.ndarray:
+        return np.tile([0.0, angle, -angle], (1, 3))
+
+    # The seats' distance from the axis is 35 mm - 52 mm sin(angle), the pads are 3 mm thick.
+    touch = np.arcsin((35e-3 - 3e-3 - radius) / 52e-3)
+    seats = robot.link_poses("pad_1", bent(touch))[0]
+    assert seats[0] == pytest.approx(radius + 3e-3, abs=1e-12)
+    ball = AffineBody(
+        sphere_mesh(radius, 3e-3),
+        name="ball",
+        initial_pose=np.array([0, 0, seats[2], 0, 0, 0, 1]),
+        friction_coefficient=0.8,
+    )
+    time = TimeStepping(quasi_static=False, dt_s=dt)
+    # Palm and fingers are far from the ball: the scene has the frames of the pads alone.
+    robot = robot.touching([])
+    scene = Scene(robot.soft_bodies(), robot.kinematic_bodies(), 1, time, affine_bodies=ball)
+    assert len(scene.kinematic_bodies) == 3
+    model = scene.finalize()
+    solver = SolverIPC(model, SolverConfig(dhat_m=5e-5, relative_tolerance=1e-6))
+    state = initial_state(model, robot.targets(bent(touch - 0.01)))
+    outputs, held = Outputs(solver), model.body_id("ball")
+    before = np.zeros(3)
+    for angle in (*np.linspace(touch - 0.005, touch + 0.008, 4), *[touch + 0.008] * 4):
+        report = solver.step(state, robot.targets(bent(angle)))
+        assert report.converged.all(), report.summary()
+        check_bonded_nodes(robot, model, state, bent(angle))
+        outputs.update(state)
+        parts = outputs.contact_wrenches(), outputs.friction_wrenches()
+        forces = np.sum([part.wrenches.numpy()[0, held, :3, :3] for part in parts], axis=0)
+        momentum = outputs.momentum().linear.numpy()[0, held]
+        change = (momentum - before) / dt
+        assert (np.abs(forces.sum(axis=0) - change) <= 2 * report.residual_n + 1e-9).all()
+        before = momentum
+    push = np.linalg.norm(forces, axis=1)
+    assert (push > 0.2).all() and push.max() < 1.5 * push.min()
+    assert np.linalg.norm(forces.sum(axis=0)) <= 1e-3 * push.max()
 
 
 def test_links_without_shape_or_gel_cost_nothing() -> None:
