@@ -27,6 +27,8 @@ wp.set_module_options({"enable_backward": False})
 
 _PI = wp.constant(wp.float32(3.14159265358979))
 _SNELL_STEPS = wp.constant(8)
+_SNELL_ROUNDING = wp.constant(wp.float32(1e-6))
+"""Part of the tangent that single precision cannot tell from nothing after a few operations."""
 
 
 @wp.struct
@@ -151,7 +153,10 @@ def arriving_light(
             + _least_reach(tangent, secant, p, window, layers.n_window, least)
             + _least_reach(tangent, secant, p, gel, layers.n_gel, least)
         )
-        tangent += (r - total[0]) / total[1]
+        missing = (r - total[0]) / total[1]
+        tangent += missing
+        if wp.abs(missing) <= _SNELL_ROUNDING * tangent:
+            break
     secant = wp.sqrt(1.0 + tangent * tangent)
     p = least * tangent / secant
     total = (
