@@ -148,6 +148,12 @@ def _indenter(*names: str) -> Callable[[Path, Path], None]:
     return call
 
 
+def _show_robot(given: Path, out: Path) -> None:
+    from taccel_lab.cli.robot import RobotShow
+
+    _run(RobotShow(str(given / "gripper.urdf"), json=True))
+
+
 def _read_table(given: Path, out: Path) -> None:
     from taccel_lab.interop.taxim_table_file import TABLE_FILE, read_table
 
@@ -198,6 +204,7 @@ READERS: dict[str, Reader] = {
     "indenter-stl": Reader(shapes.stl, _indenter("words.stl", "bytes.stl")),
     "indenter-ply": Reader(shapes.ply, _indenter("words.ply", "bytes.ply")),
     "indenter-obj": Reader(shapes.obj, _indenter("box.obj")),
+    "robot-urdf": Reader(shapes.urdf, _show_robot, ("gripper.urdf", "words.stl")),
     "taxim-table": Reader(results.table, _read_table),
     "kept-results": Reader(results.kept, _kept, own="."),
     "earlier-output": Reader(results.output, _replace_output, own="."),

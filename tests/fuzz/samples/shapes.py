@@ -64,3 +64,15 @@ def obj(given: Path) -> None:
     lines += ["vt 0.5 0.5", "vn 0 0 1", "usemtl steel", "s off"]
     lines += ["f {}/1/1 {}/1/1 {}/1/1".format(*(triangle + 1)) for triangle in _TRIANGLES]
     (given / "box.obj").write_text("\n".join(lines) + "\n")
+
+
+def urdf(given: Path) -> None:
+    """A gripper of primitive shapes, with a mesh on one finger."""
+    from taccel_lab.robots import catalogue
+
+    stl(given)
+    (entry,) = (entry for entry in catalogue.ENTRIES if entry.name == "parallel_gripper")
+    text = entry.path().read_text(encoding="utf-8")
+    box = '<box size="0.012 0.024 0.06"/>'
+    mesh = '<mesh filename="words.stl" scale="0.003 0.008 0.03"/>'
+    (given / "gripper.urdf").write_text(text.replace(box, mesh, 1), encoding="utf-8")
