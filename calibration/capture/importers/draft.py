@@ -31,7 +31,7 @@ from taccel_lab.calibration.capture.schema import (
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_image
 from taccel_lab.printable import printable
-from taccel_lab.reading.images import read_image
+from taccel_lab.reading.images import MAX_FILE_BYTES, read_image
 from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.sensors import sensor_families
 
@@ -255,7 +255,10 @@ class Draft:
             ):
                 write_png(path, read_image(content))
             else:
-                shutil.copyfile(require_regular_file(content, LARGEST_BYTES, "a capture"), path)
+                # Before gigabytes are copied that no reader takes.
+                image = content.suffix.lower() in IMAGE_SUFFIXES
+                limit = (MAX_FILE_BYTES, "an image") if image else (LARGEST_BYTES, "a capture")
+                shutil.copyfile(require_regular_file(content, *limit), path)
         (folder / MANIFEST_NAME).write_text(self._manifest_text(), encoding="utf-8")
 
     def _manifest_text(self) -> str:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -49,6 +50,16 @@ def test_broken_files_are_left_out_and_named(source: Path) -> None:
     assert [p.name for p in captures.presses] == ["p0", "p3", "p4", "p5", "p6", "p7"]
     assert "# left out, 1 file (p1.png): is empty (0 bytes)" in manifest
     assert "# left out, 1 file (p2.png): is not an image" in manifest
+
+
+def test_an_image_of_gigabytes_is_refused_before_it_is_copied(tmp_path: Path) -> None:
+    rvsathu(tmp_path / "s")
+    image = tmp_path / "s" / "calib_10_real.png"
+    os.truncate(image, 1 << 30)
+    with pytest.raises(InputError) as error:
+        import_captures(tmp_path / "s", tmp_path / "out")
+    # Of the image itself; the copy's refusal would add where it was imported from.
+    assert str(error.value) == f"{image} has 1 GiB; an image may have up to 512 MiB"
 
 
 def test_only_broken_files(tmp_path: Path) -> None:
