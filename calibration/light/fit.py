@@ -56,28 +56,26 @@ def fit_light(
             f"only {len(rows)} usable pixels to fit the light's drift; the mask leaves too few"
         )
     u, v = unit_position(height, width)
-    plane = np.column_stack([u[0, columns], v[rows, 0]])
+    place = np.stack([np.ones(len(rows)), u[0, columns], v[rows, 0]])
+    others = place if gradient else place[:1]
     sigma = max(min(height, width) * SMOOTHING_SHARE, 1.0)
-    before = smoothed(background, mask, sigma)[rows, columns].astype(np.float64)
-    after = smoothed(frame, mask, sigma)[rows, columns].astype(np.float64)
-    size = 4 if gradient else 2
-    designs = [np.column_stack([before[:, c], np.ones(len(plane)), plane]) for c in range(3)]
-    designs = [design[:, :size] for design in designs]
-    none = np.array([1.0, 0.0, 0.0, 0.0])[:size]
-    fitted = np.tile(none, (3, 1))
+    before, after = (
+        smoothed(image, mask, sigma)[rows, columns].T.astype(np.float64, order="C")
+        for image in (background, frame)
+    )
+    fitted = np.zeros((3, 1 + len(others)))
     left = after - before
-    left = left - np.median(left, axis=0)
-    weight = np.ones(len(left))
+    left -= np.median(left, axis=1, keepdims=True)
+    weight = np.ones(len(rows))
     scale = MIN_SCALE_LEVELS
     for k in range(ITERATIONS):
-        distance = np.linalg.norm(left, axis=1)
+        distance = np.sqrt(np.square(left).sum(axis=0))
         inside = distance[weight > 0] if k else distance
         scale = max(spread_of_lengths(inside, 3), MIN_SCALE_LEVELS / 3)
         reach = max(np.sqrt(3) * BIWEIGHT * scale, MIN_SCALE_LEVELS)
         weight = biweight(distance, reach)
-        for c, design in enumerate(designs):
-            fitted[c] = _with_prior(design, after[:, c], weight, none, scale)
-            left[:, c] = after[:, c] - design @ fitted[c]
+        fitted = _with_prior(before, others, after, weight, scale)
+        left = after - before * fitted[:, :1] - fitted[:, 1:] @ others
     return Light(
         gain=fitted[:, 0].copy(),
         offset=fitted[:, 1].copy(),
@@ -105,27 +103,32 @@ def _samples(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _with_prior(
-    design: np.ndarray, wanted: np.ndarray, weight: np.ndarray, none: np.ndarray, scale: float
+    levels: np.ndarray, others: np.ndarray, wanted: np.ndarray, weight: np.ndarray, scale: float
 ) -> np.ndarray:
-    """Weighted least squares, drawn weakly to "no change"."""
-    normal, side = normal_equations(design, wanted, weight, scale, PRIOR_SIGMA[: len(none)])
-    step = np.linalg.solve(normal, side)
-    step[1] -= step[0] * _mean_level(design, weight)
-    return none + step
+    """Weighted least squares, drawn weakly to "no change", shape [3, p]."""
+    sigma = PRIOR_SIGMA[: 1 + len(others)]
+    normal, side = normal_equations(levels, others, wanted, weight, scale, sigma)
+    step = np.linalg.solve(normal, side[..., None])[..., 0]
+    step[:, 1] -= step[:, 0] * _mean_levels(levels, weight)
+    step[:, 0] += 1.0
+    return step
 
 
-def _mean_level(design: np.ndarray, weight: np.ndarray) -> float:
-    return float(np.average(design[:, 0], weights=weight)) if weight.sum() > 0 else 0.0
+def _mean_levels(levels: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    total = weight.sum()
+    return levels @ weight / total if total > 0 else np.zeros(len(levels))
 
 
 def normal_equations(
-    design: np.ndarray,
+    levels: np.ndarray,
+    others: np.ndarray,
     wanted: np.ndarray,
     weight: np.ndarray,
     scale: float,
     prior_sigma: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix [p, p] and right side [p] for gain - 1, offset at the mean level, and gradient.
+    """Of each channel, the matrix [3, p, p] and right side [3, p] for gain - 1, offset at the mean
+    level, and gradient.
 
     The background has noise of its own, as large as the frame's (half of what is left), which would
     draw the gain to 0. The frame is therefore held against what the background's level is expected
@@ -135,29 +138,34 @@ def normal_equations(
     that is all noise says nothing of the gain.
 
     Args:
-        design: Background level, ones, and the place along each axis, shape [n, p].
-        wanted: Levels of the frame, shape [n].
+        levels: Of the background, shape [3, n].
+        others: Ones, and the place along each axis, shape [p - 1, n].
+        wanted: Levels of the frame, shape [3, n].
         weight: Of each pixel, 0..1, shape [n].
         scale: Standard deviation of frame minus background [levels].
         prior_sigma: Prior spread of each unknown, shape [p].
     """
-    root = np.sqrt(weight)[:, None]
-    others = design[:, 1:]
-    by_others = np.linalg.lstsq(root * others, root[:, 0] * design[:, 0], rcond=None)[0]
-    explained = others @ by_others
-    own = design[:, 0] - explained
-    noise = 0.5 * float(weight.sum()) * scale**2
-    power = float(weight @ own**2)
-    share = max(0.0, 1.0 - noise / power) if power > 0 else 0.0
-    expected = design.copy()
-    expected[:, 0] = explained + share * own
-    change = wanted - expected[:, 0]
+    total = float(weight.sum())
+    weighed = others * weight
+    gram = weighed @ others.T
+    # Least squares of the Gram matrix, which is singular where pixels lie in a line.
+    explained = np.linalg.lstsq(gram, weighed @ levels.T, rcond=None)[0].T @ others
+    own = levels - explained
+    power = np.square(own) @ weight
+    noise = 0.5 * total * scale**2
+    # Of own levels without any power there is no share, and none that is larger than 0.
+    share = 1.0 - noise / np.maximum(power, noise) if noise > 0 else (power > 0).astype(float)
+    expected = explained + share[:, None] * own
+    change = wanted - expected
     # The offset is that at the mean level, so that its prior does not fight the gain's.
-    expected[:, 0] -= _mean_level(design, weight)
-    counted = max(float(weight.sum()) / PRIOR_SAMPLES, 1.0)
-    weighed = expected * weight[:, None]
-    prior = np.diag(counted * (scale / prior_sigma) ** 2)
-    return weighed.T @ expected + prior, weighed.T @ change
+    expected -= _mean_levels(levels, weight)[:, None]
+    normal = np.empty((len(levels), len(prior_sigma), len(prior_sigma)))
+    normal[:, 0, 0] = np.square(expected) @ weight
+    normal[:, 0, 1:] = normal[:, 1:, 0] = expected @ weighed.T
+    normal[:, 1:, 1:] = gram
+    normal += np.diag(max(total / PRIOR_SAMPLES, 1.0) * (scale / prior_sigma) ** 2)
+    side = np.column_stack([(expected * change) @ weight, change @ weighed.T])
+    return normal, side
 
 
 def without_light(image: np.ndarray, background: np.ndarray, light: Light) -> np.ndarray:

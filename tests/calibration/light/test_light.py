@@ -82,14 +82,16 @@ def test_the_equations_of_the_drift_have_one_solution(
 ) -> None:
     rng = np.random.default_rng(seed)
     place = rng.uniform(-1, 1, (300, 2))
-    level = 100 + shades * rng.normal(size=300) + 5 * place[:, 0] + rng.normal(0, noise, 300)
-    design = np.column_stack([level, np.ones(300), place])
+    shape = (3, 300)
+    levels = 100 + shades * rng.normal(size=shape) + 5 * place[:, 0] + rng.normal(0, noise, shape)
+    others = np.stack([np.ones(300), *place.T])
     weight = rng.uniform(0, 1, 300)
     prior = PRIOR_SIGMA * sigma / PRIOR_SIGMA[0]
-    normal, _ = normal_equations(design, rng.normal(size=300), weight, noise, prior)
-    scaled = normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal)))
-    assert np.allclose(normal, normal.T)
-    assert np.linalg.eigvalsh(scaled).min() > 0
+    matrices, _ = normal_equations(levels, others, rng.normal(size=shape), weight, noise, prior)
+    for normal in matrices:
+        scaled = normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal)))
+        assert np.allclose(normal, normal.T)
+        assert np.linalg.eigvalsh(scaled).min() > 0
 
 
 def test_a_gradient_needs_a_whole_image() -> None:
