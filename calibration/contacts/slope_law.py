@@ -17,6 +17,7 @@ presses on three sensors all ask for more, up to twice as much.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -57,6 +58,7 @@ def hertz_slope(ratio: np.ndarray) -> np.ndarray:
     return (2 / np.pi) * (ratio * np.arcsin(1 / ratio) - np.sqrt(1 - 1 / ratio**2))
 
 
+@lru_cache(maxsize=256)  # A fit asks of each press for the same laws at several places.
 def slope_law(
     contact_px: float, ball_px: float, blur_px: float, reach_px: float, skirt: float = SKIRT
 ) -> SlopeLaw:
@@ -80,6 +82,8 @@ def slope_law(
     if blur_px > 0.05 * step:
         normal = _blur(normal, blur_px / step, odd=True)
         sunk = _blur(sunk, blur_px / step, odd=False)
+    for table in (distance, normal, sunk):
+        table.setflags(write=False)
     return SlopeLaw(distance, normal, sunk)
 
 
