@@ -53,6 +53,13 @@ def test_an_installed_family_is_in_the_catalogue(installed: Installed) -> None:
     assert not catalogue().broken
 
 
+def test_a_family_that_is_installed_meanwhile_is_found(installed: Installed) -> None:
+    for name in ("first_thumb", "second_thumb"):
+        assert name not in sensor_families()
+        installed.add(f"good_{name}", name, GOOD.format(name=name, title="a thumb"))
+        assert name in sensor_families()
+
+
 @pytest.mark.parametrize(
     ("package", "text", "words"),
     [
