@@ -36,7 +36,7 @@ test: lint check
 lint: $(VENV)/.installed-dev
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
-	$(VENV)/bin/pyright --pythonpath $(PY)
+	$(VENV)/bin/pyright --threads 2 --pythonpath $(PY)
 	$(VENV)/bin/lint-imports
 
 check: $(VENV)/.installed-dev
