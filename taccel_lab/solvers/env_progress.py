@@ -21,6 +21,8 @@ class Rules:
     absolute_tolerance: wp.float64
     affine_rounding: wp.float64
     """Residual that rounding makes in stiff affine bodies [N]."""
+    affine_energy_rounding: wp.float64
+    """What it makes of their energy, over the root of the energy [J^(1/2)]."""
     joint_tolerance: wp.float64
     """Violation of a joint that counts as none [m]."""
     max_newton: wp.int32
@@ -240,6 +242,7 @@ class EnvProgressArrays:
 def make_rules(
     config: SolverConfig,
     affine_rounding_n: float,
+    affine_energy_rounding: float,
     joint_tolerance_m: float | None,
     has_friction: bool,
 ) -> Rules:
@@ -249,6 +252,7 @@ def make_rules(
     rules.relative_tolerance = config.relative_tolerance
     rules.absolute_tolerance = config.absolute_tolerance_n
     rules.affine_rounding = affine_rounding_n
+    rules.affine_energy_rounding = affine_energy_rounding
     rules.joint_tolerance = joint_tolerance_m or 0.0
     rules.max_newton = config.max_newton_iterations
     rules.max_lags = config.max_friction_lags

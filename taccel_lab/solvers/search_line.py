@@ -97,8 +97,9 @@ def _accept_kernel(smallest_bend: wp.float64, collisions: ListRoom, p: EnvProgre
 
     While frames are still on their way the energy may rise: they do work. A body that turns leaves
     the chord that CCD checked: where one does, ``limit`` is that of the path really taken.
-    Sums of that many terms carry rounding of about 1e-14 of the energy, and each element's energy
-    is a small difference of terms as large as its shear modulus times its volume.
+    Sums of that many terms carry rounding of about 1e-14 of the energy, each element's energy is a
+    small difference of terms as large as its shear modulus times its volume, and that of an affine
+    body is the square of one.
     """
     env = wp.tid()
     if p.inner[env] == 0:
@@ -112,6 +113,7 @@ def _accept_kernel(smallest_bend: wp.float64, collisions: ListRoom, p: EnvProgre
     alpha = p.alpha[env]
     rounding = p.energy_rounding[env] + p.joint_energy_rounding[env]
     rounding += wp.float64(1.0e-13) * wp.abs(before)
+    rounding += r.affine_energy_rounding * wp.sqrt(wp.abs(before))
     descent = wp.float64(1.0e-4) * alpha * wp.min(p.slope[env], wp.float64(0.0))
     good = wp.isfinite(after)
     if p.progress[env] >= one and not (after <= before + descent + rounding):

@@ -122,6 +122,7 @@ class SolverParts:
         self.rules = make_rules(
             self.config,
             self.affine.rounding_n if self.affine else 0.0,
+            self.affine.energy_rounding if self.affine else 0.0,
             self.joints.tolerance_m if self.joints else None,
             self.friction is not None,
         )

@@ -108,6 +108,13 @@ class AffinePotential(Potential):
         noise = np.finfo(float).eps * a.stiffness.numpy() / a.lengths.numpy()
         self.rounding_n = float(4 * np.linalg.norm(noise))
         """Residual that rounding of the positions alone causes [N]."""
+        self.energy_rounding = float(4 * np.finfo(float).eps * np.sqrt(a.stiffness.numpy().sum()))
+        """Rounding of the energy over the root of the energy [J^(1/2)].
+
+        The energy E V |G|^2 / 2 of a strain G, all of whose entries are rounded, is in doubt by
+        about 3 eps E V |G| = 3 eps (2 E V e)^(1/2), and that of all bodies by no more than what
+        their energy and stiffness together would be.
+        """
 
     def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
         wp.launch(
