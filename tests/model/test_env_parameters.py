@@ -195,8 +195,7 @@ class Cubes:
             env_count=env_count,
         )
         self.model = scene.finalize()
-        options: dict[str, Any] = {"linear_method": "ssor"} | config
-        self.solver = SolverIPC(self.model, SolverConfig(**options))
+        self.solver = SolverIPC(self.model, SolverConfig(**config))
         self.state = initial_state(self.model, self.hand(0))
 
     def hand(self, step: int) -> np.ndarray:

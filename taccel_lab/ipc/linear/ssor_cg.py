@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.errors import InputError
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
 from taccel_lab.ipc.linear.problem import LinearProblem
 
@@ -25,6 +26,69 @@ wp.set_module_options({"enable_backward": False})
 RELAXATION = 1.2
 """w: 5-10 % fewer iterations than 1 on Newton matrices of gel presses, flat from 1.1 to 1.4."""
 _CHECK_EVERY = 8
+
+
+# Written out in C++: a quarter less time for a solve than with arrays of Warp. Four numbers are
+# loaded at a time, of which the fourth is never looked at; there always is one more, as the
+# diagonal block follows those of a row, and a row those of its columns.
+_ROW_SNIPPET = """
+    const wp::int32* const column = columns.data;
+    const double* a = reinterpret_cast<const double*>(values.data) + 9 * first;
+    const double* const vectors = reinterpret_cast<const double*>(x.data);
+    typedef double four __attribute__((vector_size(32), aligned(8)));
+    four row_0 = {}, row_1 = {}, row_2 = {};
+    for (int k = first; k < end; ++k, a += 9) {
+        const four u = *reinterpret_cast<const four*>(vectors + 3 * column[k]);
+        row_0 += *reinterpret_cast<const four*>(a) * u;
+        row_1 += *reinterpret_cast<const four*>(a + 3) * u;
+        row_2 += *reinterpret_cast<const four*>(a + 6) * u;
+    }
+    return wp::vec_t<3, wp::float64>(row_0[0] + row_0[1] + row_0[2], row_1[0] + row_1[1] + row_1[2],
+                                     row_2[0] + row_2[1] + row_2[2]);
+"""
+_SPREAD_SNIPPET = """
+    const wp::int32* const column = columns.data;
+    const double* a = reinterpret_cast<const double*>(values.data) + 9 * first;
+    double* const vectors = reinterpret_cast<double*>(y.data);
+    typedef double four __attribute__((vector_size(32), aligned(8)));
+    const four x_0 = {x[0], x[0], x[0], x[0]};
+    const four x_1 = {x[1], x[1], x[1], x[1]};
+    const four x_2 = {x[2], x[2], x[2], x[2]};
+    for (int k = first; k < end; ++k, a += 9) {
+        double* const u = vectors + 3 * column[k];
+        const four more = *reinterpret_cast<const four*>(a) * x_0
+            + *reinterpret_cast<const four*>(a + 3) * x_1
+            + *reinterpret_cast<const four*>(a + 6) * x_2;
+        u[0] += more[0];
+        u[1] += more[1];
+        u[2] += more[2];
+    }
+"""
+
+
+@wp.func_native(_ROW_SNIPPET)
+def _row_product(
+    first: int,
+    end: int,
+    columns: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.mat33d),
+    x: wp.array(dtype=wp.vec3d),
+) -> wp.vec3d:
+    """Sum of values[k] x[columns[k]]."""
+    ...
+
+
+@wp.func_native(_SPREAD_SNIPPET)
+def _add_column(
+    first: int,
+    end: int,
+    columns: wp.array(dtype=wp.int32),
+    values: wp.array(dtype=wp.mat33d),
+    x: wp.vec3d,
+    y: wp.array(dtype=wp.vec3d),
+) -> None:
+    """y[columns[k]] += values[k]^T x."""
+    ...
 
 
 @wp.func
@@ -49,10 +113,8 @@ def _forward_sweep(
 ):
     """x = B^-1 b; may be the same array."""
     for i in range(b.shape[0]):
-        total = b[i]
-        for k in range(row_starts[i], row_starts[i + 1] - 1):
-            total -= values[k] * x[columns[k]]
-        x[i] = inverses[i] * total
+        first = row_starts[i]
+        x[i] = inverses[i] * (b[i] - _row_product(first, row_starts[i + 1] - 1, columns, values, x))
 
 
 @wp.func
@@ -73,9 +135,7 @@ def _backward_sweep(
         i = n - 1 - m
         x_i = inverses[i] * (b[i] - upper[i])
         x[i] = x_i
-        for k in range(row_starts[i], row_starts[i + 1] - 1):
-            # x_i * value = value^T x_i
-            upper[columns[k]] += x_i * values[k]
+        _add_column(row_starts[i], row_starts[i + 1] - 1, columns, values, x_i, upper)
 
 
 @wp.func
@@ -118,8 +178,7 @@ def _residual_sq(
     for i in range(r.shape[0]):
         last = row_starts[i + 1] - 1
         row = diagonal_weight * (values[last] * r[i])
-        for k in range(row_starts[i], last):
-            row += values[k] * r[columns[k]]
+        row += _row_product(row_starts[i], last, columns, values, r)
         total += wp.dot(row, row)
     return total
 
@@ -150,11 +209,8 @@ def _true_residual_sq(
     for i in range(b.shape[0]):
         last = row_starts[i + 1] - 1
         x_i = x[i]
-        row = work[i] - values[last] * x_i
-        for k in range(row_starts[i], last):
-            row -= values[k] * x[columns[k]]
-            r[columns[k]] -= x_i * values[k]
-        r[i] = row
+        r[i] = work[i] - values[last] * x_i - _row_product(row_starts[i], last, columns, values, x)
+        _add_column(row_starts[i], last, columns, values, -x_i, r)
     return _sum_sq(r)
 
 
@@ -244,8 +300,7 @@ def _solve_kernel(
             total = keep * p[i] + turn * u[i]
             if extra_count > 0:
                 total += e[i]
-            for k in range(row_starts[i], row_starts[i + 1] - 1):
-                total -= values[k] * u[columns[k]]
+            total -= _row_product(row_starts[i], row_starts[i + 1] - 1, columns, values, u)
             u_i = inverses[i] * total
             u[i] = u_i
             curvature += wp.dot(p[i], t[i] + u_i)
@@ -299,6 +354,8 @@ class SsorCG:
     def __init__(self, problem: LinearProblem) -> None:
         self._problem = problem
         pattern, device = problem.pattern, problem.device
+        if not device.is_cpu:
+            raise InputError("linear_method ssor is for the CPU; a GPU has arrow, cg and pipelined")
         self._row_starts = wp.array(pattern.row_starts, dtype=wp.int32, device=device)
         self._columns = wp.array(pattern.columns, dtype=wp.int32, device=device)
         self._extra = ExtraRowLists(problem)

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import warp as wp
 
+from taccel_lab.errors import InputError
 from taccel_lab.ipc.linear.system import METHODS, usable_methods
 
 CPU = wp.get_device("cpu")
@@ -28,3 +29,9 @@ def test_methods_are_offered_where_they_are_made_for(
 ) -> None:
     assert usable_methods(rows, device) == expected
     assert set(expected) <= set(METHODS)
+
+
+def test_the_solver_of_the_cpu_is_refused_on_a_gpu() -> None:
+    problem: Any = SimpleNamespace(pattern=None, device=GPU)
+    with pytest.raises(InputError, match="ssor is for the CPU; a GPU has arrow, cg and pipelined"):
+        METHODS["ssor"](problem)
