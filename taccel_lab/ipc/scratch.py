@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Memory that several parts use in turn.
 
-The blocks of the elements are the larger half of what an environment needs, and they are idle once
+The blocks of the elements are among the largest that an environment needs, and they are idle once
 they are gathered: the linear solver keeps in the same place what it needs during a solve alone.
 """
 
