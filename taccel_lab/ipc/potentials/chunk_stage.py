@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.model.element_chunks import CHUNK, stage_stride
+from taccel_lab.model.element_chunks import CHUNK, ChunkTables, stage_stride
 
 wp.set_module_options({"enable_backward": False})
 
@@ -40,8 +40,10 @@ _PUT_SNIPPET = """
 """
 _SUM_SNIPPET = """
     const int chunk = lane / @CHUNK@;
-    const int first = starts.data[chunk];
-    const int end = starts.data[chunk + 1];
+    const int* const starts = tables.source_starts.data;
+    const int* const sources = tables.sources.data;
+    const int first = tables.starts.data[chunk];
+    const int end = tables.starts.data[chunk + 1];
     const double* const staged = reinterpret_cast<const double*>(stage);
     double* const to = reinterpret_cast<double*>(sums.data + size_t(env) * sums.shape[1]);
 #if defined(__CUDA_ARCH__)
@@ -52,8 +54,8 @@ _SUM_SNIPPET = """
         // What counts the other way round is a block, 3x3.
         const int turned = i % 3 * 3 + i / 3;
         double total = 0.0;
-        for (int k = source_starts.data[sum]; k < source_starts.data[sum + 1]; ++k) {
-            const int code = sources.data[k];
+        for (int k = starts[sum]; k < starts[sum + 1]; ++k) {
+            const int code = sources[k];
             total += staged[(code >> 1) + (code & 1 ? turned : i)];
         }
         to[n] = total;
@@ -64,8 +66,8 @@ _SUM_SNIPPET = """
         return;
     for (int sum = first; sum < end; ++sum) {
         double total[@SIZE@] = {};
-        for (int k = source_starts.data[sum]; k < source_starts.data[sum + 1]; ++k) {
-            const int code = sources.data[k];
+        for (int k = starts[sum]; k < starts[sum + 1]; ++k) {
+            const int code = sources[k];
             const double* const from = staged + (code >> 1);
             for (int i = 0; i < @SIZE@; ++i)
                 total[i] += from[code & 1 ? i % 3 * 3 + i / 3 : i];
@@ -109,13 +111,10 @@ def sum_blocks(
     stage: wp.uint64,
     env: int,
     lane: int,
-    starts: wp.array(dtype=wp.int32),
-    source_starts: wp.array(dtype=wp.int32),
-    sources: wp.array(dtype=wp.int32),
+    tables: ChunkTables,
     sums: wp.array2d(dtype=wp.mat33d),
 ) -> None:
-    """Write the sums of the chunk of a lane, those of all chunks [env_count, sum_count]; the three
-    tables are those of ``ChunkTables``."""
+    """Write the sums of the chunk of a lane; those of all chunks are [env_count, sum_count]."""
     ...
 
 
@@ -139,9 +138,7 @@ def sum_forces(
     stage: wp.uint64,
     env: int,
     lane: int,
-    starts: wp.array(dtype=wp.int32),
-    source_starts: wp.array(dtype=wp.int32),
-    sources: wp.array(dtype=wp.int32),
+    tables: ChunkTables,
     sums: wp.array2d(dtype=wp.vec3d),
 ) -> None:
     """See ``sum_blocks``."""

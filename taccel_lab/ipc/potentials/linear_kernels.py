@@ -166,8 +166,7 @@ def create_linear_kernels(law: Law) -> ElementKernels:
             p = d.volumes[rest, tet] * piola(f, d.moduli, modulus_index(env, tet, d))
             for i in range(4):
                 put_force(stage, lane, i, p * d.gradients[rest, tet, i])
-        s = d.force_sums
-        sum_forces(stage, env, lane, s.starts, s.source_starts, s.sources, parts)
+        sum_forces(stage, env, lane, d.force_sums, parts)
 
     @wp.kernel(module=module)
     def _linear_hessian_kernel(
@@ -201,7 +200,6 @@ def create_linear_kernels(law: Law) -> ElementKernels:
             put_block(stage, lane, 7, h.h_22)
             put_block(stage, lane, 8, h.h_23)
             put_block(stage, lane, 9, h.h_33)
-        s = d.block_sums
-        sum_blocks(stage, env, lane, s.starts, s.source_starts, s.sources, parts)
+        sum_blocks(stage, env, lane, d.block_sums, parts)
 
     return ElementKernels(_linear_energy_kernel, _linear_gradient_kernel, _linear_hessian_kernel)

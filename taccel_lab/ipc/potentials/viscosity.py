@@ -114,8 +114,7 @@ def _linear_gradient_kernel(
         p = d.volumes[rest, tet] * (f * _linear_stress(gained, d, env, tet))
         for i in range(4):
             put_force(stage, lane, i, p * d.gradients[rest, tet, i])
-    s = d.force_sums
-    sum_forces(stage, env, lane, s.starts, s.source_starts, s.sources, parts)
+    sum_forces(stage, env, lane, d.force_sums, parts)
 
 
 @wp.kernel
@@ -155,8 +154,7 @@ def _linear_hessian_kernel(
                 )
                 put_block(stage, lane, k, d.volumes[rest, tet] * block)
                 k += 1
-    s = d.block_sums
-    sum_blocks(stage, env, lane, s.starts, s.source_starts, s.sources, parts)
+    sum_blocks(stage, env, lane, d.block_sums, parts)
 
 
 @wp.kernel
