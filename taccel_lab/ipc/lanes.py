@@ -8,6 +8,9 @@ captured graph, and lists may grow. The CPU, which runs threads one after the ot
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import warp as wp
 
 WARP_THREADS = 32
@@ -23,3 +26,24 @@ def lane_count(device: wp.Device, env_count: int, room: int) -> int:
     if device.is_cpu:
         return 1
     return max(1, min(room, max(32, _THREADS // env_count)))
+
+
+def launch(
+    kernel: wp.Kernel,
+    dim: int | Sequence[int],
+    inputs: Sequence[Any],
+    outputs: Sequence[Any] = (),
+    *,
+    device: wp.Device,
+) -> None:
+    """``wp.launch`` in blocks of the size that the kernel's module states (its option
+    ``block_dim``), which is what it is compiled for; ``wp.launch`` alone takes 256 threads and
+    compiles the module anew for them, whatever the option says."""
+    wp.launch(
+        kernel,
+        dim=dim,
+        inputs=list(inputs),
+        outputs=list(outputs),
+        device=device,
+        block_dim=kernel.module.options["block_dim"],
+    )

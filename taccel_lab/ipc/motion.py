@@ -7,6 +7,7 @@ import warp as wp
 
 from taccel_lab.ipc.affine.pull_back import pull_back
 from taccel_lab.ipc.branches import side_by_side
+from taccel_lab.ipc.lanes import launch
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
@@ -162,7 +163,7 @@ def _subtract_rows_kernel(
 
 def subtract_rows(mask: wp.array, end: wp.array, start: wp.array, result: wp.array) -> None:
     """result = end - start in the environments of ``mask``."""
-    wp.launch(
+    launch(
         _subtract_rows_kernel,
         dim=result.shape,
         inputs=[mask, end, start],
@@ -199,7 +200,7 @@ def reduce_gradient(
 
     def of_soft_bodies() -> None:
         if soft_rows:
-            wp.launch(
+            launch(
                 _reduce_kernel,
                 dim=(model.env_count, soft_rows),
                 inputs=[active, model.free_nodes, *gradients],
@@ -227,7 +228,7 @@ def aim_prescribed(
     (transformd, [env_count, kinematic_count]); elsewhere these nodes stay.
     """
     if len(model.frame_nodes):
-        wp.launch(
+        launch(
             _aim_kernel,
             dim=(model.env_count, len(model.frame_nodes)),
             inputs=[active, moving, model.frame_nodes, model.frame_ids, model.rest_positions]
@@ -262,7 +263,7 @@ def coast(
     model: Model, mask: wp.array, dts: wp.array, velocities: wp.array, displacements: wp.array
 ) -> None:
     """Set ``displacements`` [m] of free nodes to dt times velocity, to zero outside ``mask``."""
-    wp.launch(
+    launch(
         _coast_kernel,
         dim=(model.env_count, model.free_count),
         inputs=[mask, model.free_nodes, dts, velocities],
@@ -275,7 +276,7 @@ def measure_velocities(
     mask: wp.array, start: wp.array, end: wp.array, dts: wp.array, velocities: wp.array
 ) -> None:
     """Mean velocities [m/s] over a step, in the environments of ``mask``."""
-    wp.launch(
+    launch(
         _velocity_kernel,
         dim=end.shape,
         inputs=[mask, start, end, dts],
@@ -286,7 +287,7 @@ def measure_velocities(
 
 def begin_rhs(model: Model, active: wp.array, reduced: wp.array, rhs: wp.array) -> None:
     """rhs = -reduced [N], zero in environments that are not active."""
-    wp.launch(
+    launch(
         _negate_kernel,
         dim=rhs.shape,
         inputs=[active, reduced],
@@ -302,7 +303,7 @@ def spread_solution(
     displacements: wp.array,
 ) -> None:
     """Write the rows of ``solution`` [m] to their nodes, and to what is embedded in them."""
-    wp.launch(
+    launch(
         _spread_kernel,
         dim=solution.shape,
         inputs=[active, model.free_nodes, solution],
@@ -320,7 +321,7 @@ def advance_positions(
     result: wp.array,
 ) -> None:
     """result = positions + fraction[env] * displacements [m] in the environments of ``mask``."""
-    wp.launch(
+    launch(
         _advance_kernel,
         dim=positions.shape,
         inputs=[mask, positions, displacements, fractions],

@@ -21,6 +21,7 @@ from taccel_lab.bodies.surface_parts import is_closed, one_node_of_each_part
 from taccel_lab.ipc.broad_phase.body_boxes import find_body_boxes
 from taccel_lab.ipc.collision_lists import ball_inset
 from taccel_lab.ipc.distance.point_triangle import point_triangle_distance_sq
+from taccel_lab.ipc.lanes import launch
 from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
 from taccel_lab.model import BodyKind, Model
 from taccel_lab.state import State
@@ -332,7 +333,7 @@ class OverlapSearch:
     def _launch(self, kernel: wp.Kernel, count: int, inputs: list, output: wp.array) -> None:
         """One thread an environment and job."""
         if count:
-            wp.launch(
+            launch(
                 kernel,
                 dim=(self._model.env_count, count),
                 inputs=inputs,

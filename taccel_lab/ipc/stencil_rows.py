@@ -24,13 +24,14 @@ _FEW_LANES = 1 << 13
 
 
 STENCIL_THREADS = 128
-"""Threads of a block of the kernels that add stencils: 28 KiB of shared memory."""
+"""Threads of a block, as modules with kernels that add stencils state it: 28 KiB of shared memory,
+of which 256 threads would need more than every GPU has."""
 
 # Rows and coefficients of the stencil of each thread, side by side in shared memory: indexed by
 # what is only known at run time, they would else lie in a thread's own part of the GPU's memory.
 _STAGE_SNIPPET = """
 #if defined(__CUDA_ARCH__)
-    __shared__ double stage[28 * @THREADS@];
+    __shared__ double stage[28 * WP_TILE_BLOCK_DIM];
     return reinterpret_cast<wp::uint64>(stage);
 #else
     static double stage[28];
@@ -39,7 +40,7 @@ _STAGE_SNIPPET = """
 """
 _PLACES = """
 #if defined(__CUDA_ARCH__)
-    const int step = @THREADS@, mine = threadIdx.x;
+    const int step = WP_TILE_BLOCK_DIM, mine = threadIdx.x;
 #else
     const int step = 1, mine = 0;
 #endif
@@ -51,26 +52,20 @@ _PLACES = """
 """
 
 
-def _snippet(text: str) -> str:
-    return text.replace("@THREADS@", str(STENCIL_THREADS))
-
-
-@wp.func_native(_snippet(_STAGE_SNIPPET))
+@wp.func_native(_STAGE_SNIPPET)
 def stencil_stage() -> wp.uint64:
     """Where a thread keeps the rows of its stencil."""
     ...
 
 
 @wp.func_native(
-    _snippet(
-        _PLACES
-        + """
+    _PLACES
+    + """
     *row = value;
     coefficient[0] = 0.0;
     coefficient[step] = 0.0;
     coefficient[2 * step] = 0.0;
 """
-    )
 )
 def open_row(stage: wp.uint64, at: int, value: int) -> None:
     """Unknown ``at`` is this row of the Newton system; its coefficients are zero so far."""
@@ -78,33 +73,29 @@ def open_row(stage: wp.uint64, at: int, value: int) -> None:
 
 
 @wp.func_native(
-    _snippet(
-        _PLACES
-        + """
+    _PLACES
+    + """
     coefficient[0] += value[0];
     coefficient[step] += value[1];
     coefficient[2 * step] += value[2];
 """
-    )
 )
 def add_coefficients(stage: wp.uint64, at: int, value: wp.vec3d) -> None:
     """Add to the coefficients of unknown ``at``."""
     ...
 
 
-@wp.func_native(_snippet(_PLACES + "    return *row;"))
+@wp.func_native(_PLACES + "    return *row;")
 def row_at(stage: wp.uint64, at: int) -> int:
     """Row of unknown ``at`` in the Newton system."""
     ...
 
 
 @wp.func_native(
-    _snippet(
-        _PLACES
-        + """
+    _PLACES
+    + """
     return wp::vec_t<3, wp::float64>(coefficient[0], coefficient[step], coefficient[2 * step]);
 """
-    )
 )
 def coefficients_at(stage: wp.uint64, at: int) -> wp.vec3d:
     """Coefficients of unknown ``at``, columns as those of the nodes."""

@@ -21,6 +21,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.affine.orthogonality import affine_map
+from taccel_lab.ipc.lanes import launch
 from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
 from taccel_lab.model import Model
 
@@ -215,7 +216,7 @@ def measure_turns(
     """Largest turn [rad] of a body along ``displacements``, and a bound of how far any vertex of a
     bent step leaves the straight one [m]; float64, [env_count]."""
     affine = model.affine
-    wp.launch(
+    launch(
         _measure_kernel,
         dim=model.env_count,
         inputs=[active, affine.control_starts, affine.lengths, affine.have_joints, pivots]
@@ -238,7 +239,7 @@ def bend_steps(
     """Put the control nodes of ``trial`` where the bent step leads, where ``turns`` exceed
     SMALLEST_TURN."""
     affine = model.affine
-    wp.launch(
+    launch(
         _bend_kernel,
         dim=(model.env_count, affine.count),
         inputs=[mask, turns, SMALLEST_TURN, fractions, affine.control_starts, affine.lengths]

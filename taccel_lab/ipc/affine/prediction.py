@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.lanes import WARP_THREADS
+from taccel_lab.ipc.lanes import WARP_THREADS, launch
 from taccel_lab.ipc.svd import signed_svd_3x3
 from taccel_lab.model import Model
 
@@ -79,7 +79,7 @@ def predict_affine(
     """
     affine = model.affine
     bends.zero_()
-    wp.launch(
+    launch(
         _predict_kernel,
         dim=(model.env_count, affine.count),
         inputs=[active, affine.control_starts, affine.lengths, model.masses, inertial]

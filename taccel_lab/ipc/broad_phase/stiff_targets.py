@@ -26,6 +26,7 @@ from taccel_lab.ipc.broad_phase.swept_box import (
     widened_margin,
 )
 from taccel_lab.ipc.capacity import ListRoom
+from taccel_lab.ipc.lanes import launch
 from taccel_lab.model import Model
 
 _SEARCH_THREADS = 64
@@ -194,7 +195,7 @@ def update_frames(
 ) -> None:
     """Frames of affine bodies before and after the displacements, of kinematic ones at ``poses``
     (start and end)."""
-    wp.launch(
+    launch(
         _frames_kernel,
         dim=(model.env_count, len(model.targets)),
         inputs=[active, model.affine.count, model.affine.first_control, model.affine.lengths]
@@ -286,7 +287,7 @@ def run_search(
     """Append pairs to ``outputs`` (room, pairs of nodes and faces, then of edges); ``path``:
     margins, positions, displacements; ``are_open``: the gates of what is held."""
     if len(search.jobs):
-        wp.launch(
+        launch(
             _search_kernel,
             dim=(model.env_count, len(search.jobs)),
             inputs=[active, search.jobs, search.nodes, search.gates, are_open, search.trees]

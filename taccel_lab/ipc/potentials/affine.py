@@ -16,7 +16,7 @@ from taccel_lab.ipc.affine.orthogonality import (
     orthogonality_gradient,
     orthogonality_hessian,
 )
-from taccel_lab.ipc.lanes import WARP_THREADS
+from taccel_lab.ipc.lanes import WARP_THREADS, launch
 from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
@@ -117,7 +117,7 @@ class AffinePotential(Potential):
         """
 
     def _launch(self, kernel: wp.Kernel, inputs: list, outputs: list) -> None:
-        wp.launch(
+        launch(
             kernel,
             dim=self.energies.shape,
             inputs=inputs,

@@ -8,7 +8,7 @@ Hessian of 4,096 pegs took 3.6 ms on an H200, of which the arithmetic is 0.6. Th
 thread is all lanes one after the other, lays the numbers down in memory that stays in its cache,
 and adds them up after the last lane.
 
-For kernels over (environment, lane) that are launched with ``STAGED_THREADS``. All lanes of a chunk
+For kernels over (environment, lane) in modules that state ``STAGED_THREADS``. All lanes of a chunk
 come to the sum, also one that has no element; an environment that is at rest returns before.
 """
 
@@ -25,7 +25,7 @@ STAGED_THREADS = 64
 
 _STAGE_SNIPPET = """
 #if defined(__CUDA_ARCH__)
-    __shared__ double numbers[@WARPS@][@CHUNK@ * @STRIDE@];
+    __shared__ double numbers[WP_TILE_BLOCK_DIM / @CHUNK@][@CHUNK@ * @STRIDE@];
     return reinterpret_cast<wp::uint64>(numbers[threadIdx.x / @CHUNK@]);
 #else
     static double numbers[@CHUNK@ * @STRIDE@];
@@ -82,7 +82,6 @@ _SUM_SNIPPET = """
 def _filled(snippet: str, size: int, entries: int) -> str:
     """A snippet for elements that contribute so many entries of ``size`` doubles."""
     for name, number in (
-        ("WARPS", STAGED_THREADS // CHUNK),
         ("CHUNK", CHUNK),
         ("STRIDE", stage_stride(size, entries)),
         ("SIZE", size),

@@ -27,7 +27,7 @@ from taccel_lab.ipc.distance.edge_edge_mollifier import (
     edge_edge_cross_sq,
     edge_edge_mollifier,
 )
-from taccel_lab.ipc.lanes import lane_count
+from taccel_lab.ipc.lanes import lane_count, launch
 from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block, has_rows
 from taccel_lab.ipc.matrix_types import mat43d
 from taccel_lab.ipc.mollified_edge_edge import (
@@ -269,7 +269,7 @@ class ContactPotential(EnergyTerm):
     def _launch(self, kernel: wp.Kernel, active: wp.array, positions: wp.array, rest: list) -> None:
         c, m = self.collisions, self.model
         lanes = lane_count(m.device, m.env_count, c.largest_room)
-        wp.launch(
+        launch(
             kernel,
             dim=(m.env_count, lanes),
             inputs=[active, lanes, c.lists, c.geometry, positions, *rest],
@@ -296,7 +296,7 @@ class ContactPotential(EnergyTerm):
         c, m = self.collisions, self.model
         lanes = lane_count(m.device, m.env_count, c.largest_room)
         parts = row_parts(m.device, m.env_count, lanes)
-        wp.launch(
+        launch(
             _hessian_kernel,
             dim=(m.env_count, lanes, parts),
             inputs=[active, lanes, c.lists, c.geometry, positions, modes, parts, system],

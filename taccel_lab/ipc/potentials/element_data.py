@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from taccel_lab.ipc.elasticity.laws import Moduli
+from taccel_lab.ipc.lanes import launch
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.chunk_stage import STAGED_THREADS
 from taccel_lab.ipc.potentials.energy import Potential
@@ -207,13 +208,12 @@ class ElementSum(Potential):
     def launch(self, kernel: wp.Kernel, inputs: list, outputs: list, lanes: bool = False) -> None:
         """Launch over (environment, element), or over the ``lanes`` of its chunks where it has
         some."""
-        wp.launch(
+        launch(
             kernel,
             dim=(self.model.env_count, self._lane_count if lanes else self.group.element_count),
             inputs=inputs,
             outputs=outputs,
             device=self.model.device,
-            block_dim=STAGED_THREADS,
         )
 
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
@@ -231,7 +231,7 @@ class ElementSum(Potential):
         g = self.group
         outputs = [self._by_element(self._forces)]
         self.launch(self.kernels.gradient, [active, positions, self.data], outputs, lanes=True)
-        wp.launch(
+        launch(
             _gather_gradient_kernel,
             dim=(self.model.env_count, len(g.gather_nodes)),
             inputs=[active, g.gather_nodes, g.force_starts, g.force_parts, self._forces],
@@ -256,7 +256,7 @@ class ElementSum(Potential):
     def gather_hessians(self, active: wp.array, system: NewtonSystem) -> None:
         """Add the parts of elements or chunks to the matrix, without atomics."""
         g, m = self.group, self.model
-        wp.launch(
+        launch(
             _gather_blocks_kernel,
             dim=(m.env_count, len(g.blocks)),
             inputs=[active, g.blocks, g.source_starts, g.sources, self._blocks],
@@ -269,7 +269,7 @@ class ElementSum(Potential):
         environments of ``moving`` (int32, [env_count])."""
         g, m = self.group, self.model
         if len(g.rim_rows):
-            wp.launch(
+            launch(
                 _gather_rim_kernel,
                 dim=(m.env_count, len(g.rim_rows)),
                 inputs=[moving, g.rim_rows, g.rim_starts, g.rim_sources, g.rim_nodes]

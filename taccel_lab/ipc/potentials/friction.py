@@ -26,7 +26,7 @@ from taccel_lab.ipc.friction import (
     relative_displacement,
     tangential,
 )
-from taccel_lab.ipc.lanes import lane_count
+from taccel_lab.ipc.lanes import lane_count, launch
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.stencil_rows import STENCIL_THREADS, add_weighted_block, row_parts
@@ -326,7 +326,7 @@ class FrictionPotential(EnergyTerm):
     def begin_step(self, who: wp.array, dts: wp.array) -> None:
         """Forget the frozen collisions of the environments ``who`` (int32, [env_count]), whose
         steps are as long as ``dts`` says [s], float64, [env_count]."""
-        wp.launch(
+        launch(
             _begin_kernel,
             dim=self.model.env_count,
             inputs=[who, dts, self.model.scene.time.dt_s, self._static_range_m],
@@ -337,7 +337,7 @@ class FrictionPotential(EnergyTerm):
     def _launch(self, kernel: wp.Kernel, active: wp.array, rest: list) -> None:
         m = self.model
         lanes = lane_count(m.device, m.env_count, self.collisions.largest_room)
-        wp.launch(kernel, dim=(m.env_count, lanes), inputs=[active, lanes, *rest], device=m.device)
+        launch(kernel, dim=(m.env_count, lanes), inputs=[active, lanes, *rest], device=m.device)
 
     def write_energies(self, active: wp.array, motion: StepMotion) -> None:
         """Fill ``energies`` of this step's sliding [J]."""
@@ -361,7 +361,7 @@ class FrictionPotential(EnergyTerm):
             sharpness = wp.full(m.env_count, 1.0, dtype=wp.float64, device=m.device)
         lanes = lane_count(m.device, m.env_count, self.collisions.largest_room)
         parts = row_parts(m.device, m.env_count, lanes)
-        wp.launch(
+        launch(
             _hessian_kernel,
             dim=(m.env_count, lanes, parts),
             inputs=[active, lanes, self.frozen, motion, self.eps_u_m, sharpness] + [parts, system],

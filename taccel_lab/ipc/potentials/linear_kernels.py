@@ -16,6 +16,7 @@ from taccel_lab.ipc.elasticity.exact_hessian import exact_block
 from taccel_lab.ipc.elasticity.laws import Law
 from taccel_lab.ipc.elasticity.principal import PSD_NONE, PrincipalHessian, principal_block
 from taccel_lab.ipc.potentials.chunk_stage import (
+    STAGED_THREADS,
     put_block,
     put_force,
     stage_blocks,
@@ -132,7 +133,7 @@ def create_linear_kernels(law: Law) -> ElementKernels:
     piola = law.piola
     blocks_of = _law_blocks(law)
     module = wp.get_module(f"{__name__}.{law.model.value}")
-    wp.set_module_options({"enable_backward": False}, module=module)
+    wp.set_module_options({"enable_backward": False, "block_dim": STAGED_THREADS}, module=module)
 
     @wp.kernel(module=module)
     def _linear_energy_kernel(

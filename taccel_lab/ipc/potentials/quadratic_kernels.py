@@ -24,6 +24,7 @@ import warp as wp
 from taccel_lab.ipc.elasticity.corner_guard import corner_guard, volume_hessian
 from taccel_lab.ipc.elasticity.invariants import cofactor
 from taccel_lab.ipc.elasticity.principal import lifted
+from taccel_lab.ipc.potentials.chunk_stage import STAGED_THREADS
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels, modulus_index
 from taccel_lab.ipc.potentials.point_hessian import PointHessian, point_hessian
 from taccel_lab.ipc.potentials.quadratic_guard import (
@@ -113,7 +114,7 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
     hessian = law.hessian
     guarded = law.guarded
     module = wp.get_module(f"{__name__}.{law.name}")
-    wp.set_module_options({"enable_backward": False}, module=module)
+    wp.set_module_options({"enable_backward": False, "block_dim": STAGED_THREADS}, module=module)
 
     @wp.kernel(module=module)
     def _quadratic_energy_kernel(

@@ -22,6 +22,7 @@ from taccel_lab.ipc.elasticity.dilatation import half_square, strain_trace_slope
 from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.elasticity.principal import lifted_matrix
 from taccel_lab.ipc.elasticity.st_venant_kirchhoff import green_strain
+from taccel_lab.ipc.lanes import launch
 from taccel_lab.ipc.potentials.chunk_stage import (
     STAGED_THREADS,
     put_block,
@@ -274,10 +275,8 @@ class ViscousPotential(ElementSum):
         if dts is None:
             self.data.rates.fill_(1.0 / m.scene.time.dt_s)
         else:
-            wp.launch(
-                _reciprocal_kernel, m.env_count, inputs=[dts, self.data.rates], device=m.device
-            )
-        wp.launch(
+            launch(_reciprocal_kernel, m.env_count, inputs=[dts, self.data.rates], device=m.device)
+        launch(
             self._start,
             dim=self.data.start_strains.shape,
             inputs=[mask, positions, self.data],
