@@ -73,6 +73,7 @@ class SolverParts:
             clusters=[(first + 4 * i, first + 4 * i + 4) for i in range(model.affine.count)],
             extra_room=self._extra_room(),
             scratch=self._scratch(),
+            positions_m=model.rest_positions.numpy()[0, model.free_nodes.numpy()],
         )
         shape, device = (model.env_count, model.node_count), model.device
 

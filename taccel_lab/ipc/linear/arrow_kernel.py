@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The kernel that factors and solves in block-arrow form, for each memory that a block may have."""
 
-# Without annotations from __future__: Warp would not find the room in that of a tile.
+from __future__ import annotations
 
 from functools import cache
 from typing import Any
@@ -12,6 +12,7 @@ from taccel_lab.ipc.linear.arrow_factor import factor_columns, finish_factor, lo
 from taccel_lab.ipc.linear.arrow_program import ArrowLayout
 from taccel_lab.ipc.linear.arrow_solve import get_number, get_vector, put_vector, solve_factored
 from taccel_lab.ipc.linear.block_ops import block_barrier, team_sum
+from taccel_lab.ipc.linear.dense_inverse import address_of_tile
 from taccel_lab.ipc.linear.extra_rows import ExtraRows
 from taccel_lab.ipc.linear.packed_rows import RowSlices
 from taccel_lab.ipc.linear.row_products import multiply_extra, multiply_unpacked, row_sum
@@ -71,9 +72,7 @@ def _address_of_inner_words(memory: wp.uint64, first: int) -> wp.uint64: ...
 def solve_kernel(room: int, words_inside: bool) -> Any:
     """The kernel for a ``Placement``; a module of its own, so that none is compiled that no scene
     needs."""
-
-    @wp.func_native("return reinterpret_cast<wp::uint64>(tile.data.ptr);")
-    def address_of_tile(tile: wp.tile(dtype=wp.float64, shape=(max(room, 1),))) -> wp.uint64: ...
+    address = address_of_tile(max(room, 1))
 
     @wp.kernel(grid_stride=False, launch_bounds=(512, 1), module="unique", enable_backward=False)
     def arrow_kernel(
@@ -100,7 +99,7 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
         # Decided as it is compiled: the compiler has to see which kind of memory it is.
         if room:
             tile = wp.tile_empty(shape=room, dtype=wp.float64, storage="shared")
-            memory = address_of_tile(tile)
+            memory = address(tile)
         else:
             memory = _address_of_numbers(work.numbers[env])
         if words_inside:

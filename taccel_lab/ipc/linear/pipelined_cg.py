@@ -27,12 +27,20 @@ from taccel_lab.ipc.linear.block_ops import (
     team_barrier,
     team_sum,
 )
+from taccel_lab.ipc.linear.coarse_space import (
+    PART_ROWS,
+    CoarseCorrection,
+    CoarseSpace,
+    add_correction,
+    has_room,
+    part_groups,
+)
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
 from taccel_lab.ipc.linear.packed_rows import PackedRows, RowSlices
 from taccel_lab.ipc.linear.preconditioner import Clusters, DiagonalInverses, cluster_product
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.row_lists import scalars
-from taccel_lab.ipc.linear.row_plan import neighbour_clusters, plan_rows
+from taccel_lab.ipc.linear.row_plan import plan_rows
 from taccel_lab.ipc.linear.row_products import multiply_extra, multiply_fixed, row_sum
 
 wp.set_module_options({"enable_backward": False})
@@ -174,6 +182,7 @@ def _solve_kernel(
     inverses: wp.array2d(dtype=wp.mat33d),
     clusters: Clusters,
     all_stores: wp.array2d(dtype=wp.float64),
+    coarse: CoarseSpace,
     rhs: wp.array2d(dtype=wp.vec3d),
     tolerances: wp.array(dtype=wp.float64),
     verify_below: wp.float64,
@@ -252,6 +261,19 @@ def _solve_kernel(
                 work.m_scalars[env, 3 * turn * n + task] = cluster_product(
                     task, clusters, all_stores[env], work.w_scalars[env]
                 )
+        if mode != _SHOW_X and coarse.width > 0:
+            add_correction(
+                env,
+                wp.vec2i(first_part, end_part),
+                blocks,
+                lane,
+                lanes,
+                coarse,
+                clusters,
+                work.gates,
+                work.w[env],
+                work.m[env, turn * n : (turn + 1) * n],
+            )
         total = team_sum(share, env, block, blocks, lane, turn, work.gates, work.sums[env])
         if mode == _START:
             b_sq = total[2]
@@ -342,9 +364,11 @@ class PipelinedCG:
         blocks: int | None = None,
         cluster_rows: int = CLUSTER_ROWS,
         patience: int = PATIENCE,
+        part_rows: int = PART_ROWS,
     ) -> None:
         """``clusters``: ranges of rows that are stiff among themselves; ``cluster_rows``: clusters
-        of so many neighbours are made of the others, none when 0. ``lanes`` of a thread block and
+        of so many neighbours are made of the others, none when 0, and ``part_rows``: parts of a
+        coarse space, where the problem says where rows are. ``lanes`` of a thread block and
         ``blocks`` of a team are chosen by size when left out. ``patience``: see ``join_team``."""
         self._problem = problem
         self._patience = patience
@@ -352,9 +376,14 @@ class PipelinedCG:
         n = pattern.free_count
         groups = [np.arange(first, end) for first, end in clusters]
         bodies = len(groups)
+        owners = np.full(bodies, -1)
+        positions = problem.positions_m
         if cluster_rows > 1:
             rest = np.setdiff1d(np.arange(n), np.concatenate([np.zeros(0, dtype=int), *groups]))
-            groups += neighbour_clusters(pattern, rest, cluster_rows)
+            usable = positions is not None and has_room(device)
+            found, parts = part_groups(pattern, rest, cluster_rows, part_rows if usable else 0)
+            groups += found
+            owners = np.concatenate([owners, parts])
         size = team(device, problem.env_count, TASKS_PER_ROW * n, lanes, blocks)
         if device.is_cpu:
             size = Team(size.lanes)
@@ -368,6 +397,7 @@ class PipelinedCG:
         self._values = scalars(problem.values)
         self._packed = PackedRows(problem, plan, lanes)
         self._inverses = DiagonalInverses(problem, plan, lanes)
+        self._coarse = CoarseCorrection(problem, plan, owners, positions, lanes)
         self._extra = ExtraRowLists(problem, plan, lanes)
         work = self._work = PipelineWork()
         for name in "ruwpsqz":
@@ -377,17 +407,16 @@ class PipelinedCG:
         work.sums = wp.zeros((problem.env_count, slots), dtype=wp.vec3d, device=device)
         work.gates = wp.zeros(32 * problem.env_count, dtype=wp.int32, device=device)
         work.w_scalars, work.m_scalars = scalars(work.w), scalars(work.m)
-        self._allocate_parts()
-        self.description = (
-            f"pipelined CG preconditioned by {len(groups) - bodies} clusters of neighbours and "
-            f"{bodies} of bodies, one kernel, {size.blocks} x {size.lanes} threads an environment"
-        )
-
-    def _allocate_parts(self) -> None:
-        problem, work = self._problem, self._work
         shape = (problem.env_count, self._packed.layout.segment_count)
-        work.parts = wp.zeros(shape, dtype=wp.vec3d, device=problem.device)
+        work.parts = wp.zeros(shape, dtype=wp.vec3d, device=device)
         work.parts_scalars = scalars(work.parts)
+        kinds = f"{len(groups) - bodies} clusters of neighbours and {bodies} of bodies"
+        if owners.max(initial=-1) >= 0:
+            kinds += f", and the rigid motions of {owners.max() + 1} parts"
+        self.description = (
+            f"pipelined CG preconditioned by {kinds}, one kernel, "
+            f"{size.blocks} x {size.lanes} threads an environment"
+        )
 
     def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
@@ -397,6 +426,7 @@ class PipelinedCG:
             [
                 lambda: self._packed.update(active, self._values),
                 lambda: self._inverses.update(active, self._values),
+                lambda: self._coarse.update(active),
                 lambda: self._extra.update(active),
             ],
         )
@@ -407,14 +437,10 @@ class PipelinedCG:
             problem.env_count,
             self._team,
             [self._team.lanes, self._team.blocks, self._patience, active, self._order]
-            + [
-                self._block_starts,
-                layout,
-                self._packed.values,
-                self._extra.rows,
-                self._extra.values,
-            ]
+            + [self._block_starts, layout, self._packed.values]
+            + [self._extra.rows, self._extra.values]
             + [self._inverses.blocks, self._inverses.clusters, self._inverses.stores]
+            + [self._coarse.space]
             + [problem.rhs, problem.tolerances, wp.float64(VERIFY_BELOW), max_iterations, work],
             [problem.solution, problem.iterations, problem.residuals, problem.breakdown],
             problem.device,

@@ -6,24 +6,33 @@ anything else. On Newton matrices of the peg scene CG needs 100 iterations with 
 and 47 with the body's 12x12 block. In a large gel, sixteen nodes next to each other make another
 kind of cluster: 94 iterations instead of 132 with 1,604 rows (``row_plan``).
 
-Clusters are inverted by Gauss-Jordan sweeps without pivoting, which symmetric positive definite
-matrices do not need, one thread block each.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear.block_ops import Team, block_barrier, launch_team, team
+from taccel_lab.ipc.linear.dense_inverse import (
+    address_of_tile,
+    get_symmetric,
+    put_lower,
+    room_for_inverse,
+    sweep_all,
+)
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.row_plan import RowPlan
 
 wp.set_module_options({"enable_backward": False})
 
-_LANES = 256
+_LANES = 128
+_COMMON_WIDTH = 48
+"""Scalar rows of most clusters: smaller ones use the same kernel."""
 
 
 @wp.struct
@@ -77,88 +86,62 @@ def _load_cluster(
     span: wp.vec4i,
     codes: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.float64),
-    start: int,
-    store: wp.array(dtype=wp.float64),
+    memory: wp.uint64,
 ):
-    """The dense matrix of a cluster, row by row."""
+    """The lower triangle of the dense matrix of a cluster."""
     width = 3 * span[1]
     for e in range(lane, width * width, lanes):
         i = e / width
         j = e - width * i
-        code = codes[span[3] + i / 3 * span[1] + j / 3]
-        value = wp.float64(0.0)
-        if code >= 0:
-            at = 3 * (i % 3) + j % 3
-            if code % 2 == 1:
-                at = 3 * (j % 3) + i % 3
-            value = values[9 * (code / 2) + at]
-        store[start + e] = value
+        if j <= i:
+            code = codes[span[3] + i / 3 * span[1] + j / 3]
+            value = wp.float64(0.0)
+            if code >= 0:
+                at = 3 * (i % 3) + j % 3
+                if code % 2 == 1:
+                    at = 3 * (j % 3) + i % 3
+                value = values[9 * (code / 2) + at]
+            put_lower(memory, i, j, value)
 
 
-@wp.func
-def sweep(
-    lane: int,
-    lanes: int,
-    width: int,
-    pivot: int,
-    old: int,
-    new: int,
-    store: wp.array(dtype=wp.float64),
-):
-    """Matrix at ``new`` = that at ``old`` after the sweep of a pivot, which inverts it bit by
-    bit."""
-    inverse = wp.float64(1.0) / store[old + width * pivot + pivot]
-    for e in range(lane, width * width, lanes):
-        i = e / width
-        j = e - width * i
-        value = store[old + e]
-        across = store[old + width * i + pivot] * inverse
-        if i == pivot:
-            value *= inverse
-            if j == pivot:
-                value = inverse
-        elif j == pivot:
-            value = -across
-        else:
-            value -= across * store[old + width * pivot + j]
-        store[new + e] = value
+@cache
+def _inverse_kernel(room: int) -> Any:
+    """The kernel that inverts blocks, with so many numbers of shared memory."""
+    address = address_of_tile(room)
 
-
-@wp.kernel(grid_stride=False)
-def _invert_kernel(
-    lanes: int,
-    blocks: int,
-    active: wp.array(dtype=wp.int32),
-    diagonal: wp.array(dtype=wp.int32),
-    values: wp.array2d(dtype=wp.mat33d),
-    scalar_values: wp.array2d(dtype=wp.float64),
-    clusters: Clusters,
-    stores: wp.array2d(dtype=wp.float64),
-    inverses: wp.array2d(dtype=wp.mat33d),
-):
-    """``stores``: two copies of all clusters, the second of which receives the inverses."""
-    index, lane = wp.tid()
-    env = index / blocks
-    first = index % blocks
-    if active[env] == 0:
-        return
-    for place in range(first * lanes + lane, diagonal.shape[0], blocks * lanes):
-        block = diagonal[place]
-        if block >= 0:
-            inverses[env, place] = wp.inverse(values[env, block])
-    for c in range(first, clusters.spans.shape[0], blocks):
-        span = clusters.spans[c]
-        width = 3 * span[1]
-        # So that the last of an odd or even number of sweeps writes the second copy.
-        old = span[2] + (width + 1) % 2 * clusters.store_size
-        new = 2 * span[2] + clusters.store_size - old
-        _load_cluster(lane, lanes, span, clusters.codes, scalar_values[env], old, stores[env])
-        for pivot in range(width):
+    @wp.kernel(grid_stride=False, module="unique", enable_backward=False)
+    def invert_kernel(
+        lanes: int,
+        blocks: int,
+        active: wp.array(dtype=wp.int32),
+        diagonal: wp.array(dtype=wp.int32),
+        values: wp.array2d(dtype=wp.mat33d),
+        scalar_values: wp.array2d(dtype=wp.float64),
+        clusters: Clusters,
+        stores: wp.array2d(dtype=wp.float64),
+        inverses: wp.array2d(dtype=wp.mat33d),
+    ):
+        index, lane = wp.tid()
+        memory = address(wp.tile_empty(shape=room, dtype=wp.float64, storage="shared"))
+        env = index / blocks
+        first = index % blocks
+        if active[env] == 0:
+            return
+        for place in range(first * lanes + lane, diagonal.shape[0], blocks * lanes):
+            block = diagonal[place]
+            if block >= 0:
+                inverses[env, place] = wp.inverse(values[env, block])
+        for c in range(first, clusters.spans.shape[0], blocks):
+            span = clusters.spans[c]
+            width = 3 * span[1]
+            _load_cluster(lane, lanes, span, clusters.codes, scalar_values[env], memory)
+            sweep_all(memory, width, lane, lanes)
+            for e in range(lane, width * width, lanes):
+                i = e / width
+                stores[env, span[2] + e] = -get_symmetric(memory, i, e - width * i)
             block_barrier()
-            sweep(lane, lanes, width, pivot, old, new, stores[env])
-            swap = old
-            old = new
-            new = swap
+
+    return invert_kernel
 
 
 # Written out in C++: arrays of Warp carry strides, which cost registers and multiplications here.
@@ -193,7 +176,7 @@ def cluster_product(
     own = clusters.tasks[task]
     span = clusters.spans[own[0]]
     # Down a column, which equals the row: lanes side by side read numbers side by side.
-    at = clusters.store_size + span[2] + own[1]
+    at = span[2] + own[1]
     return _column_product(at, 3 * span[1], 3 * span[0], stores, r)
 
 
@@ -206,9 +189,13 @@ class DiagonalInverses:
         device = problem.device
         lanes = team(device, problem.env_count, 1, lanes or _LANES).lanes
         blocks = 1
-        if not device.is_cpu and problem.env_count < int(device.sm_count):
+        if not device.is_cpu:
             # These blocks wait for nobody: single rows are shared, and clusters taken in turn.
-            blocks = max(len(plan.cluster_sizes), -(-problem.pattern.free_count // lanes))
+            blocks = max(1, len(plan.cluster_sizes))
+            if problem.env_count < int(device.sm_count):
+                blocks = max(blocks, -(-problem.pattern.free_count // lanes))
+        widest = max([_COMMON_WIDTH, *(3 * int(size) for size in plan.cluster_sizes)])
+        self._kernel = _inverse_kernel(room_for_inverse(widest))
         self._team = Team(lanes, blocks)
         diagonal = problem.pattern.diagonal[plan.order]
         # Their inverse stays zero: the cluster alone acts on these rows.
@@ -217,15 +204,15 @@ class DiagonalInverses:
         self.clusters = cluster_lists(problem, plan.groups())
         self.blocks = wp.zeros(problem.shape, dtype=wp.mat33d, device=device)
         """Inverse 3x3 blocks by places, zero for rows of clusters, [env_count, free_count]."""
-        shape = (problem.env_count, 2 * self.clusters.store_size)
+        shape = (problem.env_count, self.clusters.store_size)
         self.stores = wp.zeros(shape, dtype=wp.float64, device=device)
-        """Work space, and inverses of clusters row by row, shape [env_count, 2 store_size]."""
+        """Inverses of clusters row by row, shape [env_count, store_size]."""
 
     def update(self, active: wp.array, scalar_values: wp.array) -> None:
         """Invert the diagonal blocks of the active environments."""
         problem, size = self._problem, self._team
         launch_team(
-            _invert_kernel,
+            self._kernel,
             problem.env_count,
             size,
             [size.lanes, size.blocks, active, self._diagonal, problem.values, scalar_values]

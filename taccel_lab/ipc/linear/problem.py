@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks
@@ -20,7 +21,10 @@ class LinearProblem:
         device: wp.Device,
         extra_room: int = 1,
         scratch: Scratch | None = None,
+        positions_m: np.ndarray | None = None,
     ) -> None:
+        self.positions_m = positions_m
+        """Where the rows are at rest [m], shape [free_count, 3], for methods that ask."""
         self.scratch = scratch or Scratch()
         """Where solvers keep what they need during a solve alone."""
         self.pattern = pattern

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
+import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear import arrow
@@ -42,13 +43,14 @@ class LinearSystem(LinearProblem):
         method: str = "auto",
         extra_room: int = 1,
         scratch: Scratch | None = None,
+        positions_m: np.ndarray | None = None,
     ) -> None:
         """``clusters``: ranges (first, end) of rows that are stiff among themselves, as the control
         nodes of an affine body. ``method``: "auto" or one of ``METHODS``. ``extra_room``: blocks of
         an environment that ``ExtraBlocks`` has room for at first. ``scratch``: memory that is free
-        during a solve.
+        during a solve. ``positions_m``: of the rows at rest [m], shape [free_count, 3].
         """
-        super().__init__(pattern, env_count, device, extra_room, scratch)
+        super().__init__(pattern, env_count, device, extra_room, scratch, positions_m)
         self.clusters = list(clusters or [])
         if method == "auto":
             method = _method(pattern, self.clusters, env_count, device)

@@ -90,7 +90,7 @@ def elastic_blocks(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return blocks
 
 
-def _assemble(
+def assemble(
     pattern: BlockPattern, tets: np.ndarray, free: np.ndarray, blocks: np.ndarray
 ) -> np.ndarray:
     keys = pattern.rows.astype(np.int64) * pattern.free_count + pattern.columns
@@ -115,7 +115,7 @@ def peg(seed: int = 0, contacts: int = 160) -> System:
     groups = [tets, tets + count, 2 * count + np.arange(4)[None]]
     pattern = block_pattern(groups, free)
     elastic = elastic_blocks(nodes, tets)
-    values = _assemble(
+    values = assemble(
         pattern, np.concatenate([tets, tets + count]), free, np.concatenate([elastic, elastic])
     )
     keys = pattern.rows.astype(np.int64) * pattern.free_count + pattern.columns
