@@ -13,6 +13,7 @@ SCENES = {
     "peg": "peg",
     "press_239": "press",
     "press_2005": "press",
+    "press_2005_quadratic": "press",
     "press_5215": "press",
     "bolt": "bolt",
     "hand": "hand",

@@ -18,4 +18,4 @@ class Scenes:
     def run(self) -> None:
         for name in SCENES:
             bench = build_scene(name, SceneOptions(source=self.source))
-            print(f"{name:<11} {bench.steps:>4} steps, {bench.source:<9}  {bench.what}")
+            print(f"{name:<20} {bench.steps:>4} steps, {bench.source:<9}  {bench.what}")

@@ -2,7 +2,8 @@
 """A ball presses a gel, drags it sideways and leaves: the work of one sensor.
 
 Pads: 40 x 40 mm with 239 or 5,215 nodes, published or ours, and the domed pad of the catalogue's
-GelSight with 2,005 nodes, fine under the ball. The motion is quasi-static.
+GelSight with 2,005 nodes, fine under the ball, of linear tets or of an eighth as many quadratic
+ones with nodes at the same places. The motion is quasi-static.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ PLACE_M = (1e-3, -0.5e-3)
 MOTIONS = {
     "press_239": PressMotion(8e-3, 1.0e-3, 1.0e-3),
     "press_2005": PressMotion(2e-3, 0.8e-3, 0.4e-3),
+    "press_2005_quadratic": PressMotion(2e-3, 0.8e-3, 0.4e-3),
     "press_5215": PressMotion(8e-3, 1.0e-3, 1.0e-3),
 }
 CLEARANCE_M = 0.2e-3
@@ -44,28 +46,32 @@ GEL = Material(young_modulus_pa=1.5e5, poisson_ratio=0.46)
 def build(options: SceneOptions, name: str) -> BenchScene:
     """A press of one of the pads."""
     motion = MOTIONS[name]
-    if name == "press_2005":
-        mesh, source = domed_pad(motion), "generated"
+    element = Element.QUADRATIC if name.endswith("quadratic") else Element.LINEAR
+    if name.startswith("press_2005"):
+        mesh, source = domed_pad(motion, 1 if element is Element.LINEAR else 2), "generated"
     else:
         mesh, source = pad(int(name.removeprefix("press_")), options.source)
     scene = Scene(
-        SoftBody(mesh, GEL, name="gel", element=Element.LINEAR),
+        SoftBody(mesh, GEL, name="gel", element=element),
         KinematicBody(Ball(motion.ball_m), FRICTION, name="ball"),
         options.env_count,
     )
+    nodes = scene.soft_bodies[0].nodal_mesh.node_count
     config = make_config({"dhat_m": 2e-5, "friction_eps_m": 1e-6}, options.config)
-    what = f"a ball presses and drags a gel of {mesh.node_count:,} nodes"
+    what = f"a ball presses and drags a gel of {nodes:,} nodes"
+    if element is Element.QUADRATIC:
+        what += ", quadratic tets"
     return BenchScene(name, what, scene, config, ball_path(mesh, motion)[:, None], source)
 
 
-def domed_pad(motion: PressMotion) -> TetMesh:
-    """The catalogue's GelSight, 2,005 nodes."""
+def domed_pad(motion: PressMotion, coarser: int) -> TetMesh:
+    """The catalogue's GelSight with 2,005 nodes, or with edges so many times as long."""
     from taccel_lab.envs import PressMeshOptions
     from taccel_lab.sensors.press_mesh import press_mesh
 
     radius_mm = 1e3 * np.sqrt(motion.depth_m * motion.ball_m)
     at_mm = (1e3 * PLACE_M[0], 1e3 * PLACE_M[1])
-    options = PressMeshOptions(core=8, rings=10, layers=4)
+    options = PressMeshOptions(core=8 // coarser, rings=10 // coarser, layers=4 // coarser)
     return press_mesh("gelsight", {}, at_mm, float(radius_mm), options)
 
 
