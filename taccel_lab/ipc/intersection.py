@@ -78,10 +78,19 @@ class _Body:
 
 
 def find_intersections(model: Model, state: State) -> list[list[Intersection]]:
-    """All overlaps of bodies that may touch, and inverted tets: one list per environment."""
+    """All overlaps of bodies that may touch, and inverted tets: one list per environment.
+
+    Environments whose nodes are bitwise those of an earlier one are not looked at again.
+    """
     positions, present = state.positions.numpy(), model.present.numpy() != 0
-    pairs = zip(positions, present, strict=True)
-    return [_intersections(model, x, here, env) for env, (x, here) in enumerate(pairs)]
+    seen: dict[tuple[bytes, bytes, int], list[Intersection]] = {}
+    found = []
+    for env, (x, here) in enumerate(zip(positions, present, strict=True)):
+        key = (x.tobytes(), here.tobytes(), env % model.rest_count)
+        if key not in seen:
+            seen[key] = _intersections(model, x, here, env)
+        found.append(list(seen[key]))
+    return found
 
 
 def require_separated(model: Model, state: State) -> None:

@@ -149,10 +149,22 @@ def test_a_thousand_gel_faces_against_five_thousand_in_a_second() -> None:
     body = sphere_mesh(2e-3, 1.2e-4)
     assert len(mesh.faces) > 1000 and len(body.faces) > 5000
     model = scene(mesh, KinematicBody(body), env_count=4).finalize()
-    state = initial_state(model, everywhere(4, pose(0, 0, 2.005e-3)))
+    poses = np.stack([pose(0, 0, 2.005e-3 + 1e-6 * env) for env in range(4)])
+    state = initial_state(model, poses[:, None])
     started = time.perf_counter()
     assert find_intersections(model, state) == [[]] * 4
     assert time.perf_counter() - started < 4
+
+
+def test_of_a_thousand_equal_environments_one_is_looked_at() -> None:
+    model = scene(MESH, KinematicBody(box_mesh((1e-3, 1e-3, 1e-3))), env_count=1000).finalize()
+    inside, above = pose(0, 0, 0.3e-3), pose(0, 0, 5e-3)
+    poses = np.stack([inside if env == 700 else above for env in range(1000)])
+    state = initial_state(model, poses[:, None])
+    started = time.process_time()
+    found = find_intersections(model, state)
+    assert time.process_time() - started < 1
+    assert [env for env, items in enumerate(found) if items] == [700]
 
 
 FREE = np.zeros(0, dtype=np.int64)
