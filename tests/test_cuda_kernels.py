@@ -20,7 +20,7 @@ import pytest
 import warp as wp
 
 from taccel_lab.ipc.elasticity.laws import LAWS
-from taccel_lab.ipc.linear import coarse_space, preconditioner
+from taccel_lab.ipc.linear import coarse_matrix, preconditioner
 from taccel_lab.ipc.linear.arrow_kernel import solve_kernel
 from taccel_lab.ipc.linear.arrow_program import ROOMS_KIB, STATIC_BYTES
 from taccel_lab.ipc.linear.dense_inverse import room_for_inverse
@@ -37,8 +37,10 @@ LARGEST_BLOCK_KIB = {80: 163, 86: 99, 89: 99, 90: 227, 100: 227, 120: 99}
 A100, RTX 30, RTX 40, H100 and H200, B200, RTX 50."""
 FACTORIES: dict[str, Callable[[], list[Any]]] = {
     "ipc/linear/arrow_kernel.py": lambda: [solve_kernel(0, False)],
-    "ipc/linear/coarse_space.py": lambda: [
-        coarse_space._inverse_kernel(room_for_inverse(coarse_space.MOST_PARTS * coarse_space.MODES))
+    "ipc/linear/coarse_matrix.py": lambda: [
+        coarse_matrix._inverse_kernel(
+            room_for_inverse(coarse_matrix.MOST_PARTS * coarse_matrix.MODES)
+        )
     ],
     "ipc/linear/preconditioner.py": lambda: [
         preconditioner._inverse_kernel(room_for_inverse(preconditioner._COMMON_WIDTH))

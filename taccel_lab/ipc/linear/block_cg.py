@@ -18,9 +18,16 @@ import warp as wp
 
 from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.linear.block_ops import Team, block_barrier, launch_team, team, team_sum
+from taccel_lab.ipc.linear.coarse_matrix import PART_ROWS, CoarseCorrection, coarse_parts
+from taccel_lab.ipc.linear.coarse_space import CoarseSpace, add_correction
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
 from taccel_lab.ipc.linear.packed_rows import PackedRows, RowSlices
-from taccel_lab.ipc.linear.preconditioner import Clusters, DiagonalInverses, cluster_product
+from taccel_lab.ipc.linear.preconditioner import (
+    Clusters,
+    DiagonalInverses,
+    cluster_product,
+    described,
+)
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.row_lists import scalars
 from taccel_lab.ipc.linear.row_plan import plan_rows
@@ -114,6 +121,7 @@ def _solve_kernel(
     inverses: wp.array2d(dtype=wp.mat33d),
     clusters: Clusters,
     all_stores: wp.array2d(dtype=wp.float64),
+    coarse: CoarseSpace,
     rhs: wp.array2d(dtype=wp.vec3d),
     tolerances: wp.array(dtype=wp.float64),
     verify_below: wp.float64,
@@ -165,6 +173,18 @@ def _solve_kernel(
                 product = cluster_product(task, clusters, all_stores[env], work.r_scalars[env])
                 work.z_scalars[env, task] = product
                 share[0] += product * work.r_scalars[env, task]
+        if mode != _SHOW_X and coarse.width > 0:
+            share[0] += add_correction(
+                env,
+                wp.vec2i(0, 1),
+                1,
+                lane,
+                lanes,
+                coarse,
+                work.gates,
+                work.r[env],
+                work.z[env],
+            )
         block_barrier()
         end = 3 * layout.segments.shape[0]
         z = work.z_scalars[env]
@@ -230,18 +250,24 @@ class BlockCG:
     """CG with diagonal blocks as preconditioner, one thread block an environment."""
 
     def __init__(
-        self, problem: LinearProblem, clusters: list[tuple[int, int]], lanes: int | None = None
+        self,
+        problem: LinearProblem,
+        clusters: list[tuple[int, int]],
+        lanes: int | None = None,
+        part_rows: int = PART_ROWS,
     ) -> None:
         """``clusters``: ranges of rows that are stiff among themselves. ``lanes`` of the thread
-        block, chosen by size when left out."""
+        block, chosen by size when left out. ``part_rows``: see ``coarse_parts``."""
         self._problem = problem
         device, n = problem.device, problem.pattern.free_count
         groups = [np.arange(first, end) for first, end in clusters]
-        plan = plan_rows(n, groups)
+        parts = coarse_parts(problem, groups, part_rows)
+        plan = plan_rows(n, groups, parts=parts)
         self._order = wp.array(plan.order.astype(np.int32), dtype=wp.int32, device=device)
         self._values = scalars(problem.values)
         self._packed = PackedRows(problem, plan, lanes)
         self._inverses = DiagonalInverses(problem, plan, lanes)
+        self._coarse = CoarseCorrection(problem, plan, parts, lanes)
         self._extra = ExtraRowLists(problem, plan, lanes)
         tasks = 3 * self._packed.layout.segment_count
         self._team = Team(team(device, problem.env_count, tasks, lanes).lanes)
@@ -254,9 +280,9 @@ class BlockCG:
         work.gates = wp.zeros(1, dtype=wp.int32, device=device)
         work.r_scalars, work.z_scalars = scalars(work.r), scalars(work.z)
         self._allocate_parts()
-        kinds = f"3x3 blocks and {len(groups)} of bodies" if groups else "3x3 blocks"
         self.description = (
-            f"CG preconditioned by {kinds}, one kernel, {self._team.lanes} threads an environment"
+            f"CG preconditioned by {described(groups)}{self._coarse}, one kernel, "
+            f"{self._team.lanes} threads an environment"
         )
 
     def _allocate_parts(self) -> None:
@@ -273,6 +299,7 @@ class BlockCG:
             [
                 lambda: self._packed.update(active, self._values),
                 lambda: self._inverses.update(active, self._values),
+                lambda: self._coarse.update(active),
                 lambda: self._extra.update(active),
             ],
         )
@@ -284,6 +311,7 @@ class BlockCG:
             [self._team.lanes, active, self._order, layout, self._packed.values]
             + [self._extra.rows, self._extra.values]
             + [self._inverses.blocks, self._inverses.clusters, self._inverses.stores]
+            + [self._coarse.space]
             + [problem.rhs, problem.tolerances, wp.float64(VERIFY_BELOW), max_iterations, work],
             [problem.solution, problem.iterations, problem.residuals, problem.breakdown],
             problem.device,

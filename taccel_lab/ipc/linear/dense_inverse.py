@@ -56,13 +56,14 @@ _SWEEP_SNIPPET = """
         #pragma unroll 1
         for (int i = group; i < width; i += groups) {
             double* const row = a + i * (i + 1) / 2;
+            if (i == pivot) {
+                for (int j = place; j <= i; j += step)
+                    row[j] = j == pivot ? -inverse : column[j] * inverse;
+                continue;
+            }
             const double across = column[i] * inverse;
             for (int j = place; j <= i; j += step) {
-                double value = row[j] - across * column[j];
-                if (i == pivot)
-                    value = j == pivot ? -inverse : column[j] * inverse;
-                else if (j == pivot)
-                    value = across;
+                const double value = j == pivot ? across : row[j] - across * column[j];
                 row[j] = value;
                 if (i == pivot + 1)
                     next[j] = value;

@@ -27,17 +27,16 @@ from taccel_lab.ipc.linear.block_ops import (
     team_barrier,
     team_sum,
 )
-from taccel_lab.ipc.linear.coarse_space import (
-    PART_ROWS,
-    CoarseCorrection,
-    CoarseSpace,
-    add_correction,
-    has_room,
-    part_groups,
-)
+from taccel_lab.ipc.linear.coarse_matrix import PART_ROWS, CoarseCorrection, coarse_parts
+from taccel_lab.ipc.linear.coarse_space import CoarseSpace, add_correction
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
 from taccel_lab.ipc.linear.packed_rows import PackedRows, RowSlices
-from taccel_lab.ipc.linear.preconditioner import Clusters, DiagonalInverses, cluster_product
+from taccel_lab.ipc.linear.preconditioner import (
+    Clusters,
+    DiagonalInverses,
+    cluster_product,
+    described,
+)
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.row_lists import scalars
 from taccel_lab.ipc.linear.row_plan import plan_rows
@@ -48,8 +47,6 @@ wp.set_module_options({"enable_backward": False})
 VERIFY_BELOW = 1e-3
 """Tolerance below which the true residual is checked, and CG started anew where it falls short: on
 stiff random matrices the one that the recurrence updates is off by up to 5e-7 of the load."""
-CLUSTER_ROWS = 16
-"""Rows of a cluster of neighbours. More save iterations, but inverting them takes longer."""
 TASKS_PER_ROW = 6
 """Scalar rows of segments that a row has, about: what a team is sized by."""
 PATIENCE = 100_000
@@ -269,7 +266,6 @@ def _solve_kernel(
                 lane,
                 lanes,
                 coarse,
-                clusters,
                 work.gates,
                 work.w[env],
                 work.m[env, turn * n : (turn + 1) * n],
@@ -354,7 +350,7 @@ def _solve_kernel(
 
 
 class PipelinedCG:
-    """CG preconditioned by clusters of neighbours, a team of thread blocks an environment."""
+    """Pipelined CG preconditioned as ``BlockCG`` is, a team of thread blocks an environment."""
 
     def __init__(
         self,
@@ -362,33 +358,22 @@ class PipelinedCG:
         clusters: list[tuple[int, int]],
         lanes: int | None = None,
         blocks: int | None = None,
-        cluster_rows: int = CLUSTER_ROWS,
         patience: int = PATIENCE,
         part_rows: int = PART_ROWS,
     ) -> None:
-        """``clusters``: ranges of rows that are stiff among themselves; ``cluster_rows``: clusters
-        of so many neighbours are made of the others, none when 0, and ``part_rows``: parts of a
-        coarse space, where the problem says where rows are. ``lanes`` of a thread block and
-        ``blocks`` of a team are chosen by size when left out. ``patience``: see ``join_team``."""
+        """``clusters``: ranges of rows that are stiff among themselves; ``part_rows``: see
+        ``coarse_parts``. ``lanes`` of a thread block and ``blocks`` of a team are chosen by size
+        when left out. ``patience``: see ``join_team``."""
         self._problem = problem
         self._patience = patience
-        device, pattern = problem.device, problem.pattern
-        n = pattern.free_count
+        device, n = problem.device, problem.pattern.free_count
         groups = [np.arange(first, end) for first, end in clusters]
-        bodies = len(groups)
-        owners = np.full(bodies, -1)
-        positions = problem.positions_m
-        if cluster_rows > 1:
-            rest = np.setdiff1d(np.arange(n), np.concatenate([np.zeros(0, dtype=int), *groups]))
-            usable = positions is not None and has_room(device)
-            found, parts = part_groups(pattern, rest, cluster_rows, part_rows if usable else 0)
-            groups += found
-            owners = np.concatenate([owners, parts])
+        parts = coarse_parts(problem, groups, part_rows)
         size = team(device, problem.env_count, TASKS_PER_ROW * n, lanes, blocks)
         if device.is_cpu:
             size = Team(size.lanes)
         self._team = size
-        plan = plan_rows(n, groups, size.blocks)
+        plan = plan_rows(n, groups, size.blocks, parts)
 
         def put(array: np.ndarray) -> wp.array:
             return wp.array(array.astype(np.int32), dtype=wp.int32, device=device)
@@ -397,7 +382,7 @@ class PipelinedCG:
         self._values = scalars(problem.values)
         self._packed = PackedRows(problem, plan, lanes)
         self._inverses = DiagonalInverses(problem, plan, lanes)
-        self._coarse = CoarseCorrection(problem, plan, owners, positions, lanes)
+        self._coarse = CoarseCorrection(problem, plan, parts, lanes)
         self._extra = ExtraRowLists(problem, plan, lanes)
         work = self._work = PipelineWork()
         for name in "ruwpsqz":
@@ -410,11 +395,8 @@ class PipelinedCG:
         shape = (problem.env_count, self._packed.layout.segment_count)
         work.parts = wp.zeros(shape, dtype=wp.vec3d, device=device)
         work.parts_scalars = scalars(work.parts)
-        kinds = f"{len(groups) - bodies} clusters of neighbours and {bodies} of bodies"
-        if owners.max(initial=-1) >= 0:
-            kinds += f", and the rigid motions of {owners.max() + 1} parts"
         self.description = (
-            f"pipelined CG preconditioned by {kinds}, one kernel, "
+            f"pipelined CG preconditioned by {described(groups)}{self._coarse}, one kernel, "
             f"{size.blocks} x {size.lanes} threads an environment"
         )
 

@@ -3,9 +3,7 @@
 
 A cluster is the four control nodes of an affine body: its 1e9 Pa couple them far more strongly than
 anything else. On Newton matrices of the peg scene CG needs 100 iterations with single rows to 1e-4
-and 47 with the body's 12x12 block. In a large gel, sixteen nodes next to each other make another
-kind of cluster: 94 iterations instead of 132 with 1,604 rows (``row_plan``).
-
+and 47 with the body's 12x12 block.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ from taccel_lab.ipc.linear.row_plan import RowPlan
 wp.set_module_options({"enable_backward": False})
 
 _LANES = 128
-_COMMON_WIDTH = 48
+_COMMON_WIDTH = 12
 """Scalar rows of most clusters: smaller ones use the same kernel."""
 
 
@@ -178,6 +176,11 @@ def cluster_product(
     # Down a column, which equals the row: lanes side by side read numbers side by side.
     at = span[2] + own[1]
     return _column_product(at, 3 * span[1], 3 * span[0], stores, r)
+
+
+def described(groups: Sequence[np.ndarray]) -> str:
+    """The blocks of these clusters and of single rows, for people."""
+    return f"3x3 blocks and {len(groups)} of bodies" if groups else "3x3 blocks"
 
 
 class DiagonalInverses:

@@ -39,13 +39,19 @@ class RowPlan:
         return np.split(self.order[: self.clustered], ends[:-1]) if len(ends) else []
 
 
-def plan_rows(row_count: int, groups: Sequence[np.ndarray], blocks: int = 1) -> RowPlan:
+def plan_rows(
+    row_count: int,
+    groups: Sequence[np.ndarray],
+    blocks: int = 1,
+    parts: Sequence[np.ndarray] = (),
+) -> RowPlan:
     """Order rows for ``blocks`` thread blocks, with about as many places each.
 
-    ``groups``: rows of each cluster.
+    ``groups``: rows of each cluster. ``parts``: single rows that follow each other, part by part.
     """
     clustered = np.concatenate([np.zeros(0, dtype=np.int64), *groups])
-    order = np.concatenate([clustered, np.setdiff1d(np.arange(row_count), clustered)])
+    listed = np.concatenate([clustered, *parts])
+    order = np.concatenate([listed, np.setdiff1d(np.arange(row_count), listed)])
     order = order.astype(np.int64)
     places = np.empty_like(order)
     places[order] = np.arange(row_count)

@@ -27,8 +27,7 @@ LANES = 32
 
 SOLVERS = [
     lambda system: BlockCG(system, system.clusters, LANES),
-    lambda system: PipelinedCG(system, system.clusters, LANES, cluster_rows=0),
-    lambda system: PipelinedCG(system, system.clusters, LANES, cluster_rows=8),
+    lambda system: PipelinedCG(system, system.clusters, LANES),
 ]
 
 
