@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import warp as wp
 
-_MOST = 4
+_MOST = 6
 """Branches beside the first."""
 
 

@@ -36,6 +36,7 @@ distance at rest: neighbours at rest exert no force, however fine the mesh is.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
@@ -170,8 +171,15 @@ class Collisions(GrowingList):
     def collect(self, active: wp.array, positions: wp.array, candidates: Candidates) -> None:
         """Collect the collisions among ``candidates`` at ``positions``, for active environments;
         the lists of others stay as they are."""
-        model, plan = self.model, self.model.contact_plan
         self.clear(active)
+        side_by_side(self.model.device, self.searches(active, positions, candidates))
+
+    def searches(
+        self, active: wp.array, positions: wp.array, candidates: Candidates
+    ) -> list[Callable[[], None]]:
+        """Launches, in any order or side by side, that add the collisions among ``candidates`` at
+        ``positions`` to the lists of active environments."""
+        model, plan = self.model, self.model.contact_plan
         if self._moduli is not model.largest_moduli:
             # They differ by environment since.
             self._surface.body_kappas = body_kappas(model, self.kappa)
@@ -179,24 +187,16 @@ class Collisions(GrowingList):
         common = [positions, self.geometry, self._surface]
 
         def narrow(kernel: wp.Kernel, pairs: PairList) -> None:
-            if pairs.capacity:
-                lanes = lane_count(model.device, model.env_count, pairs.largest_room)
-                wp.launch(
-                    kernel,
-                    dim=(model.env_count, lanes),
-                    inputs=[active, lanes, pairs.room, pairs.pairs, *common],
-                    outputs=[self.lists],
-                    device=model.device,
-                )
+            lanes = lane_count(model.device, model.env_count, pairs.largest_room)
+            wp.launch(
+                kernel,
+                dim=(model.env_count, lanes),
+                inputs=[active, lanes, pairs.room, pairs.pairs, *common],
+                outputs=[self.lists],
+                device=model.device,
+            )
 
-        side_by_side(
-            model.device,
-            [
-                lambda: narrow(node_face_kernel, candidates.node_faces),
-                lambda: narrow(edge_edge_kernel, candidates.edge_edges),
-            ],
-        )
-        if len(plan.node_plane):
+        def narrow_planes() -> None:
             wp.launch(
                 node_plane_kernel,
                 dim=(model.env_count, len(plan.node_plane)),
@@ -204,6 +204,15 @@ class Collisions(GrowingList):
                 outputs=[self.lists],
                 device=model.device,
             )
+
+        searches: list[Callable[[], None]] = []
+        if candidates.node_faces.capacity:
+            searches.append(lambda: narrow(node_face_kernel, candidates.node_faces))
+        if candidates.edge_edges.capacity:
+            searches.append(lambda: narrow(edge_edge_kernel, candidates.edge_edges))
+        if len(plan.node_plane):
+            searches.append(narrow_planes)
+        return searches
 
     def snapshot(self, env: int) -> dict[str, np.ndarray]:
         """Collisions of one environment, sorted by kind and stencil: the same on every device."""

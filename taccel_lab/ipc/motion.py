@@ -12,7 +12,7 @@ from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
 from taccel_lab.model import Model
-from taccel_lab.model.embedding import embed_vertices
+from taccel_lab.model.embedding import vertex_range
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
@@ -31,28 +31,6 @@ def _reduce_kernel(
         return
     node = free_nodes[row]
     reduced[env, row] = gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node]
-
-
-@wp.kernel
-def _aim_kernel(
-    active: wp.array(dtype=wp.int32),
-    moving: wp.array(dtype=wp.int32),
-    nodes: wp.array(dtype=wp.int32),
-    frames: wp.array(dtype=wp.int32),
-    rest_positions: wp.array2d(dtype=wp.vec3d),
-    targets: wp.array2d(dtype=wp.transformd),
-    positions: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
-):
-    env, i = wp.tid()
-    if active[env] == 0:
-        return
-    node = nodes[i]
-    way = wp.vec3d()
-    if moving[env] != 0:
-        rest = rest_positions[env % rest_positions.shape[0], node]
-        way = wp.transform_point(targets[env, frames[i]], rest) - positions[env, node]
-    displacements[env, node] = way
 
 
 @wp.kernel
@@ -126,27 +104,30 @@ def _negate_kernel(
 
 @wp.kernel
 def _spread_kernel(
-    active: wp.array(dtype=wp.int32),
+    mask: wp.array(dtype=wp.int32),
     free_nodes: wp.array(dtype=wp.int32),
+    first_vertex: int,
+    parents: wp.array(dtype=wp.int32),
+    weights: wp.array(dtype=wp.vec4d),
+    free_index: wp.array(dtype=wp.int32),
     solution: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
 ):
-    env, row = wp.tid()
-    if active[env] != 0:
-        displacements[env, free_nodes[row]] = solution[env, row]
-
-
-@wp.kernel
-def _advance_kernel(
-    mask: wp.array(dtype=wp.int32),
-    positions: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
-    fractions: wp.array(dtype=wp.float64),
-    result: wp.array2d(dtype=wp.vec3d),
-):
-    env, node = wp.tid()
-    if mask[env] != 0:
-        result[env, node] = positions[env, node] + fractions[env] * displacements[env, node]
+    env, i = wp.tid()
+    if mask[env] == 0:
+        return
+    if i < solution.shape[1]:
+        displacements[env, free_nodes[i]] = solution[env, i]
+        return
+    node = first_vertex + i - solution.shape[1]
+    y = parents[node]
+    w = weights[node]
+    displacements[env, node] = (
+        w[0] * solution[env, free_index[y]]
+        + w[1] * solution[env, free_index[y + 1]]
+        + w[2] * solution[env, free_index[y + 2]]
+        + w[3] * solution[env, free_index[y + 3]]
+    )
 
 
 @wp.kernel
@@ -214,30 +195,6 @@ def reduce_gradient(
     side_by_side(model.device, [of_soft_bodies, of_affine_bodies])
 
 
-def aim_prescribed(
-    model: Model,
-    active: wp.array,
-    moving: wp.array,
-    positions: wp.array,
-    targets: wp.array,
-    displacements: wp.array,
-) -> None:
-    """Set ``displacements`` [m] of nodes that follow a frame to what is left of their motion.
-
-    ``moving`` flags the environments whose frames are still on their way to the poses ``targets``
-    (transformd, [env_count, kinematic_count]); elsewhere these nodes stay.
-    """
-    if len(model.frame_nodes):
-        launch(
-            _aim_kernel,
-            dim=(model.env_count, len(model.frame_nodes)),
-            inputs=[active, moving, model.frame_nodes, model.frame_ids, model.rest_positions]
-            + [targets, positions],
-            outputs=[displacements],
-            device=model.device,
-        )
-
-
 def keep_steady(
     model: Model,
     mask: wp.array,
@@ -298,33 +255,18 @@ def begin_rhs(model: Model, active: wp.array, reduced: wp.array, rhs: wp.array) 
 
 def spread_solution(
     model: Model,
-    active: wp.array,
+    mask: wp.array,
     solution: wp.array,
     displacements: wp.array,
 ) -> None:
-    """Write the rows of ``solution`` [m] to their nodes, and to what is embedded in them."""
+    """Write the rows of ``solution`` [m] to their nodes, and to what is embedded in them, in the
+    environments of ``mask``."""
+    first, end = vertex_range(model)
     launch(
         _spread_kernel,
-        dim=solution.shape,
-        inputs=[active, model.free_nodes, solution],
+        dim=(model.env_count, solution.shape[1] + end - first),
+        inputs=[mask, model.free_nodes, first, model.parents, model.weights, model.free_index]
+        + [solution],
         outputs=[displacements],
         device=model.device,
-    )
-    embed_vertices(model, displacements)
-
-
-def advance_positions(
-    mask: wp.array,
-    positions: wp.array,
-    displacements: wp.array,
-    fractions: wp.array,
-    result: wp.array,
-) -> None:
-    """result = positions + fraction[env] * displacements [m] in the environments of ``mask``."""
-    launch(
-        _advance_kernel,
-        dim=positions.shape,
-        inputs=[mask, positions, displacements, fractions],
-        outputs=[result],
-        device=positions.device,
     )

@@ -90,25 +90,21 @@ def _add_lists_kernel(
         totals[env] += total
 
 
-@wp.kernel
-def _slope_kernel(
-    active: wp.array(dtype=wp.int32),
+@wp.func
+def block_slope(
+    env: int,
+    lane: int,
     gradient_a: wp.array2d(dtype=wp.vec3d),
     gradient_b: wp.array2d(dtype=wp.vec3d),
     gradient_c: wp.array2d(dtype=wp.vec3d),
     direction: wp.array2d(dtype=wp.vec3d),
-    totals: wp.array(dtype=wp.float64),
-):
-    env, lane = wp.tid()
-    if active[env] == 0:
-        return
+) -> wp.float64:
+    """Sum of three nodal gradients times a direction, of an environment, by its block."""
     total = wp.vec2d()
     for i in range(lane, direction.shape[1], wp.block_dim()):
         g = gradient_a[env, i] + gradient_b[env, i] + gradient_c[env, i]
         total = add_compensated(total, wp.dot(g, direction[env, i]))
-    total_of_block = block_total(compensated_total(total))
-    if lane == 0:
-        totals[env] = total_of_block
+    return block_total(compensated_total(total))
 
 
 @wp.func
@@ -164,11 +160,6 @@ def add_row_sums(
         launch_rows(_add_rows_kernel, [active, values], [totals])
     else:
         launch_rows(_add_lists_kernel, [active, values, room], [totals])
-
-
-def slopes(active: wp.array, gradients: list[wp.array], direction: wp.array, out: wp.array) -> None:
-    """Sum of three nodal gradients times a direction, by environment, to ``out`` [env_count]."""
-    launch_rows(_slope_kernel, [active, *gradients, direction], [out])
 
 
 def force_sums(

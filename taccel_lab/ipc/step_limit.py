@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import warp as wp
 
-from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.broad_phase.candidates import Candidates, PairList
 from taccel_lab.ipc.capacity import ListRoom, list_end
 from taccel_lab.ipc.ccd import (
@@ -115,13 +116,6 @@ def edge_edge_limit(
 
 
 @wp.kernel
-def _begin_kernel(active: wp.array(dtype=wp.int32), limits: wp.array(dtype=wp.float64)):
-    env = wp.tid()
-    if active[env] != 0:
-        limits[env] = wp.float64(1.0)
-
-
-@wp.kernel
 def _node_face_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
@@ -222,7 +216,7 @@ def _node_plane_kernel(
     wp.atomic_min(limits, env, result.toi)
 
 
-def limit_step(
+def limit_checks(
     model: Model,
     active: wp.array,
     candidates: Candidates,
@@ -231,48 +225,48 @@ def limit_step(
     limits: wp.array,
     slackness: float = 0.1,
     max_iterations: int = 1000,
-) -> None:
-    """Set ``limits`` [env_count] of active environments to the fraction of ``displacements`` that
-    keeps all pairs apart.
+) -> list[Callable[[], None]]:
+    """Launches, in any order or side by side, that lower ``limits`` [env_count] of active
+    environments from 1 to the fraction of ``displacements`` that keeps all pairs apart.
 
     ``slackness``: part of the initial gap that is left at the limit. A query that needs more
     iterations than allowed stops early at a fraction that is still safe.
     """
-    wp.launch(
-        _begin_kernel,
-        dim=model.env_count,
-        inputs=[active],
-        outputs=[limits],
-        device=model.device,
-    )
     geometry = contact_geometry(model)
+    path = [positions, displacements, geometry, slackness]
+    planes = model.contact_plan.node_plane
 
     def against(kernel: wp.Kernel, pairs: PairList, primitives: list[wp.array]) -> None:
-        if pairs.capacity:
-            lanes = lane_count(model.device, model.env_count, pairs.largest_room)
-            wp.launch(
-                kernel,
-                dim=(model.env_count, lanes),
-                inputs=[active, lanes, pairs.room, pairs.pairs, *primitives, positions]
-                + [displacements, geometry, slackness, max_iterations],
-                outputs=[limits],
-                device=model.device,
-            )
-
-    of_faces = [model.surface.faces, model.surface.face_reaches_sq]
-    side_by_side(
-        model.device,
-        [
-            lambda: against(_node_face_kernel, candidates.node_faces, of_faces),
-            lambda: against(_edge_edge_kernel, candidates.edge_edges, [model.surface.edges]),
-        ],
-    )
-    if len(model.contact_plan.node_plane):
+        lanes = lane_count(model.device, model.env_count, pairs.largest_room)
         wp.launch(
-            _node_plane_kernel,
-            dim=(model.env_count, len(model.contact_plan.node_plane)),
-            inputs=[active, model.contact_plan.node_plane, model.present, positions, displacements]
-            + [geometry, slackness],
+            kernel,
+            dim=(model.env_count, lanes),
+            inputs=[active, lanes, pairs.room, pairs.pairs, *primitives, *path, max_iterations],
             outputs=[limits],
             device=model.device,
         )
+
+    def of_faces() -> None:
+        primitives = [model.surface.faces, model.surface.face_reaches_sq]
+        against(_node_face_kernel, candidates.node_faces, primitives)
+
+    def of_edges() -> None:
+        against(_edge_edge_kernel, candidates.edge_edges, [model.surface.edges])
+
+    def of_planes() -> None:
+        wp.launch(
+            _node_plane_kernel,
+            dim=(model.env_count, len(planes)),
+            inputs=[active, planes, model.present, *path],
+            outputs=[limits],
+            device=model.device,
+        )
+
+    checks = []
+    if candidates.node_faces.capacity:
+        checks.append(of_faces)
+    if candidates.edge_edges.capacity:
+        checks.append(of_edges)
+    if len(planes):
+        checks.append(of_planes)
+    return checks

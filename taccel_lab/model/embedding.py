@@ -35,20 +35,26 @@ def _embed_kernel(
     )
 
 
+def vertex_range(model: Model) -> tuple[int, int]:
+    """First vertex of the affine bodies, and the node after their last."""
+    affine = model.affine
+    first = affine.first_control + 4 * affine.count
+    if affine.count == 0:
+        return first, first
+    return first, model.bodies[len(model.scene.soft_bodies) + affine.count - 1].nodes[1]
+
+
 def embed_vertices(model: Model, values: wp.array) -> None:
     """Overwrite positions or displacements [m] of affine vertices from their control nodes."""
-    affine = model.affine
-    if affine.count == 0:
-        return
-    first = affine.first_control + 4 * affine.count
-    last = model.bodies[len(model.scene.soft_bodies) + affine.count - 1].nodes[1]
-    wp.launch(
-        _embed_kernel,
-        dim=(model.env_count, last - first),
-        inputs=[first, model.parents, model.weights],
-        outputs=[values],
-        device=model.device,
-    )
+    first, end = vertex_range(model)
+    if end > first:
+        wp.launch(
+            _embed_kernel,
+            dim=(model.env_count, end - first),
+            inputs=[first, model.parents, model.weights],
+            outputs=[values],
+            device=model.device,
+        )
 
 
 def control_positions(solid: MassProperties, pose: np.ndarray) -> np.ndarray:

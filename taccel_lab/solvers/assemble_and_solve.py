@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import warp as wp
 
 from taccel_lab.ipc.capacity import ListRoom, overflows
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
-from taccel_lab.ipc.motion import aim_prescribed, begin_rhs, newton_system, spread_solution
-from taccel_lab.model.kinematics import place_poses_between, turn_within
+from taccel_lab.ipc.motion import begin_rhs, newton_system, spread_solution
+from taccel_lab.model.kinematics import turn_within
 from taccel_lab.solvers.env_phase import stop
-from taccel_lab.solvers.env_progress import EnvProgress, Rules
+from taccel_lab.solvers.env_progress import EnvProgress, Rules, lower_flags
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.step_launches import StepLaunches
 
@@ -64,8 +66,7 @@ def _aim_kernel(p: EnvProgress, r: Rules, linear_tolerances: wp.array(dtype=wp.f
     env = wp.tid()
     if env == 0:
         p.rounds[0] += 1
-        p.searching[0] = 0
-        p.any_curved[0] = p.any_turning[0]
+        lower_flags(p)
     p.moving[env] = 0
     p.bend[env] = wp.float64(0.0)
     p.reach[env] = p.margin[env]
@@ -117,29 +118,44 @@ def _count_solve_kernel(
         stop(env, _LINE_SEARCH, p)
 
 
-def assemble_and_solve(run: StepLaunches) -> None:
-    """The Newton direction of all active environments, in ``displacements``."""
-    s, p, x = run.s, run.p, run.state.positions
-    run.decide(_aim_kernel, p, run.rules, s.linear.tolerances)
-    place_poses_between(p.active, s.start_poses, s.end_poses, p.goal, s.target_poses)
-    aim_prescribed(run.model, p.active, p.moving, x, s.target_poses, s.displacements)
-    _assemble(run)
-    s.linear.solve(p.active, s.config.max_cg_iterations)
-    solved = [s.linear.iterations, s.linear.breakdown, s.linear.extra.room]
-    run.decide(_count_solve_kernel, *solved, p)
-    spread_solution(run.model, p.active, s.linear.solution, s.displacements)
+def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] = ()) -> None:
+    """The Newton direction of all active environments, in ``displacements``. ``beside``: what else
+    may be launched meanwhile."""
+    s, p = run.s, run.p
+    linear = s.linear
+    _assemble(run, beside)
+    linear.solve(p.active, s.config.max_cg_iterations)
+
+    def count() -> None:
+        solved = [linear.iterations, linear.breakdown, linear.extra.room]
+        run.decide(_count_solve_kernel, *solved, p)
+
+    def spread() -> None:
+        # Not by ``active``, from which counting takes those that stop.
+        spread_solution(run.model, p.underway, linear.solution, s.displacements)
+
+    run.together([count, spread])
 
 
-def _assemble(run: StepLaunches) -> None:
+def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
     """Matrix and right-hand side of all active environments."""
     s, p, x = run.s, run.p, run.state.positions
-    if s.joints is not None:
-        s.joints.set_frames(run.state.poses, s.target_poses)
     system = newton_system(run.model, s.linear, s.displacements)
-    s.linear.values.zero_()
-    s.linear.extra.clear()
-    begin_rhs(run.model, p.active, s.reduced, s.linear.rhs)
     elements = [*s.elastic, *s.viscosity]
+
+    def aim() -> None:
+        run.decide(_aim_kernel, p, run.rules, s.linear.tolerances)
+        path = (s.start_poses, s.end_poses)
+        s.frame_nodes.aim(p.active, p.moving, path, x, s.displacements, p.goal, s.target_poses)
+        if s.joints is not None:
+            s.joints.set_frames(run.state.poses, s.target_poses)
+
+    def clear() -> None:
+        s.linear.values.zero_()
+        s.linear.extra.clear()
+
+    def start_rhs() -> None:
+        begin_rhs(run.model, p.active, s.reduced, s.linear.rhs)
 
     def of_elements() -> None:
         for part in elements:
@@ -167,6 +183,7 @@ def _assemble(run: StepLaunches) -> None:
         for part in elements:
             part.gather_rim(p.moving, system)
 
+    run.together([aim, clear, start_rhs])
     # What adds by atomics first; what gathers in order adds to that.
     run.together([of_contact, of_elements, of_friction, of_affine])
-    run.together([gather, gather_rim])
+    run.together([gather, gather_rim, *beside])

@@ -11,7 +11,7 @@ from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import chord_error, turn_between
 from taccel_lab.solvers.env_phase import STEPPING, stop
-from taccel_lab.solvers.env_progress import EnvProgress, Rules
+from taccel_lab.solvers.env_progress import EnvProgress, Rules, lower_flags
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.step_launches import StepLaunches
 
@@ -40,10 +40,9 @@ def _begin_kernel(
     one = wp.float64(1.0)
     if env == 0:
         p.rounds[0] = 0
+        lower_flags(p)
     p.fresh[env] = 0
     if p.underway[env] != 0:
-        if p.turning[env] != 0:
-            p.any_turning[0] = 1
         return
     p.status[env] = _SKIPPED
     p.phase[env] = 0
@@ -98,7 +97,6 @@ def _begin_kernel(
         p.turns[env, body] = turn
         if turn > wp.float64(1.0e-9):
             p.turning[env] = 1
-            p.any_turning[0] = 1
         widest = wp.max(widest, chord_error(p.radii[env, body], turn))
     if p.turning[env] != 0:
         p.margin[env] = r.dhat + widest
@@ -162,7 +160,6 @@ def _close_kernel(p: EnvProgress):
 def begin_step(run: StepLaunches) -> None:
     """Where everything is at the start; environments that cannot step stop."""
     s, state, p = run.s, run.state, run.p
-    p.any_turning.zero_()
     poses = [state.poses, s.end_poses, s.start_poses, s.origin_poses]
     run.decide(_begin_kernel, *poses, p, run.rules)
     wp.launch(

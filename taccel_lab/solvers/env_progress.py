@@ -128,8 +128,6 @@ class EnvProgress:
     """``residual`` one iteration earlier; infinite after friction was frozen anew."""
     bend: wp.array(dtype=wp.float64)
     """Largest angle by which the search direction turns an affine body [rad]."""
-    deviation: wp.array(dtype=wp.float64)
-    """How far a bent step may leave the straight one [m]."""
     reach: wp.array(dtype=wp.float64)
     """Reach of the broad phase along the search direction [m]."""
     joint_energy_rounding: wp.array(dtype=wp.float64)
@@ -152,12 +150,8 @@ class EnvProgress:
     """Angle by which each frame turns in the step [rad], shape [env_count, kinematic_count]."""
     radii: wp.array2d(dtype=wp.float64)
     """Reach of each frame [m], shape [env_count, kinematic_count]."""
-    any_turning: wp.array(dtype=wp.int32)
-    """Whether a frame turns in any environment, shape [1] like all below."""
     any_flight: wp.array(dtype=wp.int32)
-    """Whether the start of any environment is free flight alone."""
-    any_curved: wp.array(dtype=wp.int32)
-    """Whether any trial leaves the chord that CCD checked."""
+    """Whether the start of any environment is free flight alone, shape [1] like all below."""
     rounds: wp.array(dtype=wp.int32)
     """Iterations of this call so far."""
     most_rounds: wp.array(dtype=wp.int32)
@@ -165,7 +159,7 @@ class EnvProgress:
     running: wp.array(dtype=wp.int32)
     """Whether any environment is active and has rounds left."""
     searching: wp.array(dtype=wp.int32)
-    """Whether any environment is waiting."""
+    """How many line searches go on."""
     freezing: wp.array(dtype=wp.int32)
     """Whether friction is frozen anew anywhere."""
     closing: wp.array(dtype=wp.int32)
@@ -187,8 +181,26 @@ _REPORTED = {
 """Names of the figures of a report here, where they differ."""
 NO_LIMIT = 2**30
 """Rounds of a call that ends when all environments are through."""
-_FLAGS = ("running", "searching", "freezing", "closing", "reopened")
-_ANY = ("any_turning", "any_flight", "any_curved", "rounds", "most_rounds")
+_FOR_ALL = (
+    "any_flight",
+    "rounds",
+    "most_rounds",
+    "running",
+    "searching",
+    "freezing",
+    "closing",
+    "reopened",
+)
+
+
+@wp.func
+def lower_flags(p: EnvProgress):
+    """No environment has asked for anything yet; a kernel that does this raises none of them."""
+    p.running[0] = 0
+    p.searching[0] = 0
+    p.freezing[0] = 0
+    p.closing[0] = 0
+    p.reopened[0] = 0
 
 
 class EnvProgressArrays:
@@ -208,7 +220,7 @@ class EnvProgressArrays:
         reported = {_REPORTED.get(name, name): a for name, a in self.report.arrays.items()}
         for name, array in reported.items():
             setattr(self.data, name, array)
-        given = (*reported, *_FLAGS, *_ANY)
+        given = (*reported, *_FOR_ALL)
         for name, member in EnvProgress.vars.items():
             if name not in given and member.type.ndim == 1:
                 zeros = wp.zeros(env_count, dtype=member.type.dtype, device=device)
@@ -219,17 +231,13 @@ class EnvProgressArrays:
         for name in ("body_residuals", "body_forces"):
             sums = wp.zeros((env_count, body_count), dtype=wp.float64, device=device)
             setattr(self.data, name, sums)
-        for name in _ANY:
+        for name in _FOR_ALL:
             setattr(self.data, name, wp.zeros(1, dtype=wp.int32, device=device))
         self.data.most_rounds.fill_(NO_LIMIT)
         self.underway = np.zeros(env_count, dtype=bool)
         """Environments whose step goes on in the next call (``ready_steps``), on the host."""
         self.again = np.zeros(env_count, dtype=bool)
         """Of these, those that begin it anew: there was no room for their contacts."""
-        self.flags = wp.zeros(len(_FLAGS), dtype=wp.int32, device=device)
-        """Those that ``measure_and_judge`` sets, side by side."""
-        for i, name in enumerate(_FLAGS):
-            setattr(self.data, name, self.flags[i : i + 1])
 
     def drop(self, who: np.ndarray, mask: wp.array) -> None:
         """Environments of ``who`` (bool, and ``mask`` on the device) are in no step any more."""

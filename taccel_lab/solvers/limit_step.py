@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import warp as wp
 
-from taccel_lab.ipc.step_limit import limit_step as find_limits
+from taccel_lab.ipc.step_limit import limit_checks
 from taccel_lab.solvers.env_progress import EnvProgress
 from taccel_lab.solvers.step_launches import StepLaunches
 
@@ -32,11 +34,18 @@ def _choose_kernel(
         p.ccd_passes[env] += 1
 
 
-def limit_step(run: StepLaunches, mask: wp.array, gaps_known: bool = True) -> None:
+def limit_step(
+    run: StepLaunches,
+    mask: wp.array,
+    gaps_known: bool = True,
+    beside: Sequence[Callable[[], None]] = (),
+) -> None:
     """``limit`` of the environments of ``mask``: the fraction of ``displacements`` that is free of
     collisions. ``find_pairs`` has been there. ``gaps_known``: whether ``min_distance`` is that of
-    the positions."""
+    the positions. ``beside``: what else may be launched meanwhile."""
     s, p = run.s, run.p
     gap_limit = s.shortest_range_m if gaps_known else 0.0
     run.decide(_choose_kernel, mask, s.pairs.ways, gap_limit, p)
-    find_limits(run.model, p.near, s.candidates, run.state.positions, s.displacements, p.limit)
+    x, way = run.state.positions, s.displacements
+    checks = limit_checks(run.model, p.near, s.candidates, x, way, p.limit)
+    run.together([*checks, *beside])

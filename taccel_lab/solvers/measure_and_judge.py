@@ -60,23 +60,39 @@ def weigh(env: int, p: EnvProgress, r: Rules):
 @wp.kernel
 def _begin_gradient_kernel(
     mask: wp.array(dtype=wp.int32),
+    take_trial: int,
+    trial: wp.array2d(dtype=wp.vec3d),
+    trial_poses: wp.array2d(dtype=wp.transformd),
+    positions: wp.array2d(dtype=wp.vec3d),
+    poses: wp.array2d(dtype=wp.transformd),
     gradient: wp.array2d(dtype=wp.vec3d),
     contact_gradient: wp.array2d(dtype=wp.vec3d),
+    friction_gradient: wp.array2d(dtype=wp.vec3d),
     p: EnvProgress,
 ):
-    env, node = wp.tid()
+    """Nothing is added up yet; positions and poses become those of the trial, or stay."""
+    env, i = wp.tid()
     if mask[env] == 0:
         return
-    gradient[env, node] = wp.vec3d()
-    contact_gradient[env, node] = wp.vec3d()
-    if node == 0:
+    if take_trial != 0:
+        if i < positions.shape[1]:
+            positions[env, i] = trial[env, i]
+        if i < poses.shape[1]:
+            poses[env, i] = trial_poses[env, i]
+    if i < gradient.shape[1]:
+        gradient[env, i] = wp.vec3d()
+        contact_gradient[env, i] = wp.vec3d()
+        if friction_gradient:
+            friction_gradient[env, i] = wp.vec3d()
+    if i == 0:
         p.min_distance[env] = wp.float64(wp.inf)
 
 
 @wp.func
 def go_on(env: int, p: EnvProgress, r: Rules):
-    """Stop where the iterations are used up; ``running`` says whether anything goes on."""
-    if p.active[env] != 0:
+    """Stop where the iterations are used up; ``running`` says whether anything goes on. Not where
+    friction is frozen anew first."""
+    if p.active[env] != 0 and p.phase[env] != FREEZING:
         if p.newton[env] >= r.max_newton:
             stop(env, _NO_CONVERGENCE, p)
         elif p.rounds[0] < p.most_rounds[0]:
@@ -133,7 +149,7 @@ def judge(env: int, p: EnvProgress, r: Rules):
 def _judge_kernel(mask: wp.array(dtype=wp.int32), last: int, p: EnvProgress, r: Rules):
     """Stop what cannot go on; with joints, choose the environments whose are to be looked at.
 
-    ``last``: without joints and without friction, all that follows is decided at once.
+    ``last``: without joints, all that follows is decided at once.
     """
     env = wp.tid()
     if p.active[env] != 0 and mask[env] != 0:
@@ -159,14 +175,13 @@ def _judge_joints_kernel(violations: wp.array(dtype=wp.float64), p: EnvProgress,
 
 
 @wp.kernel
-def _settle_kernel(mask: wp.array(dtype=wp.int32), last: int, p: EnvProgress, r: Rules):
+def _settle_kernel(mask: wp.array(dtype=wp.int32), p: EnvProgress, r: Rules):
     """After the joints were looked at."""
     env = wp.tid()
     if p.active[env] != 0 and mask[env] != 0:
         weigh(env, p, r)
         settle(env, p, r)
-    if last != 0:
-        go_on(env, p, r)
+    go_on(env, p, r)
 
 
 @wp.kernel
@@ -195,60 +210,62 @@ def _judge_friction_kernel(p: EnvProgress, r: Rules):
         stop(env, _CONVERGED, p)
     elif p.lags[env] >= r.max_lags:
         stop(env, _FRICTION, p)
-
-
-@wp.kernel
-def _go_on_kernel(p: EnvProgress, r: Rules):
-    """After friction was frozen anew."""
-    env = wp.tid()
     go_on(env, p, r)
 
 
-def measure_and_judge(run: StepLaunches, mask: wp.array) -> None:
-    """Forces and residual of the environments of ``mask``; those that are through stop."""
-    evaluate_gradient(run, mask)
+def measure_and_judge(run: StepLaunches, mask: wp.array, take_trial: bool = False) -> None:
+    """Forces and residual of the environments of ``mask``; those that are through stop.
+    ``take_trial``: where the line search has led."""
+    evaluate_gradient(run, mask, take_trial)
     s, p = run.s, run.p
-    frictionless = s.friction is None
-    s.progress.flags.zero_()
-    run.decide(_judge_kernel, mask, int(frictionless and s.joints is None), p, run.rules)
+    run.decide(_judge_kernel, mask, int(s.joints is None), p, run.rules)
     if s.joints is not None:
         wp.capture_if(p.closing, on_true=lambda: _close_joints(run))
-        run.decide(_settle_kernel, mask, int(frictionless), p, run.rules)
+        run.decide(_settle_kernel, mask, p, run.rules)
     if s.friction is not None:
         wp.capture_if(p.freezing, on_true=lambda: _refreeze_friction(run))
-        run.decide(_go_on_kernel, p, run.rules)
 
 
-def evaluate_gradient(run: StepLaunches, mask: wp.array) -> None:
+def evaluate_gradient(run: StepLaunches, mask: wp.array, take_trial: bool = False) -> None:
     """Gradient, residual, contact force and smallest gap in the environments of ``mask``.
 
-    Their collisions are those of the positions: of the start or of the trial that was taken.
+    Their collisions are those of the positions: of the start or of the trial that is taken.
     """
-    s, x = run.s, run.state.positions
+    s, state, x = run.s, run.state, run.state.positions
+    friction_gradient = s.friction_gradient if s.friction is not None else None
     wp.launch(
         _begin_gradient_kernel,
-        dim=s.gradient.shape,
-        inputs=[mask, s.gradient, s.contact_gradient, run.p],
+        dim=(run.model.env_count, max(x.shape[1], state.poses.shape[1])),
+        inputs=[mask, int(take_trial), s.trial, s.trial_poses, x, state.poses]
+        + [s.gradient, s.contact_gradient, friction_gradient, run.p],
         device=run.model.device,
     )
     if s.joints is not None:
-        s.joints.set_frames(run.state.poses)
+        s.joints.set_frames(state.poses)
 
-    def of_bodies() -> None:
-        for term in s.potentials.values():
-            term.add_gradient(mask, x, s.gradient)
+    elements = [*s.elastic, *s.viscosity]
+
+    def of_elements() -> None:
+        for part in elements:
+            part.write_forces(mask, x)
+
+    def of_others() -> None:
+        for term in (s.inertia, s.affine, s.joints, s.load):
+            if term is not None:
+                term.add_gradient(mask, x, s.gradient)
 
     def of_contact() -> None:
         s.contact.add_gradient(mask, x, s.contact_gradient, run.p.min_distance)
 
-    run.together([of_bodies, of_contact, lambda: _evaluate_friction(run, mask)])
+    run.together([of_elements, of_others, of_contact, lambda: _add_friction(run, mask)])
+    for part in elements:
+        part.gather_forces(mask, s.gradient)
     _measure_residual(run, mask)
 
 
-def _evaluate_friction(run: StepLaunches, mask: wp.array) -> None:
+def _add_friction(run: StepLaunches, mask: wp.array) -> None:
     s = run.s
     if s.friction is not None:
-        zero_rows(mask, s.friction_gradient)
         s.friction.add_gradient(mask, run.motion(), s.friction_gradient)
 
 
@@ -256,8 +273,9 @@ def evaluate_forces(run: StepLaunches, mask: wp.array) -> None:
     """Contact and friction forces alone, from collisions and friction as they are."""
     s, x = run.s, run.state.positions
     zero_rows(mask, s.contact_gradient)
+    zero_rows(mask, s.friction_gradient)
     s.contact.add_gradient(mask, x, s.contact_gradient, run.p.min_distance)
-    _evaluate_friction(run, mask)
+    _add_friction(run, mask)
 
 
 def _measure_residual(run: StepLaunches, mask: wp.array) -> None:
@@ -281,7 +299,9 @@ def _refreeze_friction(run: StepLaunches) -> None:
     """Freeze friction anew in the chosen environments, and judge them by what it is then."""
     s, p = run.s, run.p
     assert s.friction is not None
-    s.friction.lag(p.inner, run.state.positions, s.origin)
-    _evaluate_friction(run, p.inner)
+    lag, x = s.friction.lag, run.state.positions
+    gradient = s.friction_gradient
+    run.together([lambda: lag(p.inner, x, s.origin), lambda: zero_rows(p.inner, gradient)])
+    _add_friction(run, p.inner)
     _measure_residual(run, p.inner)
     run.decide(_judge_friction_kernel, p, run.rules)

@@ -3,27 +3,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import warp as wp
 
 from taccel_lab.ipc.affine.bent_step import (
     LARGEST_TURN,
     SMALLEST_TURN,
-    bend_steps,
     find_pivots,
     measure_turns,
+    place_affine,
 )
 from taccel_lab.ipc.capacity import ListRoom, overflows
-from taccel_lab.ipc.motion import advance_positions, subtract_rows
-from taccel_lab.ipc.reduce import slopes
-from taccel_lab.ipc.step_limit import limit_step
-from taccel_lab.model.embedding import embed_vertices
-from taccel_lab.model.kinematics import place_kinematic_nodes, place_poses_between
+from taccel_lab.ipc.potentials.energy import WrittenEnergies, block_base, block_friction
+from taccel_lab.ipc.reduce import BLOCK_THREADS, block_slope, launch_rows
+from taccel_lab.ipc.step_limit import limit_checks
+from taccel_lab.ipc.trial import Trial
 from taccel_lab.solvers.env_phase import SEARCHING, enter, leave, stop
 from taccel_lab.solvers.env_progress import EnvProgress, Rules
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.step_launches import StepLaunches
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
 _LINE_SEARCH = wp.constant(int(EnvStatus.LINE_SEARCH))
 _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
@@ -31,50 +32,74 @@ SHARPENING = 0.5
 """What a full step adds to the curvature of friction that the next direction counts."""
 
 
-@wp.kernel
-def _bend_kernel(smallest: wp.float64, p: EnvProgress):
-    """Note whether steps are bent, and how far they may lead off the straight ones."""
-    env = wp.tid()
-    if p.active[env] != 0 and p.bend[env] > smallest:
-        p.reach[env] = p.margin[env] + p.deviation[env]
-        p.any_curved[0] = 1
-
-
-@wp.kernel
-def _open_search_kernel(largest_turn: wp.float64, p: EnvProgress):
-    """Start from the collision-free fraction."""
-    env = wp.tid()
-    if p.active[env] == 0:
-        return
-    p.cuts[env] = 0
-    alpha = wp.min(p.limit[env], p.damping[env])
-    alpha = wp.min(alpha, largest_turn / wp.max(p.bend[env], wp.float64(1.0e-300)))
-    p.alpha[env] = alpha
-    if alpha > wp.float64(0.0):
-        enter(env, SEARCHING, p)
-        p.searching[0] = 1
-    else:
-        # Surfaces that touch show in their gap: this direction is far too long.
-        stop(env, _LINE_SEARCH, p)
-
-
-@wp.kernel
-def _begin_trial_kernel(smallest_bend: wp.float64, p: EnvProgress):
-    """How far the frames are; ``near`` become those whose way is not the chord that CCD checked."""
-    env = wp.tid()
-    if env == 0:
-        p.searching[0] = 0
-    p.near[env] = 0
-    if p.inner[env] == 0:
-        return
-    if p.turning[env] != 0 or p.bend[env] > smallest_bend:
-        p.near[env] = 1
-        if p.any_curved[0] != 0:
-            p.ccd_passes[env] += 1
+@wp.func
+def begin_trial(env: int, collisions: ListRoom, p: EnvProgress):
+    """How far the frames are in the next trial, whose collisions are not known yet."""
+    collisions.counts[env] = 0
     progress = p.progress[env] + p.alpha[env] * (p.goal[env] - p.progress[env])
     if progress > wp.float64(1.0 - 1.0e-12):
         progress = wp.float64(1.0)
     p.trial_progress[env] = progress
+
+
+@wp.func
+def is_curved(env: int, smallest_bend: wp.float64, p: EnvProgress) -> bool:
+    """Whether trials leave the chord that CCD checked."""
+    return p.turning[env] != 0 or p.bend[env] > smallest_bend
+
+
+@wp.func
+def search_on(env: int, collisions: ListRoom, smallest_bend: wp.float64, p: EnvProgress):
+    """Try the fraction ``alpha``; ``near`` if its path is to be checked."""
+    begin_trial(env, collisions, p)
+    if is_curved(env, smallest_bend, p):
+        p.near[env] = 1
+        p.limit[env] = wp.float64(1.0)
+        p.ccd_passes[env] += 1
+
+
+@wp.kernel
+def _open_search_kernel(
+    active: wp.array(dtype=wp.int32),
+    gradient: wp.array2d(dtype=wp.vec3d),
+    contact_gradient: wp.array2d(dtype=wp.vec3d),
+    friction_gradient: wp.array2d(dtype=wp.vec3d),
+    direction: wp.array2d(dtype=wp.vec3d),
+    energies: WrittenEnergies,
+    base_known: int,
+    collisions: ListRoom,
+    largest_turn: wp.float64,
+    smallest_bend: wp.float64,
+    p: EnvProgress,
+):
+    """Slope and energy where the search starts; the first trial takes the collision-free fraction.
+
+    One thread block an environment, of which the first thread decides when all have added up.
+    """
+    env, lane = wp.tid()
+    if active[env] == 0:
+        return
+    slope = block_slope(env, lane, gradient, contact_gradient, friction_gradient, direction)
+    if base_known == 0:
+        base = block_base(env, lane, energies)
+        if lane == 0:
+            p.base[env] = base
+    friction = block_friction(env, lane, energies)
+    if lane == 0:
+        p.slope[env] = slope
+        p.before[env] = p.base[env] + friction
+        p.near[env] = 0
+        p.cuts[env] = 0
+        alpha = wp.min(p.limit[env], p.damping[env])
+        alpha = wp.min(alpha, largest_turn / wp.max(p.bend[env], wp.float64(1.0e-300)))
+        p.alpha[env] = alpha
+        if alpha > wp.float64(0.0):
+            enter(env, SEARCHING, p)
+            search_on(env, collisions, smallest_bend, p)
+            wp.atomic_add(p.searching, 0, 1)
+        else:
+            # Surfaces that touch show in their gap: this direction is far too long.
+            stop(env, _LINE_SEARCH, p)
 
 
 @wp.func
@@ -91,9 +116,9 @@ def adapted_stride(stride: wp.float64, fraction: wp.float64) -> wp.float64:
     return stride
 
 
-@wp.kernel
-def _accept_kernel(smallest_bend: wp.float64, collisions: ListRoom, p: EnvProgress, r: Rules):
-    """Accept a trial that lowers the energy, or halve its fraction.
+@wp.func
+def is_good(env: int, smallest_bend: wp.float64, p: EnvProgress, r: Rules) -> bool:
+    """Whether a trial lowers the energy.
 
     While frames are still on their way the energy may rise: they do work. A body that turns leaves
     the chord that CCD checked: where one does, ``limit`` is that of the path really taken.
@@ -101,93 +126,159 @@ def _accept_kernel(smallest_bend: wp.float64, collisions: ListRoom, p: EnvProgre
     small difference of terms as large as its shear modulus times its volume, and that of an affine
     body is the square of one.
     """
-    env = wp.tid()
-    if p.inner[env] == 0:
-        return
-    if overflows(env, collisions):
-        stop(env, _CONTACT_OVERFLOW, p)
-        return
     one = wp.float64(1.0)
     before = p.before[env]
     after = p.after[env]
-    alpha = p.alpha[env]
     rounding = p.energy_rounding[env] + p.joint_energy_rounding[env]
     rounding += wp.float64(1.0e-13) * wp.abs(before)
     rounding += r.affine_energy_rounding * wp.sqrt(wp.abs(before))
-    descent = wp.float64(1.0e-4) * alpha * wp.min(p.slope[env], wp.float64(0.0))
+    descent = wp.float64(1.0e-4) * p.alpha[env] * wp.min(p.slope[env], wp.float64(0.0))
     good = wp.isfinite(after)
     if p.progress[env] >= one and not (after <= before + descent + rounding):
         good = False
-    if (p.turning[env] != 0 or p.bend[env] > smallest_bend) and p.limit[env] < one:
+    if is_curved(env, smallest_bend, p) and p.limit[env] < one:
         good = False
-    if good:
-        leave(env, p)
-        p.base[env] = p.base_after[env]
-        p.progress[env] = p.trial_progress[env]
-        p.smallest_step[env] = wp.min(p.smallest_step[env], alpha)
-        p.stride[env] = adapted_stride(p.stride[env], alpha)
-        if p.cuts[env] > 0 and p.progress[env] >= one:
-            p.sharpness[env] = wp.float64(0.0)
-        else:
-            p.sharpness[env] = wp.min(p.sharpness[env] + wp.float64(SHARPENING), one)
-        return
-    p.alpha[env] = wp.float64(0.5) * alpha
-    p.cuts[env] += 1
-    if p.cuts[env] >= r.max_cuts:
-        stop(env, _LINE_SEARCH, p)
+    return good
+
+
+@wp.func
+def accept(env: int, p: EnvProgress):
+    """Take over a trial."""
+    one = wp.float64(1.0)
+    alpha = p.alpha[env]
+    leave(env, p)
+    p.base[env] = p.base_after[env]
+    p.progress[env] = p.trial_progress[env]
+    p.smallest_step[env] = wp.min(p.smallest_step[env], alpha)
+    p.stride[env] = adapted_stride(p.stride[env], alpha)
+    if p.cuts[env] > 0 and p.progress[env] >= one:
+        p.sharpness[env] = wp.float64(0.0)
     else:
-        p.searching[0] = 1
+        p.sharpness[env] = wp.min(p.sharpness[env] + wp.float64(SHARPENING), one)
+
+
+@wp.func
+def judge_trial(
+    env: int, collisions: ListRoom, smallest_bend: wp.float64, p: EnvProgress, r: Rules
+):
+    """Accept a trial, or halve its fraction."""
+    p.near[env] = 0
+    if overflows(env, collisions):
+        stop(env, _CONTACT_OVERFLOW, p)
+    elif is_good(env, smallest_bend, p, r):
+        accept(env, p)
+    else:
+        p.alpha[env] = wp.float64(0.5) * p.alpha[env]
+        p.cuts[env] += 1
+        if p.cuts[env] >= r.max_cuts:
+            stop(env, _LINE_SEARCH, p)
+        else:
+            search_on(env, collisions, smallest_bend, p)
+    if p.phase[env] != SEARCHING:
+        wp.atomic_sub(p.searching, 0, 1)
+
+
+@wp.kernel
+def _judge_trial_kernel(
+    searching: wp.array(dtype=wp.int32),
+    energies: WrittenEnergies,
+    collisions: ListRoom,
+    smallest_bend: wp.float64,
+    p: EnvProgress,
+    r: Rules,
+):
+    """The energy of a trial, and what comes of it; threads as in ``_open_search_kernel``."""
+    env, lane = wp.tid()
+    if searching[env] == 0:
+        return
+    base = block_base(env, lane, energies)
+    friction = block_friction(env, lane, energies)
+    if lane == 0:
+        p.base_after[env] = base
+        p.after[env] = base + friction
+        judge_trial(env, collisions, smallest_bend, p, r)
+
+
+def find_turning_points(run: StepLaunches) -> list[Callable[[], None]]:
+    """Launches that find what affine bodies turn about, which is not where they go: something that
+    ``bend_direction`` asks for before there is a direction."""
+    s = run.s
+    if s.affine is None:
+        return []
+    x, forces = run.state.positions, s.contact_gradient
+    return [lambda: find_pivots(run.model, run.p.active, x, forces, s.pivots)]
 
 
 def bend_direction(run: StepLaunches) -> None:
     """How far steps along the direction lead off straight ways, where affine bodies turn."""
-    s, p, way = run.s, run.p, run.s.displacements
+    s, p, x = run.s, run.p, run.state.positions
     if s.affine is not None:
-        x = run.state.positions
-        find_pivots(run.model, p.active, x, s.contact_gradient, s.pivots)
-        measure_turns(run.model, p.active, s.pivots, x, way, p.bend, p.deviation)
-        run.decide(_bend_kernel, SMALLEST_TURN, p)
+        measure_turns(run.model, p.active, s.pivots, x, s.displacements, p.bend, p.reach)
+
+
+def energies_at_start(run: StepLaunches) -> list[Callable[[], None]]:
+    """Launches that write the energies where the search starts.
+
+    Only friction that was frozen anew, and joints, change them since they were last summed.
+    """
+    s, state = run.s, run.state
+    if s.joints is None:
+        return [lambda: run.friction_energy(run.p.active, state.positions, state.poses)]
+    return run.all_energies(run.p.active, state.positions, state.poses)
 
 
 def search_line(run: StepLaunches) -> None:
-    """Take the longest fraction of the direction that is free of collisions and lowers the energy.
+    """Find the longest fraction of the direction that is free of collisions and lowers the energy:
+    ``trial``, in the environments that are still active. ``energies_at_start`` are written.
 
     While frames are still on their way the energy may rise: they do work.
     """
-    s, p, state = run.s, run.p, run.state
+    s, p = run.s, run.p
     gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
-    slopes(p.active, gradients, s.displacements, p.slope)
-    run.decide(_open_search_kernel, LARGEST_TURN, p)
-    # Only friction that was frozen anew, and joints, change the energy where a search starts.
-    run.energy(p.active, state.positions, state.poses, p.base, p.before, known=s.joints is None)
+    known = int(s.joints is None)
+    rules = [s.collisions.room, LARGEST_TURN, SMALLEST_TURN, p]
+    start = [p.active, *gradients, s.displacements, run.energies, known]
+    launch_rows(_open_search_kernel, [*start, *rules], [])
 
-    def cut() -> None:
+    def judge() -> None:
         evaluate_trial(run)
-        run.decide(_accept_kernel, SMALLEST_TURN, s.collisions.room, p, run.rules)
+        rules = [s.collisions.room, SMALLEST_TURN, p, run.rules]
+        launch_rows(_judge_trial_kernel, [p.inner, run.energies, *rules], [])
 
-    wp.capture_while(p.searching, cut)
-    run.commit(p.active, s.trial, s.trial_poses)
+    # All that search have a first trial: a loop around it would only have to be entered.
+    judge()
+    wp.capture_while(p.searching, judge)
 
 
 def evaluate_trial(run: StepLaunches) -> None:
-    """Positions, poses, collisions and energy at the fraction ``alpha`` of the way ahead, in the
-    environments of ``inner``."""
-    s, p, state = run.s, run.p, run.state
+    """Positions, poses, collisions and energies at the fraction ``alpha`` of the way ahead, in the
+    environments of ``inner``; their lists of collisions are empty.
 
-    def check_path() -> None:
-        """Unlike the chord, the way that a turning body takes was not checked."""
-        subtract_rows(p.near, s.trial, state.positions, s.path)
-        limit_step(run.model, p.near, s.candidates, state.positions, s.path, p.limit)
+    Where ``near``, ``limit`` becomes that of the path taken: unlike the chord, the way that a
+    turning body takes was not checked.
+    """
+    s, p, x = run.s, run.p, run.state.positions
+    trial = Trial()
+    trial.mask, trial.curved, trial.fractions = p.inner, p.near, p.alpha
+    trial.positions, trial.displacements = x, s.displacements
+    trial.result, trial.paths = s.trial, s.path
+    path = (s.start_poses, s.end_poses)
 
-    run.decide(_begin_trial_kernel, SMALLEST_TURN, p)
-    place_poses_between(p.inner, s.start_poses, s.end_poses, p.trial_progress, s.trial_poses)
-    advance_positions(p.inner, state.positions, s.displacements, p.alpha, s.trial)
-    if s.affine is not None:
-        x, way = state.positions, s.displacements
-        bend_steps(run.model, p.inner, p.bend, p.alpha, s.pivots, x, way, s.trial)
-        embed_vertices(run.model, s.trial)
-    place_kinematic_nodes(run.model, s.trial_poses, s.trial, p.inner)
+    def place_affine_bodies() -> None:
+        if s.affine is not None:
+            place_affine(run.model, p.bend, s.pivots, trial)
+
+    run.together(
+        [
+            lambda: s.straight_nodes.place(trial),
+            lambda: s.frame_nodes.place(trial, path, p.trial_progress, s.trial_poses),
+            place_affine_bodies,
+        ]
+    )
+    checks = []
     if run.model.kinematic or s.affine is not None:
-        wp.capture_if(p.any_curved, on_true=check_path)
-    run.collide(p.inner, s.trial)
-    run.energy(p.inner, s.trial, s.trial_poses, p.base_after, p.after)
+        checks = limit_checks(run.model, p.near, s.candidates, x, s.path, p.limit)
+    energies = run.energy_parts(p.inner, s.trial, s.trial_poses)
+    searches = s.collisions.searches(p.inner, s.trial, s.candidates)
+    run.together([*searches, *checks, *energies])
+    s.contact.write_energies(p.inner, s.trial)

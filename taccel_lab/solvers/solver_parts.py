@@ -10,6 +10,7 @@ from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.broad_phase.kept_pairs import KeptPairs
 from taccel_lab.ipc.capacity import GrowingList, initial_capacity
 from taccel_lab.ipc.collisions import Collisions
+from taccel_lab.ipc.frame_nodes import FrameNodes
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.ipc.potentials.contact import ContactPotential
 from taccel_lab.ipc.potentials.elastic import ElasticPotential
@@ -19,6 +20,7 @@ from taccel_lab.ipc.potentials.friction import FrictionPotential
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
 from taccel_lab.ipc.potentials.inversion import BEARS_INVERSION, may_hide_inversion
 from taccel_lab.ipc.scratch import Scratch
+from taccel_lab.ipc.trial import StraightNodes
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.env_progress import EnvProgressArrays, make_rules
@@ -57,6 +59,8 @@ class SolverParts:
         self.collisions = Collisions(model, self.config.kappa_pa, self.config.dhat_m, limit=limit)
         self.pairs = KeptPairs(model, self.candidates, self.config.dhat_m)
         own = any(i == j for i, j in model.contact_plan.pairs)
+        self.frame_nodes = FrameNodes(model)
+        self.straight_nodes = StraightNodes(model)
         self.shortest_range_m = 0.0 if own else self.collisions.guard
         """Gap below which every pair is a collision [m]; of self-contact nothing is known."""
         self.contact = ContactPotential(model, self.collisions)

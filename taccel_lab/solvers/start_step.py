@@ -18,7 +18,8 @@ import warp as wp
 
 from taccel_lab.ipc.affine.prediction import predict_affine
 from taccel_lab.ipc.capacity import ListRoom, overflows
-from taccel_lab.ipc.motion import aim_prescribed, coast, keep_steady, subtract_rows
+from taccel_lab.ipc.motion import coast, keep_steady, subtract_rows
+from taccel_lab.ipc.potentials.energy import sum_energies
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import copy_rows
 from taccel_lab.solvers.env_phase import STARTING, STAYING, enter, leave, stop
@@ -26,7 +27,7 @@ from taccel_lab.solvers.env_progress import EnvProgress
 from taccel_lab.solvers.find_pairs import find_pairs
 from taccel_lab.solvers.limit_step import limit_step
 from taccel_lab.solvers.report import EnvStatus
-from taccel_lab.solvers.search_line import evaluate_trial
+from taccel_lab.solvers.search_line import begin_trial, evaluate_trial
 from taccel_lab.solvers.step_launches import StepLaunches
 
 wp.set_module_options({"enable_backward": False})
@@ -45,7 +46,6 @@ def _choose_momentum_kernel(p: EnvProgress):
     env = wp.tid()
     if env == 0:
         p.any_flight[0] = 0
-        p.any_curved[0] = 0
     fresh = p.fresh[env] != 0 and p.again[env] == 0
     if fresh and p.progress[env] < wp.float64(1.0):
         enter(env, STARTING, p)
@@ -62,12 +62,13 @@ def _choose_flight_kernel(bends: wp.array(dtype=wp.float64), least: wp.float64, 
 
 
 @wp.kernel
-def _keep_free_kernel(p: EnvProgress):
+def _keep_free_kernel(collisions: ListRoom, p: EnvProgress):
     """Of the chosen, keep those with nothing in the way; aim their frames at the end. Where frames
     turned out not to be steady the mask alone was cleared."""
     env = wp.tid()
     if p.fresh[env] == 0:
         return
+    p.near[env] = 0
     if p.inner[env] == 0:
         leave(env, p)
         return
@@ -77,6 +78,8 @@ def _keep_free_kernel(p: EnvProgress):
         p.goal[env] = p.progress[env]
     if p.limit[env] < wp.float64(1.0):
         leave(env, p)
+        return
+    begin_trial(env, collisions, p)
 
 
 @wp.kernel
@@ -142,10 +145,11 @@ def start_step(run: StepLaunches) -> None:
         run.energy(p.inner, x, state.poses, p.base, p.before)
 
     limit_step(run, p.inner, gaps_known=False)
-    run.decide(_keep_free_kernel, p)
     if s.affine is not None and s.inertia is not None:
         wp.capture_if(p.any_flight, on_true=energy_before)
+    run.decide(_keep_free_kernel, s.collisions.room, p)
     evaluate_trial(run)
+    sum_energies(p.inner, run.energies, p.base_after, p.after)
     run.decide(_accept_kernel, s.collisions.room, p)
     run.commit(p.inner, s.trial, s.trial_poses)
     run.decide(_choose_others_kernel, p)
@@ -160,7 +164,8 @@ def plan_start(run: StepLaunches) -> None:
     model, way = run.model, s.displacements
     run.decide(_choose_momentum_kernel, p)
     if model.kinematic:
-        aim_prescribed(model, p.fresh, p.inner, state.positions, s.end_poses, way)
+        path = (state.poses, s.end_poses)
+        s.frame_nodes.aim(p.fresh, p.inner, path, state.positions, way)
         keep_steady(model, p.inner, s.dts, state.velocities, way, _LARGEST_CHANGE)
     coast(model, p.inner, s.dts, state.velocities, way)
     if s.affine is not None and s.inertia is not None:

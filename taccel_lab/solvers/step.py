@@ -21,7 +21,12 @@ from taccel_lab.solvers.begin_and_end import begin_step, end_step
 from taccel_lab.solvers.find_pairs import find_pairs
 from taccel_lab.solvers.limit_step import limit_step
 from taccel_lab.solvers.measure_and_judge import measure_and_judge
-from taccel_lab.solvers.search_line import bend_direction, search_line
+from taccel_lab.solvers.search_line import (
+    bend_direction,
+    energies_at_start,
+    find_turning_points,
+    search_line,
+)
 from taccel_lab.solvers.start_step import start_step
 from taccel_lab.solvers.step_launches import StepLaunches
 
@@ -36,9 +41,9 @@ def take_step(run: StepLaunches) -> None:
 
 
 def _iterate(run: StepLaunches) -> None:
-    assemble_and_solve(run)
+    assemble_and_solve(run, beside=find_turning_points(run))
     bend_direction(run)
     find_pairs(run, run.p.active, run.s.target_poses, run.p.reach)
-    limit_step(run, run.p.active)
+    limit_step(run, run.p.active, beside=energies_at_start(run))
     search_line(run)
-    measure_and_judge(run, run.p.active)
+    measure_and_judge(run, run.p.active, take_trial=True)

@@ -9,7 +9,7 @@ import warp as wp
 
 from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.capacity import GrowingList, ListRoom, overflows
-from taccel_lab.ipc.potentials.energy import sum_energies
+from taccel_lab.ipc.potentials.energy import WrittenEnergies, sum_energies, written_energies
 from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import EnvProgress
@@ -97,6 +97,44 @@ class StepLaunches:
     def together(self, parts: Sequence[Callable[[], None]]) -> None:
         side_by_side(self.model.device, parts)
 
+    @property
+    def energies(self) -> WrittenEnergies:
+        """What ``all_energies`` write."""
+        s = self.s
+        return written_energies(s.energies, s.contact, s.friction)
+
+    def friction_energy(self, mask: wp.array, positions: wp.array, poses: wp.array) -> None:
+        """Write the energies of friction."""
+        if self.s.friction is not None:
+            self.s.friction.write_energies(mask, self.motion(positions, poses))
+
+    def energy_parts(
+        self, mask: wp.array, positions: wp.array, poses: wp.array
+    ) -> list[Callable[[], None]]:
+        """Launches, in any order or side by side, that write the energies of all items in the
+        environments of ``mask``, but for those of contact: these need collisions."""
+        s = self.s
+
+        def of_elements() -> None:
+            for part in [*s.elastic, *s.viscosity]:
+                part.write_energies(mask, positions)
+
+        def of_others() -> None:
+            if s.joints is not None:
+                s.joints.set_frames(poses)
+            for term in (s.inertia, s.affine, s.joints, s.load):
+                if term is not None:
+                    term.write_energies(mask, positions)
+
+        return [of_elements, of_others, lambda: self.friction_energy(mask, positions, poses)]
+
+    def all_energies(
+        self, mask: wp.array, positions: wp.array, poses: wp.array
+    ) -> list[Callable[[], None]]:
+        """``energy_parts`` and those of contact."""
+        parts = self.energy_parts(mask, positions, poses)
+        return [*parts, lambda: self.s.contact.write_energies(mask, positions)]
+
     def energy(
         self,
         mask: wp.array,
@@ -104,34 +142,8 @@ class StepLaunches:
         poses: wp.array,
         base: wp.array,
         totals: wp.array,
-        known: bool = False,
     ) -> None:
         """Total potential in the environments of ``mask`` [J]: without friction in ``base``, with
-        it in ``totals``. ``known``: the base is known already."""
-        s = self.s
-
-        def of_friction() -> None:
-            if s.friction is not None:
-                s.friction.write_energies(mask, self.motion(positions, poses))
-
-        if known:
-            of_friction()
-            sum_energies(mask, None, s.contact, s.friction, base, totals)
-            return
-        if s.joints is not None:
-            s.joints.set_frames(poses)
-        stiff = [term for term in (s.inertia, s.affine, s.joints, s.load) if term is not None]
-
-        def of_elements() -> None:
-            for part in [*s.elastic, *s.viscosity]:
-                part.write_energies(mask, positions)
-
-        def of_others() -> None:
-            for term in stiff:
-                term.write_energies(mask, positions)
-
-        def of_contact() -> None:
-            s.contact.write_energies(mask, positions)
-
-        self.together([of_elements, of_contact, of_friction, of_others])
-        sum_energies(mask, s.energies, s.contact, s.friction, base, totals)
+        it in ``totals``."""
+        self.together(self.all_energies(mask, positions, poses))
+        sum_energies(mask, self.energies, base, totals)

@@ -14,7 +14,7 @@ from taccel_lab.bodies.surface_topology import NO_BALL_INSET, ball_insets, face_
 from taccel_lab.ipc.collisions import GUARD_FRACTION, POINT_POINT
 from taccel_lab.ipc.gaps import SurfacePairs
 from taccel_lab.ipc.intersection import find_intersections
-from taccel_lab.ipc.step_limit import limit_step
+from taccel_lab.ipc.step_limit import limit_checks
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     Ball,
@@ -150,8 +150,10 @@ def test_no_step_takes_a_node_into_the_ball(dent: _Dent, way_m: tuple[float, ...
     ends[0, 0, :3] += way_m
     starts, stops = (wp.array(p, dtype=wp.transformd) for p in (dent.poses, ends))
     solver.candidates.update(active, dent.state.positions, shift, starts, stops, DHAT)
-    limit = wp.zeros(1, dtype=wp.float64)
-    limit_step(dent.model, active, solver.candidates, dent.state.positions, shift, limit)
+    limit = wp.ones(1, dtype=wp.float64)
+    x = dent.state.positions
+    for check in limit_checks(dent.model, active, solver.candidates, x, shift, limit):
+        check()
     part = float(limit.numpy()[0])
     offset = dent.x[0, np.unique(dent.faces)] - dent.poses[0, 0, :3]
 

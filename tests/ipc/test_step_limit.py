@@ -17,14 +17,14 @@ import warp as wp
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.ipc.broad_phase.candidates import Candidates
-from taccel_lab.ipc.step_limit import limit_step
+from taccel_lab.ipc.step_limit import limit_checks
 from taccel_lab.model import Model
 from taccel_lab.scene import Element, Material, Scene, SoftBody, Surface, TimeStepping
 
 HALF_M, DEEP_M = 1e-3, 2e-3
 """Half the length of a ridge, and how far the rest of its tet lies behind it."""
 SLACKNESS = 0.1
-"""Part of the gap that is left, see ``limit_step``."""
+"""Part of the gap that is left, see ``limit_checks``."""
 
 
 def tet() -> TetMesh:
@@ -62,8 +62,9 @@ def limits(
     poses = wp.zeros((len(x), 0), dtype=wp.transformd)
     candidates = Candidates(made)
     candidates.update(flags, positions, way, poses, poses, 1e-6)
-    found = wp.full(len(x), -1.0, dtype=wp.float64)
-    limit_step(made, flags, candidates, positions, way, found, SLACKNESS)
+    found = wp.array(np.where(chosen != 0, 1.0, -1.0), dtype=wp.float64)
+    for check in limit_checks(made, flags, candidates, positions, way, found, SLACKNESS):
+        check()
     return found.numpy()
 
 

@@ -69,7 +69,7 @@ def scratch(solver: SolverIPC) -> Iterator[wp.array]:
     for term in solver.potentials.values():
         yield term.energies
     p = solver.progress.data
-    for name in ("limit", "slope", "before", "after", "base", "base_after", "deviation", "reach"):
+    for name in ("limit", "slope", "before", "after", "base", "base_after", "bend", "reach"):
         yield getattr(p, name)
 
 

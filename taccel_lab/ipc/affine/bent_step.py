@@ -21,8 +21,9 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.affine.orthogonality import affine_map
-from taccel_lab.ipc.lanes import launch
+from taccel_lab.ipc.lanes import lane_count, launch
 from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
+from taccel_lab.ipc.trial import Trial, put_node, straight
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
@@ -123,18 +124,20 @@ def _measure_kernel(
     pivots: wp.array2d(dtype=wp.vec3d),
     positions: wp.array2d(dtype=wp.vec3d),
     displacements: wp.array2d(dtype=wp.vec3d),
+    smallest: wp.float64,
     turns: wp.array(dtype=wp.float64),
-    deviations: wp.array(dtype=wp.float64),
+    reaches: wp.array(dtype=wp.float64),
 ):
-    """Largest turn of a body [rad], and how far a vertex may leave its straight way [m].
+    """Largest turn of a body [rad]; where steps are bent, what a vertex may leave its straight way
+    by [m] comes on top of ``reaches``.
 
     The length L of a body is the largest distance of a vertex from its centre.
     """
     env = wp.tid()
-    turns[env] = wp.float64(0.0)
-    deviations[env] = wp.float64(0.0)
     if active[env] == 0:
         return
+    largest = wp.float64(0.0)
+    deviation = wp.float64(0.0)
     for body in range(control_starts.shape[0]):
         start = control_starts[body]
         change = body_map(env, start, lengths[body], displacements)
@@ -149,39 +152,74 @@ def _measure_kernel(
         way = turning_way(way, twist_of(change), pivots[env, body], have_joints[body])
         bent += wp.float64(0.5) * turn * wp.length(way)
         bent = part * part * bent
-        turns[env] = wp.max(turns[env], turn)
-        deviations[env] = wp.max(deviations[env], bent)
+        largest = wp.max(largest, turn)
+        deviation = wp.max(deviation, bent)
+    turns[env] = largest
+    if largest > smallest:
+        reaches[env] += deviation
+
+
+@wp.func
+def bent_controls(
+    env: int,
+    start: int,
+    length: wp.float64,
+    pivot: wp.vec3d,
+    has_joint: wp.int32,
+    t: Trial,
+):
+    """Control nodes [m] of a body at the end of the bent step: its centre, and the columns of its
+    map times its length."""
+    fraction = t.fractions[env]
+    a = body_map(env, start, length, t.positions)
+    change = fraction * (body_map(env, start, length, t.displacements) * wp.inverse(a))
+    turned = length * bent_map(a, change)
+    twist = twist_of(change)
+    way = fraction * t.displacements[env, start]
+    turning = turning_way(way, twist, pivot, has_joint)
+    centre = t.positions[env, start] + (way - turning) + bent_way(turning, twist)
+    return centre, turned
 
 
 @wp.kernel
-def _bend_kernel(
-    mask: wp.array(dtype=wp.int32),
+def _place_kernel(
     turns: wp.array(dtype=wp.float64),
     smallest: wp.float64,
-    fractions: wp.array(dtype=wp.float64),
+    lanes: int,
     control_starts: wp.array(dtype=wp.int32),
+    vertex_starts: wp.array(dtype=wp.int32),
     lengths: wp.array(dtype=wp.float64),
     have_joints: wp.array(dtype=wp.int32),
     pivots: wp.array2d(dtype=wp.vec3d),
-    positions: wp.array2d(dtype=wp.vec3d),
-    displacements: wp.array2d(dtype=wp.vec3d),
-    trial: wp.array2d(dtype=wp.vec3d),
+    weights: wp.array(dtype=wp.vec4d),
+    t: Trial,
 ):
-    env, body = wp.tid()
-    if mask[env] == 0 or turns[env] <= smallest:
+    """Each thread finds the control nodes itself, for the vertices that it places."""
+    env, body, lane = wp.tid()
+    first = vertex_starts[body] + lane
+    if t.mask[env] == 0 or (lane > 0 and first >= vertex_starts[body + 1]):
         return
     start = control_starts[body]
-    length = lengths[body]
-    fraction = fractions[env]
-    a = body_map(env, start, length, positions)
-    change = fraction * (body_map(env, start, length, displacements) * wp.inverse(a))
-    turned = length * bent_map(a, change)
-    twist = twist_of(change)
-    way = fraction * displacements[env, start]
-    turning = turning_way(way, twist, pivots[env, body], have_joints[body])
-    trial[env, start] = positions[env, start] + (way - turning) + bent_way(turning, twist)
-    for k in range(3):
-        trial[env, start + 1 + k] = wp.vec3d(turned[0, k], turned[1, k], turned[2, k])
+    y0 = straight(env, start, t)
+    y1 = straight(env, start + 1, t)
+    y2 = straight(env, start + 2, t)
+    y3 = straight(env, start + 3, t)
+    if turns[env] > smallest:
+        centre, turned = bent_controls(
+            env, start, lengths[body], pivots[env, body], have_joints[body], t
+        )
+        y0 = centre
+        y1 = wp.vec3d(turned[0, 0], turned[1, 0], turned[2, 0])
+        y2 = wp.vec3d(turned[0, 1], turned[1, 1], turned[2, 1])
+        y3 = wp.vec3d(turned[0, 2], turned[1, 2], turned[2, 2])
+    if lane == 0:
+        put_node(env, start, y0, t)
+        put_node(env, start + 1, y1, t)
+        put_node(env, start + 2, y2, t)
+        put_node(env, start + 3, y3, t)
+    for node in range(first, vertex_starts[body + 1], lanes):
+        w = weights[node]
+        put_node(env, node, w[0] * y0 + w[1] * y1 + w[2] * y2 + w[3] * y3, t)
 
 
 def find_pivots(
@@ -211,39 +249,33 @@ def measure_turns(
     positions: wp.array,
     displacements: wp.array,
     turns: wp.array,
-    deviations: wp.array,
+    reaches: wp.array,
 ) -> None:
-    """Largest turn [rad] of a body along ``displacements``, and a bound of how far any vertex of a
-    bent step leaves the straight one [m]; float64, [env_count]."""
+    """Largest turn [rad] of a body along ``displacements``, in the environments of ``active``;
+    where it exceeds SMALLEST_TURN, a bound of how far any vertex of a bent step leaves the straight
+    one is added to ``reaches`` [m]. Both float64, [env_count]."""
     affine = model.affine
     launch(
         _measure_kernel,
         dim=model.env_count,
         inputs=[active, affine.control_starts, affine.lengths, affine.have_joints, pivots]
-        + [positions, displacements],
-        outputs=[turns, deviations],
+        + [positions, displacements, SMALLEST_TURN],
+        outputs=[turns, reaches],
         device=model.device,
     )
 
 
-def bend_steps(
-    model: Model,
-    mask: wp.array,
-    turns: wp.array,
-    fractions: wp.array,
-    pivots: wp.array,
-    positions: wp.array,
-    displacements: wp.array,
-    trial: wp.array,
-) -> None:
-    """Put the control nodes of ``trial`` where the bent step leads, where ``turns`` exceed
-    SMALLEST_TURN."""
+def place_affine(model: Model, turns: wp.array, pivots: wp.array, trial: Trial) -> None:
+    """Put the nodes of affine bodies where ``trial`` leads, on the bent step where ``turns`` [rad],
+    [env_count], exceed SMALLEST_TURN."""
     affine = model.affine
+    first = len(model.scene.soft_bodies)
+    ranges = [body.nodes for body in model.bodies[first : first + affine.count]]
+    lanes = lane_count(model.device, model.env_count, max(end - start for start, end in ranges))
     launch(
-        _bend_kernel,
-        dim=(model.env_count, affine.count),
-        inputs=[mask, turns, SMALLEST_TURN, fractions, affine.control_starts, affine.lengths]
-        + [affine.have_joints, pivots, positions, displacements],
-        outputs=[trial],
+        _place_kernel,
+        dim=(model.env_count, affine.count, lanes),
+        inputs=[turns, SMALLEST_TURN, lanes, affine.control_starts, affine.vertex_starts]
+        + [affine.lengths, affine.have_joints, pivots, model.weights, trial],
         device=model.device,
     )

@@ -157,6 +157,7 @@ class KeptPairs:
         self.stale = wp.zeros(count, dtype=wp.int32, device=device)
         """Mask of the environments that the last call searched."""
         self._any_stale = wp.zeros(1, dtype=wp.int32, device=device)
+        """Zero but during a search."""
 
     def forget(self, mask: wp.array) -> None:
         """Others have written to the lists of the environments of ``mask``: search anew there."""
@@ -176,7 +177,6 @@ class KeptPairs:
         the straight ways from ``positions`` along ``displacements`` [m] in the environments of
         ``active``; see ``Candidates.search``. ``searched``: called after a search, with the lists
         as they are then."""
-        self._any_stale.zero_()
         wp.launch_tiled(
             _stray_kernel,
             dim=[len(active)],
@@ -192,6 +192,7 @@ class KeptPairs:
                 self.stale, positions, displacements, poses_start, poses_end, self.covered
             )
             searched()
+            self._any_stale.zero_()
 
         wp.capture_if(self._any_stale, on_true=search)
 

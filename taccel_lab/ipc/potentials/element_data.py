@@ -88,11 +88,10 @@ def _gather_gradient_kernel(
     env, i = wp.tid()
     if active[env] == 0:
         return
-    node = nodes[i]
-    total = gradient[env, node]
+    total = wp.vec3d()
     for k in range(starts[i], starts[i + 1]):
         total += parts[env, sources[k]]
-    gradient[env, node] = total
+    gradient[env, nodes[i]] += total
 
 
 @wp.func
@@ -228,9 +227,17 @@ class ElementSum(Potential):
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N] to ``gradient``, shape [env_count, node_count]."""
-        g = self.group
+        self.write_forces(active, positions)
+        self.gather_forces(active, gradient)
+
+    def write_forces(self, active: wp.array, positions: wp.array) -> None:
+        """Evaluate the gradients of all elements."""
         outputs = [self._by_element(self._forces)]
         self.launch(self.kernels.gradient, [active, positions, self.data], outputs, lanes=True)
+
+    def gather_forces(self, active: wp.array, gradient: wp.array) -> None:
+        """Add the parts of elements or chunks to the gradient of the nodes, without atomics."""
+        g = self.group
         launch(
             _gather_gradient_kernel,
             dim=(self.model.env_count, len(g.gather_nodes)),

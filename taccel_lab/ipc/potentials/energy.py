@@ -73,47 +73,68 @@ def share_buffer(terms: Sequence[EnergyTerm], env_count: int, device: wp.Device)
     return buffer
 
 
+@wp.struct
+class WrittenEnergies:
+    """Energies [J] of all items, as the terms have written them.
+
+    fixed: those of ``share_buffer``, [env_count, all items].
+    contact, friction: those of lists; without friction empty.
+    """
+
+    fixed: wp.array2d(dtype=wp.float64)
+    contact: wp.array(dtype=wp.float64)
+    contact_room: ListRoom
+    friction: wp.array(dtype=wp.float64)
+    friction_room: ListRoom
+
+
+@wp.func
+def block_base(env: int, lane: int, e: WrittenEnergies) -> wp.float64:
+    """Energy of an environment without friction [J], by its block."""
+    mine = lane_sum(env, lane, e.fixed, e.fixed.shape[1])
+    mine += lane_list_sum(env, lane, e.contact, e.contact_room)
+    return block_total(mine)
+
+
+@wp.func
+def block_friction(env: int, lane: int, e: WrittenEnergies) -> wp.float64:
+    """Energy of friction of an environment [J], by its block."""
+    if e.friction.shape[0] == 0:
+        return wp.float64(0.0)
+    return block_total(lane_list_sum(env, lane, e.friction, e.friction_room))
+
+
 @wp.kernel
 def _energies_kernel(
     active: wp.array(dtype=wp.int32),
-    fixed: wp.array2d(dtype=wp.float64),
-    contact: wp.array(dtype=wp.float64),
-    contact_room: ListRoom,
-    friction: wp.array(dtype=wp.float64),
-    friction_room: ListRoom,
+    e: WrittenEnergies,
     base: wp.array(dtype=wp.float64),
     totals: wp.array(dtype=wp.float64),
 ):
     env, lane = wp.tid()
     if active[env] == 0:
         return
-    if fixed:
-        mine = lane_sum(env, lane, fixed, fixed.shape[1])
-        mine += lane_list_sum(env, lane, contact, contact_room)
-        all_of_base = block_total(mine)
-        if lane == 0:
-            base[env] = all_of_base
-            totals[env] = all_of_base
-    if friction:
-        all_of_friction = block_total(lane_list_sum(env, lane, friction, friction_room))
-        if lane == 0:
-            totals[env] = base[env] + all_of_friction
+    without = block_base(env, lane, e)
+    friction = block_friction(env, lane, e)
+    if lane == 0:
+        base[env] = without
+        totals[env] = without + friction
+
+
+def written_energies(
+    fixed: wp.array, contact: EnergyTerm, friction: EnergyTerm | None
+) -> WrittenEnergies:
+    """What terms write, for kernels; ``fixed``: of ``share_buffer``."""
+    written = WrittenEnergies()
+    written.fixed, written.contact, written.contact_room = fixed, contact.energies, contact.room
+    if friction is not None:
+        written.friction, written.friction_room = friction.energies, friction.room
+    return written
 
 
 def sum_energies(
-    active: wp.array,
-    fixed: wp.array | None,
-    contact: EnergyTerm,
-    friction: EnergyTerm | None,
-    base: wp.array,
-    totals: wp.array,
+    active: wp.array, written: WrittenEnergies, base: wp.array, totals: wp.array
 ) -> None:
     """Sum the energies that terms have written: without friction to ``base``, with it to ``totals``
-    [J], [env_count]. ``fixed``: those of ``share_buffer``; when None the base is taken as it is."""
-    if fixed is None and friction is None:
-        wp.copy(totals, base)
-        return
-    frozen = [friction.energies, friction.room] if friction else [None, ListRoom()]
-    launch_rows(
-        _energies_kernel, [active, fixed, contact.energies, contact.room, *frozen], [base, totals]
-    )
+    [J], [env_count]."""
+    launch_rows(_energies_kernel, [active, written], [base, totals])
