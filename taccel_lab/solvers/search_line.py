@@ -200,8 +200,8 @@ def _judge_trial_kernel(
 
 
 def find_turning_points(run: StepLaunches) -> list[Callable[[], None]]:
-    """Launches that find what affine bodies turn about, which is not where they go: something that
-    ``bend_direction`` asks for before there is a direction."""
+    """Launches that find what affine bodies turn about, for ``bend_direction``: known before the
+    direction is, so that they run beside the assembly."""
     s = run.s
     if s.affine is None:
         return []
