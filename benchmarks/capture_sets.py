@@ -20,10 +20,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from taccel_lab.benchmarks.assets import data_folder
 from taccel_lab.benchmarks.results import ResultFile, note
 from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.errors import InputError
+from taccel_lab.interop.published_meshes import data_folder
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,6 @@ import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.results import ResultFile
-from taccel_lab.benchmarks.scenes.peg import prism
 from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.envs import (
     PHYSICS,
@@ -40,6 +39,7 @@ from taccel_lab.scene import Material, TriangleMesh
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.registry import sensor_families, sensor_family
 from taccel_lab.signals import SignalTactile
+from taccel_lab.tasks.peg_scene import prism
 
 AT_MM = (0.7, -0.4)
 TOOLS = {

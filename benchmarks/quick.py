@@ -18,13 +18,13 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.benchmarks.launches import LaunchCounter
-from taccel_lab.benchmarks.machine import describe_run
 from taccel_lab.benchmarks.memory import MemoryMeter
 from taccel_lab.benchmarks.results import note
 from taccel_lab.benchmarks.runner import Runner
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_json
+from taccel_lab.report.machine import describe_run
 
 BASELINE = Path(__file__).parent / "baselines" / "quick_cpu.json"
 STEPS = {"peg": 12, "press_239": 14, "squeeze": 4}

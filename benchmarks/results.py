@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.benchmarks.machine import describe_run
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_json
+from taccel_lab.report.machine import describe_run
 
 SCHEMA = "taccel-lab benchmark 1"
 FOLDER = Path(__file__).parent / "results"

@@ -18,10 +18,10 @@ from taccel_lab.benchmarks.results import ResultFile, spread
 from taccel_lab.benchmarks.runner import Motion, Runner
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.benchmarks.scenes.base import BenchScene, make_config, straight
-from taccel_lab.benchmarks.scenes.peg import GEL
 from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import Ball, Element, KinematicBody, Scene, SoftBody, box_mesh
+from taccel_lab.tasks.peg_scene import GEL
 
 SPACING_M = 40e-3
 """Between the sensors of a row."""

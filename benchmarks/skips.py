@@ -21,10 +21,10 @@ from taccel_lab.benchmarks.results import ResultFile, spread
 from taccel_lab.benchmarks.runner import Motion, Runner
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.benchmarks.scenes.base import BenchScene
-from taccel_lab.benchmarks.scenes.peg import generated_parts, peg_scene
 from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.scene import AffineBody, KinematicBody, Scene, Surface, TimeStepping, box_mesh
+from taccel_lab.tasks.peg_scene import generated_parts, peg_scene
 
 AfterStep = Callable[[Runner], Callable[[], None]]
 """Of a runner: what is done after each of its steps."""

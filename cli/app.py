@@ -62,6 +62,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     from taccel_lab.cli.robot import RobotList, RobotShow
     from taccel_lab.cli.sensors import SensorsList, SensorsShow
     from taccel_lab.cli.study import Study
+    from taccel_lab.cli.task import TaskList, TaskRecord, TaskRun
 
     profile = SubcommandApp()
     profile.command(name="show")(ProfileShow)
@@ -74,6 +75,10 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     robot = SubcommandApp()
     robot.command(name="list")(RobotList)
     robot.command(name="show")(RobotShow)
+    task = SubcommandApp()
+    task.command(name="list")(TaskList)
+    task.command(name="run")(TaskRun)
+    task.command(name="record")(TaskRecord)
 
     app = SubcommandApp()
     app.command(name="demo")(Demo)
@@ -88,6 +93,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     app.command(name="export")(Export)
     app.command(sensors, name="sensors", help="List the sensors of the catalogue.")
     app.command(robot, name="robot", help="Robots that can carry gels, by name or from URDF.")
+    app.command(task, name="task", help="Tasks with criterion, seeds and a baseline policy.")
     app.command(name="study")(Study)
     app.command(name="bench")(Bench)
     app.command(name="doctor")(Doctor)

@@ -22,6 +22,7 @@ PACKAGES = (
     "studies",
     "benchmarks",
     "robots",
+    "tasks",
 )
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))

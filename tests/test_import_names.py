@@ -44,7 +44,12 @@ def run_beside_the_users_own_modules(folder: Path, root: Path) -> str:
 
 
 def test_every_room_is_a_part_of_the_package() -> None:
-    assert ROOMS == ["benchmarks", "cad", "calibration", "cli", "robots", "sensors", "studies"]
+    assert ROOMS == ["benchmarks", "cad", "calibration", "cli"] + [
+        "robots",
+        "sensors",
+        "studies",
+        "tasks",
+    ]
     for room in ROOMS:
         assert (ROOT / "taccel_lab" / room).resolve() == ROOT / room
 
@@ -75,8 +80,9 @@ def test_the_wheel_installs_one_name(wheel: Path) -> None:
             for p in (wheel / "taccel_lab" / room).rglob("*.py")
         }
     assert not list(wheel.rglob("test_*.py"))
-    robots = {path.name for path in (ROOT / "robots" / "models").iterdir()}
-    assert robots == {path.name for path in (wheel / "taccel_lab/robots/models").iterdir()}
+    for files in ("robots/models", "tasks/files"):
+        ours = {path.name for path in (ROOT / files).iterdir()}
+        assert ours == {path.name for path in (wheel / "taccel_lab" / files).iterdir()}
 
 
 def test_a_users_own_modules_do_no_harm_to_an_installed_wheel(wheel: Path, tmp_path: Path) -> None:

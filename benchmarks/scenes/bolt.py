@@ -11,19 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.assets import choose_source, mesh_folder, read_stl
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
 from taccel_lab.benchmarks.scenes.frames import facing, pose, same_side, turn_about_z
-from taccel_lab.benchmarks.scenes.peg import (
-    GEL,
-    GEL_FRICTION,
-    GRAVITY,
-    STIFF_FRICTION,
-    generated_parts,
-    published_parts,
-)
 from taccel_lab.benchmarks.scenes.threads import APOTHEM_M, PITCH_M, hexagon_nut, threaded_rod
 from taccel_lab.geometry import TetMesh
+from taccel_lab.interop.published_meshes import choose_source, mesh_folder, read_stl
 from taccel_lab.scene import (
     AffineBody,
     Element,
@@ -32,6 +24,14 @@ from taccel_lab.scene import (
     SoftBody,
     TimeStepping,
     TriangleMesh,
+)
+from taccel_lab.tasks.peg_scene import (
+    GEL,
+    GEL_FRICTION,
+    GRAVITY,
+    STIFF_FRICTION,
+    generated_parts,
+    published_parts,
 )
 
 DT_S = 1 / 50

@@ -14,14 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.benchmarks.assets import choose_source, mesh_folder
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
 from taccel_lab.benchmarks.scenes.frames import facing, pose, same_side
 from taccel_lab.benchmarks.scenes.pads import label
-from taccel_lab.benchmarks.scenes.peg import GEL, GEL_FRICTION, GRAVITY, STIFF_FRICTION
 from taccel_lab.benchmarks.scenes.press import touching_height
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
+from taccel_lab.interop.published_meshes import choose_source, mesh_folder
 from taccel_lab.reading.legacy_vtk import read_legacy_vtk
 from taccel_lab.scene import (
     AffineBody,
@@ -33,6 +32,7 @@ from taccel_lab.scene import (
     TimeStepping,
     sphere_mesh,
 )
+from taccel_lab.tasks.peg_scene import GEL, GEL_FRICTION, GRAVITY, STIFF_FRICTION
 
 DT_S = 1 / 50
 BALL_M, BALL_EDGE_M, BALL_DENSITY = 45e-3, 6e-3, 300.0

@@ -1,209 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The peg insertion of Taccel (arXiv 2504.12908, ``examples/peg.py``), as a scene of ours.
-
-Two gels on moving mounts grasp a peg whose section is a dog bone, carry it sideways while it drags
-over the rim of the hole, and push it down; clearance 2 mm. Settings are the published ones; the
-gels move 3.7 mm further than the hole lets the peg go, so they must slip and shear.
-
-``published_parts`` reads the meshes of the example from a data folder, ``generated_parts`` makes
-others of the same dimensions.
-"""
+"""The peg insertion of Taccel as published, ``tasks.peg_scene``, as a benchmark."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import numpy as np
 
-from taccel_lab.benchmarks.assets import choose_source, mesh_folder, read_stl
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
-from taccel_lab.bodies.mass_properties import mass_properties
-from taccel_lab.geometry import TetMesh
-from taccel_lab.geometry.block import block_mesh, labelled
-from taccel_lab.reading.legacy_vtk import read_legacy_vtk
-from taccel_lab.scene import (
-    AffineBody,
-    Element,
-    FixedJoint,
-    KinematicBody,
-    Material,
-    Scene,
-    SoftBody,
-    TimeStepping,
-    TriangleMesh,
-)
+from taccel_lab.interop.published_meshes import choose_source, mesh_folder
 from taccel_lab.solvers import SolverConfig
-
-DT_S = 1 / 50
-STEPS = 200
-DHAT_M = 1e-4
-FRICTION_SPEED_M_S = 1e-2
-"""Sliding speed below which friction is static, as published."""
-GRAVITY = (0.0, 0.0, -9.81)
-PEG_MASS_KG = 0.0205
-"""As published: half of what its volume weighs at the density of 1000 kg/m^3 that is given, too."""
-GEL = Material(young_modulus_pa=1e5, poisson_ratio=0.4, density_kg_m3=1000.0)
-GEL_FRICTION, STIFF_FRICTION = 1.0, 0.2
-
-
-@dataclass(frozen=True)
-class PegPath:
-    """Where the peg starts and how the gels move."""
-
-    peg_m: tuple[float, float, float]
-    """The peg's frame, its lower end in the middle, at the start."""
-    times_s: tuple[float, ...]
-    gel_m: np.ndarray
-    """Of the gel on the side of positive x at these times, shape [n, 3]; the other one is its
-    mirror image. Straight lines between."""
-    first: int = 0
-    """Number of the first step: 0 stays at the start for a step, 1 moves at once."""
-
-
-PUBLISHED = PegPath(
-    (0.0, 0.005, 0.021),
-    (0.0, 0.1, 2.0, 4.0),
-    np.array(
-        [
-            (0.0171, 0.005, 0.071),
-            (0.0165, 0.005, 0.071),
-            (0.0165, -0.006, 0.066),
-            (0.0165, -0.006, 0.05),
-        ]
-    ),
+from taccel_lab.tasks.peg_scene import (
+    DHAT_M,
+    FRICTION_SPEED_M_S,
+    STEPS,
+    generated_parts,
+    peg_scene,
+    published_parts,
+    targets,
 )
-"""As published. The peg falls 1 mm onto the rim before the gels have it, and lies there askew; the
-gels drag it along, turning in their grip, and push it into the hole still askew."""
-_HALF = np.sqrt(0.5)
-_TURNS = np.array([(_HALF, 0.0, _HALF, 0.0), (0.0, -_HALF, 0.0, _HALF)])
-"""Quaternions of both gels: their faces look at each other."""
-
-
-@dataclass(frozen=True)
-class PegParts:
-    """The meshes of the scene."""
-
-    gel: TetMesh
-    """Middle of the pad at the origin, bonded at its smallest z."""
-    peg: TriangleMesh
-    hole: TriangleMesh
-
-
-def published_parts(folder: Path) -> PegParts:
-    """The meshes of the published example, of ``pads`` and ``peg`` in a folder."""
-    return PegParts(
-        labelled(*read_legacy_vtk(folder / "pads" / "sensor.vtk")),
-        read_stl(folder / "peg" / "peg.stl"),
-        read_stl(folder / "peg" / "hole.stl"),
-    )
-
-
-def dog_bone(x: float, y: float, waist_x: float, waist_y: float) -> np.ndarray:
-    """A rectangle of half sizes x, y, narrowed to ``waist_y`` within ``waist_x``: counter-clockwise
-    from its corner (x, y), shape [8, 2]."""
-    upper = [(x, y), (waist_x, waist_y), (-waist_x, waist_y), (-x, y)]
-    return np.array([*upper, *((-a, -b) for a, b in upper)])
-
-
-def prism(outline: np.ndarray, cap: list[tuple[int, int, int]], height: float) -> TriangleMesh:
-    """A counter-clockwise outline [n, 2], with the triangulation of its inside, from z = 0 up."""
-    n = len(outline)
-    i, j = np.arange(n), (np.arange(n) + 1) % n
-    flat = np.array(cap)
-    vertices = [np.column_stack([outline, np.full(n, z)]) for z in (0.0, height)]
-    sides = [np.stack([i, j, j + n], 1), np.stack([i, j + n, i + n], 1)]
-    return TriangleMesh(np.concatenate(vertices), np.concatenate([flat[:, ::-1], flat + n, *sides]))
-
-
-def tube(inner: np.ndarray, outer: np.ndarray, height: float) -> TriangleMesh:
-    """A block with a hole: outlines [n, 2], counter-clockwise, vertex beside vertex."""
-    n = len(inner)
-    i, j = np.arange(n), (np.arange(n) + 1) % n
-    levels = [(ring, z) for z in (0.0, height) for ring in (inner, outer)]
-    vertices = [np.column_stack([ring, np.full(n, z)]) for ring, z in levels]
-    a, b, c, d = (k * n for k in range(4))
-    quads = [
-        (i + b, j + b, j + d, i + d),
-        (j + a, i + a, i + c, j + c),
-        (i + c, i + d, j + d, j + c),
-        (i + b, i + a, j + a, j + b),
-    ]
-    faces = [np.stack(t, 1) for p, q, r, s in quads for t in ((p, q, r), (p, r, s))]
-    return TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
-
-
-def generated_parts(cells: tuple[int, int, int] = (6, 7, 1)) -> PegParts:
-    """Meshes of the published dimensions; about as many gel nodes as the published pad."""
-    size = (20.75e-3, 25.25e-3, 4e-3)
-    pad = block_mesh(cells, size, jitter=0.15, seed=4)
-    gel = labelled(pad.nodes_m + [0, 0, size[2] / 2], pad.tets)
-    cap = [(0, 1, 7), (1, 6, 7), (1, 2, 6), (2, 5, 6), (2, 3, 5), (3, 4, 5)]
-    peg = prism(dog_bone(15e-3, 17.5e-3, 5e-3, 11.7265e-3), cap, 50e-3)
-    hole = dog_bone(17e-3, 20.9641e-3, 4.4641e-3, 13.7265e-3)
-    outside = dog_bone(25e-3, 35e-3, 4.4641e-3, 35e-3)
-    return PegParts(gel, peg, tube(hole, outside, 20e-3))
-
-
-def peg_scene(
-    parts: PegParts,
-    path: PegPath = PUBLISHED,
-    env_count: int = 1,
-    hole_is_affine: bool = False,
-) -> Scene:
-    """The scene; kinematic bodies are both mounts and, unless it is affine, the hole.
-
-    An affine hole is held by a fixed joint instead of being prescribed.
-    """
-    names = ("left", "right")
-    gels = [
-        SoftBody(
-            parts.gel,
-            GEL,
-            name=name,
-            mount=f"{name} mount",
-            friction_coefficient=GEL_FRICTION,
-            element=Element.LINEAR,
-        )
-        for name in names
-    ]
-    frames = [KinematicBody(None, name=f"{name} mount") for name in names]
-    volume = mass_properties(parts.peg, 1.0).volume_m3
-    peg = AffineBody(
-        parts.peg,
-        density_kg_m3=PEG_MASS_KG / volume,
-        young_modulus_pa=1e9,
-        name="peg",
-        friction_coefficient=STIFF_FRICTION,
-        initial_pose=np.array([*path.peg_m, 0, 0, 0, 1]),
-    )
-    bodies, joints = [peg], []
-    if hole_is_affine:
-        bodies.append(
-            AffineBody(
-                parts.hole, young_modulus_pa=1e9, name="hole", friction_coefficient=STIFF_FRICTION
-            )
-        )
-        joints.append(FixedJoint("hole"))
-    else:
-        frames.append(KinematicBody(parts.hole, STIFF_FRICTION, name="hole"))
-    time = TimeStepping(quasi_static=False, dt_s=DT_S, gravity_m_s2=GRAVITY)
-    return Scene(gels, frames, env_count, time, affine_bodies=bodies, joints=joints)
 
 
 def peg_config(**options: float) -> SolverConfig:
     """The published gap and friction speed; converged to 1e-4 of the contact force by default."""
     return make_config({"dhat_m": DHAT_M, "friction_speed_m_s": FRICTION_SPEED_M_S}, options)
-
-
-def targets(scene: Scene, step: int, path: PegPath = PUBLISHED) -> np.ndarray:
-    """Poses of the kinematic bodies at a step, shape [env_count, kinematic_count, 7]."""
-    place = [np.interp(step * DT_S, path.times_s, path.gel_m[:, k]) for k in range(3)]
-    mirrored = np.array([[-1, 1, 1], [1, 1, 1]]) * place
-    poses = np.concatenate([mirrored, _TURNS], axis=1)
-    if len(scene.kinematic_bodies) > 2:
-        poses = np.concatenate([poses, [[0, 0, 0, 0, 0, 0, 1]]])
-    return np.tile(poses, (scene.env_count, 1, 1))
 
 
 def build(options: SceneOptions) -> BenchScene:

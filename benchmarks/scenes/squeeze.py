@@ -8,9 +8,9 @@ import numpy as np
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
 from taccel_lab.benchmarks.scenes.frames import facing, pose
 from taccel_lab.benchmarks.scenes.pads import pad
-from taccel_lab.benchmarks.scenes.peg import GEL, GRAVITY
 from taccel_lab.benchmarks.scenes.teddy import PARTS_M, teddy_mesh
 from taccel_lab.scene import Element, KinematicBody, Material, Plane, Scene, SoftBody, TimeStepping
+from taccel_lab.tasks.peg_scene import GEL, GRAVITY
 
 DT_S = 1 / 50
 TEDDY = Material(young_modulus_pa=2e4, poisson_ratio=0.4, density_kg_m3=250.0)

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks.assets import choose_source, has_data, mesh_folder, read_stl
 from taccel_lab.benchmarks.runner import Runner
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 from taccel_lab.benchmarks.scenes.teddy import surface_value, teddy_mesh, without_pinches
@@ -21,6 +20,7 @@ from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.bodies.mesh_checks import check_surface, check_tets
 from taccel_lab.bodies.primitives import unique_edges
 from taccel_lab.errors import InputError
+from taccel_lab.interop.published_meshes import choose_source, has_data, mesh_folder, read_stl
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.model.embedding import rotate
 

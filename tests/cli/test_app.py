@@ -101,6 +101,9 @@ COMMANDS = (
     "sensors show",
     "robot list",
     "robot show",
+    "task list",
+    "task run",
+    "task record",
     "doctor",
 )
 

@@ -6,8 +6,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.benchmarks.assets import mesh_folder
-from taccel_lab.benchmarks.scenes.peg import (
+from taccel_lab.benchmarks.scenes.peg import peg_config
+from taccel_lab.interop.published_meshes import mesh_folder
+from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.outputs import Outputs
+from taccel_lab.solvers import SolverIPC
+from taccel_lab.state import initial_state
+from taccel_lab.tasks.peg_scene import (
     DT_S,
     GRAVITY,
     PEG_MASS_KG,
@@ -15,15 +20,10 @@ from taccel_lab.benchmarks.scenes.peg import (
     PegParts,
     PegPath,
     generated_parts,
-    peg_config,
     peg_scene,
     published_parts,
     targets,
 )
-from taccel_lab.ipc.intersection import find_intersections
-from taccel_lab.outputs import Outputs
-from taccel_lab.solvers import SolverIPC
-from taccel_lab.state import initial_state
 
 RIM_M = 0.02
 CENTRED = PegPath(

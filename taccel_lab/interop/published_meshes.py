@@ -23,7 +23,7 @@ _MAX_BYTES = 100 << 20
 
 def data_folder() -> Path:
     """Where published meshes and real captures are looked for."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
     return Path(os.environ.get("TACCEL_LAB_DATA", beside))
 
 

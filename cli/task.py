@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab task list``, ``run`` and ``record``: tasks with criterion, seeds and a baseline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+from taccel_lab.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from taccel_lab.tasks.catalogue import Task
+    from taccel_lab.tasks.result import TaskResult
+
+MOST_SEEDS = 100_000
+
+
+@dataclass(frozen=True)
+class TaskList:
+    """List the tasks."""
+
+    json: bool = False
+    """Print JSON instead of a table, with the figures of others."""
+
+    def run(self) -> None:
+        from rich.box import SIMPLE
+        from rich.console import Console
+        from rich.table import Table
+        from rich.text import Text
+
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.tasks.catalogue import named, names
+
+        tasks = {name: named(name).parameters for name in names()}
+        if self.json:
+            print_json({name: task.model_dump(mode="json") for name, task in tasks.items()})
+            return
+        table = Table(box=SIMPLE, pad_edge=False)
+        for heading in ("task", "what", "criterion", "seeds"):
+            table.add_column(heading, overflow="fold")
+        for name, task in tasks.items():
+            cells = (task.summary, task.criterion, str(task.seeds))
+            table.add_row(Text(name, style="cyan"), *map(Text, cells))
+        Console().print(table)
+
+
+@dataclass(frozen=True)
+class TaskRun:
+    """Run the baseline policy of a task on its seeds: success rate with its 95 % interval.
+
+    Writes result.json (settings, machine, a row a seed) and seeds.png. A seed whose simulation
+    fails counts as a failure, with its cause. Ctrl-C ends the run and keeps what is done.
+    """
+
+    task: Positional[str]
+    """A task of ``task list``, or a file like those of the package."""
+    output: Path
+    """Folder to write; an earlier one is replaced when everything is done."""
+    seeds: int | None = None
+    """Run seeds 0 to N - 1; as many as the task's file says when left out."""
+    device: str | None = None
+    """Device of the solver: cpu or cuda:0."""
+
+    def run(self) -> None:
+        import warp as wp
+        from rich.console import Console
+
+        from taccel_lab.cli.progress import stage_progress
+        from taccel_lab.model.devices import require_device
+        from taccel_lab.output_folder import atomic_directory, require_replaceable
+        from taccel_lab.tasks.run import run_task
+
+        wp.config.log_level = wp.LOG_WARNING
+        if self.seeds is not None and not 1 <= self.seeds <= MOST_SEEDS:
+            raise InputError(f"seeds must lie in 1..{MOST_SEEDS}, got {self.seeds}")
+        task, device = _task_of(self.task), self.device or "cpu"
+        require_device(device)
+        require_replaceable(self.output)
+        console = Console(stderr=True)
+        with atomic_directory(self.output) as folder:
+            with stage_progress(console) as progress:
+                seeds = range(self.seeds or task.parameters.seeds)
+                result = run_task(task, seeds, device, progress=progress)
+            _write(task, result, device, folder)
+        _print(console, result, self.output)
+        if len(result.trials) < result.asked:
+            console.print(
+                f"interrupted; {len(result.trials)} of {result.asked} seeds are kept",
+                highlight=False,
+            )
+            raise SystemExit(130)
+
+
+@dataclass(frozen=True)
+class TaskRecord:
+    """Film one seed of a task: scene, gel and forces side by side, as MP4 (MPEG-4 part 2).
+
+    Writes film.mp4, its last frame film.png, and trial.json.
+    """
+
+    task: Positional[str]
+    """A task of ``task list``, or a file like those of the package."""
+    output: Path
+    """Folder to write; an earlier one is replaced when everything is done."""
+    seed: int = 0
+    """Which start."""
+    device: str | None = None
+    """Device of the solver: cpu or cuda:0."""
+
+    def run(self) -> None:
+        import warp as wp
+        from rich.console import Console
+
+        from taccel_lab.cli.progress import stage_progress
+        from taccel_lab.model.devices import require_device
+        from taccel_lab.output import write_json
+        from taccel_lab.output_folder import atomic_directory, require_replaceable
+        from taccel_lab.tasks.film import film_seed, write_film_files
+
+        wp.config.log_level = wp.LOG_WARNING
+        if not 0 <= self.seed < MOST_SEEDS:
+            raise InputError(f"seed must lie in 0..{MOST_SEEDS - 1}, got {self.seed}")
+        task, device = _task_of(self.task), self.device or "cpu"
+        require_device(device)
+        require_replaceable(self.output)
+        console = Console(stderr=True)
+        with atomic_directory(self.output) as folder:
+            with stage_progress(console) as progress:
+                film, trial = film_seed(task, self.seed, device, progress)
+            with console.status("writing the film"):
+                write_film_files(film, folder)
+            write_json(folder / "trial.json", {"task": task.name, **vars(trial)})
+        done = "success" if trial.success else trial.cause
+        console.print(f"seed {trial.seed}: {done}", highlight=False, markup=False)
+        console.print(f"wrote {self.output / 'film.mp4'}", highlight=False, soft_wrap=True)
+
+
+def _task_of(name: str) -> Task:
+    """A task of the package, or of a file."""
+    from taccel_lab.tasks.catalogue import named, read_task
+
+    if name.endswith(".toml"):
+        return read_task(Path(name))
+    return named(name)
+
+
+def _write(task: Task, result: TaskResult, device: str, folder: Path) -> None:
+    from taccel_lab.output import write_json
+    from taccel_lab.report.machine import describe_run
+    from taccel_lab.tasks.result_picture import draw_result
+
+    table = result.table()
+    rows = table.pop("per_seed")
+    settings = task.parameters.model_dump(mode="json")
+    run = describe_run(device)
+    write_json(
+        folder / "result.json", {**table, "settings": settings, "run": run, "per_seed": rows}
+    )
+    draw_result(result, task.parameters.headline, folder / "seeds.png")
+
+
+def _print(console: Console, result: TaskResult, output: Path) -> None:
+    table = result.table()
+    low, high = table["interval_95"]
+    lines = [
+        f"{table['task']}: {table['successes']} of {table['trials']} seeds, "
+        f"{table['success_rate']:.1%} (95 %: {low:.1%} to {high:.1%}, Wilson)"
+    ]
+    for name, spread in table["figures"].items():
+        if spread:
+            lines.append(
+                f"  {name}: median {spread['median']:.4g}, 5 % {spread['p05']:.4g}, "
+                f"95 % {spread['p95']:.4g}"
+            )
+    causes = [(trial.seed, trial.cause) for trial in result.trials if trial.cause]
+    lines += [f"  seed {seed}: {cause}" for seed, cause in causes[:10]]
+    if causes[10:]:
+        lines.append(f"  and {len(causes) - 10} more failures")
+    lines.append(f"wrote {output / 'result.json'}")
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A film of one seed: the scene, what the gel's surface does, and the forces, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.output import write_image
+from taccel_lab.progress import Progress, silent
+from taccel_lab.report.style import BLUE, GREEN, ORANGE, PURPLE, in_report_style, new_figure
+from taccel_lab.scene import KinematicBody
+from taccel_lab.signals import SignalTactile
+from taccel_lab.tasks.catalogue import Task
+from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.result import Trial
+from taccel_lab.tasks.scene_picture import SceneCamera, surfaces
+
+FRAMES_PER_S = 25
+"""Of films; a frame shows a step of 1 / 25 s, or of the task's own where these are longer."""
+IMAGE_PX = 160
+"""Height of the gel's image."""
+
+
+@dataclass
+class Film:
+    """Frames of one seed."""
+
+    name: str
+    episode: Episode
+    grid: PixelGrid
+    times_s: list[float] = field(default_factory=list)
+    positions_m: list[np.ndarray] = field(default_factory=list)
+    """Of all nodes, [node_count, 3]."""
+    rises_m: list[np.ndarray] = field(default_factory=list)
+    """Rise of the gel's face over where it began, [height_px, width_px], NaN beside it."""
+    forces_n: list[dict[str, float]] = field(default_factory=list)
+
+
+def film_seed(
+    task: Task, seed: int, device: str | None = None, progress: Progress = silent
+) -> tuple[Film, Trial]:
+    """Run a seed by itself and watch it."""
+    episode = task.begin([seed], device)
+    dt = task.parameters.dt_s
+    every = max(1, round(1 / (FRAMES_PER_S * dt)))
+    watch = _GelView(episode)
+    film = Film(task.name, episode, watch.grid)
+    start = watch.height_m()
+    while not episode.over:
+        episode.advance()
+        progress(task.name, episode.taken, episode.step_limit)
+        if episode.taken % every == 0:
+            film.times_s.append(episode.taken * dt)
+            film.positions_m.append(episode.state.positions.numpy()[0].copy())
+            film.rises_m.append(watch.height_m() - start)
+            film.forces_n.append(episode.forces())
+    return film, episode.trials()[0]
+
+
+def _scene_pictures(film: Film) -> Iterator[np.ndarray]:
+    """Pictures of the scene, frame by frame, from where all of them are in view."""
+    scene, model = film.episode.scene, film.episode.model
+    frames = (surfaces(scene, model, positions) for positions in film.positions_m)
+    seen = [np.concatenate([vertices for _, vertices, _ in bodies]) for bodies in frames]
+    low = np.min([points.min(axis=0) for points in seen], axis=0)
+    high = np.max([points.max(axis=0) for points in seen], axis=0)
+    ground = scene.planes[0].point_m[2] if scene.planes else None
+    first = surfaces(scene, model, film.positions_m[0])
+    camera = SceneCamera(
+        first, film.episode.direction, box_m=np.stack([low, high]), ground_m=ground
+    )
+    try:
+        for positions in film.positions_m:
+            yield camera.picture(surfaces(scene, model, positions))
+    finally:
+        camera.close()
+
+
+class _GelView:
+    """The surface of the gel that an episode shows, in its own frame."""
+
+    def __init__(self, episode: Episode) -> None:
+        scene = episode.scene
+        (gel,) = (body for body in scene.soft_bodies if body.name == episode.gel)
+        mesh, count = gel.nodal_mesh, scene.env_count
+        flat = mesh.nodes_m[:, :2]
+        width, height = 1e3 * (flat.max(axis=0) - flat.min(axis=0))
+        pitch = height / IMAGE_PX
+        self.grid = PixelGrid(int(width / pitch), IMAGE_PX, pitch, pitch)
+        self._episode = episode
+        names = [body.name for body in scene.kinematic_bodies if isinstance(body, KinematicBody)]
+        self._mount = names.index(gel.mount) if gel.mount is not None else None
+        first = episode.model.bodies[episode.model.body_id(gel.name)].nodes[0]
+        device = episode.model.device
+        self._signal = SignalTactile(
+            mesh, self.grid, env_count=count, first_node=first, device=device
+        )
+
+    def height_m(self) -> np.ndarray:
+        state = self._episode.state
+        frames = None
+        if self._mount is not None:
+            import warp as wp
+
+            frames = wp.clone(state.poses[:, self._mount])
+        self._signal.update(state.positions, frames)
+        return self._signal.height_m.numpy()[0].astype(np.float64)
+
+
+@in_report_style
+def write_film(film: Film, path: Path) -> np.ndarray:
+    """Write an MP4 file (MPEG-4 part 2) by OpenCV, and return the last frame, RGB.
+
+    Raises OSError where the file cannot be written.
+    """
+    import cv2
+
+    names = list(film.forces_n[0])
+    forces = np.array([[row[name] for name in names] for row in film.forces_n])
+    figure, (left, middle, right) = new_figure(
+        12.8, 4.4, 1, 3, gridspec_kw={"width_ratios": [1.15, 1.0, 1.25]}
+    )
+    pictures = _scene_pictures(film)
+    scene = left.imshow(np.zeros((520, 520, 3), dtype=np.uint8))
+    left.axis("off")
+    title = left.set_title("")
+    rises = 1e3 * np.array(film.rises_m)
+    # A face that is folded over has a few pixels that look millimetres down its side.
+    reach = max(float(np.nanquantile(np.abs(rises), 0.99)), 1e-6)
+    side = (film.grid.x_mm()[[0, -1]], film.grid.y_mm()[[0, -1]])
+    gel = middle.imshow(
+        rises[0],
+        extent=(side[0][0], side[0][1], side[1][1], side[1][0]),
+        cmap="RdBu_r",
+        vmin=-reach,
+        vmax=reach,
+    )
+    middle.set_title("gel: rise of its face")
+    middle.set_xlabel("x [mm]")
+    figure.colorbar(gel, ax=middle, label="[mm]", shrink=0.8)
+    colors = (BLUE, ORANGE, GREEN, PURPLE)
+    lines = [
+        right.plot([], [], label=name, color=color)[0]
+        for name, color in zip(names, colors, strict=False)
+    ]
+    right.set_xlim(0, film.times_s[-1])
+    right.set_ylim(0, 1.05 * max(float(forces.max()), 1e-3))
+    right.set_xlabel("time [s]")
+    right.set_ylabel("force [N]")
+    right.legend(loc="lower right")
+    writer, pixels = None, np.zeros(0)
+    try:
+        for i, (time_s, picture) in enumerate(zip(film.times_s, pictures, strict=True)):
+            scene.set_data(picture)
+            gel.set_data(rises[i])
+            title.set_text(f"{film.name}, {time_s:.2f} s")
+            for k, line in enumerate(lines):
+                line.set_data(film.times_s[: i + 1], forces[: i + 1, k])
+            figure.canvas.draw()
+            pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3].copy()  # type: ignore[attr-defined]
+            pixels = pixels[: pixels.shape[0] // 2 * 2, : pixels.shape[1] // 2 * 2]
+            if writer is None:
+                size = (pixels.shape[1], pixels.shape[0])
+                code = cv2.VideoWriter.fourcc(*"mp4v")
+                writer = cv2.VideoWriter(str(path), code, float(FRAMES_PER_S), size)
+                if not writer.isOpened():
+                    raise OSError(f"{path} could not be written as MP4 by OpenCV")
+            writer.write(np.ascontiguousarray(pixels[..., ::-1]))
+    finally:
+        if writer is not None:
+            writer.release()
+    return pixels
+
+
+def write_film_files(film: Film, folder: Path) -> None:
+    """``film.mp4`` and its last frame, ``film.png``."""
+    write_image(folder / "film.png", write_film(film, folder / "film.mp4")[..., ::-1])

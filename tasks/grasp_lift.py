@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Grasp an object that lies on a plane, and lift it.
+
+Two fingers with a gel each close on a stiff free body until both push with a force, and rise. The
+fingers follow their targets exactly (gels stand on kinematic bodies); the force comes from closing
+in small steps until it is measured. The gripper aims at the middle; the body lies beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from taccel_lab.bodies.mass_properties import mass_properties
+from taccel_lab.reading.strict_model import Number, StrictModel
+from taccel_lab.robots import named, on_seat
+from taccel_lab.robots.transforms import matrix_of, pose_of
+from taccel_lab.scene import (
+    AffineBody,
+    Plane,
+    Scene,
+    TimeStepping,
+    TriangleMesh,
+    box_mesh,
+    cylinder_mesh,
+    sphere_mesh,
+)
+from taccel_lab.solvers import Control, SolverConfig
+from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.parameters import (
+    Contact,
+    NotNegative,
+    Pad,
+    Positive,
+    TaskParameters,
+    draw,
+)
+
+G = 9.81
+SIDES = ("left", "right")
+
+
+class Object(StrictModel):
+    """What is grasped."""
+
+    shape: Literal["box", "cylinder", "sphere"]
+    size_mm: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=3)]
+    """Sides of a box; radius and height of an upright cylinder; radius of a sphere."""
+    mass_kg: Positive
+    friction: NotNegative
+
+    def surface(self) -> TriangleMesh:
+        """About its middle [m]."""
+        size = [1e-3 * value for value in self.size_mm]
+        if self.shape == "box":
+            return box_mesh((size[0], size[1], size[2]))
+        if self.shape == "cylinder":
+            return cylinder_mesh(size[0], size[1])
+        return sphere_mesh(size[0], size[0] / 5)
+
+
+class Start(StrictModel):
+    """Half ranges of where the object lies, from the middle between the fingers."""
+
+    x_mm: NotNegative
+    """Along the way of the fingers."""
+    y_mm: NotNegative
+    yaw_deg: NotNegative
+
+
+class GraspPolicy(StrictModel):
+    """The scripted baseline."""
+
+    open_mm: Positive
+    """Of each finger's seat from the middle, at the start."""
+    closed_mm: NotNegative
+    """Where closing ends, whatever the force."""
+    close_mm_s: Positive
+    grip_n: Positive
+    """Closing ends when both gels push as hard."""
+    lift_mm_s: Positive
+    lift_mm: Positive
+
+
+class GraspGoal(StrictModel):
+    """When it is done."""
+
+    lift_mm: Positive
+    hold_s: Number
+
+
+class GraspLiftParameters(TaskParameters):
+    """The file of a grasp and lift."""
+
+    kind: Literal["grasp-lift"]
+    robot: Literal["parallel_gripper"]
+    plane_friction: NotNegative
+    object: Object
+    gel: Pad
+    contact: Contact
+    start: Start
+    policy: GraspPolicy
+    goal: GraspGoal
+
+
+class GraspLift(Episode):
+    """Grasp and lift of some seeds."""
+
+    gel = "left pad"
+    direction = (0.7, -1.4, 0.5)
+
+    def __init__(
+        self, parameters: GraspLiftParameters, seeds: Sequence[int], device: str | None = None
+    ) -> None:
+        self.parameters = parameters
+        count, policy = len(seeds), parameters.policy
+        robot = named(parameters.robot).touching(["finger_left", "finger_right"])
+        mesh = parameters.gel.mesh()
+        for side in SIDES:
+            pad = parameters.gel.soft_body(mesh)
+            robot = robot.mount(f"finger_{side}", pad, on_seat(mesh), f"{side} pad")
+        self.robot = robot
+        shape = parameters.object.surface()
+        lowest = -float(shape.vertices_m[:, 2].min())
+        half = parameters.start
+        starts = [
+            draw(seed, {"x_mm": half.x_mm, "y_mm": half.y_mm, "yaw_deg": half.yaw_deg})
+            for seed in seeds
+        ]
+        # It lies where contact has just begun, and settles while the fingers close.
+        height = lowest + 1e-3 * parameters.contact.dhat_mm
+        yaw = np.radians([start["yaw_deg"] for start in starts])
+        pose = np.zeros((count, 7))
+        pose[:, 0] = [1e-3 * start["x_mm"] for start in starts]
+        pose[:, 1] = [1e-3 * start["y_mm"] for start in starts]
+        pose[:, 2] = height
+        pose[:, 5], pose[:, 6] = np.sin(yaw / 2), np.cos(yaw / 2)
+        body = AffineBody(
+            shape,
+            density_kg_m3=parameters.object.mass_kg / mass_properties(shape, 1.0).volume_m3,
+            name="object",
+            friction_coefficient=parameters.object.friction,
+            initial_pose=pose,
+        )
+        self.seat = np.full(count, 1e-3 * policy.open_mm)
+        """Coordinate of the fingers [m]."""
+        self.raised = np.zeros(count)
+        """How far the gripper has risen [m]."""
+        self.gripping = np.zeros(count, dtype=bool)
+        # Fingers point down, their tips' frame at the object's middle.
+        tcp = robot.link_poses("tcp", robot.rest_q)[0]
+        self._base = np.array([0.0, 0.0, lowest + tcp[2], 1.0, 0.0, 0.0, 0.0])
+        scene = Scene(
+            robot.soft_bodies(),
+            robot.kinematic_bodies(),
+            count,
+            TimeStepping(False, parameters.dt_s, (0.0, 0.0, -G)),
+            affine_bodies=body,
+            planes=Plane(friction_coefficient=parameters.plane_friction),
+        )
+        contact = parameters.contact
+        config = SolverConfig(
+            dhat_m=1e-3 * contact.dhat_mm,
+            friction_speed_m_s=1e-3 * contact.friction_speed_mm_s,
+            absolute_tolerance_n=contact.absolute_tolerance_n,
+        )
+        super().__init__(parameters, seeds, starts, scene, config, self._targets(), device)
+        self._rest_height = height
+        self._held = np.zeros(count, dtype=int)
+        self._grip = np.zeros((count, 2))
+        self._weakest = np.full(count, np.nan)
+        self._strongest = np.zeros(count)
+        self._gripped_at = np.full((count, 3), np.nan)
+        self._slip = np.full(count, np.nan)
+        self._rise = np.zeros(count)
+
+    def _targets(self) -> np.ndarray:
+        base = np.tile(self._base, (len(self.seat), 1))
+        base[:, 2] += self.raised
+        return pose_of(matrix_of(base)[:, None] @ matrix_of(self.robot.targets(self.seat[:, None])))
+
+    def control(self) -> Control:
+        policy, dt = self.parameters.policy, self.parameters.dt_s
+        closing = ~self.gripping
+        closer = np.maximum(self.seat - 1e-3 * policy.close_mm_s * dt, 1e-3 * policy.closed_mm)
+        self.seat = np.where(closing, closer, self.seat)
+        higher = np.minimum(self.raised + 1e-3 * policy.lift_mm_s * dt, 1e-3 * policy.lift_mm)
+        self.raised = np.where(closing, self.raised, higher)
+        return Control(target_poses=self._targets())
+
+    def measure(self) -> None:
+        policy, goal = self.parameters.policy, self.parameters.goal
+        grip = [self.force_on("object", f"{side} pad", friction=False) for side in SIDES]
+        self._grip = np.linalg.norm(np.stack(grip, axis=1), axis=2)
+        centre, _ = self.affine_frame()
+        relative = centre - np.array([0.0, 0.0, 1.0]) * self.raised[:, None]
+        closed = self.seat <= 1e-3 * policy.closed_mm
+        firm = self._grip.min(axis=1) >= policy.grip_n
+        begins = self.running & ~self.gripping & (firm | closed)
+        self._gripped_at[begins] = relative[begins]
+        self.gripping |= begins
+        holding = self.running & self.gripping
+        slip = np.linalg.norm(relative - self._gripped_at, axis=1)
+        self._slip[holding] = slip[holding]
+        weakest = np.fmin(self._weakest, self._grip.min(axis=1))
+        self._weakest[holding] = weakest[holding]
+        strongest = np.maximum(self._strongest, self._grip.max(axis=1))
+        self._strongest[self.running] = strongest[self.running]
+        self._rise[self.running] = (centre[:, 2] - self._rest_height)[self.running]
+        high = self.running & (self._rise >= 1e-3 * goal.lift_mm)
+        self._held = np.where(high, self._held + 1, 0)
+
+    def judge(self, env: int) -> tuple[str, dict[str, float]]:
+        goal = self.parameters.goal
+        held = self._held[env] * self.parameters.dt_s
+        figures = {
+            "rise_mm": 1e3 * self._rise[env],
+            "held_s": held,
+            "slip_mm": 1e3 * self._slip[env],
+            "weakest_grip_n": self._weakest[env],
+            "strongest_grip_n": self._strongest[env],
+        }
+        figures = {name: float(value) for name, value in figures.items()}
+        if figures["rise_mm"] < goal.lift_mm:
+            return f"rose by {figures['rise_mm']:.1f} mm at the end", figures
+        if held < goal.hold_s - 1e-9:
+            return f"was held high for {held:.2f} s", figures
+        return "", figures
+
+    def forces(self) -> dict[str, float]:
+        return {f"{side} pad": float(self._grip[0, i]) for i, side in enumerate(SIDES)}

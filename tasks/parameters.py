@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every task's file says, and parts that several tasks have in common."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.reading.strict_model import Number, StrictModel, Whole
+from taccel_lab.scene import Element, Material, SoftBody
+
+Positive = Annotated[Number, Field(gt=0)]
+NotNegative = Annotated[Number, Field(ge=0)]
+Count = Annotated[Whole, Field(ge=1, le=100_000)]
+
+
+class Published(StrictModel):
+    """A figure that somebody published for a task like this one."""
+
+    who: str
+    figure: str
+    source: str
+    differs: str
+    """What makes it not comparable."""
+
+
+class TaskParameters(StrictModel):
+    """What the file of any task says."""
+
+    kind: str
+    summary: str
+    criterion: str
+    """In words; the numbers are those of the file."""
+    headline: str
+    """The figure that pictures and tables show first."""
+    seeds: Count
+    """Seeds 0, 1, ... of a run that names no other number."""
+    environments: Count
+    """Seeds that one solver steps together."""
+    dt_s: Positive
+    steps: Count
+    """Steps after which it is over."""
+    published: Annotated[tuple[Published, ...], Field(min_length=1)]
+
+
+class Pad(StrictModel):
+    """A block of gel, bonded at its back."""
+
+    cells: tuple[Count, Count, Count]
+    size_mm: tuple[Positive, Positive, Positive]
+    """Width and height of its face, and thickness."""
+    young_modulus_pa: Positive
+    poisson_ratio: Number
+    density_kg_m3: Positive
+    friction: NotNegative
+    element: Element
+    jitter: Annotated[Number, Field(ge=0, le=0.3)] = 0.0
+    """How far nodes are moved, as a part of a cell: no direction of the mesh is special then."""
+
+    def mesh(self) -> TetMesh:
+        """Its contact face at z = 0, the bond below."""
+        width, height, thickness = (1e-3 * side for side in self.size_mm)
+        return block_mesh(self.cells, (width, height, thickness), self.jitter, seed=4)
+
+    def soft_body(self, mesh: TetMesh) -> SoftBody:
+        """The gel, in its own frame."""
+        material = Material(self.young_modulus_pa, self.poisson_ratio, self.density_kg_m3)
+        return SoftBody(
+            mesh, material, friction_coefficient=self.friction, element=Element(self.element)
+        )
+
+
+class Contact(StrictModel):
+    """How close contact is solved."""
+
+    dhat_mm: Positive
+    friction_speed_mm_s: Positive
+    """Sliding speed below which friction is static."""
+    absolute_tolerance_n: Positive
+
+
+def draw(seed: int, half_ranges: dict[str, float]) -> dict[str, float]:
+    """Offsets of a seed, each evenly from minus to plus its half range, in the order given: the
+    same whatever other seeds run beside it."""
+    generator = np.random.default_rng(seed)
+    return {name: float(generator.uniform(-half, half)) for name, half in half_ranges.items()}

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Push a peg, held between two gels, into a hole that is not where the policy believes it.
+
+The scene is Taccel's (``peg_scene``). The policy is blind: the gels close in the first step, go
+straight down and stay. Offset and turn of gels and peg against the hole are drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from taccel_lab.interop.published_meshes import choose_source, mesh_folder
+from taccel_lab.reading.strict_model import Number, StrictModel
+from taccel_lab.robots.transforms import matrix_of, pose_of
+from taccel_lab.scene import Scene
+from taccel_lab.solvers import Control, SolverConfig
+from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.parameters import (
+    Contact,
+    NotNegative,
+    Positive,
+    TaskParameters,
+    draw,
+)
+from taccel_lab.tasks.peg_scene import (
+    DT_S,
+    PegPath,
+    generated_parts,
+    peg_scene,
+    published_parts,
+    targets,
+)
+
+SIDES = ("left", "right")
+
+
+class PegStart(StrictModel):
+    """Half ranges of where gels and peg are, from above the middle of the hole."""
+
+    x_mm: NotNegative
+    """Along the way on which the gels close."""
+    y_mm: NotNegative
+    yaw_deg: NotNegative
+
+
+class PegPolicy(StrictModel):
+    """Where the gels go: straight lines between."""
+
+    peg_mm: tuple[Number, Number, Number]
+    """Where the peg starts, its lower end in the middle, without an offset."""
+    times_s: Annotated[tuple[NotNegative, ...], Field(min_length=2)]
+    gel_mm: Annotated[tuple[tuple[Number, Number, Number], ...], Field(min_length=2)]
+    """Of the gel at positive x at these times; the other one mirrors it."""
+    gripped_s: NotNegative
+    """From when on slip in the grip counts."""
+
+
+class PegGoal(StrictModel):
+    """When it is done."""
+
+    depth_mm: Positive
+    """Of the peg's lowest point below the rim."""
+
+
+class PegInsertionParameters(TaskParameters):
+    """The file of a peg insertion."""
+
+    kind: Literal["peg-insertion"]
+    meshes: Literal["published", "generated"]
+    """Those of Taccel's example, from the data folder, or ours of the same dimensions."""
+    contact: Contact
+    start: PegStart
+    policy: PegPolicy
+    goal: PegGoal
+
+
+class PegInsertion(Episode):
+    """Peg insertion of some seeds."""
+
+    gel = "right"
+    direction = (0.9, -1.4, 0.8)
+
+    def __init__(
+        self, parameters: PegInsertionParameters, seeds: Sequence[int], device: str | None = None
+    ) -> None:
+        self.parameters = parameters
+        policy, half = parameters.policy, parameters.start
+        source = choose_source(parameters.meshes, "peg/peg.stl", "peg/hole.stl", "pads/sensor.vtk")
+        parts = published_parts(mesh_folder()) if source == "published" else generated_parts()
+        self._path = PegPath(
+            tuple(1e-3 * value for value in policy.peg_mm),  # type: ignore[arg-type]
+            policy.times_s,
+            1e-3 * np.array(policy.gel_mm),
+        )
+        starts = [
+            draw(seed, {"x_mm": half.x_mm, "y_mm": half.y_mm, "yaw_deg": half.yaw_deg})
+            for seed in seeds
+        ]
+        yaw = np.radians([start["yaw_deg"] for start in starts])
+        offset = np.zeros((len(seeds), 7))
+        offset[:, 0] = [1e-3 * start["x_mm"] for start in starts]
+        offset[:, 1] = [1e-3 * start["y_mm"] for start in starts]
+        offset[:, 5], offset[:, 6] = np.sin(yaw / 2), np.cos(yaw / 2)
+        self._offset = matrix_of(offset)
+        peg = matrix_of(np.array([*self._path.peg_m, 0, 0, 0, 1.0]))
+        scene = peg_scene(parts, self._path, len(seeds), peg_poses=pose_of(self._offset @ peg))
+        self._rim = float(parts.hole.vertices_m[:, 2].max())
+        contact = parameters.contact
+        config = SolverConfig(
+            dhat_m=1e-3 * contact.dhat_mm,
+            friction_speed_m_s=1e-3 * contact.friction_speed_mm_s,
+            absolute_tolerance_n=contact.absolute_tolerance_n,
+        )
+        super().__init__(parameters, seeds, starts, scene, config, self._targets(scene, 0), device)
+        nan = np.full(len(seeds), np.nan)
+        self._depth, self._slip = nan.copy(), nan.copy()
+        self._jam = np.zeros(len(seeds))
+        self._grip = np.zeros((len(seeds), 2))
+        self._on_hole = np.zeros(len(seeds))
+        self._gripped_at = np.full((len(seeds), 3), np.nan)
+
+    def _targets(self, scene: Scene, step: int) -> np.ndarray:
+        poses = targets(scene, step, self._path)
+        poses[:, :2] = pose_of(self._offset[:, None] @ matrix_of(poses[:, :2]))
+        return poses
+
+    def control(self) -> Control:
+        return Control(target_poses=self._targets(self.scene, self.taken + 1))
+
+    def measure(self) -> None:
+        run = self.running
+        grip = [self.force_on("peg", side) for side in SIDES]
+        self._grip[run] = np.linalg.norm(np.stack(grip, axis=1), axis=2)[run]
+        self._on_hole[run] = np.linalg.norm(self.force_on("peg", "hole"), axis=1)[run]
+        self._jam = np.maximum(self._jam, self._on_hole)
+        body = self.model.bodies[self.model.body_id("peg")]
+        lowest = self.state.positions.numpy()[:, body.node_slice, 2].min(axis=1)
+        self._depth[run] = (self._rim - lowest)[run]
+        # In the frame of the gels, which moves with them and does not turn on the way.
+        middle = self._targets(self.scene, self.taken)[:, :2, :3].mean(axis=1)
+        relative = self.affine_frame()[0] - middle
+        if self.taken * DT_S >= self.parameters.policy.gripped_s:
+            fresh = run & np.isnan(self._slip)
+            self._gripped_at[fresh] = relative[fresh]
+            self._slip[run] = np.linalg.norm(relative - self._gripped_at, axis=1)[run]
+
+    def judge(self, env: int) -> tuple[str, dict[str, float]]:
+        found = {
+            "depth_mm": 1e3 * self._depth[env],
+            "jam_force_n": self._jam[env],
+            "slip_mm": 1e3 * self._slip[env],
+        }
+        figures = {name: float(value) for name, value in found.items()}
+        if not figures["depth_mm"] >= self.parameters.goal.depth_mm:
+            return f"came {figures['depth_mm']:.1f} mm deep", figures
+        return "", figures
+
+    def forces(self) -> dict[str, float]:
+        gels = {f"{side} gel": float(self._grip[0, i]) for i, side in enumerate(SIDES)}
+        return gels | {"hole": float(self._on_hole[0])}

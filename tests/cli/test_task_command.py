@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab task list``, ``run`` and ``record``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from taccel_lab.cli import app
+from taccel_lab.tasks.catalogue import FILES, names
+
+pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
+
+
+def short_task(folder: Path, steps: int) -> Path:
+    """The peg insertion, ended after a few steps."""
+    text = (FILES / "peg-insertion.toml").read_text(encoding="utf-8")
+    path = folder / "short.toml"
+    path.write_text(text.replace("steps = 60", f"steps = {steps}"), encoding="utf-8")
+    return path
+
+
+def test_list(capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.main(["task", "list"]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in names())
+    assert app.main(["task", "list", "--json"]) == 0
+    listed = json.loads(capsys.readouterr().out)
+    assert list(listed) == names()
+    assert all(task["published"][0]["differs"] for task in listed.values())
+
+
+def test_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    words = ["task", "run", str(short_task(tmp_path, 3)), "--seeds", "2", "--output", str(out)]
+    assert app.main(words) == 0
+    assert "short: 0 of 2 seeds, 0.0% (95 %: 0.0% to 65.8%, Wilson)" in capsys.readouterr().err
+    result = json.loads((out / "result.json").read_text())
+    assert (result["trials"], result["success_rate"]) == (2, 0.0)
+    assert [row["seed"] for row in result["per_seed"]] == [0, 1]
+    assert result["settings"]["steps"] == 3 and result["run"]["device"] == "CPU, one thread"
+    pixels = np.asarray(Image.open(out / "seeds.png").convert("RGB")).astype(int)
+    assert (pixels.max(axis=2) - pixels.min(axis=2) > 60).sum() > 50
+    # A folder of somebody's own is not replaced.
+    (out / "mine.txt").write_text("mine")
+    assert app.main(words) == 2
+    assert "mine.txt" in capsys.readouterr().err
+
+
+def test_interrupted_run_keeps_what_is_done(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from taccel_lab.tasks.peg_insertion import PegInsertion
+
+    measure = PegInsertion.measure
+
+    def interrupted(self: PegInsertion) -> None:
+        if 1 in self.seeds:
+            raise KeyboardInterrupt
+        measure(self)
+
+    monkeypatch.setattr(PegInsertion, "measure", interrupted)
+    path, out = short_task(tmp_path, 2), tmp_path / "run"
+    path.write_text(path.read_text().replace("environments = 8", "environments = 1"))
+    with pytest.raises(SystemExit) as caught:
+        app.main(["task", "run", str(path), "--seeds", "3", "--output", str(out)])
+    assert caught.value.code == 130
+    assert "interrupted; 1 of 3 seeds are kept" in capsys.readouterr().err
+    assert [row["seed"] for row in json.loads((out / "result.json").read_text())["per_seed"]] == [0]
+
+
+def test_record(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    import cv2
+
+    out = tmp_path / "film"
+    words = ["task", "record", str(short_task(tmp_path, 6)), "--seed", "2", "--output", str(out)]
+    assert app.main(words) == 0
+    assert "seed 2: came " in capsys.readouterr().err
+    video = cv2.VideoCapture(str(out / "film.mp4"))
+    frames = []
+    while True:
+        there, frame = video.read()
+        if not there:
+            break
+        frames.append(frame.astype(int))
+    assert len(frames) == 3 and video.get(cv2.CAP_PROP_FPS) == 25
+    # Something is seen in each third, and it moves.
+    for third in np.array_split(frames[-1], 3, axis=1):
+        assert (third.min(axis=2) < 200).mean() > 0.01
+    assert np.abs(frames[-1] - frames[0]).max() > 60
+    assert json.loads((out / "trial.json").read_text())["seed"] == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["run", "juggle"], "there is no task 'juggle'; there are"),
+        (["run", "peg-insertion", "--seeds", "0"], "seeds must lie in 1..100000, got 0"),
+        (["record", "peg-insertion", "--seed", "-1"], "seed must lie in 0..99999, got -1"),
+        (["run", "peg-insertion", "--device", "tpu"], "tpu"),
+        (["run", "nowhere.toml"], "nowhere.toml"),
+    ],
+)
+def test_bad_input(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert app.main(["task", *words, "--output", str(tmp_path / "out")]) == 2
+    assert message in capsys.readouterr().err.replace("\n", " ")
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Baselines run once, with the figures of docs/tasks.md; peg insertion against plane geometry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from taccel_lab.tasks.catalogue import named
+from taccel_lab.tasks.peg_scene import dog_bone
+from taccel_lab.tasks.result import TaskResult, success_interval
+from taccel_lab.tasks.run import run_task
+
+pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
+pytestmark = pytest.mark.slow
+
+
+def run(name: str, seeds: int) -> TaskResult:
+    result = run_task(named(name), range(seeds), "cpu")
+    assert len(result.trials) == seeds
+    assert result.table()["solver_failures"] == 0
+    return result
+
+
+def test_grasp_lift() -> None:
+    """63 of 64 as measured; a force may come out on the other side of its threshold elsewhere."""
+    result = run("grasp-lift", 64)
+    _, low, high = success_interval(63, 64)
+    assert low <= result.successes / 64 <= high
+    for trial in result.trials:
+        if trial.success:
+            assert trial.figures["held_s"] >= 1 and trial.figures["slip_mm"] < 5
+            assert trial.figures["weakest_grip_n"] > 0.5 * 9.81 * 0.1 / 0.334 / 2
+
+
+def crossing(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether the closed outlines [n, 2] and [m, 2] cross."""
+    p, q = a[:, None], np.roll(a, -1, axis=0)[:, None]
+    r, s = b[None], np.roll(b, -1, axis=0)[None]
+
+    def side(u: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
+        first, second = v - u, w - u
+        return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0] > 0
+
+    across = (side(p, q, r) != side(p, q, s)) & (side(r, s, p) != side(r, s, q))
+    return bool(across.any())
+
+
+def fits(start: dict[str, float], swollen_mm: float) -> bool:
+    """Whether the outline of the peg lies inside that of the hole where it is pushed down, the
+    peg's walls moved out by a gap."""
+    d = swollen_mm
+    peg = dog_bone(15 + d, 17.5 + d, 5 + d, 11.7265 + d)
+    hole = dog_bone(17, 20.9641, 4.4641, 13.7265)
+    c, s = np.cos(np.radians(start["yaw_deg"])), np.sin(np.radians(start["yaw_deg"]))
+    turned = peg @ np.array([[c, s], [-s, c]]) + [start["x_mm"], start["y_mm"]]
+    return not crossing(turned, hole)
+
+
+def test_peg_insertion_is_what_geometry_allows() -> None:
+    """A blind push: what fits goes in without touching, and what does not fit by a hair or more
+    meets the rim."""
+    result = run("peg-insertion", 64)
+    _, low, high = success_interval(53, 64)
+    assert low <= result.successes / 64 <= high
+    free = [t for t in result.trials if fits(t.start, 0.15)]
+    blocked = [t for t in result.trials if not fits(t.start, -0.1)]
+    assert len(free) > 20 and len(blocked) > 5
+    assert all(t.success and t.figures["jam_force_n"] == 0 for t in free)
+    assert all(t.figures["jam_force_n"] > 1 for t in blocked)

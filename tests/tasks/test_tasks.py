@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every task: its file, its starts, three steps; slow ones run the baseline and check its rate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taccel_lab.errors import InputError
+from taccel_lab.tasks.catalogue import FILES, Task, named, names, read_task
+from taccel_lab.tasks.grasp_lift import GraspLiftParameters, Start
+from taccel_lab.tasks.parameters import draw
+from taccel_lab.tasks.run import run_task
+
+pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
+
+
+@pytest.mark.parametrize("name", names())
+def test_three_steps(name: str) -> None:
+    told: list[tuple[int, int]] = []
+    task = named(name)
+    result = run_task(task, [3, 4], "cpu", steps=3, progress=lambda _, i, n: told.append((i, n)))
+    assert told == [(1, 3), (2, 3), (3, 3)]
+    assert [trial.seed for trial in result.trials] == [3, 4]
+    for trial in result.trials:
+        assert trial.steps == 3 and not trial.success
+        assert trial.cause and not trial.cause.startswith("solver")
+        assert task.parameters.headline in trial.figures
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_seed_does_the_same_whatever_runs_beside_it(name: str) -> None:
+    task = named(name)
+    together = run_task(task, [5, 2], "cpu", steps=3).trials[1]
+    alone = run_task(task, [2], "cpu", steps=3).trials[0]
+    assert alone.start == together.start
+    assert alone.figures == pytest.approx(together.figures, rel=1e-3, abs=1e-4, nan_ok=True)
+
+
+def test_draws_fill_their_ranges_evenly() -> None:
+    drawn = [draw(seed, {"x": 2.0, "y": 0.0}) for seed in range(400)]
+    x = np.array([start["x"] for start in drawn])
+    assert np.abs(x).max() <= 2.0 and abs(x.mean()) < 0.2
+    assert x.std() == pytest.approx(2.0 / np.sqrt(3), rel=0.06)
+    assert all(start["y"] == 0 for start in drawn)
+    assert draw(7, {"x": 2.0}) == {"x": drawn[7]["x"]}
+
+
+def test_wrong_files_are_refused_by_name(tmp_path: Path) -> None:
+    text = (FILES / "grasp-lift.toml").read_text(encoding="utf-8")
+    path = tmp_path / "mine.toml"
+    for old, new, message in (
+        ('kind = "grasp-lift"', 'kind = "juggle"', "kind must be one of .*grasp-lift"),
+        ("mass_kg = 0.1", "mass_kg = -0.1", r"object\.mass_kg"),
+        ("seeds = 64", "seeds = 64\ncolour = 3", "colour: unknown key"),
+    ):
+        assert old in text
+        path.write_text(text.replace(old, new), encoding="utf-8")
+        with pytest.raises(InputError, match=message):
+            read_task(path)
+    with pytest.raises(InputError, match=r"no task 'juggle'; there are .*grasp-lift"):
+        named("juggle")
+    with pytest.raises(InputError, match="at least one seed"):
+        run_task(named("grasp-lift"), [])
+
+
+def with_parameters(task: Task, **changes: object) -> Task:
+    return replace(task, parameters=task.parameters.replace(**changes))
+
+
+def test_an_environment_that_fails_is_a_failure_with_its_cause() -> None:
+    """The pads begin 11 mm from the middle, the box reaches to 10 mm and lies off it by up to 2."""
+    task = named("grasp-lift")
+    assert isinstance(task.parameters, GraspLiftParameters)
+    task = with_parameters(
+        task,
+        policy=task.parameters.policy.replace(open_mm=15.0),
+        start=Start(x_mm=2.0, y_mm=0.0, yaw_deg=0.0),
+    )
+    good, bad = run_task(task, [0, 3], "cpu", steps=4).trials
+    assert abs(good.start["x_mm"]) < 0.9 and abs(bad.start["x_mm"]) > 1.1
+    assert good.steps == 4 and good.cause.startswith("rose by")
+    assert bad.steps == 0 and not bad.success and bad.cause == "solver: OVERLAP in step 1"
+
+
+def test_ctrl_c_keeps_the_groups_that_are_done() -> None:
+    task = with_parameters(named("grasp-lift"), environments=1)
+
+    def stop(name: str, done: int, total: int) -> None:
+        if done == 5:
+            raise KeyboardInterrupt
+
+    result = run_task(task, [0, 1, 2], "cpu", steps=2, progress=stop)
+    assert [trial.seed for trial in result.trials] == [0, 1]
+    assert result.asked == 3
+    with pytest.raises(KeyboardInterrupt):
+        run_task(task, [0, 1], "cpu", steps=6, progress=stop)
