@@ -9,6 +9,7 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.reading.toml_file import read_toml
+from taccel_lab.tasks.ball_rolling import BallRolling, BallRollingParameters
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.grasp_lift import GraspLift, GraspLiftParameters
 from taccel_lab.tasks.parameters import TaskParameters
@@ -16,6 +17,7 @@ from taccel_lab.tasks.peg_insertion import PegInsertion, PegInsertionParameters
 
 FILES = Path(__file__).parent / "files"
 KINDS: dict[str, tuple[type[TaskParameters], type[Episode]]] = {
+    "ball-rolling": (BallRollingParameters, BallRolling),
     "grasp-lift": (GraspLiftParameters, GraspLift),
     "peg-insertion": (PegInsertionParameters, PegInsertion),
 }

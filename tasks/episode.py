@@ -112,5 +112,5 @@ class Episode(ABC):
         """Centre of mass [m], [env, 3], of an affine body, and its principal axes times a length
         in columns, [env, 3, 3]: unchanged in shape, they tell how it has turned."""
         first = self.model.affine.first_control + 4 * body
-        rows = self.state.positions.numpy()[:, first : first + 4]
+        rows = self.state.positions.numpy()[:, first : first + 4].copy()
         return rows[:, 0], np.swapaxes(rows[:, 1:], 1, 2)

@@ -51,14 +51,19 @@ def film_seed(
     watch = _GelView(episode)
     film = Film(task.name, episode, watch.grid)
     start = watch.height_m()
+
+    def show() -> None:
+        film.times_s.append(episode.taken * dt)
+        film.positions_m.append(episode.state.positions.numpy()[0].copy())
+        film.rises_m.append(watch.height_m() - start)
+        film.forces_n.append(episode.forces())
+
+    show()
     while not episode.over:
         episode.advance()
         progress(task.name, episode.taken, episode.step_limit)
         if episode.taken % every == 0:
-            film.times_s.append(episode.taken * dt)
-            film.positions_m.append(episode.state.positions.numpy()[0].copy())
-            film.rises_m.append(watch.height_m() - start)
-            film.forces_n.append(episode.forces())
+            show()
     return film, episode.trials()[0]
 
 
@@ -148,7 +153,7 @@ def write_film(film: Film, path: Path) -> np.ndarray:
         right.plot([], [], label=name, color=color)[0]
         for name, color in zip(names, colors, strict=False)
     ]
-    right.set_xlim(0, film.times_s[-1])
+    right.set_xlim(0, max(film.times_s[-1], 1 / FRAMES_PER_S))
     right.set_ylim(0, 1.05 * max(float(forces.max()), 1e-3))
     right.set_xlabel("time [s]")
     right.set_ylabel("force [N]")

@@ -28,10 +28,11 @@ from taccel_lab.scene import (
     cylinder_mesh,
     sphere_mesh,
 )
-from taccel_lab.solvers import Control, SolverConfig
+from taccel_lab.solvers import Control
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.parameters import (
     Contact,
+    G,
     NotNegative,
     Pad,
     Positive,
@@ -39,7 +40,6 @@ from taccel_lab.tasks.parameters import (
     draw,
 )
 
-G = 9.81
 SIDES = ("left", "right")
 
 
@@ -161,12 +161,7 @@ class GraspLift(Episode):
             affine_bodies=body,
             planes=Plane(friction_coefficient=parameters.plane_friction),
         )
-        contact = parameters.contact
-        config = SolverConfig(
-            dhat_m=1e-3 * contact.dhat_mm,
-            friction_speed_m_s=1e-3 * contact.friction_speed_mm_s,
-            absolute_tolerance_n=contact.absolute_tolerance_n,
-        )
+        config = parameters.contact.config()
         super().__init__(parameters, seeds, starts, scene, config, self._targets(), device)
         self._rest_height = height
         self._held = np.zeros(count, dtype=int)

@@ -12,7 +12,10 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.reading.strict_model import Number, StrictModel, Whole
 from taccel_lab.scene import Element, Material, SoftBody
+from taccel_lab.solvers import SolverConfig
 
+G = 9.81
+"""Gravity [m/s^2], downwards."""
 Positive = Annotated[Number, Field(gt=0)]
 NotNegative = Annotated[Number, Field(ge=0)]
 Count = Annotated[Whole, Field(ge=1, le=100_000)]
@@ -66,11 +69,16 @@ class Pad(StrictModel):
         width, height, thickness = (1e-3 * side for side in self.size_mm)
         return block_mesh(self.cells, (width, height, thickness), self.jitter, seed=4)
 
-    def soft_body(self, mesh: TetMesh) -> SoftBody:
-        """The gel, in its own frame."""
+    def soft_body(self, mesh: TetMesh, name: str = "gel", mount: str | None = None) -> SoftBody:
+        """The gel, in its own frame, or in that of its mount."""
         material = Material(self.young_modulus_pa, self.poisson_ratio, self.density_kg_m3)
         return SoftBody(
-            mesh, material, friction_coefficient=self.friction, element=Element(self.element)
+            mesh,
+            material,
+            name=name,
+            mount=mount,
+            friction_coefficient=self.friction,
+            element=Element(self.element),
         )
 
 
@@ -81,6 +89,17 @@ class Contact(StrictModel):
     friction_speed_mm_s: Positive
     """Sliding speed below which friction is static."""
     absolute_tolerance_n: Positive
+    max_collisions: Annotated[Whole, Field(ge=1, le=1 << 26)] = 1 << 20
+    """As of ``SolverConfig``: pairs beyond which an environment is given up."""
+
+    def config(self) -> SolverConfig:
+        """Settings of the solver, of a scene with inertia."""
+        return SolverConfig(
+            dhat_m=1e-3 * self.dhat_mm,
+            friction_speed_m_s=1e-3 * self.friction_speed_mm_s,
+            absolute_tolerance_n=self.absolute_tolerance_n,
+            max_collisions=self.max_collisions,
+        )
 
 
 def draw(seed: int, half_ranges: dict[str, float]) -> dict[str, float]:

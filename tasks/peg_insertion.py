@@ -8,16 +8,17 @@ straight down and stay. Offset and turn of gels and peg against the hole are dra
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from itertools import pairwise
+from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from taccel_lab.interop.published_meshes import choose_source, mesh_folder
 from taccel_lab.reading.strict_model import Number, StrictModel
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import Scene
-from taccel_lab.solvers import Control, SolverConfig
+from taccel_lab.solvers import Control
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.parameters import (
     Contact,
@@ -27,7 +28,6 @@ from taccel_lab.tasks.parameters import (
     draw,
 )
 from taccel_lab.tasks.peg_scene import (
-    DT_S,
     PegPath,
     generated_parts,
     peg_scene,
@@ -57,6 +57,17 @@ class PegPolicy(StrictModel):
     """Of the gel at positive x at these times; the other one mirrors it."""
     gripped_s: NotNegative
     """From when on slip in the grip counts."""
+
+    @model_validator(mode="after")
+    def _check_path(self) -> Self:
+        if len(self.times_s) != len(self.gel_mm):
+            raise ValueError(
+                f"gel_mm needs a place for each of the {len(self.times_s)} times_s, "
+                f"got {len(self.gel_mm)}"
+            )
+        if any(b <= a for a, b in pairwise(self.times_s)):
+            raise ValueError("times_s must rise")
+        return self
 
 
 class PegGoal(StrictModel):
@@ -107,14 +118,15 @@ class PegInsertion(Episode):
         offset[:, 5], offset[:, 6] = np.sin(yaw / 2), np.cos(yaw / 2)
         self._offset = matrix_of(offset)
         peg = matrix_of(np.array([*self._path.peg_m, 0, 0, 0, 1.0]))
-        scene = peg_scene(parts, self._path, len(seeds), peg_poses=pose_of(self._offset @ peg))
-        self._rim = float(parts.hole.vertices_m[:, 2].max())
-        contact = parameters.contact
-        config = SolverConfig(
-            dhat_m=1e-3 * contact.dhat_mm,
-            friction_speed_m_s=1e-3 * contact.friction_speed_mm_s,
-            absolute_tolerance_n=contact.absolute_tolerance_n,
+        scene = peg_scene(
+            parts,
+            self._path,
+            len(seeds),
+            peg_poses=pose_of(self._offset @ peg),
+            dt_s=parameters.dt_s,
         )
+        self._rim = float(parts.hole.vertices_m[:, 2].max())
+        config = parameters.contact.config()
         super().__init__(parameters, seeds, starts, scene, config, self._targets(scene, 0), device)
         nan = np.full(len(seeds), np.nan)
         self._depth, self._slip = nan.copy(), nan.copy()
@@ -143,7 +155,7 @@ class PegInsertion(Episode):
         # In the frame of the gels, which moves with them and does not turn on the way.
         middle = self._targets(self.scene, self.taken)[:, :2, :3].mean(axis=1)
         relative = self.affine_frame()[0] - middle
-        if self.taken * DT_S >= self.parameters.policy.gripped_s:
+        if self.taken * self.parameters.dt_s >= self.parameters.policy.gripped_s - 1e-9:
             fresh = run & np.isnan(self._slip)
             self._gripped_at[fresh] = relative[fresh]
             self._slip[run] = np.linalg.norm(relative - self._gripped_at, axis=1)[run]

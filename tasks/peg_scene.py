@@ -149,6 +149,7 @@ def peg_scene(
     env_count: int = 1,
     hole_is_affine: bool = False,
     peg_poses: np.ndarray | None = None,
+    dt_s: float = DT_S,
 ) -> Scene:
     """The scene; kinematic bodies are both mounts and, unless it is affine, the hole.
 
@@ -187,13 +188,13 @@ def peg_scene(
         joints.append(FixedJoint("hole"))
     else:
         frames.append(KinematicBody(parts.hole, STIFF_FRICTION, name="hole"))
-    time = TimeStepping(quasi_static=False, dt_s=DT_S, gravity_m_s2=GRAVITY)
+    time = TimeStepping(quasi_static=False, dt_s=dt_s, gravity_m_s2=GRAVITY)
     return Scene(gels, frames, env_count, time, affine_bodies=bodies, joints=joints)
 
 
 def targets(scene: Scene, step: int, path: PegPath = PUBLISHED) -> np.ndarray:
     """Poses of the kinematic bodies at a step, shape [env_count, kinematic_count, 7]."""
-    place = [np.interp(step * DT_S, path.times_s, path.gel_m[:, k]) for k in range(3)]
+    place = [np.interp(step * scene.time.dt_s, path.times_s, path.gel_m[:, k]) for k in range(3)]
     mirrored = np.array([[-1, 1, 1], [1, 1, 1]]) * place
     poses = np.concatenate([mirrored, _TURNS], axis=1)
     if len(scene.kinematic_bodies) > 2:

@@ -87,7 +87,7 @@ def test_record(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         if not there:
             break
         frames.append(frame.astype(int))
-    assert len(frames) == 3 and video.get(cv2.CAP_PROP_FPS) == 25
+    assert len(frames) == 4 and video.get(cv2.CAP_PROP_FPS) == 25
     # Something is seen in each third, and it moves.
     for third in np.array_split(frames[-1], 3, axis=1):
         assert (third.min(axis=2) < 200).mean() > 0.01

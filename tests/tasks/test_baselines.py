@@ -22,10 +22,14 @@ def run(name: str, seeds: int) -> TaskResult:
     return result
 
 
-def test_grasp_lift() -> None:
-    """63 of 64 as measured; a force may come out on the other side of its threshold elsewhere."""
-    result = run("grasp-lift", 64)
-    _, low, high = success_interval(63, 64)
+@pytest.mark.parametrize(
+    ("name", "successes"),
+    [("grasp-lift", 63), ("grasp-lift-cylinder", 64), ("grasp-lift-ball", 64)],
+)
+def test_grasp_lift(name: str, successes: int) -> None:
+    """As measured; a force may come out on the other side of its threshold elsewhere."""
+    result = run(name, 64)
+    _, low, high = success_interval(successes, 64)
     assert low <= result.successes / 64 <= high
     for trial in result.trials:
         if trial.success:
@@ -68,3 +72,12 @@ def test_peg_insertion_is_what_geometry_allows() -> None:
     assert len(free) > 20 and len(blocked) > 5
     assert all(t.success and t.figures["jam_force_n"] == 0 for t in free)
     assert all(t.figures["jam_force_n"] > 1 for t in blocked)
+
+
+def test_ball_rolling() -> None:
+    """Where nothing slips the ball goes half as far as the gel."""
+    result = run("ball-rolling", 64)
+    assert result.successes == 64
+    for trial in result.trials:
+        assert trial.figures["part_of_way"] == pytest.approx(1.0, abs=0.12)
+        assert trial.figures["slip_on_plane_mm"] < 0.2

@@ -61,6 +61,15 @@ def test_wrong_files_are_refused_by_name(tmp_path: Path) -> None:
         path.write_text(text.replace(old, new), encoding="utf-8")
         with pytest.raises(InputError, match=message):
             read_task(path)
+    text = (FILES / "peg-insertion.toml").read_text(encoding="utf-8")
+    for old, new, message in (
+        ("times_s = [0.0, 0.02, 0.1, 1.0]", "times_s = [0.0, 1.0]", "each of the 2 times_s, got 4"),
+        ("times_s = [0.0, 0.02,", "times_s = [0.0, 0.2,", "times_s must rise"),
+    ):
+        assert old in text
+        path.write_text(text.replace(old, new), encoding="utf-8")
+        with pytest.raises(InputError, match=message):
+            read_task(path)
     with pytest.raises(InputError, match=r"no task 'juggle'; there are .*grasp-lift"):
         named("juggle")
     with pytest.raises(InputError, match="at least one seed"):
@@ -98,3 +107,25 @@ def test_ctrl_c_keeps_the_groups_that_are_done() -> None:
     assert result.asked == 3
     with pytest.raises(KeyboardInterrupt):
         run_task(task, [0, 1], "cpu", steps=6, progress=stop)
+
+
+def test_the_peg_takes_the_step_of_its_file() -> None:
+    """Twice as many steps of half the length bring the gels to the same place."""
+    task = named("peg-insertion")
+    poses = []
+    for dt_s, steps in ((0.02, 4), (0.01, 8)):
+        episode = with_parameters(task, dt_s=dt_s).begin([0], "cpu")
+        for _ in range(steps):
+            episode.advance()
+        assert episode.running.all() and episode.solver.model.env_count == 1
+        poses.append(episode.state.poses.numpy().copy())
+    np.testing.assert_allclose(*poses, atol=1e-12)
+
+
+def test_a_ball_rolls_half_as_far_as_the_gel() -> None:
+    """Without slip on the plane."""
+    (trial,) = run_task(named("ball-rolling"), [0], "cpu", steps=25).trials
+    assert trial.success
+    assert np.hypot(trial.start["goal_x_mm"], trial.start["goal_y_mm"]) > 2
+    assert trial.figures["part_of_way"] == pytest.approx(1.0, abs=0.08)
+    assert trial.figures["slip_on_plane_mm"] < 0.1
