@@ -146,7 +146,7 @@ def write_film(film: Film, path: Path) -> np.ndarray:
         vmax=reach,
     )
     middle.set_title("gel: rise of its face")
-    middle.set_xlabel("x [mm]")
+    middle.set(xlabel="x [mm]", ylabel="y [mm]")
     figure.colorbar(gel, ax=middle, label="[mm]", shrink=0.8)
     colors = (BLUE, ORANGE, GREEN, PURPLE)
     lines = [
