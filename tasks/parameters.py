@@ -89,8 +89,6 @@ class Contact(StrictModel):
     friction_speed_mm_s: Positive
     """Sliding speed below which friction is static."""
     absolute_tolerance_n: Positive
-    max_collisions: Annotated[Whole, Field(ge=1, le=1 << 26)] = 1 << 20
-    """As of ``SolverConfig``: pairs beyond which an environment is given up."""
 
     def config(self) -> SolverConfig:
         """Settings of the solver, of a scene with inertia."""
@@ -98,7 +96,6 @@ class Contact(StrictModel):
             dhat_m=1e-3 * self.dhat_mm,
             friction_speed_m_s=1e-3 * self.friction_speed_mm_s,
             absolute_tolerance_n=self.absolute_tolerance_n,
-            max_collisions=self.max_collisions,
         )
 
 

@@ -44,8 +44,10 @@ HALVING_HELPS = [
     EnvStatus.FRICTION,
     EnvStatus.JOINT,
     EnvStatus.NOT_A_NUMBER,
+    EnvStatus.CONTACT_OVERFLOW,
 ]
-"""Failures that a shorter step may avoid."""
+"""Failures that a shorter step may avoid. A list is too short for good where a whole step may meet
+too much on its way."""
 
 
 @wp.kernel

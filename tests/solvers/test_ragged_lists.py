@@ -116,6 +116,20 @@ def test_beyond_the_limit_one_environment_is_given_up() -> None:
         assert_as_alone(solver, state, env)
 
 
+def test_a_way_that_meets_too_much_is_taken_in_parts() -> None:
+    knife = box_mesh((4e-4, 8e-3, 2e-3))
+    model = scene(MESH, KinematicBody(knife)).finalize()
+
+    def at(x: float) -> np.ndarray:
+        return pose(x, 0, 1e-3 + 1.05e-4)[None, None]
+
+    for most, parts in ((1 << 20, 1), (1500, 2)):
+        solver = SolverIPC(model, SolverConfig(dhat_m=DHAT, max_collisions=most))
+        report = solver.step(initial_state(model, at(-2.5e-3)), at(2.5e-3))
+        assert report.converged.all(), report.summary()
+        assert report.substeps.tolist() == [parts]
+
+
 def test_without_memory_one_environment_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(capacity, "free_memory", lambda device: 20_000)
     solver, state, report = touch(list(range(ENVS)))
