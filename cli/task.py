@@ -63,30 +63,25 @@ class TaskRun:
     """Folder to write; an earlier one is replaced when everything is done."""
     seeds: int | None = None
     """Run seeds 0 to N - 1; as many as the task's file says when left out."""
-    device: str | None = None
+    device: str = "cpu"
     """Device of the solver: cpu or cuda:0."""
 
     def run(self) -> None:
-        import warp as wp
         from rich.console import Console
 
         from taccel_lab.cli.progress import stage_progress
-        from taccel_lab.model.devices import require_device
-        from taccel_lab.output_folder import atomic_directory, require_replaceable
+        from taccel_lab.output_folder import atomic_directory
         from taccel_lab.tasks.run import run_task
 
-        wp.config.log_level = wp.LOG_WARNING
         if self.seeds is not None and not 1 <= self.seeds <= MOST_SEEDS:
             raise InputError(f"seeds must lie in 1..{MOST_SEEDS}, got {self.seeds}")
-        task, device = _task_of(self.task), self.device or "cpu"
-        require_device(device)
-        require_replaceable(self.output)
+        task = _begin(self.task, self.device, self.output)
         console = Console(stderr=True)
         with atomic_directory(self.output) as folder:
             with stage_progress(console) as progress:
                 seeds = range(self.seeds or task.parameters.seeds)
-                result = run_task(task, seeds, device, progress=progress)
-            _write(task, result, device, folder)
+                result = run_task(task, seeds, self.device, progress=progress)
+            _write(task, result, self.device, folder)
         _print(console, result, self.output)
         if len(result.trials) < result.asked:
             console.print(
@@ -109,29 +104,24 @@ class TaskRecord:
     """Folder to write; an earlier one is replaced when everything is done."""
     seed: int = 0
     """Which start."""
-    device: str | None = None
+    device: str = "cpu"
     """Device of the solver: cpu or cuda:0."""
 
     def run(self) -> None:
-        import warp as wp
         from rich.console import Console
 
         from taccel_lab.cli.progress import stage_progress
-        from taccel_lab.model.devices import require_device
         from taccel_lab.output import write_json
-        from taccel_lab.output_folder import atomic_directory, require_replaceable
+        from taccel_lab.output_folder import atomic_directory
         from taccel_lab.tasks.film import film_seed, write_film_files
 
-        wp.config.log_level = wp.LOG_WARNING
         if not 0 <= self.seed < MOST_SEEDS:
             raise InputError(f"seed must lie in 0..{MOST_SEEDS - 1}, got {self.seed}")
-        task, device = _task_of(self.task), self.device or "cpu"
-        require_device(device)
-        require_replaceable(self.output)
+        task = _begin(self.task, self.device, self.output)
         console = Console(stderr=True)
         with atomic_directory(self.output) as folder:
             with stage_progress(console) as progress:
-                film, trial = film_seed(task, self.seed, device, progress)
+                film, trial = film_seed(task, self.seed, self.device, progress)
             with console.status("writing the film"):
                 write_film_files(film, folder)
             write_json(folder / "trial.json", {"task": task.name, **vars(trial)})
@@ -140,13 +130,19 @@ class TaskRecord:
         console.print(f"wrote {self.output / 'film.mp4'}", highlight=False, soft_wrap=True)
 
 
-def _task_of(name: str) -> Task:
-    """A task of the package, or of a file."""
+def _begin(name: str, device: str, output: Path) -> Task:
+    """A task of the package, or of a file; refused with device and output folder before work."""
+    import warp as wp
+
+    from taccel_lab.model.devices import require_device
+    from taccel_lab.output_folder import require_replaceable
     from taccel_lab.tasks.catalogue import named, read_task
 
-    if name.endswith(".toml"):
-        return read_task(Path(name))
-    return named(name)
+    wp.config.log_level = wp.LOG_WARNING
+    task = read_task(Path(name)) if name.endswith(".toml") else named(name)
+    require_device(device)
+    require_replaceable(output)
+    return task
 
 
 def _write(task: Task, result: TaskResult, device: str, folder: Path) -> None:

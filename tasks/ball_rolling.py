@@ -13,11 +13,9 @@ from typing import Literal
 
 import numpy as np
 
-from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.reading.strict_model import StrictModel
 from taccel_lab.robots.transforms import rotation_vector
 from taccel_lab.scene import (
-    AffineBody,
     KinematicBody,
     Plane,
     Scene,
@@ -28,6 +26,7 @@ from taccel_lab.solvers import Control
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.parameters import (
     Contact,
+    FreeBody,
     G,
     NotNegative,
     Pad,
@@ -37,14 +36,12 @@ from taccel_lab.tasks.parameters import (
 )
 
 
-class RollingBall(StrictModel):
+class RollingBall(FreeBody):
     """What rolls."""
 
     radius_mm: Positive
     edge_mm: Positive
     """Of its triangles."""
-    mass_kg: Positive
-    friction: NotNegative
 
 
 class BallStart(StrictModel):
@@ -111,20 +108,13 @@ class BallRolling(Episode):
         pose = np.zeros((count, 7))
         pose[:, :2], pose[:, 6] = self._place, 1.0
         pose[:, 2] = radius + 1e-3 * parameters.contact.dhat_mm
-        ball = AffineBody(
-            shape,
-            density_kg_m3=parameters.ball.mass_kg / mass_properties(shape, 1.0).volume_m3,
-            name="ball",
-            friction_coefficient=parameters.ball.friction,
-            initial_pose=pose,
-        )
         mesh = parameters.gel.mesh()
         scene = Scene(
             parameters.gel.soft_body(mesh, name="gel", mount="mount"),
             KinematicBody(None, name="mount"),
             count,
             TimeStepping(False, parameters.dt_s, (0.0, 0.0, -G)),
-            affine_bodies=ball,
+            affine_bodies=parameters.ball.body(shape, "ball", pose),
             planes=Plane(friction_coefficient=parameters.plane_friction),
         )
         self._top = pose[0, 2] + radius

@@ -14,12 +14,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.reading.strict_model import Number, StrictModel
 from taccel_lab.robots import named, on_seat
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import (
-    AffineBody,
     Plane,
     Scene,
     TimeStepping,
@@ -32,25 +30,24 @@ from taccel_lab.solvers import Control
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.parameters import (
     Contact,
+    FreeBody,
     G,
     NotNegative,
     Pad,
+    PlanarStart,
     Positive,
     TaskParameters,
-    draw,
 )
 
 SIDES = ("left", "right")
 
 
-class Object(StrictModel):
+class Object(FreeBody):
     """What is grasped."""
 
     shape: Literal["box", "cylinder", "sphere"]
     size_mm: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=3)]
     """Sides of a box; radius and height of an upright cylinder; radius of a sphere."""
-    mass_kg: Positive
-    friction: NotNegative
 
     def surface(self) -> TriangleMesh:
         """About its middle [m]."""
@@ -60,15 +57,6 @@ class Object(StrictModel):
         if self.shape == "cylinder":
             return cylinder_mesh(size[0], size[1])
         return sphere_mesh(size[0], size[0] / 5)
-
-
-class Start(StrictModel):
-    """Half ranges of where the object lies, from the middle between the fingers."""
-
-    x_mm: NotNegative
-    """Along the way of the fingers."""
-    y_mm: NotNegative
-    yaw_deg: NotNegative
 
 
 class GraspPolicy(StrictModel):
@@ -101,7 +89,8 @@ class GraspLiftParameters(TaskParameters):
     object: Object
     gel: Pad
     contact: Contact
-    start: Start
+    start: PlanarStart
+    """Of the object, from the middle between the fingers."""
     policy: GraspPolicy
     goal: GraspGoal
 
@@ -125,26 +114,11 @@ class GraspLift(Episode):
         self.robot = robot
         shape = parameters.object.surface()
         lowest = -float(shape.vertices_m[:, 2].min())
-        half = parameters.start
-        starts = [
-            draw(seed, {"x_mm": half.x_mm, "y_mm": half.y_mm, "yaw_deg": half.yaw_deg})
-            for seed in seeds
-        ]
+        starts, pose = parameters.start.draw(seeds)
         # It lies where contact has just begun, and settles while the fingers close.
         height = lowest + 1e-3 * parameters.contact.dhat_mm
-        yaw = np.radians([start["yaw_deg"] for start in starts])
-        pose = np.zeros((count, 7))
-        pose[:, 0] = [1e-3 * start["x_mm"] for start in starts]
-        pose[:, 1] = [1e-3 * start["y_mm"] for start in starts]
         pose[:, 2] = height
-        pose[:, 5], pose[:, 6] = np.sin(yaw / 2), np.cos(yaw / 2)
-        body = AffineBody(
-            shape,
-            density_kg_m3=parameters.object.mass_kg / mass_properties(shape, 1.0).volume_m3,
-            name="object",
-            friction_coefficient=parameters.object.friction,
-            initial_pose=pose,
-        )
+        body = parameters.object.body(shape, "object", pose)
         self.seat = np.full(count, 1e-3 * policy.open_mm)
         """Coordinate of the fingers [m]."""
         self.raised = np.zeros(count)

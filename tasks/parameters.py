@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
+from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.reading.strict_model import Number, StrictModel, Whole
-from taccel_lab.scene import Element, Material, SoftBody
+from taccel_lab.scene import AffineBody, Element, Material, SoftBody, TriangleMesh
 from taccel_lab.solvers import SolverConfig
 
 G = 9.81
@@ -97,6 +99,43 @@ class Contact(StrictModel):
             friction_speed_m_s=1e-3 * self.friction_speed_mm_s,
             absolute_tolerance_n=self.absolute_tolerance_n,
         )
+
+
+class FreeBody(StrictModel):
+    """A stiff body that nothing holds."""
+
+    mass_kg: Positive
+    friction: NotNegative
+
+    def body(self, shape: TriangleMesh, name: str, poses: np.ndarray) -> AffineBody:
+        """It, of even density, at ``poses`` [env, 7]."""
+        return AffineBody(
+            shape,
+            density_kg_m3=self.mass_kg / mass_properties(shape, 1.0).volume_m3,
+            name=name,
+            friction_coefficient=self.friction,
+            initial_pose=poses,
+        )
+
+
+class PlanarStart(StrictModel):
+    """Half ranges of where something is, from above the middle."""
+
+    x_mm: NotNegative
+    """Along the way on which fingers or gels close."""
+    y_mm: NotNegative
+    yaw_deg: NotNegative
+
+    def draw(self, seeds: Sequence[int]) -> tuple[list[dict[str, float]], np.ndarray]:
+        """What each seed draws, and the poses of that, [seed, 7], at z = 0."""
+        ranges = {"x_mm": self.x_mm, "y_mm": self.y_mm, "yaw_deg": self.yaw_deg}
+        starts = [draw(seed, ranges) for seed in seeds]
+        yaw = np.radians([start["yaw_deg"] for start in starts])
+        poses = np.zeros((len(starts), 7))
+        poses[:, 0] = [1e-3 * start["x_mm"] for start in starts]
+        poses[:, 1] = [1e-3 * start["y_mm"] for start in starts]
+        poses[:, 5], poses[:, 6] = np.sin(yaw / 2), np.cos(yaw / 2)
+        return starts, poses
 
 
 def draw(seed: int, half_ranges: dict[str, float]) -> dict[str, float]:

@@ -23,9 +23,9 @@ from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.parameters import (
     Contact,
     NotNegative,
+    PlanarStart,
     Positive,
     TaskParameters,
-    draw,
 )
 from taccel_lab.tasks.peg_scene import (
     PegPath,
@@ -36,15 +36,6 @@ from taccel_lab.tasks.peg_scene import (
 )
 
 SIDES = ("left", "right")
-
-
-class PegStart(StrictModel):
-    """Half ranges of where gels and peg are, from above the middle of the hole."""
-
-    x_mm: NotNegative
-    """Along the way on which the gels close."""
-    y_mm: NotNegative
-    yaw_deg: NotNegative
 
 
 class PegPolicy(StrictModel):
@@ -84,7 +75,8 @@ class PegInsertionParameters(TaskParameters):
     meshes: Literal["published", "generated"]
     """Those of Taccel's example, from the data folder, or ours of the same dimensions."""
     contact: Contact
-    start: PegStart
+    start: PlanarStart
+    """Of gels and peg, from above the middle of the hole."""
     policy: PegPolicy
     goal: PegGoal
 
@@ -99,7 +91,7 @@ class PegInsertion(Episode):
         self, parameters: PegInsertionParameters, seeds: Sequence[int], device: str | None = None
     ) -> None:
         self.parameters = parameters
-        policy, half = parameters.policy, parameters.start
+        policy = parameters.policy
         source = choose_source(parameters.meshes, "peg/peg.stl", "peg/hole.stl", "pads/sensor.vtk")
         parts = published_parts(mesh_folder()) if source == "published" else generated_parts()
         self._path = PegPath(
@@ -107,15 +99,7 @@ class PegInsertion(Episode):
             policy.times_s,
             1e-3 * np.array(policy.gel_mm),
         )
-        starts = [
-            draw(seed, {"x_mm": half.x_mm, "y_mm": half.y_mm, "yaw_deg": half.yaw_deg})
-            for seed in seeds
-        ]
-        yaw = np.radians([start["yaw_deg"] for start in starts])
-        offset = np.zeros((len(seeds), 7))
-        offset[:, 0] = [1e-3 * start["x_mm"] for start in starts]
-        offset[:, 1] = [1e-3 * start["y_mm"] for start in starts]
-        offset[:, 5], offset[:, 6] = np.sin(yaw / 2), np.cos(yaw / 2)
+        starts, offset = parameters.start.draw(seeds)
         self._offset = matrix_of(offset)
         peg = matrix_of(np.array([*self._path.peg_m, 0, 0, 0, 1.0]))
         scene = peg_scene(

@@ -11,8 +11,8 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.tasks.catalogue import FILES, Task, named, names, read_task
-from taccel_lab.tasks.grasp_lift import GraspLiftParameters, Start
-from taccel_lab.tasks.parameters import draw
+from taccel_lab.tasks.grasp_lift import GraspLiftParameters
+from taccel_lab.tasks.parameters import PlanarStart, draw
 from taccel_lab.tasks.run import run_task
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
@@ -87,7 +87,7 @@ def test_an_environment_that_fails_is_a_failure_with_its_cause() -> None:
     task = with_parameters(
         task,
         policy=task.parameters.policy.replace(open_mm=15.0),
-        start=Start(x_mm=2.0, y_mm=0.0, yaw_deg=0.0),
+        start=PlanarStart(x_mm=2.0, y_mm=0.0, yaw_deg=0.0),
     )
     good, bad = run_task(task, [0, 3], "cpu", steps=4).trials
     assert abs(good.start["x_mm"]) < 0.9 and abs(bad.start["x_mm"]) > 1.1
