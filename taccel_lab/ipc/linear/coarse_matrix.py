@@ -24,7 +24,7 @@ from taccel_lab.ipc.linear.dense_inverse import (
     sweep_all,
 )
 from taccel_lab.ipc.linear.problem import LinearProblem
-from taccel_lab.ipc.linear.row_plan import RowPlan, neighbour_clusters
+from taccel_lab.ipc.linear.row_plan import RowPlan, connected_rows, neighbour_clusters
 
 wp.set_module_options({"enable_backward": False})
 
@@ -61,16 +61,21 @@ def has_room(device: wp.Device) -> bool:
 def coarse_parts(
     problem: LinearProblem, bodies: Sequence[np.ndarray], part_rows: int = PART_ROWS
 ) -> list[np.ndarray]:
-    """Rows of each part; none where there would be less than two parts of so many rows, where the
-    problem does not say where its rows are, and on a device without the shared memory.
+    """Rows of each part: of one gel, of those with more than two parts' worth of rows. None where
+    there is no such gel, where the problem does not say where its rows are, and on a device
+    without the shared memory.
 
-    ``bodies``: rows that have blocks of their own and are in no part.
+    A small gel has no need: parts of all 17 gels of the hand saved no iteration. ``bodies``: rows
+    that have blocks of their own and are in no part.
     """
     rows = np.setdiff1d(np.arange(problem.pattern.free_count), np.concatenate([[], *bodies]))
-    if problem.positions_m is None or not has_room(problem.device) or len(rows) <= part_rows:
+    if problem.positions_m is None or not has_room(problem.device) or len(rows) <= 2 * part_rows:
         return []
-    size = max(part_rows, -(-len(rows) // (MOST_PARTS - 1)))
-    parts = neighbour_clusters(problem.pattern, rows, size)
+    gels = [gel for gel in connected_rows(problem.pattern, rows) if len(gel) > 2 * part_rows]
+    if not 0 < len(gels) < MOST_PARTS:
+        return []
+    size = max(part_rows, -(-sum(map(len, gels)) // (MOST_PARTS - len(gels))))
+    parts = [part for gel in gels for part in neighbour_clusters(problem.pattern, gel, size)]
     return parts if len(parts) <= MOST_PARTS else []
 
 
@@ -193,7 +198,7 @@ class CoarseCorrection:
         parts: Sequence[np.ndarray],
         lanes: int | None = None,
     ) -> None:
-        """``parts``: rows of each, in the order of the plan's single rows, all of them; or none.
+        """``parts``: rows of each, with which the plan's single rows begin.
         ``lanes``: of a thread block, for tests."""
         self._problem = problem
         device, envs = problem.device, problem.env_count

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -64,16 +65,20 @@ def plan_rows(
     return RowPlan(order, places, sizes, starts)
 
 
+def connected_rows(pattern: BlockPattern, rows: np.ndarray) -> list[np.ndarray]:
+    """The rows by what hangs together among themselves, as the nodes of a gel do."""
+    from scipy.sparse.csgraph import connected_components
+
+    count, labels = connected_components(_graph(pattern)[rows][:, rows], directed=False)
+    return [rows[labels == label] for label in range(count)]
+
+
 def neighbour_clusters(pattern: BlockPattern, rows: np.ndarray, size: int) -> list[np.ndarray]:
     """Clusters of at most ``size`` of the rows, each of neighbours, by halving again and again.
 
     A part is halved along the breadth-first order from one of its ends, which keeps the cut short.
     """
-    from scipy.sparse import csr_array
-
-    n = pattern.free_count
-    lower = csr_array((np.ones(pattern.block_count), pattern.columns, pattern.row_starts), (n, n))
-    graph = csr_array(lower + lower.T)
+    graph = _graph(pattern)
     clusters: list[np.ndarray] = []
     waiting = [np.sort(rows)]
     while waiting:
@@ -82,11 +87,20 @@ def neighbour_clusters(pattern: BlockPattern, rows: np.ndarray, size: int) -> li
             if len(part):
                 clusters.append(part)
             continue
-        order = _from_end_to_end(csr_array(graph[part][:, part]))
+        order = _from_end_to_end(graph[part][:, part])
         count = -(-len(part) // size)
         half = count // 2 * len(part) // count
         waiting += [part[order[half:]], part[order[:half]]]
     return [np.sort(cluster) for cluster in clusters]
+
+
+def _graph(pattern: BlockPattern) -> Any:
+    """Which rows are coupled, a scipy CSR array of both triangles."""
+    from scipy.sparse import csr_array
+
+    n = pattern.free_count
+    lower = csr_array((np.ones(pattern.block_count), pattern.columns, pattern.row_starts), (n, n))
+    return csr_array(lower + lower.T)
 
 
 def _from_end_to_end(graph: object) -> np.ndarray:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import warp as wp
@@ -128,3 +130,16 @@ def test_parts_are_few(rows: int, parts: int) -> None:
         assert len(found) == parts
     system.positions_m = None
     assert not coarse_parts(system, [])
+
+
+def test_parts_are_of_one_gel_and_only_of_large_ones() -> None:
+    lengths = [90, 300, 200, 120]
+    starts = np.cumsum([0, *lengths])
+    links = [np.stack([np.arange(a, b - 1), np.arange(a + 1, b)], 1) for a, b in pairwise(starts)]
+    rows = int(starts[-1])
+    pattern = block_pattern([np.concatenate(links)], np.arange(rows))
+    system = LinearSystem(pattern, 1, CPU, method="cg", positions_m=np.zeros((rows, 3)))
+    found = coarse_parts(system, [])
+    for part in found:
+        assert len(set(np.searchsorted(starts, part, side="right"))) == 1
+    assert sorted(np.concatenate(found)) == list(range(90, 590))
