@@ -19,7 +19,7 @@ import warp as wp
 from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.linear.block_ops import Team, block_barrier, launch_team, team, team_sum
 from taccel_lab.ipc.linear.coarse_matrix import PART_ROWS, CoarseCorrection, coarse_parts
-from taccel_lab.ipc.linear.coarse_space import CoarseSpace, add_correction
+from taccel_lab.ipc.linear.coarse_space import CoarseSpace, add_correction, owned_parts
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
 from taccel_lab.ipc.linear.packed_rows import PackedRows, RowSlices
 from taccel_lab.ipc.linear.preconditioner import (
@@ -76,13 +76,17 @@ def _update_row(
     alpha: wp.float64,
     beta: wp.float64,
     layout: RowSlices,
+    has_extra: bool,
     extra: ExtraRows,
     b: wp.array(dtype=wp.vec3d),
     inverse: wp.mat33d,
     work: CgWork,
     x: wp.array(dtype=wp.vec3d),
 ) -> wp.vec3d:
-    """New r, z, p, q and x at a place; returns its share of (r.z, 0, r.r)."""
+    """New r, z, p, q and x at a place; returns its share of (r.z, 0, r.r).
+
+    All that is read comes before what is written, or each would wait for the last.
+    """
     if mode == _SHOW_X:
         work.z[env, place] = x[row]
         return wp.vec3d()
@@ -90,19 +94,25 @@ def _update_row(
     if mode == _START:
         x[row] = wp.vec3d()
     else:
-        product = row_sum(env, place, layout, extra, work.parts[env])
+        product = row_sum(env, place, layout, has_extra, extra, work.parts[env])
         if mode == _RESTART:
             r = r - product
         else:
-            p = work.z[env, place]
-            q = product
-            if beta != wp.float64(0.0):
-                p += beta * work.p[env, place]
-                q += beta * work.q[env, place]
+            p = work.p[env, place]
+            q = work.q[env, place]
+            z = work.z[env, place]
+            r = work.r[env, place]
+            done = x[row]
+            if beta == wp.float64(0.0):
+                p = z
+                q = product
+            else:
+                p = z + beta * p
+                q = product + beta * q
             work.p[env, place] = p
             work.q[env, place] = q
-            x[row] += alpha * p
-            r = work.r[env, place] - alpha * q
+            x[row] = done + alpha * p
+            r = r - alpha * q
     work.r[env, place] = r
     z = inverse * r
     work.z[env, place] = z
@@ -146,6 +156,8 @@ def _solve_kernel(
             breakdowns[env] = 0
         return
     b = rhs[env]
+    owned = owned_parts(coarse, 0, 1)
+    has_extra = extra.totals[env, 1] > 0
     verifies = tolerances[env] < verify_below
     count = int(0)
     broken = int(0)
@@ -164,7 +176,19 @@ def _solve_kernel(
         for place in range(lane, n, lanes):
             inverse = inverses[env, place]
             share += _update_row(
-                env, place, order[place], mode, alpha, beta, layout, extra, b, inverse, work, x
+                env,
+                place,
+                order[place],
+                mode,
+                alpha,
+                beta,
+                layout,
+                has_extra,
+                extra,
+                b,
+                inverse,
+                work,
+                x,
             )
         clustered = clusters.tasks.shape[0]
         if mode != _SHOW_X and clustered > 0:
@@ -176,7 +200,7 @@ def _solve_kernel(
         if mode != _SHOW_X and coarse.width > 0:
             share[0] += add_correction(
                 env,
-                wp.vec2i(0, 1),
+                owned,
                 1,
                 lane,
                 lanes,

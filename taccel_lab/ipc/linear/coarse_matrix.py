@@ -19,6 +19,7 @@ from taccel_lab.ipc.linear.coarse_space import MODES, MOST_PARTS, CoarseSpace
 from taccel_lab.ipc.linear.dense_inverse import (
     address_of_tile,
     get_symmetric,
+    lanes_for_inverse,
     put_lower,
     room_for_inverse,
     sweep_all,
@@ -30,9 +31,6 @@ wp.set_module_options({"enable_backward": False})
 
 PART_ROWS = 64
 """Rows of a part, where there are few enough of them."""
-CHUNK_ROWS = 32
-"""Rows that a warp sums up."""
-_LANES = 512
 _STATIC_BYTES = 4096
 
 
@@ -153,7 +151,12 @@ def _matrix_kernel(
 def _inverse_kernel(room: int) -> Any:
     address = address_of_tile(room)
 
-    @wp.kernel(grid_stride=False, module="unique", enable_backward=False)
+    @wp.kernel(
+        grid_stride=False,
+        launch_bounds=(lanes_for_inverse(MODES * MOST_PARTS), 1),
+        module="unique",
+        enable_backward=False,
+    )
     def invert_kernel(
         lanes: int,
         active: wp.array(dtype=wp.int32),
@@ -166,9 +169,8 @@ def _inverse_kernel(room: int) -> Any:
         memory = address(wp.tile_empty(shape=room, dtype=wp.float64, storage="shared"))
         if active[env] == 0:
             return
-        for i in range(lane, width, lanes):
-            for j in range(i + 1):
-                put_lower(memory, i, j, wp.float64(0.0))
+        for e in range(lane, width * (width + 1) / 2, lanes):
+            put_lower(memory, 0, e, wp.float64(0.0))
         block_barrier()
         size = MODES * MODES
         for e in range(lane, size * pairs.shape[0], lanes):
@@ -239,7 +241,8 @@ class CoarseCorrection:
         shape = (envs, MODES * MODES * len(matrix.pairs))
         self._blocks = wp.zeros(shape, dtype=wp.float64, device=device)
         self._kernel = _inverse_kernel(room_for_inverse(MODES * MOST_PARTS))
-        self._team = Team(team(device, envs, 1, lanes or _LANES).lanes)
+        lanes = lanes or lanes_for_inverse(MODES * MOST_PARTS)
+        self._team = Team(team(device, envs, 1, lanes).lanes)
 
     def __str__(self) -> str:
         return f", and the rigid motions of {self._count} parts" if self._count else ""
@@ -271,10 +274,8 @@ def _chunks(owners: np.ndarray, block_starts: np.ndarray) -> np.ndarray:
     """(first place, rows, part) of each chunk, int, [chunk_count, 3]."""
     cuts = np.flatnonzero(np.diff(owners, prepend=-1, append=-1))
     cuts = np.unique(np.concatenate([cuts, block_starts]))
-    starts = [np.arange(a, b, CHUNK_ROWS) for a, b in itertools.pairwise(cuts) if owners[a] >= 0]
-    first = np.concatenate([np.zeros(0, dtype=int), *starts])
-    ends = cuts[np.searchsorted(cuts, first, side="right")] if len(first) else first
-    return np.stack([first, np.minimum(ends - first, CHUNK_ROWS), owners[first]], axis=1)
+    found = [(a, b - a, owners[a]) for a, b in itertools.pairwise(cuts) if owners[a] >= 0]
+    return np.array(found, dtype=int).reshape(-1, 3)
 
 
 def _coarse_matrix(

@@ -35,8 +35,8 @@ class CoarseSpace:
     width: rows of A_c, 0 without a coarse space.
     points: where rows are, from the middle of their part in units of its size, [row_count].
     parts: part of the row at each place, -1 for none, [row_count].
-    chunks: (first place, rows, part) of rows that are summed up together, in the order of places,
-    each of one thread block and one part, [chunk_count].
+    chunks: (first place, rows, part) of the rows of one part that one thread block owns, in the
+    order of places, [chunk_count].
     block_chunks: first chunk of each thread block, and the end, [block_count + 1].
     spans: first chunk of each part and the end, [part_count].
     inverses: A_c^-1, zero where A_c is not positive definite, [env_count, width^2].
@@ -63,14 +63,15 @@ _RESTRICT_SNIPPET = """
     const int place = lane % 32;
     for (int c = first + lane / 32; c < end; c += lanes / 32) {
         double sums[6] = {};
-        if (place < chunk[c][1]) {
-            const wp::vec_t<3, wp::float64> u = w.data[chunk[c][0] + place];
-            const wp::vec_t<3, wp::float64> x = points.data[chunk[c][0] + place];
+        #pragma unroll 2
+        for (int k = place; k < chunk[c][1]; k += 32) {
+            const wp::vec_t<3, wp::float64> u = w.data[chunk[c][0] + k];
+            const wp::vec_t<3, wp::float64> x = points.data[chunk[c][0] + k];
             const wp::vec_t<3, wp::float64> turn = wp::cross(x, u);
             #pragma unroll
             for (int i = 0; i < 3; ++i) {
-                sums[i] = u[i];
-                sums[3 + i] = turn[i];
+                sums[i] += u[i];
+                sums[3 + i] += turn[i];
             }
         }
         #pragma unroll
@@ -116,24 +117,38 @@ def _restrict(
 _MOVE_SNIPPET = """
     const wp::vec_t<2, wp::int32>* const span = spans.data;
     const double* const inverse = inverses.data;
-    const auto load = [&](int k) {
-        double total = 0.0;
-        for (int c = span[k / 6][0]; c < span[k / 6][1]; ++c)
-            total += loads.data[6 * c + k % 6];
-        return total;
-    };
 #if defined(__CUDA_ARCH__)
     const int place = lane % 32;
     double own[@COLUMNS@];
+    int from[@COLUMNS@], to[@COLUMNS@];
+    #pragma unroll
+    for (int i = 0; i < @COLUMNS@; ++i) {
+        const int k = place + 32 * i;
+        own[i] = 0.0;
+        from[i] = k < width ? span[k / 6][0] : 0;
+        to[i] = k < width ? span[k / 6][1] : 0;
+    }
+    // Few blocks share a part: the first three are read side by side, for all columns.
+    #pragma unroll
+    for (int j = 0; j < 3; ++j) {
+        #pragma unroll
+        for (int i = 0; i < @COLUMNS@; ++i)
+            if (from[i] + j < to[i])
+                own[i] += loads.data[6 * (from[i] + j) + (place + 32 * i) % 6];
+    }
     #pragma unroll
     for (int i = 0; i < @COLUMNS@; ++i)
-        own[i] = place + 32 * i < width ? load(place + 32 * i) : 0.0;
+        #pragma unroll 1
+        for (int c = from[i] + 3; c < to[i]; ++c)
+            own[i] += loads.data[6 * c + (place + 32 * i) % 6];
+    #pragma unroll 2
     for (int row = first + lane / 32; row < end; row += lanes / 32) {
         double total = 0.0;
         #pragma unroll
         for (int i = 0; i < @COLUMNS@; ++i)
             if (place + 32 * i < width)
                 total += inverse[width * row + place + 32 * i] * own[i];
+        #pragma unroll
         for (int step = 16; step > 0; step >>= 1)
             total += __shfl_xor_sync(0xffffffffu, total, step);
         if (place == 0)
@@ -143,7 +158,8 @@ _MOVE_SNIPPET = """
     for (int row = first + lane; row < end; row += lanes) {
         double total = 0.0;
         for (int k = 0; k < width; ++k)
-            total += inverse[width * row + k] * load(k);
+            for (int c = span[k / 6][0]; c < span[k / 6][1]; ++c)
+                total += inverse[width * row + k] * loads.data[6 * c + k % 6];
         motions.data[row] = total;
     }
 #endif
@@ -175,10 +191,37 @@ def _prolonged(place: int, coarse: CoarseSpace, motions: wp.array(dtype=wp.float
     return shift + wp.cross(turn, coarse.points[place])
 
 
+@wp.struct
+class OwnedParts:
+    """What a thread block does for a coarse space: ranges of chunks, of rows of A_c^-1, and of
+    places; all empty where it owns no part of one."""
+
+    chunks: wp.vec2i
+    rows: wp.vec2i
+    places: wp.vec2i
+
+
+@wp.func
+def owned_parts(coarse: CoarseSpace, first_block: int, end_block: int) -> OwnedParts:
+    """The share of a block that works for blocks first to end of the plan."""
+    owned = OwnedParts()
+    if coarse.width > 0:
+        first = coarse.block_chunks[first_block]
+        end = coarse.block_chunks[end_block]
+        owned.chunks = wp.vec2i(first, end)
+        if end > first:
+            begin = coarse.chunks[first]
+            last = coarse.chunks[end - 1]
+            # Parts that several blocks own are moved by each, to the same bits.
+            owned.rows = wp.vec2i(MODES * begin[2], MODES * (last[2] + 1))
+            owned.places = wp.vec2i(begin[0], last[0] + last[1])
+    return owned
+
+
 @wp.func
 def add_correction(
     env: int,
-    owned: wp.vec2i,
+    owned: OwnedParts,
     blocks: int,
     lane: int,
     lanes: int,
@@ -188,23 +231,17 @@ def add_correction(
     m: wp.array(dtype=wp.vec3d),
 ) -> wp.float64:
     """Add P A_c^-1 P^T w to ``m``, by all lanes of a team of so many ``blocks``; returns the part
-    of a lane in w . P A_c^-1 P^T w. The range ``owned`` of the plan's blocks is what this block
-    works for. Begins with a barrier and ends without one."""
-    first = coarse.block_chunks[owned[0]]
-    end = coarse.block_chunks[owned[1]]
+    of a lane in w . P A_c^-1 P^T w. Begins with a barrier and ends without one."""
     loads = coarse.loads[env]
     motions = coarse.motions[env]
     block_barrier()
-    _restrict(first, end, lane, lanes, coarse.chunks, coarse.points, w, loads)
+    _restrict(owned.chunks[0], owned.chunks[1], lane, lanes, coarse.chunks, coarse.points, w, loads)
     team_barrier(env, blocks, gates)
     share = wp.float64(0.0)
-    if end > first:
-        begin = coarse.chunks[first]
-        last = coarse.chunks[end - 1]
-        # Parts that several blocks own are moved by each, to the same bits.
+    if owned.rows[1] > 0:
         _move_parts(
-            MODES * begin[2],
-            MODES * (last[2] + 1),
+            owned.rows[0],
+            owned.rows[1],
             lane,
             lanes,
             coarse.width,
@@ -214,7 +251,7 @@ def add_correction(
             motions,
         )
         block_barrier()
-        for place in range(begin[0] + lane, last[0] + last[1], lanes):
+        for place in range(owned.places[0] + lane, owned.places[1], lanes):
             more = _prolonged(place, coarse, motions)
             m[place] = m[place] + more
             share += wp.dot(w[place], more)

@@ -28,7 +28,7 @@ from taccel_lab.ipc.linear.block_ops import (
     team_sum,
 )
 from taccel_lab.ipc.linear.coarse_matrix import PART_ROWS, CoarseCorrection, coarse_parts
-from taccel_lab.ipc.linear.coarse_space import CoarseSpace, add_correction
+from taccel_lab.ipc.linear.coarse_space import CoarseSpace, add_correction, owned_parts
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
 from taccel_lab.ipc.linear.packed_rows import PackedRows, RowSlices
 from taccel_lab.ipc.linear.preconditioner import (
@@ -87,41 +87,6 @@ class PipelineWork:
 
 
 @wp.func
-def _step_row(
-    env: int,
-    place: int,
-    mode: int,
-    alpha: wp.float64,
-    beta: wp.float64,
-    product: wp.vec3d,
-    m: wp.vec3d,
-    work: PipelineWork,
-) -> wp.vec3d:
-    """Pass _FIRST or _STEP over a row, but for x; returns p."""
-    if mode == _FIRST:
-        work.u[env, place] = m
-        work.w[env, place] = product
-        return wp.vec3d()
-    p = work.u[env, place]
-    s = work.w[env, place]
-    q = m
-    z = product
-    if beta != wp.float64(0.0):
-        p += beta * work.p[env, place]
-        s += beta * work.s[env, place]
-        q += beta * work.q[env, place]
-        z += beta * work.z[env, place]
-    work.p[env, place] = p
-    work.s[env, place] = s
-    work.q[env, place] = q
-    work.z[env, place] = z
-    work.r[env, place] = work.r[env, place] - alpha * s
-    work.u[env, place] = work.u[env, place] - alpha * q
-    work.w[env, place] = work.w[env, place] - alpha * z
-    return p
-
-
-@wp.func
 def _update_row(
     env: int,
     place: int,
@@ -131,13 +96,17 @@ def _update_row(
     alpha: wp.float64,
     beta: wp.float64,
     layout: RowSlices,
+    has_extra: bool,
     extra: ExtraRows,
     b: wp.array(dtype=wp.vec3d),
     inverse: wp.mat33d,
     work: PipelineWork,
     x: wp.array(dtype=wp.vec3d),
 ) -> wp.vec3d:
-    """A pass over a row; returns its share of (r.u, w.u, r.r)."""
+    """A pass over a row; returns its share of (r.u, w.u, r.r).
+
+    All that is read comes before what is written, or each would wait for the last.
+    """
     n = b.shape[0]
     next_m = n - turn * n + place
     if mode == _SHOW_X:
@@ -147,19 +116,46 @@ def _update_row(
     if mode == _START:
         x[row] = wp.vec3d()
     else:
-        product = row_sum(env, place, layout, extra, work.parts[env])
+        product = row_sum(env, place, layout, has_extra, extra, work.parts[env])
     if mode < _FIRST:
         r = b[row] - product
         work.r[env, place] = r
         work.w[env, place] = r
         work.m[env, next_m] = inverse * r
         return wp.vec3d(wp.float64(0.0), wp.float64(0.0), wp.dot(r, r))
-    p = _step_row(env, place, mode, alpha, beta, product, work.m[env, turn * n + place], work)
-    if mode == _STEP:
-        x[row] += alpha * p
+    m = work.m[env, turn * n + place]
     r = work.r[env, place]
-    u = work.u[env, place]
-    w = work.w[env, place]
+    u = m
+    w = product
+    if mode == _STEP:
+        u = work.u[env, place]
+        w = work.w[env, place]
+        p = work.p[env, place]
+        s = work.s[env, place]
+        q = work.q[env, place]
+        z = work.z[env, place]
+        done = x[row]
+        if beta == wp.float64(0.0):
+            p = u
+            s = w
+            q = m
+            z = product
+        else:
+            p = u + beta * p
+            s = w + beta * s
+            q = m + beta * q
+            z = product + beta * z
+        work.p[env, place] = p
+        work.s[env, place] = s
+        work.q[env, place] = q
+        work.z[env, place] = z
+        x[row] = done + alpha * p
+        r = r - alpha * s
+        u = u - alpha * q
+        w = w - alpha * z
+        work.r[env, place] = r
+    work.u[env, place] = u
+    work.w[env, place] = w
     work.m[env, next_m] = inverse * w
     return wp.vec3d(wp.dot(r, u), wp.dot(w, u), wp.dot(r, r))
 
@@ -218,6 +214,9 @@ def _solve_kernel(
     b = rhs[env]
     parts = work.parts_scalars[env]
     clustered = wp.min(3 * end, clusters.tasks.shape[0])
+    first_task = layout.task_starts[first_part]
+    end_task = layout.task_starts[end_part]
+    owned = owned_parts(coarse, first_part, end_part)
     has_extra = extra.totals[env, 1] > 0
     verifies = tolerances[env] < verify_below
     count = int(0)
@@ -245,6 +244,7 @@ def _solve_kernel(
                 alpha,
                 beta,
                 layout,
+                has_extra,
                 extra,
                 b,
                 inverse,
@@ -261,7 +261,7 @@ def _solve_kernel(
         if mode != _SHOW_X and coarse.width > 0:
             add_correction(
                 env,
-                wp.vec2i(first_part, end_part),
+                owned,
                 blocks,
                 lane,
                 lanes,
@@ -323,9 +323,7 @@ def _solve_kernel(
                 start_sq = r_sq
         if running == 1 and mode != _SHOW_X:
             m = work.m_scalars[env, 3 * turn * n : 3 * (turn + 1) * n]
-            begin = layout.task_starts[first_part]
-            tasks_end = layout.task_starts[end_part]
-            multiply_fixed(begin + lane, tasks_end, lanes, layout, all_packed[env], m, parts)
+            multiply_fixed(first_task + lane, end_task, lanes, layout, all_packed[env], m, parts)
             if has_extra:
                 multiply_extra(
                     env,

@@ -139,12 +139,19 @@ def multiply_extra(
 
 @wp.func
 def row_sum(
-    env: int, row: int, layout: RowSlices, extra: ExtraRows, parts: wp.array(dtype=wp.vec3d)
+    env: int,
+    row: int,
+    layout: RowSlices,
+    has_extra: bool,
+    extra: ExtraRows,
+    parts: wp.array(dtype=wp.vec3d),
 ) -> wp.vec3d:
-    """A row of the product from its segments."""
+    """A row of the product from its segments, and those of extra blocks where there are some."""
     total = wp.vec3d()
     for s in range(layout.row_segments[row], layout.row_segments[row + 1]):
         total += parts[s]
+    if not has_extra:
+        return total
     more = extra.row_segments[env, row]
     first = extra.starts[env][1] + more[0]
     for s in range(first, first + more[1]):
