@@ -26,10 +26,11 @@ PROJECTED_AFTER = 4
 """Iterations with projected matrices after one that was not, and was not positive definite."""
 LINEAR_TOLERANCE = wp.constant(wp.float64(5.0e-3))
 """Residual over load to which a system is solved. Friction, contacts that come and go and projected
-matrices leave a tenth of the residual or more in an iteration: solving until this very step would do
-takes 213 CG iterations a step of ``press_2005`` in place of 149, with as many of Newton. While
-frames are on their way it is solved as well as that: the load of a few stiff contacts is all that a
-looser solve sees, and the gel would not follow."""
+matrices leave a tenth of the residual or more in an iteration: solving until this very step would
+do takes 213 CG iterations a step of ``press_2005`` in place of 156, with as many of Newton. It is
+solved as well as that in the first iteration, after which smooth motion has nearly arrived, and
+while frames are on their way: the load of a few stiff contacts is all that a looser solve sees
+then, and the gel would not follow."""
 STUCK_ABOVE = 0.7
 """Part of the residual that a whole step leaves where an exact matrix is tried."""
 
@@ -89,7 +90,7 @@ def _aim_kernel(p: EnvProgress, r: Rules, linear_tolerances: wp.array(dtype=wp.f
         p.moving[env] = 1
     p.psd_mode[env] = projection(env, p, r)
     linear_tolerances[env] = LINEAR_TOLERANCE
-    if progress < one:
+    if progress < one or p.newton[env] == 0:
         whole = wp.float64(0.3) / wp.max(p.excess[env], wp.float64(1.0e-300))
         linear_tolerances[env] = wp.clamp(whole, wp.float64(1.0e-6), LINEAR_TOLERANCE)
     p.last_residual[env] = p.residual[env]

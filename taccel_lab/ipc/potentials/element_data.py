@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from taccel_lab.ipc.elasticity.laws import Moduli
-from taccel_lab.ipc.lanes import launch
+from taccel_lab.ipc.lanes import WARP_THREADS, launch
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.chunk_stage import STAGED_THREADS
 from taccel_lab.ipc.potentials.energy import Potential
@@ -74,6 +74,8 @@ class ElementKernels:
     energy: wp.Kernel
     gradient: wp.Kernel
     hessian: wp.Kernel
+    hessian_lanes: int = 1
+    """Lanes of an element in ``hessian`` where it has no chunks; several elements fill a warp."""
 
 
 @wp.kernel
@@ -166,14 +168,11 @@ class ElementSum(Potential):
         data = ElementData()
         data.nodes, data.gradients = group.elements, group.shape_gradients
         data.volumes, data.moduli = group.volumes, Moduli()
-        self._lane_count, block_count, force_count = (
-            count,
-            count * width * (width + 1) // 2,
-            count * width,
-        )
+        block_count, force_count = count * width * (width + 1) // 2, count * width
+        self._chunk_lanes = 0
         if group.chunks is not None:
             chunks = group.chunks
-            data.lanes, self._lane_count = chunks.lanes, len(chunks.lanes)
+            data.lanes, self._chunk_lanes = chunks.lanes, len(chunks.lanes)
             data.block_sums, data.force_sums = chunks.blocks, chunks.forces
             block_count, force_count = chunks.block_count, chunks.force_count
         self._data = data
@@ -204,12 +203,11 @@ class ElementSum(Potential):
         """What others may use after ``gather_rim`` and before the next evaluation."""
         return self._blocks
 
-    def launch(self, kernel: wp.Kernel, inputs: list, outputs: list, lanes: bool = False) -> None:
-        """Launch over (environment, element), or over the ``lanes`` of its chunks where it has
-        some."""
+    def launch(self, kernel: wp.Kernel, inputs: list, outputs: list, lanes: int = 0) -> None:
+        """Launch over (environment, element), or over so many lanes of each environment."""
         launch(
             kernel,
-            dim=(self.model.env_count, self._lane_count if lanes else self.group.element_count),
+            dim=(self.model.env_count, lanes or self.group.element_count),
             inputs=inputs,
             outputs=outputs,
             device=self.model.device,
@@ -233,7 +231,8 @@ class ElementSum(Potential):
     def write_forces(self, active: wp.array, positions: wp.array) -> None:
         """Evaluate the gradients of all elements."""
         outputs = [self._by_element(self._forces)]
-        self.launch(self.kernels.gradient, [active, positions, self.data], outputs, lanes=True)
+        inputs = [active, positions, self.data]
+        self.launch(self.kernels.gradient, inputs, outputs, self._chunk_lanes)
 
     def gather_forces(self, active: wp.array, gradient: wp.array) -> None:
         """Add the parts of elements or chunks to the gradient of the nodes, without atomics."""
@@ -258,7 +257,12 @@ class ElementSum(Potential):
     def write_hessians(self, active: wp.array, positions: wp.array, psd_modes: wp.array) -> None:
         """Evaluate the blocks of all elements."""
         inputs = [active, positions, self.data, psd_modes]
-        self.launch(self.kernels.hessian, inputs, [self._by_element(self._blocks)], lanes=True)
+        lanes = self._chunk_lanes
+        if self.kernels.hessian_lanes > 1:
+            lanes = WARP_THREADS * -(
+                -self.kernels.hessian_lanes * self.group.element_count // WARP_THREADS
+            )
+        self.launch(self.kernels.hessian, inputs, [self._by_element(self._blocks)], lanes)
 
     def gather_hessians(self, active: wp.array, system: NewtonSystem) -> None:
         """Add the parts of elements or chunks to the matrix, without atomics."""

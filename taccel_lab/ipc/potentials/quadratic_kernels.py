@@ -27,6 +27,14 @@ from taccel_lab.ipc.elasticity.principal import lifted
 from taccel_lab.ipc.potentials.chunk_stage import STAGED_THREADS
 from taccel_lab.ipc.potentials.element_data import ElementData, ElementKernels, modulus_index
 from taccel_lab.ipc.potentials.point_hessian import PointHessian, point_hessian
+from taccel_lab.ipc.potentials.point_stage import (
+    POINT_LANES,
+    put_element,
+    put_point,
+    stage_points,
+    write_blocks,
+    written_elements,
+)
 from taccel_lab.ipc.potentials.quadratic_guard import (
     GUARD_WEIGHT,
     GUARDED,
@@ -169,6 +177,51 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
             q += 1
         return mean
 
+    @wp.func
+    def _mean_slope(
+        env: int,
+        tet: int,
+        common: wp.mat33d,
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+    ) -> mat103d:
+        """Of the mean dilatation in the nodes."""
+        slope = mat103d()
+        q = int(0)
+        while q < 4:
+            f = point_deformation(env, tet, q, common, positions, d)
+            slope += wp.float64(0.25) * shape_gradients(
+                env, tet, q, OTHER, OWN_LESS_OTHER, dilatation_slope(f), d
+            )
+            q += 1
+        return slope
+
+    @wp.func
+    def _factor(env: int, tet: int, d: ElementData) -> wp.float64:
+        return d.volumes[env % d.volumes.shape[0], tet] * scale(env, tet, d)
+
+    @wp.func
+    def _add_guards(
+        env: int,
+        tet: int,
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+        psd_mode: int,
+        blocks: wp.array3d(dtype=wp.mat33d),
+    ):
+        weight = _factor(env, tet, d) * GUARD_WEIGHT * d.moduli.mu[modulus_index(env, tet, d)]
+        # Held in a variable so that Warp keeps the loops rolled.
+        node_count = d.nodes.shape[1]
+        q = int(0)
+        while q < GUARDED:
+            f = guarded_deformation(env, tet, q, positions, d)
+            barrier = corner_guard(wp.determinant(f))
+            if barrier[1] != wp.float64(0.0):
+                h = point_hessian(volume_hessian(f, barrier[1], barrier[2], psd_mode))
+                shapes = guarded_gradients(env, tet, q, wp.transpose(h.frame), d)
+                add_point_blocks(env, tet, weight, h, shapes, node_count, blocks)
+            q += 1
+
     @wp.kernel(module=module)
     def _quadratic_gradient_kernel(
         active: wp.array(dtype=wp.int32),
@@ -246,57 +299,39 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         psd_modes: wp.array(dtype=wp.int32),
         blocks: wp.array3d(dtype=wp.mat33d),
     ):
-        env, tet = wp.tid()
+        env, lane = wp.tid()
         if active[env] == 0:
             return
-        rest = env % d.volumes.shape[0]
+        stage = stage_points()
         psd_mode = psd_modes[env]
-        i = modulus_index(env, tet, d)
-        # Held in a variable so that Warp keeps the loops rolled.
-        node_count = d.nodes.shape[1]
-        common = common_deformation(env, tet, positions, d)
-        # The mean dilatation and its derivative in the nodes.
-        mean = wp.float64(0.0)
-        slope = mat103d()
-        q = int(0)
-        while q < 4:
-            f = point_deformation(env, tet, q, common, positions, d)
-            mean += wp.float64(0.25) * dilatation(f, start_of(env, tet, q, d))
-            slope += wp.float64(0.25) * shape_gradients(
-                env, tet, q, OTHER, OWN_LESS_OTHER, dilatation_slope(f), d
-            )
-            q += 1
-        volume_part = volumetric(mean)
-        factor = d.volumes[rest, tet] * scale(env, tet, d)
-        modulus = volumetric_modulus(d.moduli, i)
-        bulk = factor * modulus * lifted(volume_part[2], psd_mode)
-        pair = int(0)
-        for a in range(node_count):
-            left = bulk * row_of(slope, a)
-            for b in range(a, node_count):
-                blocks[env, tet, pair] = wp.outer(left, row_of(slope, b))
-                pair += 1
-        pressure = modulus * volume_part[1]
-        q = int(0)
-        while q < 4:
-            f = point_deformation(env, tet, q, common, positions, d)
-            h = hessian(f, start_of(env, tet, q, d), d, i, pressure, psd_mode)
-            shapes = shape_gradients(env, tet, q, OTHER, OWN_LESS_OTHER, wp.transpose(h.frame), d)
-            add_point_blocks(env, tet, wp.float64(0.25) * factor, h, shapes, node_count, blocks)
-            q += 1
-        if not guarded(env, tet, positions, d):
-            return
-        guard_weight = factor * GUARD_WEIGHT * d.moduli.mu[i]
-        q = int(0)
-        while q < GUARDED:
-            f = guarded_deformation(env, tet, q, positions, d)
-            barrier = corner_guard(wp.determinant(f))
-            if barrier[1] != wp.float64(0.0):
-                h = point_hessian(volume_hessian(f, barrier[1], barrier[2], psd_mode))
-                shapes = guarded_gradients(env, tet, q, wp.transpose(h.frame), d)
-                add_point_blocks(env, tet, guard_weight, h, shapes, node_count, blocks)
-            q += 1
+        count = d.nodes.shape[0]
+        own = lane / POINT_LANES
+        q = lane % POINT_LANES
+        if own < count:
+            i = modulus_index(env, own, d)
+            common = common_deformation(env, own, positions, d)
+            volume_part = volumetric(_mean_dilatation(env, own, common, positions, d))
+            modulus = volumetric_modulus(d.moduli, i)
+            if q == 0:
+                slope = _mean_slope(env, own, common, positions, d)
+                factor = _factor(env, own, d)
+                bulk = factor * modulus * lifted(volume_part[2], psd_mode)
+                put_element(stage, lane, wp.float64(0.25) * factor, bulk, slope)
+            f = point_deformation(env, own, q, common, positions, d)
+            pressure = modulus * volume_part[1]
+            h = hessian(f, start_of(env, own, q, d), d, i, pressure, psd_mode)
+            turn = wp.transpose(h.frame)
+            shapes = shape_gradients(env, own, q, OTHER, OWN_LESS_OTHER, turn, d)
+            put_point(stage, lane, h, shapes)
+        write_blocks(stage, env, lane, blocks)
+        written = written_elements(lane, count)
+        for tet in range(written[0], written[1]):
+            if guarded(env, tet, positions, d):
+                _add_guards(env, tet, positions, d, psd_mode, blocks)
 
     return ElementKernels(
-        _quadratic_energy_kernel, _quadratic_gradient_kernel, _quadratic_hessian_kernel
+        _quadratic_energy_kernel,
+        _quadratic_gradient_kernel,
+        _quadratic_hessian_kernel,
+        POINT_LANES,
     )
