@@ -80,7 +80,8 @@ def modules_of(name: str, kinds: int | None = 1) -> list[wp.Module]:
     made: list[Any] = list(vars(importlib.import_module(path)).values())
     made = [k for k in made if isinstance(k, wp.Kernel) and k.module.name == path]
     for part in FACTORIES.get(name, list)()[:kinds]:
-        made += [part] if isinstance(part, wp.Kernel) else vars(part).values()
+        parts = [part] if isinstance(part, wp.Kernel) else vars(part).values()
+        made += [kernel for kernel in parts if isinstance(kernel, wp.Kernel)]
     return list({kernel.module.name: kernel.module for kernel in made}.values())
 
 
