@@ -201,7 +201,7 @@ class CoarseCorrection:
         lanes: int | None = None,
     ) -> None:
         """``parts``: rows of each, with which the plan's single rows begin.
-        ``lanes``: of a thread block, for tests."""
+        ``lanes``: of a thread block on the CPU, for tests."""
         self._problem = problem
         device, envs = problem.device, problem.env_count
         count = self._count = len(parts)
@@ -241,7 +241,8 @@ class CoarseCorrection:
         shape = (envs, MODES * MODES * len(matrix.pairs))
         self._blocks = wp.zeros(shape, dtype=wp.float64, device=device)
         self._kernel = _inverse_kernel(room_for_inverse(MODES * MOST_PARTS))
-        lanes = lanes or lanes_for_inverse(MODES * MOST_PARTS)
+        if not device.is_cpu:
+            lanes = lanes_for_inverse(MODES * MOST_PARTS)
         self._team = Team(team(device, envs, 1, lanes).lanes)
 
     def __str__(self) -> str:

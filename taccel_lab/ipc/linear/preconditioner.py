@@ -19,6 +19,7 @@ from taccel_lab.ipc.linear.block_ops import Team, block_barrier, launch_team, te
 from taccel_lab.ipc.linear.dense_inverse import (
     address_of_tile,
     get_symmetric,
+    lanes_for_inverse,
     put_lower,
     room_for_inverse,
     sweep_all,
@@ -187,17 +188,19 @@ class DiagonalInverses:
     """Inverses of the diagonal blocks of all environments."""
 
     def __init__(self, problem: LinearProblem, plan: RowPlan, lanes: int | None = None) -> None:
-        """``lanes``: of a thread block, for tests."""
+        """``lanes``: of a thread block on the CPU, for tests."""
         self._problem = problem
         device = problem.device
-        lanes = team(device, problem.env_count, 1, lanes or _LANES).lanes
+        widest = max([_COMMON_WIDTH, *(3 * int(size) for size in plan.cluster_sizes)])
+        if not device.is_cpu:
+            lanes = max(_LANES, lanes_for_inverse(widest))
+        lanes = team(device, problem.env_count, 1, lanes).lanes
         blocks = 1
         if not device.is_cpu:
             # These blocks wait for nobody: single rows are shared, and clusters taken in turn.
             blocks = max(1, len(plan.cluster_sizes))
             if problem.env_count < int(device.sm_count):
                 blocks = max(blocks, -(-problem.pattern.free_count // lanes))
-        widest = max([_COMMON_WIDTH, *(3 * int(size) for size in plan.cluster_sizes)])
         self._kernel = _inverse_kernel(room_for_inverse(widest))
         self._team = Team(lanes, blocks)
         diagonal = problem.pattern.diagonal[plan.order]
