@@ -13,6 +13,9 @@ Vectors are kept by the places of a ``RowPlan``, the matrix in slices (``packed_
 
 from __future__ import annotations
 
+from functools import cache
+from typing import Any
+
 import numpy as np
 import warp as wp
 
@@ -20,6 +23,7 @@ from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.linear.block_ops import Team, block_barrier, launch_team, team, team_sum
 from taccel_lab.ipc.linear.coarse_matrix import PART_ROWS, CoarseCorrection, coarse_parts
 from taccel_lab.ipc.linear.coarse_space import CoarseSpace, add_correction, owned_parts
+from taccel_lab.ipc.linear.dense_inverse import address_of_tile
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
 from taccel_lab.ipc.linear.packed_rows import PackedRows, RowSlices
 from taccel_lab.ipc.linear.preconditioner import (
@@ -31,7 +35,13 @@ from taccel_lab.ipc.linear.preconditioner import (
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.row_lists import scalars
 from taccel_lab.ipc.linear.row_plan import plan_rows
-from taccel_lab.ipc.linear.row_products import multiply_extra, multiply_fixed, row_sum
+from taccel_lab.ipc.linear.row_products import (
+    copy_inside,
+    inner_room,
+    multiply_extra,
+    multiply_fixed,
+    row_sum,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -119,155 +129,169 @@ def _update_row(
     return wp.vec3d(wp.dot(r, z), wp.float64(0.0), wp.dot(r, r))
 
 
-@wp.kernel(grid_stride=False, launch_bounds=(512, 2))
-def _solve_kernel(
-    lanes: int,
-    active: wp.array(dtype=wp.int32),
-    order: wp.array(dtype=wp.int32),
-    layout: RowSlices,
-    all_packed: wp.array2d(dtype=wp.float64),
-    extra: ExtraRows,
-    extra_values: wp.array(dtype=wp.float64),
-    inverses: wp.array2d(dtype=wp.mat33d),
-    clusters: Clusters,
-    all_stores: wp.array2d(dtype=wp.float64),
-    coarse: CoarseSpace,
-    rhs: wp.array2d(dtype=wp.vec3d),
-    tolerances: wp.array(dtype=wp.float64),
-    verify_below: wp.float64,
-    max_iterations: int,
-    work: CgWork,
-    solutions: wp.array2d(dtype=wp.vec3d),
-    iterations: wp.array(dtype=wp.int32),
-    residuals: wp.array(dtype=wp.float64),
-    breakdowns: wp.array(dtype=wp.int32),
-):
-    env, lane = wp.tid()
-    n = rhs.shape[1]
-    zero = wp.float64(0.0)
-    infinity = wp.float64(wp.inf)
-    x = solutions[env]
-    if active[env] == 0:
-        for row in range(lane, n, lanes):
-            x[row] = wp.vec3d()
-        if lane == 0:
-            iterations[env] = 0
-            residuals[env] = zero
-            breakdowns[env] = 0
-        return
-    b = rhs[env]
-    owned = owned_parts(coarse, 0, 1)
-    has_extra = extra.totals[env, 1] > 0
-    verifies = tolerances[env] < verify_below
-    count = int(0)
-    broken = int(0)
-    turn = int(0)
-    mode = int(_START)
-    b_sq = zero
-    r_sq = zero
-    goal = zero
-    start_sq = infinity
-    alpha = wp.float64(1.0)
-    beta = zero
-    rho = wp.float64(1.0)
-    running = int(1)
-    while running == 1:
-        share = wp.vec3d()
-        for place in range(lane, n, lanes):
-            inverse = inverses[env, place]
-            share += _update_row(
-                env,
-                place,
-                order[place],
-                mode,
-                alpha,
-                beta,
-                layout,
-                has_extra,
-                extra,
-                b,
-                inverse,
-                work,
-                x,
-            )
-        clustered = clusters.tasks.shape[0]
-        if mode != _SHOW_X and clustered > 0:
+@cache
+def _solve_kernel(room: int) -> Any:
+    """The kernel that keeps the vector it multiplies in so much shared memory (``INNER_ROOMS``)."""
+    address = address_of_tile(max(room, 1))
+
+    @wp.kernel(grid_stride=False, launch_bounds=(512, 2), module="unique", enable_backward=False)
+    def solve_kernel(
+        lanes: int,
+        active: wp.array(dtype=wp.int32),
+        order: wp.array(dtype=wp.int32),
+        layout: RowSlices,
+        all_packed: wp.array2d(dtype=wp.float64),
+        extra: ExtraRows,
+        extra_values: wp.array(dtype=wp.float64),
+        inverses: wp.array2d(dtype=wp.mat33d),
+        clusters: Clusters,
+        all_stores: wp.array2d(dtype=wp.float64),
+        coarse: CoarseSpace,
+        rhs: wp.array2d(dtype=wp.vec3d),
+        tolerances: wp.array(dtype=wp.float64),
+        verify_below: wp.float64,
+        max_iterations: int,
+        work: CgWork,
+        solutions: wp.array2d(dtype=wp.vec3d),
+        iterations: wp.array(dtype=wp.int32),
+        residuals: wp.array(dtype=wp.float64),
+        breakdowns: wp.array(dtype=wp.int32),
+    ):
+        env, lane = wp.tid()
+        # Decided as it is compiled.
+        if room:
+            memory = address(wp.tile_empty(shape=room, dtype=wp.float64, storage="shared"))
+        n = rhs.shape[1]
+        zero = wp.float64(0.0)
+        infinity = wp.float64(wp.inf)
+        x = solutions[env]
+        if active[env] == 0:
+            for row in range(lane, n, lanes):
+                x[row] = wp.vec3d()
+            if lane == 0:
+                iterations[env] = 0
+                residuals[env] = zero
+                breakdowns[env] = 0
+            return
+        b = rhs[env]
+        owned = owned_parts(coarse, 0, 1)
+        has_extra = extra.totals[env, 1] > 0
+        verifies = tolerances[env] < verify_below
+        count = int(0)
+        broken = int(0)
+        turn = int(0)
+        mode = int(_START)
+        b_sq = zero
+        r_sq = zero
+        goal = zero
+        start_sq = infinity
+        alpha = wp.float64(1.0)
+        beta = zero
+        rho = wp.float64(1.0)
+        running = int(1)
+        while running == 1:
+            share = wp.vec3d()
+            for place in range(lane, n, lanes):
+                inverse = inverses[env, place]
+                share += _update_row(
+                    env,
+                    place,
+                    order[place],
+                    mode,
+                    alpha,
+                    beta,
+                    layout,
+                    has_extra,
+                    extra,
+                    b,
+                    inverse,
+                    work,
+                    x,
+                )
+            clustered = clusters.tasks.shape[0]
+            if mode != _SHOW_X and clustered > 0:
+                block_barrier()
+                for task in range(lane, clustered, lanes):
+                    product = cluster_product(task, clusters, all_stores[env], work.r_scalars[env])
+                    work.z_scalars[env, task] = product
+                    share[0] += product * work.r_scalars[env, task]
+            if mode != _SHOW_X and coarse.width > 0:
+                share[0] += add_correction(
+                    env,
+                    owned,
+                    1,
+                    lane,
+                    lanes,
+                    coarse,
+                    work.gates,
+                    work.r[env],
+                    work.z[env],
+                )
             block_barrier()
-            for task in range(lane, clustered, lanes):
-                product = cluster_product(task, clusters, all_stores[env], work.r_scalars[env])
-                work.z_scalars[env, task] = product
-                share[0] += product * work.r_scalars[env, task]
-        if mode != _SHOW_X and coarse.width > 0:
-            share[0] += add_correction(
-                env,
-                owned,
-                1,
-                lane,
-                lanes,
-                coarse,
-                work.gates,
-                work.r[env],
-                work.z[env],
-            )
-        block_barrier()
-        end = 3 * layout.segments.shape[0]
-        z = work.z_scalars[env]
-        parts = work.parts_scalars[env]
-        share[1] = multiply_fixed(lane, end, lanes, layout, all_packed[env], z, parts)
-        share[1] += multiply_extra(env, lane, lanes, extra, extra_values, z)
-        total = team_sum(share, env, 0, 1, lane, turn, work.gates, work.sums[env])
-        turn = 1 - turn
-        if mode == _SHOW_X:
-            mode = int(_RESTART)
-        else:
-            fresh = mode != _STEP
-            if mode == _START:
-                b_sq = total[2]
-                goal = tolerances[env] * tolerances[env] * b_sq
-            r_sq = total[2]
-            beta = total[0] / rho
-            if fresh:
-                beta = zero
-            curvature = total[1] - beta * total[0] / alpha
-            alpha = total[0] / curvature
-            rho = total[0]
-            mode = int(_STEP)
-            # A true residual may miss by a thousandth: not worth a fresh start.
-            limit = goal
-            if fresh:
-                limit = wp.float64(1.001) * goal
-            sound = rho > zero and curvature > zero and curvature < infinity and r_sq < infinity
-            if r_sq <= limit and r_sq < infinity:
-                running = int(0)
-                if verifies and not fresh and count < max_iterations:
-                    # What the rounding of the recurrence left is solved for in a fresh start.
-                    mode = int(_SHOW_X)
-                    running = int(1)
-            elif fresh and r_sq > wp.float64(0.25) * start_sq:
-                # Starting anew did not help the last time.
-                broken = int(1)
-                running = int(0)
-            elif not sound and not fresh and r_sq < wp.float64(1e-6) * b_sq:
-                # As close as this, it may well be rounding that spoils the curvature.
-                mode = int(_SHOW_X)
-            elif not sound:
-                broken = int(1)
-                running = int(0)
-            elif count >= max_iterations:
-                running = int(0)
+            end = 3 * layout.segments.shape[0]
+            z = work.z_scalars[env]
+            if room:
+                copy_inside(memory, lane, lanes, z)
+                block_barrier()
+                z = wp.array(ptr=memory, shape=(3 * n,), dtype=wp.float64)
+            parts = work.parts_scalars[env]
+            share[1] = multiply_fixed(lane, end, lanes, layout, all_packed[env], z, parts)
+            share[1] += multiply_extra(env, lane, lanes, extra, extra_values, z)
+            total = team_sum(share, env, 0, 1, lane, turn, work.gates, work.sums[env])
+            turn = 1 - turn
+            if mode == _SHOW_X:
+                mode = int(_RESTART)
             else:
-                count += 1
-            if fresh:
-                start_sq = r_sq
-    if lane == 0:
-        iterations[env] = count
-        breakdowns[env] = broken
-        if b_sq == zero:
-            residuals[env] = zero
-        elif count == 0:
-            residuals[env] = wp.float64(1.0)
-        else:
-            residuals[env] = wp.sqrt(r_sq / b_sq)
+                fresh = mode != _STEP
+                if mode == _START:
+                    b_sq = total[2]
+                    goal = tolerances[env] * tolerances[env] * b_sq
+                r_sq = total[2]
+                beta = total[0] / rho
+                if fresh:
+                    beta = zero
+                curvature = total[1] - beta * total[0] / alpha
+                alpha = total[0] / curvature
+                rho = total[0]
+                mode = int(_STEP)
+                # A true residual may miss by a thousandth: not worth a fresh start.
+                limit = goal
+                if fresh:
+                    limit = wp.float64(1.001) * goal
+                sound = rho > zero and curvature > zero and curvature < infinity and r_sq < infinity
+                if r_sq <= limit and r_sq < infinity:
+                    running = int(0)
+                    if verifies and not fresh and count < max_iterations:
+                        # What the rounding of the recurrence left is solved for in a fresh start.
+                        mode = int(_SHOW_X)
+                        running = int(1)
+                elif fresh and r_sq > wp.float64(0.25) * start_sq:
+                    # Starting anew did not help the last time.
+                    broken = int(1)
+                    running = int(0)
+                elif not sound and not fresh and r_sq < wp.float64(1e-6) * b_sq:
+                    # As close as this, it may well be rounding that spoils the curvature.
+                    mode = int(_SHOW_X)
+                elif not sound:
+                    broken = int(1)
+                    running = int(0)
+                elif count >= max_iterations:
+                    running = int(0)
+                else:
+                    count += 1
+                if fresh:
+                    start_sq = r_sq
+        if lane == 0:
+            iterations[env] = count
+            breakdowns[env] = broken
+            if b_sq == zero:
+                residuals[env] = zero
+            elif count == 0:
+                residuals[env] = wp.float64(1.0)
+            else:
+                residuals[env] = wp.sqrt(r_sq / b_sq)
+
+    return solve_kernel
 
 
 class BlockCG:
@@ -292,6 +316,7 @@ class BlockCG:
         self._packed = PackedRows(problem, plan, lanes)
         self._inverses = DiagonalInverses(problem, plan, lanes)
         self._coarse = CoarseCorrection(problem, plan, parts, lanes)
+        self._kernel = _solve_kernel(inner_room(device, 3 * n))
         self._extra = ExtraRowLists(problem, plan, lanes)
         tasks = 3 * self._packed.layout.segment_count
         self._team = Team(team(device, problem.env_count, tasks, lanes).lanes)
@@ -329,7 +354,7 @@ class BlockCG:
         )
         layout = self._packed.layout
         launch_team(
-            _solve_kernel,
+            self._kernel,
             problem.env_count,
             self._team,
             [self._team.lanes, active, self._order, layout, self._packed.values]

@@ -22,6 +22,8 @@ wp.set_module_options({"enable_backward": False})
 
 WIDTH = 32
 """Scalar rows in a slice: the lanes of a warp."""
+GROUP = 4
+"""Entries that a lane reads at a time."""
 _LANES = 256
 
 
@@ -151,7 +153,7 @@ def _pack_kernel(
 
 
 # Written out in C++: arrays of Warp carry strides, which cost registers and multiplications here.
-# Four entries at a time, the last of them left out where there are fewer: taken one by one, they
+# Several entries at a time, the last of them left out where there are fewer: taken one by one, they
 # would wait for memory one by one. The matrix is read past the caches, where the vectors stay.
 _PRODUCT_SNIPPET = """
 #if defined(__CUDA_ARCH__)
@@ -163,11 +165,11 @@ _PRODUCT_SNIPPET = """
     const int* const column = columns.data + first + place;
     double total = 0.0;
     #pragma unroll 1
-    for (int k = 0; k < count; k += 4) {
-        int at[4];
-        double row[12];
+    for (int k = 0; k < count; k += @GROUP@) {
+        int at[@GROUP@];
+        double row[3 * @GROUP@];
         #pragma unroll
-        for (int i = 0; i < 4; ++i) {
+        for (int i = 0; i < @GROUP@; ++i) {
             if (k + i < count) {
                 at[i] = 3 * column[32 * (k + i)];
                 #pragma unroll
@@ -176,7 +178,7 @@ _PRODUCT_SNIPPET = """
             }
         }
         #pragma unroll
-        for (int i = 0; i < 4; ++i) {
+        for (int i = 0; i < @GROUP@; ++i) {
             if (k + i < count) {
                 const double* const u = x.data + at[i];
                 total += row[3 * i] * u[0] + row[3 * i + 1] * u[1] + row[3 * i + 2] * u[2];
@@ -184,7 +186,7 @@ _PRODUCT_SNIPPET = """
         }
     }
     return total;
-"""
+""".replace("@GROUP@", str(GROUP))
 
 
 @wp.func_native(_PRODUCT_SNIPPET)
