@@ -29,8 +29,8 @@ from taccel_lab.ipc.linear.packed_rows import PackedRows, RowSlices
 from taccel_lab.ipc.linear.preconditioner import (
     Clusters,
     DiagonalInverses,
-    cluster_product,
     described,
+    preconditioned,
 )
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.row_lists import scalars
@@ -40,7 +40,7 @@ from taccel_lab.ipc.linear.row_products import (
     inner_room,
     multiply_extra,
     multiply_fixed,
-    row_sum,
+    row_component,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -52,22 +52,21 @@ its own, which it updates, has drifted by less than 1e-10."""
 
 @wp.struct
 class CgWork:
-    """Vectors of CG by places, [env_count, row_count], some also as scalars.
+    """Vectors of CG by scalar places, [env_count, 3 row_count], two also by places.
 
-    parts: products of segments, [env_count, segment_count].
+    parts: products of segments, [env_count, 3 segment_count].
     sums, gates: see ``team_sum``.
     """
 
-    r: wp.array2d(dtype=wp.vec3d)
-    z: wp.array2d(dtype=wp.vec3d)
-    p: wp.array2d(dtype=wp.vec3d)
-    q: wp.array2d(dtype=wp.vec3d)
-    parts: wp.array2d(dtype=wp.vec3d)
+    r: wp.array2d(dtype=wp.float64)
+    z: wp.array2d(dtype=wp.float64)
+    p: wp.array2d(dtype=wp.float64)
+    q: wp.array2d(dtype=wp.float64)
+    r_rows: wp.array2d(dtype=wp.vec3d)
+    z_rows: wp.array2d(dtype=wp.vec3d)
+    parts: wp.array2d(dtype=wp.float64)
     sums: wp.array2d(dtype=wp.vec3d)
     gates: wp.array(dtype=wp.int32)
-    r_scalars: wp.array2d(dtype=wp.float64)
-    z_scalars: wp.array2d(dtype=wp.float64)
-    parts_scalars: wp.array2d(dtype=wp.float64)
 
 
 # What the rows of a pass over the vectors do before they are preconditioned.
@@ -78,55 +77,53 @@ _RESTART = wp.constant(3)  # r = b - A x, with what _SHOW_X brought
 
 
 @wp.func
-def _update_row(
+def _update(
     env: int,
-    place: int,
-    row: int,
+    task: int,
+    at: int,
     mode: int,
     alpha: wp.float64,
     beta: wp.float64,
     layout: RowSlices,
     has_extra: bool,
     extra: ExtraRows,
-    b: wp.array(dtype=wp.vec3d),
-    inverse: wp.mat33d,
+    b: wp.array(dtype=wp.float64),
     work: CgWork,
-    x: wp.array(dtype=wp.vec3d),
-) -> wp.vec3d:
-    """New r, z, p, q and x at a place; returns its share of (r.z, 0, r.r).
+    x: wp.array(dtype=wp.float64),
+) -> wp.float64:
+    """New r, p, q and x at a scalar place; ``at``: of b and x. Returns its share of r.r.
 
     All that is read comes before what is written, or each would wait for the last.
     """
+    zero = wp.float64(0.0)
     if mode == _SHOW_X:
-        work.z[env, place] = x[row]
-        return wp.vec3d()
-    r = b[row]
+        work.z[env, task] = x[at]
+        return zero
+    r = b[at]
     if mode == _START:
-        x[row] = wp.vec3d()
+        x[at] = zero
     else:
-        product = row_sum(env, place, layout, has_extra, extra, work.parts[env])
+        product = row_component(env, task, layout, has_extra, extra, work.parts[env])
         if mode == _RESTART:
             r = r - product
         else:
-            p = work.p[env, place]
-            q = work.q[env, place]
-            z = work.z[env, place]
-            r = work.r[env, place]
-            done = x[row]
-            if beta == wp.float64(0.0):
+            p = work.p[env, task]
+            q = work.q[env, task]
+            z = work.z[env, task]
+            r = work.r[env, task]
+            done = x[at]
+            if beta == zero:
                 p = z
                 q = product
             else:
                 p = z + beta * p
                 q = product + beta * q
-            work.p[env, place] = p
-            work.q[env, place] = q
-            x[row] = done + alpha * p
+            work.p[env, task] = p
+            work.q[env, task] = q
+            x[at] = done + alpha * p
             r = r - alpha * q
-    work.r[env, place] = r
-    z = inverse * r
-    work.z[env, place] = z
-    return wp.vec3d(wp.dot(r, z), wp.float64(0.0), wp.dot(r, r))
+    work.r[env, task] = r
+    return r * r
 
 
 @cache
@@ -143,16 +140,16 @@ def _solve_kernel(room: int) -> Any:
         all_packed: wp.array2d(dtype=wp.float64),
         extra: ExtraRows,
         extra_values: wp.array(dtype=wp.float64),
-        inverses: wp.array2d(dtype=wp.mat33d),
+        inverses: wp.array2d(dtype=wp.float64),
         clusters: Clusters,
         all_stores: wp.array2d(dtype=wp.float64),
         coarse: CoarseSpace,
-        rhs: wp.array2d(dtype=wp.vec3d),
+        rhs: wp.array2d(dtype=wp.float64),
         tolerances: wp.array(dtype=wp.float64),
         verify_below: wp.float64,
         max_iterations: int,
         work: CgWork,
-        solutions: wp.array2d(dtype=wp.vec3d),
+        solutions: wp.array2d(dtype=wp.float64),
         iterations: wp.array(dtype=wp.int32),
         residuals: wp.array(dtype=wp.float64),
         breakdowns: wp.array(dtype=wp.int32),
@@ -161,13 +158,13 @@ def _solve_kernel(room: int) -> Any:
         # Decided as it is compiled.
         if room:
             memory = address(wp.tile_empty(shape=room, dtype=wp.float64, storage="shared"))
-        n = rhs.shape[1]
+        size = rhs.shape[1]
         zero = wp.float64(0.0)
         infinity = wp.float64(wp.inf)
         x = solutions[env]
         if active[env] == 0:
-            for row in range(lane, n, lanes):
-                x[row] = wp.vec3d()
+            for i in range(lane, size, lanes):
+                x[i] = zero
             if lane == 0:
                 iterations[env] = 0
                 residuals[env] = zero
@@ -191,30 +188,19 @@ def _solve_kernel(room: int) -> Any:
         running = int(1)
         while running == 1:
             share = wp.vec3d()
-            for place in range(lane, n, lanes):
-                inverse = inverses[env, place]
-                share += _update_row(
-                    env,
-                    place,
-                    order[place],
-                    mode,
-                    alpha,
-                    beta,
-                    layout,
-                    has_extra,
-                    extra,
-                    b,
-                    inverse,
-                    work,
-                    x,
+            for task in range(lane, size, lanes):
+                at = 3 * order[task / 3] + task % 3
+                share[2] += _update(
+                    env, task, at, mode, alpha, beta, layout, has_extra, extra, b, work, x
                 )
-            clustered = clusters.tasks.shape[0]
-            if mode != _SHOW_X and clustered > 0:
+            if mode != _SHOW_X:
                 block_barrier()
-                for task in range(lane, clustered, lanes):
-                    product = cluster_product(task, clusters, all_stores[env], work.r_scalars[env])
-                    work.z_scalars[env, task] = product
-                    share[0] += product * work.r_scalars[env, task]
+                for task in range(lane, size, lanes):
+                    product = preconditioned(
+                        task, clusters, all_stores[env], inverses[env], work.r[env]
+                    )
+                    work.z[env, task] = product
+                    share[0] += product * work.r[env, task]
             if mode != _SHOW_X and coarse.width > 0:
                 share[0] += add_correction(
                     env,
@@ -224,17 +210,17 @@ def _solve_kernel(room: int) -> Any:
                     lanes,
                     coarse,
                     work.gates,
-                    work.r[env],
-                    work.z[env],
+                    work.r_rows[env],
+                    work.z_rows[env],
                 )
             block_barrier()
             end = 3 * layout.segments.shape[0]
-            z = work.z_scalars[env]
+            z = work.z[env]
             if room:
                 copy_inside(memory, lane, lanes, z)
                 block_barrier()
-                z = wp.array(ptr=memory, shape=(3 * n,), dtype=wp.float64)
-            parts = work.parts_scalars[env]
+                z = wp.array(ptr=memory, shape=(size,), dtype=wp.float64)
+            parts = work.parts[env]
             share[1] = multiply_fixed(lane, end, lanes, layout, all_packed[env], z, parts)
             share[1] += multiply_extra(env, lane, lanes, extra, extra_values, z)
             total = team_sum(share, env, 0, 1, lane, turn, work.gates, work.sums[env])
@@ -313,6 +299,7 @@ class BlockCG:
         plan = plan_rows(n, groups, parts=parts)
         self._order = wp.array(plan.order.astype(np.int32), dtype=wp.int32, device=device)
         self._values = scalars(problem.values)
+        self._rhs, self._solution = scalars(problem.rhs), scalars(problem.solution)
         self._packed = PackedRows(problem, plan, lanes)
         self._inverses = DiagonalInverses(problem, plan, lanes)
         self._coarse = CoarseCorrection(problem, plan, parts, lanes)
@@ -321,24 +308,20 @@ class BlockCG:
         tasks = 3 * self._packed.layout.segment_count
         self._team = Team(team(device, problem.env_count, tasks, lanes).lanes)
         work = self._work = CgWork()
-        work.r, work.z, work.p, work.q = (
-            wp.zeros(problem.shape, dtype=wp.vec3d, device=device) for _ in range(4)
+        work.r_rows, work.z_rows = (
+            wp.zeros(problem.shape, dtype=wp.vec3d, device=device) for _ in range(2)
         )
+        work.r, work.z = scalars(work.r_rows), scalars(work.z_rows)
+        work.p, work.q = (wp.zeros(work.r.shape, dtype=wp.float64, device=device) for _ in range(2))
+        shape = (problem.env_count, 3 * self._packed.layout.segment_count)
+        work.parts = wp.zeros(shape, dtype=wp.float64, device=device)
         sums = (problem.env_count, 2 * self._team.lanes if device.is_cpu else 1)
         work.sums = wp.zeros(sums, dtype=wp.vec3d, device=device)
         work.gates = wp.zeros(1, dtype=wp.int32, device=device)
-        work.r_scalars, work.z_scalars = scalars(work.r), scalars(work.z)
-        self._allocate_parts()
         self.description = (
             f"CG preconditioned by {described(groups)}{self._coarse}, one kernel, "
             f"{self._team.lanes} threads an environment"
         )
-
-    def _allocate_parts(self) -> None:
-        problem, work = self._problem, self._work
-        shape = (problem.env_count, self._packed.layout.segment_count)
-        work.parts = wp.zeros(shape, dtype=wp.vec3d, device=problem.device)
-        work.parts_scalars = scalars(work.parts)
 
     def solve(self, active: wp.array, max_iterations: int) -> None:
         """See ``LinearSystem.solve``."""
@@ -359,9 +342,9 @@ class BlockCG:
             self._team,
             [self._team.lanes, active, self._order, layout, self._packed.values]
             + [self._extra.rows, self._extra.values]
-            + [self._inverses.blocks, self._inverses.clusters, self._inverses.stores]
+            + [scalars(self._inverses.blocks), self._inverses.clusters, self._inverses.stores]
             + [self._coarse.space]
-            + [problem.rhs, problem.tolerances, wp.float64(VERIFY_BELOW), max_iterations, work],
-            [problem.solution, problem.iterations, problem.residuals, problem.breakdown],
+            + [self._rhs, problem.tolerances, wp.float64(VERIFY_BELOW), max_iterations, work],
+            [self._solution, problem.iterations, problem.residuals, problem.breakdown],
             problem.device,
         )

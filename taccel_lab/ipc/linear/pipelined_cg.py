@@ -38,8 +38,8 @@ from taccel_lab.ipc.linear.packed_rows import PackedRows, RowSlices
 from taccel_lab.ipc.linear.preconditioner import (
     Clusters,
     DiagonalInverses,
-    cluster_product,
     described,
+    preconditioned,
 )
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.row_lists import scalars
@@ -49,7 +49,7 @@ from taccel_lab.ipc.linear.row_products import (
     inner_room,
     multiply_extra,
     multiply_fixed,
-    row_sum,
+    row_component,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -72,35 +72,34 @@ _STEP = wp.constant(4)  # a step of CG; m = M^-1 w
 
 @wp.struct
 class PipelineWork:
-    """Vectors by places, [env_count, row_count], some also as scalars.
+    """Vectors by scalar places, [env_count, 3 row_count], some also by places.
 
     w: what is preconditioned next. m: two copies, as blocks still read the last one while others
-    write the next, [env_count, 2 row_count].
-    parts: products of segments, [env_count, segment_count].
+    write the next, [env_count, 6 row_count].
+    parts: products of segments, [env_count, 3 segment_count].
     sums, gates: see ``team_sum``.
     """
 
-    r: wp.array2d(dtype=wp.vec3d)
-    u: wp.array2d(dtype=wp.vec3d)
-    w: wp.array2d(dtype=wp.vec3d)
-    m: wp.array2d(dtype=wp.vec3d)
-    p: wp.array2d(dtype=wp.vec3d)
-    s: wp.array2d(dtype=wp.vec3d)
-    q: wp.array2d(dtype=wp.vec3d)
-    z: wp.array2d(dtype=wp.vec3d)
-    parts: wp.array2d(dtype=wp.vec3d)
+    r: wp.array2d(dtype=wp.float64)
+    u: wp.array2d(dtype=wp.float64)
+    w: wp.array2d(dtype=wp.float64)
+    m: wp.array2d(dtype=wp.float64)
+    p: wp.array2d(dtype=wp.float64)
+    s: wp.array2d(dtype=wp.float64)
+    q: wp.array2d(dtype=wp.float64)
+    z: wp.array2d(dtype=wp.float64)
+    w_rows: wp.array2d(dtype=wp.vec3d)
+    m_rows: wp.array2d(dtype=wp.vec3d)
+    parts: wp.array2d(dtype=wp.float64)
     sums: wp.array2d(dtype=wp.vec3d)
     gates: wp.array(dtype=wp.int32)
-    w_scalars: wp.array2d(dtype=wp.float64)
-    m_scalars: wp.array2d(dtype=wp.float64)
-    parts_scalars: wp.array2d(dtype=wp.float64)
 
 
 @wp.func
-def _update_row(
+def _update(
     env: int,
-    place: int,
-    row: int,
+    task: int,
+    at: int,
     mode: int,
     turn: int,
     alpha: wp.float64,
@@ -108,44 +107,43 @@ def _update_row(
     layout: RowSlices,
     has_extra: bool,
     extra: ExtraRows,
-    b: wp.array(dtype=wp.vec3d),
-    inverse: wp.mat33d,
+    b: wp.array(dtype=wp.float64),
     work: PipelineWork,
-    x: wp.array(dtype=wp.vec3d),
+    x: wp.array(dtype=wp.float64),
 ) -> wp.vec3d:
-    """A pass over a row; returns its share of (r.u, w.u, r.r).
+    """A pass over one scalar, but for what is preconditioned; ``at``: of b and x. Returns its share
+    of (r.u, w.u, r.r).
 
     All that is read comes before what is written, or each would wait for the last.
     """
-    n = b.shape[0]
-    next_m = n - turn * n + place
+    zero = wp.float64(0.0)
+    size = b.shape[0]
     if mode == _SHOW_X:
-        work.m[env, next_m] = x[row]
+        work.m[env, size - turn * size + task] = x[at]
         return wp.vec3d()
-    product = wp.vec3d()
+    product = zero
     if mode == _START:
-        x[row] = wp.vec3d()
+        x[at] = zero
     else:
-        product = row_sum(env, place, layout, has_extra, extra, work.parts[env])
+        product = row_component(env, task, layout, has_extra, extra, work.parts[env])
     if mode < _FIRST:
-        r = b[row] - product
-        work.r[env, place] = r
-        work.w[env, place] = r
-        work.m[env, next_m] = inverse * r
-        return wp.vec3d(wp.float64(0.0), wp.float64(0.0), wp.dot(r, r))
-    m = work.m[env, turn * n + place]
-    r = work.r[env, place]
+        rest = b[at] - product
+        work.r[env, task] = rest
+        work.w[env, task] = rest
+        return wp.vec3d(zero, zero, rest * rest)
+    m = work.m[env, turn * size + task]
+    r = work.r[env, task]
     u = m
     w = product
     if mode == _STEP:
-        u = work.u[env, place]
-        w = work.w[env, place]
-        p = work.p[env, place]
-        s = work.s[env, place]
-        q = work.q[env, place]
-        z = work.z[env, place]
-        done = x[row]
-        if beta == wp.float64(0.0):
+        u = work.u[env, task]
+        w = work.w[env, task]
+        p = work.p[env, task]
+        s = work.s[env, task]
+        q = work.q[env, task]
+        z = work.z[env, task]
+        done = x[at]
+        if beta == zero:
             p = u
             s = w
             q = m
@@ -155,19 +153,18 @@ def _update_row(
             s = w + beta * s
             q = m + beta * q
             z = product + beta * z
-        work.p[env, place] = p
-        work.s[env, place] = s
-        work.q[env, place] = q
-        work.z[env, place] = z
-        x[row] = done + alpha * p
+        work.p[env, task] = p
+        work.s[env, task] = s
+        work.q[env, task] = q
+        work.z[env, task] = z
+        x[at] = done + alpha * p
         r = r - alpha * s
         u = u - alpha * q
         w = w - alpha * z
-        work.r[env, place] = r
-    work.u[env, place] = u
-    work.w[env, place] = w
-    work.m[env, next_m] = inverse * w
-    return wp.vec3d(wp.dot(r, u), wp.dot(w, u), wp.dot(r, r))
+        work.r[env, task] = r
+    work.u[env, task] = u
+    work.w[env, task] = w
+    return wp.vec3d(r * u, w * u, r * r)
 
 
 @cache
@@ -187,16 +184,16 @@ def _solve_kernel(room: int) -> Any:
         all_packed: wp.array2d(dtype=wp.float64),
         extra: ExtraRows,
         extra_values: wp.array(dtype=wp.float64),
-        inverses: wp.array2d(dtype=wp.mat33d),
+        inverses: wp.array2d(dtype=wp.float64),
         clusters: Clusters,
         all_stores: wp.array2d(dtype=wp.float64),
         coarse: CoarseSpace,
-        rhs: wp.array2d(dtype=wp.vec3d),
+        rhs: wp.array2d(dtype=wp.float64),
         tolerances: wp.array(dtype=wp.float64),
         verify_below: wp.float64,
         max_iterations: int,
         work: PipelineWork,
-        solutions: wp.array2d(dtype=wp.vec3d),
+        solutions: wp.array2d(dtype=wp.float64),
         iterations: wp.array(dtype=wp.int32),
         residuals: wp.array(dtype=wp.float64),
         breakdowns: wp.array(dtype=wp.int32),
@@ -206,14 +203,14 @@ def _solve_kernel(room: int) -> Any:
         if room:
             memory = address(wp.tile_empty(shape=room, dtype=wp.float64, storage="shared"))
         env = index / most_blocks
-        n = rhs.shape[1]
+        size = rhs.shape[1]
         zero = wp.float64(0.0)
         infinity = wp.float64(wp.inf)
         x = solutions[env]
         if active[env] == 0:
             at = index % most_blocks * lanes + lane
-            for row in range(at, n, most_blocks * lanes):
-                x[row] = wp.vec3d()
+            for i in range(at, size, most_blocks * lanes):
+                x[i] = zero
             if at == 0:
                 iterations[env] = 0
                 residuals[env] = zero
@@ -227,11 +224,10 @@ def _solve_kernel(room: int) -> Any:
         # Parts of the rows are made for all blocks; who is there takes those of the others, too.
         first_part = block * most_blocks / blocks
         end_part = (block + 1) * most_blocks / blocks
-        first = block_starts[first_part]
-        end = block_starts[end_part]
+        first = 3 * block_starts[first_part]
+        end = 3 * block_starts[end_part]
         b = rhs[env]
-        parts = work.parts_scalars[env]
-        clustered = wp.min(3 * end, clusters.tasks.shape[0])
+        parts = work.parts[env]
         first_task = layout.task_starts[first_part]
         end_task = layout.task_starts[end_part]
         owned = owned_parts(coarse, first_part, end_part)
@@ -251,30 +247,17 @@ def _solve_kernel(room: int) -> Any:
         running = int(1)
         while running == 1:
             share = wp.vec3d()
-            for place in range(first + lane, end, lanes):
-                inverse = inverses[env, place]
-                share += _update_row(
-                    env,
-                    place,
-                    order[place],
-                    mode,
-                    turn,
-                    alpha,
-                    beta,
-                    layout,
-                    has_extra,
-                    extra,
-                    b,
-                    inverse,
-                    work,
-                    x,
+            for task in range(first + lane, end, lanes):
+                at = 3 * order[task / 3] + task % 3
+                share += _update(
+                    env, task, at, mode, turn, alpha, beta, layout, has_extra, extra, b, work, x
                 )
             turn = 1 - turn
-            if mode != _SHOW_X and clustered > 3 * first:
+            if mode != _SHOW_X:
                 block_barrier()
-                for task in range(3 * first + lane, clustered, lanes):
-                    work.m_scalars[env, 3 * turn * n + task] = cluster_product(
-                        task, clusters, all_stores[env], work.w_scalars[env]
+                for task in range(first + lane, end, lanes):
+                    work.m[env, turn * size + task] = preconditioned(
+                        task, clusters, all_stores[env], inverses[env], work.w[env]
                     )
             if mode != _SHOW_X and coarse.width > 0:
                 add_correction(
@@ -285,8 +268,8 @@ def _solve_kernel(room: int) -> Any:
                     lanes,
                     coarse,
                     work.gates,
-                    work.w[env],
-                    work.m[env, turn * n : (turn + 1) * n],
+                    work.w_rows[env],
+                    work.m_rows[env, turn * size / 3 : (turn + 1) * size / 3],
                 )
             total = team_sum(share, env, block, blocks, lane, turn, work.gates, work.sums[env])
             if mode == _START:
@@ -340,11 +323,11 @@ def _solve_kernel(room: int) -> Any:
                 if fresh:
                     start_sq = r_sq
             if running == 1 and mode != _SHOW_X:
-                m = work.m_scalars[env, 3 * turn * n : 3 * (turn + 1) * n]
+                m = work.m[env, turn * size : (turn + 1) * size]
                 if room:
                     copy_inside(memory, lane, lanes, m)
                     block_barrier()
-                    m = wp.array(ptr=memory, shape=(3 * n,), dtype=wp.float64)
+                    m = wp.array(ptr=memory, shape=(size,), dtype=wp.float64)
                 multiply_fixed(
                     first_task + lane, end_task, lanes, layout, all_packed[env], m, parts
                 )
@@ -404,22 +387,24 @@ class PipelinedCG:
 
         self._order, self._block_starts = put(plan.order), put(plan.block_starts)
         self._values = scalars(problem.values)
+        self._rhs, self._solution = scalars(problem.rhs), scalars(problem.solution)
         self._packed = PackedRows(problem, plan, lanes)
         self._inverses = DiagonalInverses(problem, plan, lanes)
         self._coarse = CoarseCorrection(problem, plan, parts, lanes)
         self._kernel = _solve_kernel(inner_room(device, 3 * n))
         self._extra = ExtraRowLists(problem, plan, lanes)
         work = self._work = PipelineWork()
-        for name in "ruwpsqz":
-            setattr(work, name, wp.zeros(problem.shape, dtype=wp.vec3d, device=device))
-        work.m = wp.zeros((problem.env_count, 2 * n), dtype=wp.vec3d, device=device)
+        for name in "rupsqz":
+            shape = (problem.env_count, 3 * n)
+            setattr(work, name, wp.zeros(shape, dtype=wp.float64, device=device))
+        work.w_rows = wp.zeros(problem.shape, dtype=wp.vec3d, device=device)
+        work.m_rows = wp.zeros((problem.env_count, 2 * n), dtype=wp.vec3d, device=device)
+        work.w, work.m = scalars(work.w_rows), scalars(work.m_rows)
         slots = 2 * (size.lanes if device.is_cpu else size.blocks)
         work.sums = wp.zeros((problem.env_count, slots), dtype=wp.vec3d, device=device)
         work.gates = wp.zeros(32 * problem.env_count, dtype=wp.int32, device=device)
-        work.w_scalars, work.m_scalars = scalars(work.w), scalars(work.m)
-        shape = (problem.env_count, self._packed.layout.segment_count)
-        work.parts = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        work.parts_scalars = scalars(work.parts)
+        shape = (problem.env_count, 3 * self._packed.layout.segment_count)
+        work.parts = wp.zeros(shape, dtype=wp.float64, device=device)
         self.description = (
             f"pipelined CG preconditioned by {described(groups)}{self._coarse}, one kernel, "
             f"{size.blocks} x {size.lanes} threads an environment"
@@ -446,9 +431,15 @@ class PipelinedCG:
             [self._team.lanes, self._team.blocks, self._patience, active, self._order]
             + [self._block_starts, layout, self._packed.values]
             + [self._extra.rows, self._extra.values]
-            + [self._inverses.blocks, self._inverses.clusters, self._inverses.stores]
+            + [scalars(self._inverses.blocks), self._inverses.clusters, self._inverses.stores]
             + [self._coarse.space]
-            + [problem.rhs, problem.tolerances, wp.float64(VERIFY_BELOW), max_iterations, work],
-            [problem.solution, problem.iterations, problem.residuals, problem.breakdown],
+            + [
+                scalars(problem.rhs),
+                problem.tolerances,
+                wp.float64(VERIFY_BELOW),
+                max_iterations,
+                work,
+            ],
+            [self._solution, problem.iterations, problem.residuals, problem.breakdown],
             problem.device,
         )

@@ -179,6 +179,35 @@ def cluster_product(
     return _column_product(at, 3 * span[1], 3 * span[0], stores, r)
 
 
+_ROW_SNIPPET = """
+    const double* const a = inverses.data + 3 * task;
+    const double* const u = r.data + task - task % 3;
+    return a[0] * u[0] + a[1] * u[1] + a[2] * u[2];
+"""
+
+
+@wp.func_native(_ROW_SNIPPET)
+def _row_product(
+    task: int, inverses: wp.array(dtype=wp.float64), r: wp.array(dtype=wp.float64)
+) -> wp.float64:
+    """One scalar of the inverse 3x3 block of its row times r."""
+    ...
+
+
+@wp.func
+def preconditioned(
+    task: int,
+    clusters: Clusters,
+    stores: wp.array(dtype=wp.float64),
+    inverses: wp.array(dtype=wp.float64),
+    r: wp.array(dtype=wp.float64),
+) -> wp.float64:
+    """One scalar, at scalar place ``task``, of M^-1 r."""
+    if task < clusters.tasks.shape[0]:
+        return cluster_product(task, clusters, stores, r)
+    return _row_product(task, inverses, r)
+
+
 def described(groups: Sequence[np.ndarray]) -> str:
     """The blocks of these clusters and of single rows, for people."""
     return f"3x3 blocks and {len(groups)} of bodies" if groups else "3x3 blocks"
