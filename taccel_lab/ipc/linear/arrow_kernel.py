@@ -215,7 +215,7 @@ def solve_kernel(room: int, words_inside: bool) -> Any:
                         row = lists.order[place]
                         solutions[env, row] = solutions[env, row] + alpha * p[place]
                         r_row = get_vector(memory, layout.r, place)
-                        r_row -= alpha * row_sum(env, place, slices, extra, work.parts[env])
+                        r_row -= alpha * row_sum(env, place, slices, True, extra, work.parts[env])
                         put_vector(memory, layout.r, place, r_row)
                         put_vector(memory, layout.z, place, r_row)
                         share[0] += wp.dot(r_row, r_row)

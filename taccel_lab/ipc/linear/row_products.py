@@ -169,13 +169,17 @@ def row_sum(
     env: int,
     row: int,
     layout: RowSlices,
+    has_extra: bool,
     extra: ExtraRows,
     parts: wp.array(dtype=wp.vec3d),
 ) -> wp.vec3d:
-    """A row of the product from its segments."""
+    """A row of the product from its segments. ``has_extra``: whether there are any extra blocks,
+    whose lists are not read otherwise."""
     total = wp.vec3d()
     for s in range(layout.row_segments[row], layout.row_segments[row + 1]):
         total += parts[s]
+    if not has_extra:
+        return total
     more = extra.row_segments[env, row]
     first = extra.starts[env][1] + more[0]
     for s in range(first, first + more[1]):
@@ -192,8 +196,7 @@ def row_component(
     extra: ExtraRows,
     parts: wp.array(dtype=wp.float64),
 ) -> wp.float64:
-    """One scalar of ``row_sum``, ``task`` = 3 row + component. ``has_extra``: whether there are any
-    extra blocks, whose lists are not read otherwise."""
+    """One scalar of ``row_sum``, ``task`` = 3 row + component."""
     row = task / 3
     component = task - 3 * row
     total = wp.float64(0.0)
