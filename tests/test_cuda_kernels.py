@@ -20,11 +20,10 @@ import pytest
 import warp as wp
 
 from taccel_lab.ipc.elasticity.laws import LAWS
-from taccel_lab.ipc.linear import coarse_matrix, pipelined_cg, preconditioner
+from taccel_lab.ipc.linear import coarse_matrix, preconditioner
 from taccel_lab.ipc.linear.arrow_kernel import solve_kernel
 from taccel_lab.ipc.linear.arrow_program import ROOMS_KIB, STATIC_BYTES
 from taccel_lab.ipc.linear.dense_inverse import room_for_inverse
-from taccel_lab.ipc.linear.row_products import INNER_ROOMS
 from taccel_lab.ipc.potentials import viscosity
 from taccel_lab.ipc.potentials.linear_kernels import create_linear_kernels
 from taccel_lab.ipc.potentials.quadratic_points import elastic_quadratic_kernels
@@ -38,9 +37,6 @@ LARGEST_BLOCK_KIB = {80: 163, 86: 99, 89: 99, 90: 227, 100: 227, 120: 99}
 A100, RTX 30, RTX 40, H100 and H200, B200, RTX 50."""
 FACTORIES: dict[str, Callable[[], list[Any]]] = {
     "ipc/linear/arrow_kernel.py": lambda: [solve_kernel(0, False)],
-    "ipc/linear/pipelined_cg.py": lambda: [
-        pipelined_cg._solve_kernel(room) for room in INNER_ROOMS[:1]
-    ],
     "ipc/linear/coarse_matrix.py": lambda: [
         coarse_matrix._inverse_kernel(
             room_for_inverse(coarse_matrix.MOST_PARTS * coarse_matrix.MODES)

@@ -14,9 +14,6 @@ On Newton matrices of gels in contact it takes as many iterations as the plain r
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any
-
 import numpy as np
 import warp as wp
 
@@ -32,7 +29,6 @@ from taccel_lab.ipc.linear.block_ops import (
 )
 from taccel_lab.ipc.linear.coarse_matrix import PART_ROWS, CoarseCorrection, coarse_parts
 from taccel_lab.ipc.linear.coarse_space import CoarseSpace, add_correction, owned_parts
-from taccel_lab.ipc.linear.dense_inverse import address_of_tile
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
 from taccel_lab.ipc.linear.packed_rows import PackedRows, RowSlices
 from taccel_lab.ipc.linear.preconditioner import (
@@ -45,8 +41,6 @@ from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.row_lists import scalars
 from taccel_lab.ipc.linear.row_plan import plan_rows
 from taccel_lab.ipc.linear.row_products import (
-    copy_inside,
-    inner_room,
     multiply_extra,
     multiply_fixed,
     row_component,
@@ -167,193 +161,177 @@ def _update(
     return wp.vec3d(r * u, w * u, r * r)
 
 
-@cache
-def _solve_kernel(room: int) -> Any:
-    """The kernel that keeps the vector it multiplies in so much shared memory (``INNER_ROOMS``)."""
-    address = address_of_tile(max(room, 1))
-
-    @wp.kernel(grid_stride=False, launch_bounds=(512, 1), module="unique", enable_backward=False)
-    def solve_kernel(
-        lanes: int,
-        most_blocks: int,
-        patience: int,
-        active: wp.array(dtype=wp.int32),
-        order: wp.array(dtype=wp.int32),
-        block_starts: wp.array(dtype=wp.int32),
-        layout: RowSlices,
-        all_packed: wp.array2d(dtype=wp.float64),
-        extra: ExtraRows,
-        extra_values: wp.array(dtype=wp.float64),
-        inverses: wp.array2d(dtype=wp.float64),
-        clusters: Clusters,
-        all_stores: wp.array2d(dtype=wp.float64),
-        coarse: CoarseSpace,
-        rhs: wp.array2d(dtype=wp.float64),
-        tolerances: wp.array(dtype=wp.float64),
-        verify_below: wp.float64,
-        max_iterations: int,
-        work: PipelineWork,
-        solutions: wp.array2d(dtype=wp.float64),
-        iterations: wp.array(dtype=wp.int32),
-        residuals: wp.array(dtype=wp.float64),
-        breakdowns: wp.array(dtype=wp.int32),
-    ):
-        index, lane = wp.tid()
-        # Decided as it is compiled.
-        if room:
-            memory = address(wp.tile_empty(shape=room, dtype=wp.float64, storage="shared"))
-        env = index / most_blocks
-        size = rhs.shape[1]
-        zero = wp.float64(0.0)
-        infinity = wp.float64(wp.inf)
-        x = solutions[env]
-        if active[env] == 0:
-            at = index % most_blocks * lanes + lane
-            for i in range(at, size, most_blocks * lanes):
-                x[i] = zero
-            if at == 0:
-                iterations[env] = 0
-                residuals[env] = zero
-                breakdowns[env] = 0
-            return
-        joined = join_team(env, most_blocks, patience, work.gates)
-        block = joined[0]
-        blocks = joined[1]
-        if blocks == 0:
-            return
-        # Parts of the rows are made for all blocks; who is there takes those of the others, too.
-        first_part = block * most_blocks / blocks
-        end_part = (block + 1) * most_blocks / blocks
-        first = 3 * block_starts[first_part]
-        end = 3 * block_starts[end_part]
-        b = rhs[env]
-        parts = work.parts[env]
-        first_task = layout.task_starts[first_part]
-        end_task = layout.task_starts[end_part]
-        owned = owned_parts(coarse, first_part, end_part)
-        has_extra = extra.totals[env, 1] > 0
-        verifies = tolerances[env] < verify_below
-        count = int(0)
-        broken = int(0)
-        turn = int(0)
-        mode = int(_START)
-        b_sq = zero
-        r_sq = zero
-        goal = zero
-        start_sq = infinity
-        alpha = wp.float64(1.0)
-        beta = zero
-        rho = wp.float64(1.0)
-        running = int(1)
-        while running == 1:
-            share = wp.vec3d()
+@wp.kernel(grid_stride=False, launch_bounds=(512, 1))
+def _solve_kernel(
+    lanes: int,
+    most_blocks: int,
+    patience: int,
+    active: wp.array(dtype=wp.int32),
+    order: wp.array(dtype=wp.int32),
+    block_starts: wp.array(dtype=wp.int32),
+    layout: RowSlices,
+    all_packed: wp.array2d(dtype=wp.float64),
+    extra: ExtraRows,
+    extra_values: wp.array(dtype=wp.float64),
+    inverses: wp.array2d(dtype=wp.float64),
+    clusters: Clusters,
+    all_stores: wp.array2d(dtype=wp.float64),
+    coarse: CoarseSpace,
+    rhs: wp.array2d(dtype=wp.float64),
+    tolerances: wp.array(dtype=wp.float64),
+    verify_below: wp.float64,
+    max_iterations: int,
+    work: PipelineWork,
+    solutions: wp.array2d(dtype=wp.float64),
+    iterations: wp.array(dtype=wp.int32),
+    residuals: wp.array(dtype=wp.float64),
+    breakdowns: wp.array(dtype=wp.int32),
+):
+    index, lane = wp.tid()
+    env = index / most_blocks
+    size = rhs.shape[1]
+    zero = wp.float64(0.0)
+    infinity = wp.float64(wp.inf)
+    x = solutions[env]
+    if active[env] == 0:
+        at = index % most_blocks * lanes + lane
+        for i in range(at, size, most_blocks * lanes):
+            x[i] = zero
+        if at == 0:
+            iterations[env] = 0
+            residuals[env] = zero
+            breakdowns[env] = 0
+        return
+    joined = join_team(env, most_blocks, patience, work.gates)
+    block = joined[0]
+    blocks = joined[1]
+    if blocks == 0:
+        return
+    # Parts of the rows are made for all blocks; who is there takes those of the others, too.
+    first_part = block * most_blocks / blocks
+    end_part = (block + 1) * most_blocks / blocks
+    first = 3 * block_starts[first_part]
+    end = 3 * block_starts[end_part]
+    b = rhs[env]
+    parts = work.parts[env]
+    first_task = layout.task_starts[first_part]
+    end_task = layout.task_starts[end_part]
+    owned = owned_parts(coarse, first_part, end_part)
+    has_extra = extra.totals[env, 1] > 0
+    verifies = tolerances[env] < verify_below
+    count = int(0)
+    broken = int(0)
+    turn = int(0)
+    mode = int(_START)
+    b_sq = zero
+    r_sq = zero
+    goal = zero
+    start_sq = infinity
+    alpha = wp.float64(1.0)
+    beta = zero
+    rho = wp.float64(1.0)
+    running = int(1)
+    while running == 1:
+        share = wp.vec3d()
+        for task in range(first + lane, end, lanes):
+            at = 3 * order[task / 3] + task % 3
+            share += _update(
+                env, task, at, mode, turn, alpha, beta, layout, has_extra, extra, b, work, x
+            )
+        turn = 1 - turn
+        if mode != _SHOW_X:
+            block_barrier()
             for task in range(first + lane, end, lanes):
-                at = 3 * order[task / 3] + task % 3
-                share += _update(
-                    env, task, at, mode, turn, alpha, beta, layout, has_extra, extra, b, work, x
+                work.m[env, turn * size + task] = preconditioned(
+                    task, clusters, all_stores[env], inverses[env], work.w[env]
                 )
-            turn = 1 - turn
-            if mode != _SHOW_X:
-                block_barrier()
-                for task in range(first + lane, end, lanes):
-                    work.m[env, turn * size + task] = preconditioned(
-                        task, clusters, all_stores[env], inverses[env], work.w[env]
-                    )
-            if mode != _SHOW_X and coarse.width > 0:
-                add_correction(
-                    env,
-                    owned,
-                    blocks,
-                    lane,
-                    lanes,
-                    coarse,
-                    work.gates,
-                    work.w_rows[env],
-                    work.m_rows[env, turn * size / 3 : (turn + 1) * size / 3],
-                )
-            total = team_sum(share, env, block, blocks, lane, turn, work.gates, work.sums[env])
-            if mode == _START:
-                b_sq = total[2]
-                r_sq = b_sq
-                goal = tolerances[env] * tolerances[env] * b_sq
-                if not (b_sq > zero and b_sq < infinity):
-                    running = int(0)
-                    if b_sq != zero:
-                        broken = int(1)
-                mode = int(_FIRST)
-            elif mode == _SHOW_X:
-                mode = int(_RESTART)
-            elif mode == _RESTART:
-                mode = int(_FIRST)
-            else:
-                fresh = mode == _FIRST
-                r_sq = total[2]
-                beta = total[0] / rho
-                if fresh:
-                    beta = zero
-                curvature = total[1] - beta * total[0] / alpha
-                alpha = total[0] / curvature
-                rho = total[0]
-                mode = int(_STEP)
-                # A true residual may miss by a thousandth: not worth a fresh start.
-                limit = goal
-                if fresh:
-                    limit = wp.float64(1.001) * goal
-                sound = rho > zero and curvature > zero and curvature < infinity and r_sq < infinity
-                if r_sq <= limit and r_sq < infinity:
-                    running = int(0)
-                    if verifies and not fresh and count < max_iterations:
-                        # What the rounding of the recurrence left is solved for in a fresh start.
-                        mode = int(_SHOW_X)
-                        running = int(1)
-                elif fresh and r_sq > wp.float64(0.25) * start_sq:
-                    # Starting anew did not help the last time.
+        if mode != _SHOW_X and coarse.width > 0:
+            add_correction(
+                env,
+                owned,
+                blocks,
+                lane,
+                lanes,
+                coarse,
+                work.gates,
+                work.w_rows[env],
+                work.m_rows[env, turn * size / 3 : (turn + 1) * size / 3],
+            )
+        total = team_sum(share, env, block, blocks, lane, turn, work.gates, work.sums[env])
+        if mode == _START:
+            b_sq = total[2]
+            r_sq = b_sq
+            goal = tolerances[env] * tolerances[env] * b_sq
+            if not (b_sq > zero and b_sq < infinity):
+                running = int(0)
+                if b_sq != zero:
                     broken = int(1)
-                    running = int(0)
-                elif not sound and not fresh and r_sq < wp.float64(1e-6) * b_sq:
-                    # As close as this, it may well be rounding that spoils the curvature.
+            mode = int(_FIRST)
+        elif mode == _SHOW_X:
+            mode = int(_RESTART)
+        elif mode == _RESTART:
+            mode = int(_FIRST)
+        else:
+            fresh = mode == _FIRST
+            r_sq = total[2]
+            beta = total[0] / rho
+            if fresh:
+                beta = zero
+            curvature = total[1] - beta * total[0] / alpha
+            alpha = total[0] / curvature
+            rho = total[0]
+            mode = int(_STEP)
+            # A true residual may miss by a thousandth: not worth a fresh start.
+            limit = goal
+            if fresh:
+                limit = wp.float64(1.001) * goal
+            sound = rho > zero and curvature > zero and curvature < infinity and r_sq < infinity
+            if r_sq <= limit and r_sq < infinity:
+                running = int(0)
+                if verifies and not fresh and count < max_iterations:
+                    # What the rounding of the recurrence left is solved for in a fresh start.
                     mode = int(_SHOW_X)
-                elif not sound:
-                    broken = int(1)
-                    running = int(0)
-                elif count >= max_iterations:
-                    running = int(0)
-                else:
-                    count += 1
-                if fresh:
-                    start_sq = r_sq
-            if running == 1 and mode != _SHOW_X:
-                m = work.m[env, turn * size : (turn + 1) * size]
-                if room:
-                    copy_inside(memory, lane, lanes, m)
-                    block_barrier()
-                    m = wp.array(ptr=memory, shape=(size,), dtype=wp.float64)
-                multiply_fixed(
-                    first_task + lane, end_task, lanes, layout, all_packed[env], m, parts
-                )
-                if has_extra:
-                    multiply_extra(
-                        env,
-                        block * lanes + lane,
-                        blocks * lanes,
-                        extra,
-                        extra_values,
-                        m,
-                    )
-                    team_barrier(env, blocks, work.gates)
-                else:
-                    block_barrier()
-        if block == 0 and lane == 0:
-            iterations[env] = count
-            breakdowns[env] = broken
-            if b_sq == zero:
-                residuals[env] = zero
-            elif count == 0:
-                residuals[env] = wp.float64(1.0)
+                    running = int(1)
+            elif fresh and r_sq > wp.float64(0.25) * start_sq:
+                # Starting anew did not help the last time.
+                broken = int(1)
+                running = int(0)
+            elif not sound and not fresh and r_sq < wp.float64(1e-6) * b_sq:
+                # As close as this, it may well be rounding that spoils the curvature.
+                mode = int(_SHOW_X)
+            elif not sound:
+                broken = int(1)
+                running = int(0)
+            elif count >= max_iterations:
+                running = int(0)
             else:
-                residuals[env] = wp.sqrt(r_sq / b_sq)
-
-    return solve_kernel
+                count += 1
+            if fresh:
+                start_sq = r_sq
+        if running == 1 and mode != _SHOW_X:
+            m = work.m[env, turn * size : (turn + 1) * size]
+            multiply_fixed(first_task + lane, end_task, lanes, layout, all_packed[env], m, parts)
+            if has_extra:
+                multiply_extra(
+                    env,
+                    block * lanes + lane,
+                    blocks * lanes,
+                    extra,
+                    extra_values,
+                    m,
+                )
+                team_barrier(env, blocks, work.gates)
+            else:
+                block_barrier()
+    if block == 0 and lane == 0:
+        iterations[env] = count
+        breakdowns[env] = broken
+        if b_sq == zero:
+            residuals[env] = zero
+        elif count == 0:
+            residuals[env] = wp.float64(1.0)
+        else:
+            residuals[env] = wp.sqrt(r_sq / b_sq)
 
 
 class PipelinedCG:
@@ -391,7 +369,6 @@ class PipelinedCG:
         self._packed = PackedRows(problem, plan, lanes)
         self._inverses = DiagonalInverses(problem, plan, lanes)
         self._coarse = CoarseCorrection(problem, plan, parts, lanes)
-        self._kernel = _solve_kernel(inner_room(device, 3 * n))
         self._extra = ExtraRowLists(problem, plan, lanes)
         work = self._work = PipelineWork()
         for name in "rupsqz":
@@ -425,7 +402,7 @@ class PipelinedCG:
         layout = self._packed.layout
         work.gates.zero_()
         launch_team(
-            self._kernel,
+            _solve_kernel,
             problem.env_count,
             self._team,
             [self._team.lanes, self._team.blocks, self._patience, active, self._order]

@@ -10,33 +10,6 @@ from taccel_lab.ipc.linear.packed_rows import RowSlices, packed_product
 
 wp.set_module_options({"enable_backward": False})
 
-INNER_ROOMS = (6144, 12288)
-"""Sizes of vectors [float64 numbers], 48 and 96 KiB, that kernels keep in shared memory while a
-matrix is multiplied: lanes side by side read rows that lie anywhere, and every one of them takes a
-line of its own from the cache. Each size is a kernel of its own."""
-_STATIC_BYTES = 3072
-"""Other shared memory of a solver's kernel."""
-
-
-def inner_room(device: wp.Device, numbers: int) -> int:
-    """Which of ``INNER_ROOMS`` holds so many numbers on a device; 0 if none does."""
-    for room in INNER_ROOMS:
-        limit = room if device.is_cpu else (device.max_shared_memory_per_block - _STATIC_BYTES) // 8
-        if numbers <= room <= limit:
-            return room
-    return 0
-
-
-@wp.func_native("""
-    double* const to = reinterpret_cast<double*>(memory);
-    for (int i = lane; i < x.shape[0]; i += lanes)
-        to[i] = x.data[i];
-""")
-def copy_inside(memory: wp.uint64, lane: int, lanes: int, x: wp.array(dtype=wp.float64)) -> None:
-    """Copy a vector to an address in shared memory, by all lanes of a block."""
-    ...
-
-
 # Written out in C++: arrays of Warp carry strides, which cost registers and multiplications here.
 _SEGMENT_SNIPPET = """
     const wp::int32* column = columns.data;
