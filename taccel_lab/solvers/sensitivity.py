@@ -25,17 +25,12 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.elasticity.principal import PSD_NONE
-from taccel_lab.ipc.motion import newton_system, spread_solution
+from taccel_lab.ipc.motion import spread_solution
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.scene import Material, MaterialField
 from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.solvers.tangent import Tangent
 from taccel_lab.state import State
-
-LINEAR_TOLERANCE = 1e-7
-"""Of the solve."""
-_MORE_ITERATIONS = 5
-"""Times the iterations of a Newton step, which is solved a hundred times less exactly."""
 
 
 @dataclass(frozen=True)
@@ -64,37 +59,22 @@ def node_rates(solver: SolverIPC, state: State, way: np.ndarray) -> NodeRates:
         InputError: A scene with friction, inertia or affine bodies.
     """
     model = solver.model
-    if solver.friction is not None or solver.inertia is not None or solver.affine is not None:
+    if solver.friction is not None:
         raise InputError(
-            "sensitivities are those of quasi-static gels without friction; lagged friction has no "
-            "energy whose second derivatives are the slopes of the forces"
+            "these are the slopes of gels without friction, where the state alone decides; with "
+            "friction the way there counts: see taccel_lab.gradients"
         )
-    active = wp.full(model.env_count, 1, dtype=wp.int32, device=model.device)
-    exact = wp.full(model.env_count, PSD_NONE, dtype=wp.int32, device=model.device)
-    _find_contacts(solver, state, active)
     moves = np.zeros((model.env_count, model.node_count, 3))
     moves[:, model.frame_nodes.numpy()] = np.asarray(way, dtype=np.float64)[
         :, model.frame_ids.numpy()
     ]
-    solver.displacements.assign(moves)
-    linear, x = solver.linear, state.positions
-    system = newton_system(model, linear, solver.displacements)
-    while True:
-        linear.values.zero_()
-        linear.rhs.zero_()
-        linear.extra.clear()
-        solver.contact.add_hessian(active, x, system, exact)
-        for part in solver.elastic:
-            part.add_hessian(active, x, system, exact)
-        if not linear.extra.fit():
-            break
-        system = newton_system(model, linear, solver.displacements)
-    linear.tolerances.fill_(LINEAR_TOLERANCE)
-    linear.solve(active, _MORE_ITERATIONS * solver.config.max_cg_iterations)
-    report = linear.report()
-    solved = ~report.breakdown & (report.relative_residual < 10 * LINEAR_TOLERANCE)
-    spread_solution(model, active, linear.solution, solver.displacements)
-    return NodeRates(wp.clone(solver.displacements), solved, report.iterations)
+    tangent = Tangent(solver, state, moves)
+    tangent.add_elements()
+    tangent.add_contact()
+    found = tangent.solve()
+    spread_solution(model, tangent.active, solver.linear.solution, solver.displacements)
+    solved = np.array([cause is None for cause in found.causes])
+    return NodeRates(wp.clone(solver.displacements), solved, found.iterations)
 
 
 def elastic_power(
@@ -110,6 +90,16 @@ def elastic_power(
     one, over what they differ by, is the slope dF/dp; g is linear in the moduli, so that they may
     be very near.
     """
+    gradient = elastic_gradient(solver, state, groups)
+    power = np.einsum("enx,enx->e", gradient, rates.rates.numpy())
+    return np.where(rates.solved, power, np.nan)
+
+
+def elastic_gradient(
+    solver: SolverIPC, state: State, groups: Sequence[ElementArrays] | None = None
+) -> np.ndarray:
+    """d(elastic energy)/dx of all nodes [N], shape [env_count, node_count, 3]; ``groups`` as those
+    of ``elastic_power``."""
     active = wp.full(solver.model.env_count, 1, dtype=wp.int32, device=solver.model.device)
     gradient = wp.zeros_like(state.positions)
     for part, group in zip(solver.elastic, groups or solver.model.elastic, strict=True):
@@ -121,8 +111,7 @@ def elastic_power(
             part.add_gradient(active, state.positions, gradient)
         finally:
             data.moduli.mu, data.moduli.lam, data.moduli.ratio, data.volumes = own
-    power = np.einsum("enx,enx->e", gradient.numpy(), rates.rates.numpy())
-    return np.where(rates.solved, power, np.nan)
+    return gradient.numpy()
 
 
 def groups_of(
@@ -148,17 +137,3 @@ def groups_of(
         )
         for group in groups
     ]
-
-
-def _find_contacts(solver: SolverIPC, state: State, active: wp.array) -> None:
-    """Collisions at the positions of ``state``."""
-    room = [part.capacity for part in solver.lists]
-    solver.displacements.zero_()
-    solver.candidates.update(
-        active, state.positions, solver.displacements, state.poses, state.poses,
-        solver.config.dhat_m,
-    )  # fmt: skip
-    solver.pairs.forget(active)
-    solver.collisions.update(active, state.positions, solver.candidates)
-    if [part.capacity for part in solver.lists] != room:
-        solver.graphs.clear()

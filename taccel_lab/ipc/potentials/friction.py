@@ -255,6 +255,24 @@ def _begin_kernel(
         ranges[env] = whole_range * (dts[env] / whole_dt)
 
 
+def step_motion(
+    model: Model,
+    positions: wp.array,
+    previous: wp.array,
+    poses: wp.array,
+    previous_poses: wp.array,
+) -> StepMotion:
+    """Gather what sliding is measured from."""
+    motion = StepMotion()
+    motion.positions, motion.previous = positions, previous
+    motion.poses, motion.previous_poses = poses, previous_poses
+    motion.node_radii = model.surface.node_radii
+    motion.node_is_ball = model.surface.node_is_ball
+    motion.node_bodies = model.surface.node_bodies
+    motion.first_kinematic = len(model.scene.soft_bodies) + model.affine.count
+    return motion
+
+
 class FrictionPotential(EnergyTerm):
     """Frozen friction of a collision set; built only for scenes with a friction coefficient."""
 
@@ -303,14 +321,7 @@ class FrictionPotential(EnergyTerm):
         self, positions: wp.array, previous: wp.array, poses: wp.array, previous_poses: wp.array
     ) -> StepMotion:
         """Gather what sliding is measured from."""
-        motion = StepMotion()
-        motion.positions, motion.previous = positions, previous
-        motion.poses, motion.previous_poses = poses, previous_poses
-        motion.node_radii = self.model.surface.node_radii
-        motion.node_is_ball = self.model.surface.node_is_ball
-        motion.node_bodies = self.model.surface.node_bodies
-        motion.first_kinematic = len(self.model.scene.soft_bodies) + self.model.affine.count
-        return motion
+        return step_motion(self.model, positions, previous, poses, previous_poses)
 
     def lag(self, active: wp.array, positions: wp.array, previous: wp.array) -> None:
         """Freeze the current collisions of the active environments at ``positions``, in a step that

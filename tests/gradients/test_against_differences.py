@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gradients of whole motions against central differences of the same motions, run anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.gradients import Gradients, pull_back
+from taccel_lab.scene import (
+    Ball,
+    Element,
+    Material,
+    MaterialModel,
+    box_mesh,
+    cylinder_mesh,
+    sphere_mesh,
+)
+from tests.gradients.gel_scenes import (
+    TIGHT,
+    Case,
+    difference,
+    losses,
+    moved,
+    press_and_shear,
+)
+
+Array = np.ndarray
+BALL = Ball(3e-3)
+BOX = box_mesh((3e-3, 2e-3, 2e-3))
+MOUNT = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (4, 1))
+
+
+def one(*tools: Array) -> Array:
+    """Poses of one environment from those of each tool, [step_count + 1, 7]."""
+    return np.stack(tools, axis=1)[:, None]
+
+
+def several() -> Array:
+    """Three environments, at three depths."""
+    return np.stack([press_and_shear(3.0, depth)[:, None] for depth in (0.1, 0.25, 0.4)], axis=1)
+
+
+CASES = {
+    "ball": Case(BALL, one(press_and_shear(3.0, 0.3))),
+    "ball, rubbing": Case(BALL, one(press_and_shear(3.0, 0.3)), friction=0.4),
+    "quadratic": Case(BALL, one(press_and_shear(3.0, 0.3)), 0.3, element=Element.QUADRATIC),
+    "box on its edge": Case(BOX, one(press_and_shear(1.2, 0.25, 4.0)), friction=0.5),
+    "facets": Case(sphere_mesh(3e-3, 1e-3), one(press_and_shear(3.0, 0.3)), friction=0.4),
+    "quadratic under an edge": Case(
+        cylinder_mesh(1e-3, 2e-3), one(press_and_shear(1.1, 0.2, 3.0)), 0.4,
+        element=Element.QUADRATIC,
+    ),
+    "three environments": Case(BALL, several(), friction=0.4),
+    "three environments without friction": Case(BOX, several() - [0, 0, 1.9e-3, 0, 0, 0, 0]),
+    "a stiffness of its own": Case(
+        BALL, one(press_and_shear(3.0, 0.3)), 0.3, config=replace(TIGHT, kappa_pa=4e5)
+    ),
+    "on a mount that moves": Case(
+        BALL,
+        one(
+            press_and_shear(3.0, 0.3),
+            moved(MOUNT, np.arange(24.0).reshape(4, 6) * [1e-6, 2e-6, 1e-6, 1e-4, 3e-4, 2e-4], 1.0),
+        ),
+        friction=0.4,
+        mounted=True,
+    ),
+}  # fmt: skip
+LAWS = {
+    law: Case(
+        BALL,
+        one(press_and_shear(3.0, 0.3)),
+        0.3,
+        Material(2e5, 0.42, model=law, mooney_ratio=0.3 if "mooney" in law else 0.0),
+    )
+    for law in MaterialModel
+    if law is not MaterialModel.NEO_HOOKEAN
+}
+
+
+def compare(
+    case: Case, find: Callable[[Gradients], Array], changed: Callable[[float], Case], step: float
+) -> Array:
+    """Relative error of a slope, [env_count], and that there is one."""
+    motion, record = case.run()
+    weights = losses(record)
+    found = find(pull_back(motion, record, *weights))
+    expected = difference(changed, step, weights)
+    assert (np.abs(expected) > 0).all()
+    return np.abs(found - expected) / np.abs(expected)
+
+
+@pytest.mark.parametrize("name", ["young_modulus_pa", "poisson_ratio"])
+@pytest.mark.parametrize("case", [*CASES.values(), *LAWS.values()], ids=[*CASES, *LAWS])
+def test_moduli(case: Case, name: str) -> None:
+    size = {"young_modulus_pa": 50.0, "poisson_ratio": 2e-5}[name]
+
+    def changed(by: float) -> Case:
+        value = getattr(case.material, name) + by
+        return replace(case, material=replace(case.material, **{name: value}))
+
+    def found(gradients: Gradients) -> Array:
+        young = name == "young_modulus_pa"
+        return (gradients.young_modulus if young else gradients.poisson_ratio)[:, 0]
+
+    assert (compare(case, found, changed, size) < 1e-5).all()
+
+
+RUBBING = {name: case for name, case in CASES.items() if case.friction > 0}
+
+
+@pytest.mark.parametrize("case", RUBBING.values(), ids=RUBBING.keys())
+def test_friction(case: Case) -> None:
+    def changed(by: float) -> Case:
+        return replace(case, friction=case.friction + by)
+
+    assert (compare(case, lambda g: g.friction[:, 0, 1], changed, 1e-5) < 1e-5).all()
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
+def test_size(case: Case) -> None:
+    def changed(by: float) -> Case:
+        return replace(case, scale=1 + by)
+
+    assert (compare(case, lambda g: g.scale[:, 0], changed, 2e-6) < 1e-5).all()
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
+def test_ways_of_the_tools(case: Case) -> None:
+    """Along random shifts and turns of all tools at the start and in all steps at once."""
+    way = np.random.default_rng(1).normal(size=(*case.poses.shape[:-1], 6))
+    way[..., 3:] *= 100
+
+    def changed(by: float) -> Case:
+        return replace(case, poses=moved(case.poses, way, by))
+
+    small = (moved(case.poses, way, 1e-6) - moved(case.poses, way, -1e-6)) / 2e-6
+
+    def found(gradients: Gradients) -> Array:
+        return np.einsum("ketp,ketp->e", gradients.poses, small)
+
+    assert (compare(case, found, changed, 1e-8) < 1e-5).all()
+
+
+FACE_DOWN = press_and_shear(0.0, 0.2) + [0.013e-3, 0.017e-3, 0, 0, 0, 0, 0]
+FACE_DOWN[:, 3:] = (
+    Rotation.from_quat(FACE_DOWN[:, 3:]) * Rotation.from_rotvec([np.pi, 0, 0])
+).as_quat()
+GELS = Case(
+    None,
+    one(FACE_DOWN),
+    0.4,
+    mesh=block_mesh((5, 5, 2), (7e-3, 7e-3, 3e-3)),
+    carried=Material(4e5, 0.4),
+)
+
+
+def test_a_gel_pressed_onto_another() -> None:
+    """The slopes of a pair of gels, of which one is held by the tool that moves."""
+    motion, record = GELS.run()
+    weights = losses(record)
+    found = pull_back(motion, record, *weights)
+    assert np.abs(record.wrenches).max() == 0.0  # The tool is a frame: it touches nothing.
+    gel, other = GELS.material, GELS.carried
+    assert other is not None
+
+    def stiffer(own: float = 0.0, others: float = 0.0) -> Case:
+        mine = replace(gel, young_modulus_pa=gel.young_modulus_pa + own)
+        return replace(
+            GELS,
+            material=mine,
+            carried=replace(other, young_modulus_pa=other.young_modulus_pa + others),
+        )
+
+    slopes = {
+        "own modulus": (found.young_modulus[0, 0], stiffer, 50.0),
+        "the other's": (found.young_modulus[0, 1], lambda by: stiffer(others=by), 50.0),
+        "friction": (found.friction[0, 0, 1], lambda by: replace(GELS, friction=0.4 + by), 1e-5),
+        "size": (found.scale[0, 0], lambda by: replace(GELS, scale=1 + by), 2e-6),
+    }
+    for name, (slope, changed, step) in slopes.items():
+        expected = difference(changed, step, weights)[0]
+        assert slope == pytest.approx(expected, rel=1e-5), name
