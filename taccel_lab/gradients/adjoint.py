@@ -32,9 +32,10 @@ from taccel_lab.ipc.potentials.contact_slopes import (
     TURN_NOW,
     ContactSlopes,
 )
+from taccel_lab.ipc.potentials.friction import step_motion
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.solvers.sensitivity import elastic_gradient
-from taccel_lab.solvers.tangent import Tangent, sparse_matrix
+from taccel_lab.solvers.tangent import INDEFINITE, Tangent, sparse_matrix
 from taccel_lab.state import State
 
 Array = np.ndarray
@@ -170,6 +171,15 @@ class _Sweep:
             solved = tangent.solve(rhs)
         else:
             solved = tangent.solve_transposed(rhs, slopes)
+            # A step minimises its energy with friction frozen: there its Hessian is positive.
+            tangent.add_contact(
+                step_motion(
+                    self.model, state.positions, before.positions, state.poses, before.poses
+                )
+            )
+            for env, cause in enumerate(tangent.solve(rhs).causes):
+                if cause == INDEFINITE:
+                    solved.causes[env] = cause
         multipliers = np.zeros_like(by_x)
         multipliers[:, self.free_nodes] = solved.solution
         for scale in self.scales:

@@ -19,12 +19,18 @@ from taccel_lab.errors import InputError
 from taccel_lab.ipc.elasticity.principal import PSD_NONE
 from taccel_lab.ipc.motion import newton_system
 from taccel_lab.ipc.potentials.contact_slopes import NOW, ContactSlopes
+from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.model.matrix_pattern import BlockPattern
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State
 
 LINEAR_TOLERANCE = 1e-10
 """Of the solves."""
+INDEFINITE = (
+    "the Hessian of the energy is not positive definite: the gel is about to buckle, or to slip "
+    "over an edge"
+)
+"""Why there is no slope where a state is no stable equilibrium."""
 _MORE_ITERATIONS = 5
 """Times the iterations of a Newton step, which is solved a million times less exactly."""
 
@@ -112,12 +118,15 @@ class Tangent:
         solver.displacements.zero_()
         return linear.rhs.numpy()
 
-    def add_contact(self) -> None:
-        """That of the barrier, likewise."""
+    def add_contact(self, friction: StepMotion | None = None) -> None:
+        """That of the barrier, likewise, and of friction frozen at the end of a motion."""
         solver, linear = self.solver, self.solver.linear
         while True:
             system = newton_system(solver.model, linear, solver.displacements)
             solver.contact.add_hessian(self.active, self.state.positions, system, self._exact)
+            if friction is not None and solver.friction is not None:
+                solver.friction.lag(self.active, friction.positions, friction.previous)
+                solver.friction.add_hessian(self.active, friction, system)
             if not linear.extra.fit():
                 return
             self.add_elements()
@@ -134,10 +143,7 @@ class Tangent:
         causes: list[str | None] = [None] * len(self.who)
         for env in np.flatnonzero(self.who):
             if report.breakdown[env]:
-                causes[env] = (
-                    "the Hessian of the energy is not positive definite: the gel is about to "
-                    "buckle, or to slip over an edge"
-                )
+                causes[env] = INDEFINITE
             elif not report.relative_residual[env] < 10 * LINEAR_TOLERANCE:
                 causes[env] = (
                     f"the linear system was solved to {report.relative_residual[env]:.1e} only"
@@ -207,28 +213,9 @@ def _solve_transposed(matrix, rhs: np.ndarray) -> tuple[np.ndarray, str | None]:
         )
     except RuntimeError:
         return np.zeros_like(rhs), "the matrix of the step is singular: nothing holds the gel there"
-    sign = np.prod(np.sign(factor.U.diagonal())) * _parity(factor.perm_r) * _parity(factor.perm_c)
-    if sign < 0:
-        return np.zeros_like(rhs), (
-            "the determinant of the step's matrix is negative: its end is no stable equilibrium"
-        )
     found = factor.solve(rhs, "T")
     found += factor.solve(rhs - matrix.T @ found, "T")
     left = np.linalg.norm(rhs - matrix.T @ found)
     if not left <= 10 * LINEAR_TOLERANCE * np.linalg.norm(rhs):
         return np.zeros_like(rhs), "the linear system is too nearly singular to be solved"
     return found, None
-
-
-def _parity(permutation: np.ndarray) -> int:
-    """+1 for an even permutation, -1 for an odd one."""
-    seen = np.zeros(len(permutation), dtype=bool)
-    sign = 1
-    for start in range(len(permutation)):
-        at, length = start, 0
-        while not seen[at]:
-            seen[at] = True
-            at, length = int(permutation[at]), length + 1
-        if length and length % 2 == 0:
-            sign = -sign
-    return sign

@@ -25,7 +25,7 @@ from taccel_lab.scene import (
 from taccel_lab.solvers import SolverConfig
 
 Array = np.ndarray
-MESH = block_mesh((4, 4, 2), (8e-3, 8e-3, 3e-3))
+MESH = block_mesh((6, 6, 2), (8e-3, 8e-3, 3e-3))
 TIGHT = SolverConfig(
     relative_tolerance=1e-11,
     absolute_tolerance_n=1e-13,
@@ -90,7 +90,7 @@ def press_and_shear(height_mm: float, depth_mm: float, tilt_deg: float = 0.0) ->
             pose((0.3, 0.1, h + 0.1), (tilt_deg, tilt_deg, 0)),
             pose((0.32, 0.1, h - depth_mm), (tilt_deg, tilt_deg, 0)),
             pose((0.37, 0.12, h - 1.1 * depth_mm), (tilt_deg, tilt_deg + 1, 0)),
-            pose((0.5, 0.2, h - 1.1 * depth_mm), (tilt_deg, tilt_deg + 1, 4)),
+            pose((0.45, 0.15, h - 1.1 * depth_mm), (tilt_deg, tilt_deg + 1, 4)),
         ]
     )
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import warp as wp
 from scipy.spatial.transform import Rotation
 
 from taccel_lab.geometry.block import block_mesh
@@ -21,6 +22,7 @@ from taccel_lab.scene import (
     cylinder_mesh,
     sphere_mesh,
 )
+from taccel_lab.state import State
 from tests.gradients.gel_scenes import (
     TIGHT,
     Case,
@@ -155,7 +157,7 @@ GELS = Case(
     None,
     one(FACE_DOWN),
     0.4,
-    mesh=block_mesh((5, 5, 2), (7e-3, 7e-3, 3e-3)),
+    mesh=block_mesh((7, 7, 2), (7e-3, 7e-3, 3e-3)),
     carried=Material(4e5, 0.4),
 )
 
@@ -186,3 +188,20 @@ def test_a_gel_pressed_onto_another() -> None:
     for name, (slope, changed, step) in slopes.items():
         expected = difference(changed, step, weights)[0]
         assert slope == pytest.approx(expected, rel=1e-5), name
+
+
+@pytest.mark.parametrize("name", ["ball, rubbing", "quadratic", "facets"])
+def test_these_presses_stick_and_slip(name: str) -> None:
+    """Contacts in both regimes, or the comparisons above would say little."""
+    case = CASES[name]
+    motion, record = case.run()
+    solver = motion.solver
+    positions = wp.array(record.positions[-1], dtype=wp.vec3d)
+    end = State(
+        positions, wp.zeros_like(positions), wp.array(record.poses[-1], dtype=wp.transformd)
+    )
+    slopes = motion.slopes(0, end, solver.origin, solver.origin_poses, False)
+    rubbing = slopes.per_friction[:, 0]
+    pressing = slopes.forces[:, 0] - case.friction * rubbing
+    share = np.linalg.norm(rubbing, axis=1) / np.linalg.norm(pressing, axis=1)
+    assert share.min() < 0.9 and share.max() == pytest.approx(1.0, abs=1e-9)

@@ -102,3 +102,18 @@ def test_parameters_of_a_later_call_do_not_pass_for_those_of_an_earlier_one() ->
     of_forces(moving(torch.tensor(CASE.poses), young_modulus_pa=1.1 * young)).backward()
     with pytest.raises(InputError, match="set anew since"):
         first.backward()
+
+
+def test_where_the_motion_is_given_markers_do_not_know_the_modulus() -> None:
+    """The stiffness of the contact follows it, so that all forces scale and nothing else moves."""
+    moving = TorchMotion(CASE.model(), TIGHT)
+    young = torch.full((1, 1), 1.8e5, dtype=torch.float64, requires_grad=True)
+    friction = torch.full((1,), 0.35, dtype=torch.float64, requires_grad=True)
+    moved = moving(torch.tensor(CASE.poses), young_modulus_pa=young, friction=friction)
+    by_young, by_friction = torch.autograd.grad(
+        of_markers(moved), (young, friction), retain_graph=True
+    )
+    assert abs(float(1.8e5 * by_young)) < 1e-7 * abs(float(0.35 * by_friction))
+    (of_force,) = torch.autograd.grad(moved.wrenches[-1, 0, 0, 2], young)
+    force = float(moved.wrenches[-1, 0, 0, 2].detach())
+    assert float(1.8e5 * of_force) == pytest.approx(force, rel=1e-7)
