@@ -15,8 +15,8 @@ and from it, because the parameters of a law act in the elastic forces g = Pi_u 
 nothing is projected: at a stable equilibrium it is positive definite. Where it is not, as with
 nodes about to slip over an edge of the tool, there is no slope.
 
-It is what ``taccel_lab.gradients`` does, for a force along the way of the tool and without friction,
-where a state has its slopes whatever led to it: u_s is minus the adjoint of that force.
+It is what ``taccel_lab.gradients`` does, for a force along the way of the tool and without
+friction, where a state has its slopes whatever led to it: u_s is minus the adjoint of that force.
 """
 
 from __future__ import annotations
