@@ -23,17 +23,17 @@ from taccel_lab.scene import (
     sphere_mesh,
 )
 from taccel_lab.solvers import Control
+from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.parameters import (
     Contact,
     FreeBody,
-    G,
     NotNegative,
     Pad,
     Positive,
     TaskParameters,
-    draw,
 )
+from taccel_lab.tasks.physics import G, contact_config
 
 
 class RollingBall(FreeBody):
@@ -123,7 +123,13 @@ class BallRolling(Episode):
         self._way = np.zeros(count)
         """How far it has gone along its way [m]."""
         super().__init__(
-            parameters, seeds, starts, scene, parameters.contact.config(), self._targets(), device
+            parameters,
+            seeds,
+            starts,
+            scene,
+            contact_config(parameters.contact),
+            self._targets(),
+            device,
         )
         self._distance = np.full(count, np.nan)
         self._moved = np.full((count, 2), np.nan)

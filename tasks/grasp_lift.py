@@ -31,13 +31,13 @@ from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.parameters import (
     Contact,
     FreeBody,
-    G,
     NotNegative,
     Pad,
     PlanarStart,
     Positive,
     TaskParameters,
 )
+from taccel_lab.tasks.physics import G, contact_config
 
 SIDES = ("left", "right")
 
@@ -135,7 +135,7 @@ class GraspLift(Episode):
             affine_bodies=body,
             planes=Plane(friction_coefficient=parameters.plane_friction),
         )
-        config = parameters.contact.config()
+        config = contact_config(parameters.contact)
         super().__init__(parameters, seeds, starts, scene, config, self._targets(), device)
         self._rest_height = height
         self._held = np.zeros(count, dtype=int)
