@@ -9,7 +9,15 @@ from pathlib import Path
 import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = ["cad.md", "meshing.md", "robots.md", "scenes.md", "signals.md", "tasks.md"]
+PAGES = [
+    "cad.md",
+    "environments.md",
+    "meshing.md",
+    "robots.md",
+    "scenes.md",
+    "signals.md",
+    "tasks.md",
+]
 
 
 @pytest.mark.parametrize("page", PAGES)
