@@ -17,6 +17,7 @@ from gymnasium import spaces
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
+from taccel_lab.learning.poses import rotated
 from taccel_lab.outputs import Outputs, to_torch
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.gel_faces import bonded_gels, face_grid
@@ -83,6 +84,8 @@ class GelViews:
         if "depth" in names:
             self._rest_mm = [self._rest_height(k, mesh) for k, mesh in enumerate(meshes)]
         self._rest_px = [self._put(grid.pixel_from_gel(marker_points_mm(grid))) for grid in grids]
+        self._inverse = self._put([-1.0, -1.0, -1.0, 1.0])
+        """Times a quaternion, its inverse."""
         self._pitch = [self._put([grid.mm_per_px_x, grid.mm_per_px_y]) for grid in grids]
         gels, (width, height) = len(self.gels), size_px
         self._shapes = {
@@ -131,10 +134,8 @@ class GelViews:
         for nodes, mount in zip(self._face_nodes, self._mounts, strict=True):
             traction = 1e-3 * load[:, nodes]
             if mount is not None:
-                turn = poses[:, None, mount, 3:]
-                axis = -turn[..., :3].expand_as(traction)
-                once = 2 * torch.cross(axis, traction, dim=2)
-                traction = traction + turn[..., 3:] * once + torch.cross(axis, once, dim=2)
+                back = poses[:, None, mount, 3:] * self._inverse
+                traction = rotated(back, traction)
             found.append(traction)
         return torch.stack(found, dim=1).float()
 

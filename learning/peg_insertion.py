@@ -14,6 +14,7 @@ import numpy as np
 import torch
 import warp as wp
 
+from taccel_lab.learning.poses import about_z, compose, planar_inverse
 from taccel_lab.learning.task import Judgement, LearningTask
 from taccel_lab.model import Model
 from taccel_lab.state import State
@@ -61,10 +62,12 @@ class PegInsertionLearning(LearningTask):
         self._state = state
         self._peg = model.bodies[model.body_id("peg")].node_slice
         self._step_size, self._most = put(self._per_step), put(self._reach)
-        self._turns = put(TURNS)
-        open_m, closed_m = self._path.gel_m[0], self._path.gel_m[-1]
-        self._middle = put(np.array([0.0, open_m[1], open_m[2]]))
-        self._apart = put(np.array([open_m[0], closed_m[0]]))
+        # Of both gels in the frame between them, open and closed.
+        apart = np.zeros((2, 2, 3))
+        apart[..., 0] = np.outer(self._path.gel_m[[0, -1], 0], [-1, 1])
+        turns = np.broadcast_to(TURNS, (2, 2, 4))
+        self._gels = put(np.concatenate([apart, turns], axis=2))
+        self._middle = put(self._path.gel_m[0] * [0, 1, 1])
         self._moved = put(np.zeros((count, 4)))
         """Of the middle between the gels [m], and their turn [rad], since the start."""
         self._closed = torch.zeros(count, dtype=torch.long, device=device)
@@ -73,13 +76,7 @@ class PegInsertionLearning(LearningTask):
 
     def begin(self, who: torch.Tensor, start: torch.Tensor) -> torch.Tensor:
         """The hole goes to where the start of gels and peg is the one that is asked for."""
-        yaw = torch.deg2rad(start[:, 2])
-        x, y = 1e-3 * start[:, 0], 1e-3 * start[:, 1]
-        c, s = torch.cos(yaw), torch.sin(yaw)
-        zero = torch.zeros_like(x)
-        turn = [zero, zero, -torch.sin(yaw / 2), torch.cos(yaw / 2)]
-        hole = torch.stack([-c * x - s * y, s * x - c * y, zero, *turn], dim=1)
-        self._hole = torch.where(who[:, None], hole, self._hole)
+        self._hole = torch.where(who[:, None], planar_inverse(start), self._hole)
         self._moved = torch.where(who[:, None], 0.0, self._moved)
         self._closed = torch.where(who, 0, self._closed)
         self._depth = torch.where(who, self._rim_m - self._path.peg_m[2], self._depth)
@@ -94,14 +91,10 @@ class PegInsertionLearning(LearningTask):
         return self._poses()
 
     def _poses(self) -> torch.Tensor:
-        place, yaw = self._middle + self._moved[:, :3], self._moved[:, 3]
-        apart = self._apart[self._closed]
-        along = torch.stack([torch.cos(yaw), torch.sin(yaw), torch.zeros_like(yaw)], dim=1)
-        poses = []
-        for side, turn in zip((-1.0, 1.0), self._turns, strict=True):
-            at = place + side * apart[:, None] * along
-            poses.append(torch.cat([at, turned_about_z(yaw, turn)], dim=1))
-        return torch.stack([*poses, self._hole], dim=1)
+        middle = self._middle + self._moved[:, :3]
+        base = torch.cat([middle, about_z(self._moved[:, 3])], dim=1)
+        gels = compose(base[:, None], self._gels[self._closed])
+        return torch.cat([gels, self._hole[:, None]], dim=1)
 
     def judge(self) -> Judgement:
         """The reward is the part of the asked depth that the step gained, and 1 for success."""
@@ -116,11 +109,3 @@ class PegInsertionLearning(LearningTask):
     def proprioception(self) -> torch.Tensor:
         place, yaw = 1e3 * self._moved[:, :3], torch.rad2deg(self._moved[:, 3:])
         return torch.cat([place, yaw], dim=1)
-
-
-def turned_about_z(angle: torch.Tensor, turn: torch.Tensor) -> torch.Tensor:
-    """A rotation, quaternion x, y, z, w, followed by turns about the world's z [rad], [env]; of
-    these quaternions, [env, 4]."""
-    s, c = torch.sin(angle / 2)[:, None], torch.cos(angle / 2)[:, None]
-    x, y, z, w = turn
-    return c * turn + s * torch.stack([-y, x, w, -z])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 
@@ -53,6 +53,10 @@ class LearningTask(ABC):
     """Half ranges of the starts, by ``start_names``."""
     randomised: tuple[Randomised, ...]
     """Parameters that episodes may draw."""
+
+    @abstractmethod
+    def __init__(self, parameters: Any, env_count: int) -> None:
+        """``parameters``: of the task's file, by attributes."""
 
     @abstractmethod
     def attach(self, model: Model, state: State) -> None:

@@ -9,11 +9,8 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from taccel_lab.bodies.mass_properties import mass_properties
-from taccel_lab.geometry import TetMesh
-from taccel_lab.geometry.block import block_mesh
 from taccel_lab.reading.strict_model import Number, StrictModel, Whole
-from taccel_lab.scene import AffineBody, Element, Material, SoftBody, TriangleMesh
+from taccel_lab.scene import Element
 from taccel_lab.tasks.draw import draw
 
 Positive = Annotated[Number, Field(gt=0)]
@@ -83,23 +80,6 @@ class Pad(StrictModel):
     jitter: Annotated[Number, Field(ge=0, le=0.3)] = 0.0
     """How far nodes are moved, as a part of a cell: no direction of the mesh is special then."""
 
-    def mesh(self) -> TetMesh:
-        """Its contact face at z = 0, the bond below."""
-        width, height, thickness = (1e-3 * side for side in self.size_mm)
-        return block_mesh(self.cells, (width, height, thickness), self.jitter, seed=4)
-
-    def soft_body(self, mesh: TetMesh, name: str = "gel", mount: str | None = None) -> SoftBody:
-        """The gel, in its own frame, or in that of its mount."""
-        material = Material(self.young_modulus_pa, self.poisson_ratio, self.density_kg_m3)
-        return SoftBody(
-            mesh,
-            material,
-            name=name,
-            mount=mount,
-            friction_coefficient=self.friction,
-            element=Element(self.element),
-        )
-
 
 class Contact(StrictModel):
     """How close contact is solved."""
@@ -116,15 +96,18 @@ class FreeBody(StrictModel):
     mass_kg: Positive
     friction: NotNegative
 
-    def body(self, shape: TriangleMesh, name: str, poses: np.ndarray) -> AffineBody:
-        """It, of even density, at ``poses`` [env, 7]."""
-        return AffineBody(
-            shape,
-            density_kg_m3=self.mass_kg / mass_properties(shape, 1.0).volume_m3,
-            name=name,
-            friction_coefficient=self.friction,
-            initial_pose=poses,
-        )
+
+class Learning(StrictModel):
+    """What a learned policy may do: move the gels together."""
+
+    speed_mm_s: tuple[Positive, Positive, Positive]
+    """Of an action of 1 along each axis."""
+    turn_deg_s: Positive
+    """Of an action of 1, about the vertical."""
+    reach_mm: tuple[Positive, Positive, Positive]
+    """How far from their start the gels may go."""
+    reach_deg: Positive
+    randomise: tuple[Randomised, ...]
 
 
 class PlanarStart(StrictModel):

@@ -21,10 +21,10 @@ from taccel_lab.solvers import Control
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.parameters import (
     Contact,
+    Learning,
     NotNegative,
     PlanarStart,
     Positive,
-    Randomised,
     TaskParameters,
 )
 from taccel_lab.tasks.peg_scene import PegPath, peg_parts, peg_scene, targets
@@ -63,19 +63,6 @@ class PegGoal(StrictModel):
     """Of the peg's lowest point below the rim."""
 
 
-class PegLearning(StrictModel):
-    """What a learned policy may do: move both gels together, from when they have closed."""
-
-    speed_mm_s: tuple[Positive, Positive, Positive]
-    """Of an action of 1 along each axis."""
-    turn_deg_s: Positive
-    """Of an action of 1, about the vertical."""
-    reach_mm: tuple[Positive, Positive, Positive]
-    """How far from their start the gels may go."""
-    reach_deg: Positive
-    randomise: tuple[Randomised, ...]
-
-
 class PegInsertionParameters(TaskParameters):
     """The file of a peg insertion."""
 
@@ -87,7 +74,8 @@ class PegInsertionParameters(TaskParameters):
     """Of gels and peg, from above the middle of the hole."""
     policy: PegPolicy
     goal: PegGoal
-    learning: PegLearning
+    learning: Learning
+    """From when the gels have closed."""
 
 
 class PegInsertion(Episode):

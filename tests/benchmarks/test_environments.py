@@ -48,7 +48,7 @@ def test_wrong_options_are_refused(capsys: pytest.CaptureFixture[str], tmp_path:
     for words, message in (
         ("--envs 0", "must be at least 1"),
         ("--size-px 80", "width and height, got 1"),
-        ("--task juggle", "'juggle' cannot be learned"),
+        ("--task juggle", "'juggle' is no task that can be learned"),
     ):
         assert main(["environments", *words.split(), "--out", str(tmp_path)]) == 2
         assert message in capsys.readouterr().err
