@@ -171,6 +171,19 @@ def test_an_impossible_start_ends_with_its_cause_and_the_others_go_on() -> None:
     assert env.step(torch.zeros(2, 4))[0]["wrench"][0].abs().max() > 1
 
 
+def test_an_action_that_is_no_number_fails_its_own_environment_alone() -> None:
+    env = make()
+    env.reset(seed=0)
+    _, _, _, truncated, info = env.step(torch.tensor([[0.0] * 4, [float("nan")] * 4]))
+    assert truncated.tolist() == [False, False], "the first step only closes the gels"
+    _, reward, _, truncated, info = env.step(torch.tensor([[0.0] * 4, [float("nan")] * 4]))
+    assert truncated.tolist() == [False, True] and info["_cause"].tolist() == [False, True]
+    seen, *_ = env.step(torch.zeros(2, 4))
+    assert (
+        all(torch.isfinite(part).all() for part in seen.values()) and torch.isfinite(reward).all()
+    )
+
+
 def test_seeds() -> None:
     """Environment i of seed s does what environment 0 of seed s + i does, in every episode."""
 
