@@ -17,11 +17,10 @@ import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.images import background, color_model
-from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.model import Model
 from taccel_lab.outputs import to_torch
 from taccel_lab.outputs.soft_wrenches import SoftWrenchReader
+from taccel_lab.signals.gel_faces import bonded_gels, face_grid
 from taccel_lab.signals.tactile import SignalTactile
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import State
@@ -64,10 +63,8 @@ class Observer:
         """
         self._model = model = solver.model
         self._clock = clock_of(model.device)
-        self.gels = [i for i, body in enumerate(model.scene.soft_bodies) if len(body.bonded())]
+        self.gels = bonded_gels(model)
         """Indices of the gels among the soft bodies."""
-        if not self.gels:
-            raise InputError("no soft body of this scene is bonded: it has no gel to observe")
         frames = [frame.name for frame in model.scene.kinematic_bodies]
         mounts = [model.scene.soft_bodies[i].mount for i in self.gels]
         self._mounts = [None if name is None else frames.index(name) for name in mounts]
@@ -139,7 +136,7 @@ class Observer:
 def gel_signal(model: Model, body: int) -> SignalTactile:
     """Images of a soft body's contact face, which fills them; pixels need not be square."""
     mesh = model.scene.soft_bodies[body].nodal_mesh
-    grid = face_grid(mesh)
+    grid = face_grid(mesh, SIZE_PX)
     return SignalTactile(
         mesh,
         grid,
@@ -149,13 +146,3 @@ def gel_signal(model: Model, body: int) -> SignalTactile:
         first_node=model.bodies[body].node_slice.start,
         device=model.device,
     )
-
-
-def face_grid(mesh: TetMesh | QuadraticMesh) -> PixelGrid:
-    """Pixels over the contact face of a gel at rest."""
-    corners_mm = 1e3 * mesh.nodes_m[np.unique(mesh.region_faces(Region.CONTACT))][:, :2]
-    low, high = corners_mm.min(axis=0), corners_mm.max(axis=0)
-    size = np.array(SIZE_PX)
-    pitch = (high - low) / size
-    center = (size - 1) / 2 - (low + high) / 2 / pitch
-    return PixelGrid(*SIZE_PX, *pitch.tolist(), *center.tolist())

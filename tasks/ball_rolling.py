@@ -23,17 +23,18 @@ from taccel_lab.scene import (
     sphere_mesh,
 )
 from taccel_lab.solvers import Control
+from taccel_lab.tasks.bodies import free_body, pad_body, pad_mesh
+from taccel_lab.tasks.draw import draw
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.parameters import (
     Contact,
     FreeBody,
-    G,
     NotNegative,
     Pad,
     Positive,
     TaskParameters,
-    draw,
 )
+from taccel_lab.tasks.physics import G, contact_config
 
 
 class RollingBall(FreeBody):
@@ -108,13 +109,13 @@ class BallRolling(Episode):
         pose = np.zeros((count, 7))
         pose[:, :2], pose[:, 6] = self._place, 1.0
         pose[:, 2] = radius + 1e-3 * parameters.contact.dhat_mm
-        mesh = parameters.gel.mesh()
+        mesh = pad_mesh(parameters.gel)
         scene = Scene(
-            parameters.gel.soft_body(mesh, name="gel", mount="mount"),
+            pad_body(parameters.gel, mesh, name="gel", mount="mount"),
             KinematicBody(None, name="mount"),
             count,
             TimeStepping(False, parameters.dt_s, (0.0, 0.0, -G)),
-            affine_bodies=parameters.ball.body(shape, "ball", pose),
+            affine_bodies=free_body(parameters.ball, shape, "ball", pose),
             planes=Plane(friction_coefficient=parameters.plane_friction),
         )
         self._top = pose[0, 2] + radius
@@ -123,7 +124,13 @@ class BallRolling(Episode):
         self._way = np.zeros(count)
         """How far it has gone along its way [m]."""
         super().__init__(
-            parameters, seeds, starts, scene, parameters.contact.config(), self._targets(), device
+            parameters,
+            seeds,
+            starts,
+            scene,
+            contact_config(parameters.contact),
+            self._targets(),
+            device,
         )
         self._distance = np.full(count, np.nan)
         self._moved = np.full((count, 2), np.nan)

@@ -15,31 +15,22 @@ import numpy as np
 from pydantic import Field
 
 from taccel_lab.reading.strict_model import Number, StrictModel
-from taccel_lab.robots import named, on_seat
 from taccel_lab.robots.transforms import matrix_of, pose_of
-from taccel_lab.scene import (
-    Plane,
-    Scene,
-    TimeStepping,
-    TriangleMesh,
-    box_mesh,
-    cylinder_mesh,
-    sphere_mesh,
-)
 from taccel_lab.solvers import Control
+from taccel_lab.tasks.bodies import solid
 from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.grasp_scene import SIDES, grasp_scene
 from taccel_lab.tasks.parameters import (
     Contact,
     FreeBody,
-    G,
+    Learning,
     NotNegative,
     Pad,
     PlanarStart,
     Positive,
     TaskParameters,
 )
-
-SIDES = ("left", "right")
+from taccel_lab.tasks.physics import contact_config
 
 
 class Object(FreeBody):
@@ -48,15 +39,6 @@ class Object(FreeBody):
     shape: Literal["box", "cylinder", "sphere"]
     size_mm: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=3)]
     """Sides of a box; radius and height of an upright cylinder; radius of a sphere."""
-
-    def surface(self) -> TriangleMesh:
-        """About its middle [m]."""
-        size = [1e-3 * value for value in self.size_mm]
-        if self.shape == "box":
-            return box_mesh((size[0], size[1], size[2]))
-        if self.shape == "cylinder":
-            return cylinder_mesh(size[0], size[1])
-        return sphere_mesh(size[0], size[0] / 5)
 
 
 class GraspPolicy(StrictModel):
@@ -80,6 +62,13 @@ class GraspGoal(StrictModel):
     hold_s: Number
 
 
+class GraspLearning(Learning):
+    """What a learned policy may do: it opens and closes the fingers, too."""
+
+    close_mm_s: Positive
+    """Of each finger, of an action of 1."""
+
+
 class GraspLiftParameters(TaskParameters):
     """The file of a grasp and lift."""
 
@@ -93,6 +82,7 @@ class GraspLiftParameters(TaskParameters):
     """Of the object, from the middle between the fingers."""
     policy: GraspPolicy
     goal: GraspGoal
+    learning: GraspLearning
 
 
 class GraspLift(Episode):
@@ -106,38 +96,26 @@ class GraspLift(Episode):
     ) -> None:
         self.parameters = parameters
         count, policy = len(seeds), parameters.policy
-        robot = named(parameters.robot).touching(["finger_left", "finger_right"])
-        mesh = parameters.gel.mesh()
-        for side in SIDES:
-            pad = parameters.gel.soft_body(mesh)
-            robot = robot.mount(f"finger_{side}", pad, on_seat(mesh), f"{side} pad")
-        self.robot = robot
-        shape = parameters.object.surface()
-        lowest = -float(shape.vertices_m[:, 2].min())
         starts, pose = parameters.start.draw(seeds)
-        # It lies where contact has just begun, and settles while the fingers close.
-        height = lowest + 1e-3 * parameters.contact.dhat_mm
-        pose[:, 2] = height
-        body = parameters.object.body(shape, "object", pose)
+        built = grasp_scene(
+            parameters.robot,
+            parameters.gel,
+            parameters.object,
+            solid(parameters.object.shape, parameters.object.size_mm),
+            pose,
+            plane_friction=parameters.plane_friction,
+            dhat_mm=parameters.contact.dhat_mm,
+            dt_s=parameters.dt_s,
+        )
+        self.robot, self._base = built.robot, built.base
         self.seat = np.full(count, 1e-3 * policy.open_mm)
         """Coordinate of the fingers [m]."""
         self.raised = np.zeros(count)
         """How far the gripper has risen [m]."""
         self.gripping = np.zeros(count, dtype=bool)
-        # Fingers point down, their tips' frame at the object's middle.
-        tcp = robot.link_poses("tcp", robot.rest_q)[0]
-        self._base = np.array([0.0, 0.0, lowest + tcp[2], 1.0, 0.0, 0.0, 0.0])
-        scene = Scene(
-            robot.soft_bodies(),
-            robot.kinematic_bodies(),
-            count,
-            TimeStepping(False, parameters.dt_s, (0.0, 0.0, -G)),
-            affine_bodies=body,
-            planes=Plane(friction_coefficient=parameters.plane_friction),
-        )
-        config = parameters.contact.config()
-        super().__init__(parameters, seeds, starts, scene, config, self._targets(), device)
-        self._rest_height = height
+        config = contact_config(parameters.contact)
+        super().__init__(parameters, seeds, starts, built.scene, config, self._targets(), device)
+        self._rest_height = built.rest_height_m
         self._held = np.zeros(count, dtype=int)
         self._grip = np.zeros((count, 2))
         self._weakest = np.full(count, np.nan)

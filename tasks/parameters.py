@@ -4,20 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from taccel_lab.bodies.mass_properties import mass_properties
-from taccel_lab.geometry import TetMesh
-from taccel_lab.geometry.block import block_mesh
 from taccel_lab.reading.strict_model import Number, StrictModel, Whole
-from taccel_lab.scene import AffineBody, Element, Material, SoftBody, TriangleMesh
-from taccel_lab.solvers import SolverConfig
+from taccel_lab.scene import Element
+from taccel_lab.tasks.draw import draw
 
-G = 9.81
-"""Gravity [m/s^2], downwards."""
 Positive = Annotated[Number, Field(gt=0)]
 NotNegative = Annotated[Number, Field(ge=0)]
 Count = Annotated[Whole, Field(ge=1, le=100_000)]
@@ -52,6 +47,25 @@ class TaskParameters(StrictModel):
     published: Annotated[tuple[Published, ...], Field(min_length=1)]
 
 
+class Randomised(StrictModel):
+    """A parameter of bodies that each episode of a learning loop draws anew, evenly."""
+
+    what: Literal["young_modulus_pa", "poisson_ratio", "mass_kg", "friction"]
+    of: Annotated[tuple[tuple[str, ...], ...], Field(min_length=1)]
+    """Names of the bodies, of friction of pairs of them; all get the same value."""
+    low: NotNegative
+    high: NotNegative
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        wanted = 2 if self.what == "friction" else 1
+        if any(len(names) != wanted for names in self.of):
+            raise ValueError(f"of needs {wanted} names each time for {self.what}")
+        if self.low > self.high:
+            raise ValueError(f"low {self.low:g} lies above high {self.high:g}")
+        return self
+
+
 class Pad(StrictModel):
     """A block of gel, bonded at its back."""
 
@@ -66,23 +80,6 @@ class Pad(StrictModel):
     jitter: Annotated[Number, Field(ge=0, le=0.3)] = 0.0
     """How far nodes are moved, as a part of a cell: no direction of the mesh is special then."""
 
-    def mesh(self) -> TetMesh:
-        """Its contact face at z = 0, the bond below."""
-        width, height, thickness = (1e-3 * side for side in self.size_mm)
-        return block_mesh(self.cells, (width, height, thickness), self.jitter, seed=4)
-
-    def soft_body(self, mesh: TetMesh, name: str = "gel", mount: str | None = None) -> SoftBody:
-        """The gel, in its own frame, or in that of its mount."""
-        material = Material(self.young_modulus_pa, self.poisson_ratio, self.density_kg_m3)
-        return SoftBody(
-            mesh,
-            material,
-            name=name,
-            mount=mount,
-            friction_coefficient=self.friction,
-            element=Element(self.element),
-        )
-
 
 class Contact(StrictModel):
     """How close contact is solved."""
@@ -92,14 +89,6 @@ class Contact(StrictModel):
     """Sliding speed below which friction is static."""
     absolute_tolerance_n: Positive
 
-    def config(self) -> SolverConfig:
-        """Settings of the solver, of a scene with inertia."""
-        return SolverConfig(
-            dhat_m=1e-3 * self.dhat_mm,
-            friction_speed_m_s=1e-3 * self.friction_speed_mm_s,
-            absolute_tolerance_n=self.absolute_tolerance_n,
-        )
-
 
 class FreeBody(StrictModel):
     """A stiff body that nothing holds."""
@@ -107,15 +96,18 @@ class FreeBody(StrictModel):
     mass_kg: Positive
     friction: NotNegative
 
-    def body(self, shape: TriangleMesh, name: str, poses: np.ndarray) -> AffineBody:
-        """It, of even density, at ``poses`` [env, 7]."""
-        return AffineBody(
-            shape,
-            density_kg_m3=self.mass_kg / mass_properties(shape, 1.0).volume_m3,
-            name=name,
-            friction_coefficient=self.friction,
-            initial_pose=poses,
-        )
+
+class Learning(StrictModel):
+    """What a learned policy may do: move the gels together."""
+
+    speed_mm_s: tuple[Positive, Positive, Positive]
+    """Of an action of 1 along each axis."""
+    turn_deg_s: Positive
+    """Of an action of 1, about the vertical."""
+    reach_mm: tuple[Positive, Positive, Positive]
+    """How far from their start the gels may go."""
+    reach_deg: Positive
+    randomise: tuple[Randomised, ...]
 
 
 class PlanarStart(StrictModel):
@@ -136,10 +128,3 @@ class PlanarStart(StrictModel):
         poses[:, 1] = [1e-3 * start["y_mm"] for start in starts]
         poses[:, 5], poses[:, 6] = np.sin(yaw / 2), np.cos(yaw / 2)
         return starts, poses
-
-
-def draw(seed: int, half_ranges: dict[str, float]) -> dict[str, float]:
-    """Offsets of a seed, each evenly from minus to plus its half range, in the order given: the
-    same whatever other seeds run beside it."""
-    generator = np.random.default_rng(seed)
-    return {name: float(generator.uniform(-half, half)) for name, half in half_ranges.items()}

@@ -14,7 +14,6 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from taccel_lab.interop.published_meshes import choose_source, mesh_folder
 from taccel_lab.reading.strict_model import Number, StrictModel
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import Scene
@@ -22,18 +21,14 @@ from taccel_lab.solvers import Control
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.parameters import (
     Contact,
+    Learning,
     NotNegative,
     PlanarStart,
     Positive,
     TaskParameters,
 )
-from taccel_lab.tasks.peg_scene import (
-    PegPath,
-    generated_parts,
-    peg_scene,
-    published_parts,
-    targets,
-)
+from taccel_lab.tasks.peg_scene import PegPath, peg_parts, peg_scene, targets
+from taccel_lab.tasks.physics import contact_config
 
 SIDES = ("left", "right")
 
@@ -79,6 +74,8 @@ class PegInsertionParameters(TaskParameters):
     """Of gels and peg, from above the middle of the hole."""
     policy: PegPolicy
     goal: PegGoal
+    learning: Learning
+    """From when the gels have closed."""
 
 
 class PegInsertion(Episode):
@@ -91,14 +88,9 @@ class PegInsertion(Episode):
         self, parameters: PegInsertionParameters, seeds: Sequence[int], device: str | None = None
     ) -> None:
         self.parameters = parameters
+        parts, _ = peg_parts(parameters.meshes)
         policy = parameters.policy
-        source = choose_source(parameters.meshes, "peg/peg.stl", "peg/hole.stl", "pads/sensor.vtk")
-        parts = published_parts(mesh_folder()) if source == "published" else generated_parts()
-        self._path = PegPath(
-            tuple(1e-3 * value for value in policy.peg_mm),  # type: ignore[arg-type]
-            policy.times_s,
-            1e-3 * np.array(policy.gel_mm),
-        )
+        self._path = PegPath.of_mm(policy.peg_mm, policy.times_s, policy.gel_mm)
         starts, offset = parameters.start.draw(seeds)
         self._offset = matrix_of(offset)
         peg = matrix_of(np.array([*self._path.peg_m, 0, 0, 0, 1.0]))
@@ -110,7 +102,7 @@ class PegInsertion(Episode):
             dt_s=parameters.dt_s,
         )
         self._rim = float(parts.hole.vertices_m[:, 2].max())
-        config = parameters.contact.config()
+        config = contact_config(parameters.contact)
         super().__init__(parameters, seeds, starts, scene, config, self._targets(scene, 0), device)
         nan = np.full(len(seeds), np.nan)
         self._depth, self._slip = nan.copy(), nan.copy()

@@ -11,6 +11,7 @@ others of the same dimensions.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +20,7 @@ import numpy as np
 from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
-from taccel_lab.interop.published_meshes import read_stl
+from taccel_lab.interop.published_meshes import choose_source, mesh_folder, read_stl
 from taccel_lab.reading.legacy_vtk import read_legacy_vtk
 from taccel_lab.scene import (
     AffineBody,
@@ -58,6 +59,17 @@ class PegPath:
     first: int = 0
     """Number of the first step: 0 stays at the start for a step, 1 moves at once."""
 
+    @classmethod
+    def of_mm(
+        cls,
+        peg_mm: Sequence[float],
+        times_s: Sequence[float],
+        gel_mm: Sequence[Sequence[float]],
+    ) -> PegPath:
+        """The path of a task's file."""
+        x, y, z = (1e-3 * value for value in peg_mm)
+        return cls((x, y, z), tuple(times_s), 1e-3 * np.array(gel_mm))
+
 
 PUBLISHED = PegPath(
     (0.0, 0.005, 0.021),
@@ -74,7 +86,7 @@ PUBLISHED = PegPath(
 """As published. The peg falls 1 mm onto the rim before the gels have it, and lies there askew; the
 gels drag it along, turning in their grip, and push it into the hole still askew."""
 _HALF = np.sqrt(0.5)
-_TURNS = np.array([(_HALF, 0.0, _HALF, 0.0), (0.0, -_HALF, 0.0, _HALF)])
+TURNS = np.array([(_HALF, 0.0, _HALF, 0.0), (0.0, -_HALF, 0.0, _HALF)])
 """Quaternions of both gels: their faces look at each other."""
 
 
@@ -95,6 +107,13 @@ def published_parts(folder: Path) -> PegParts:
         read_stl(folder / "peg" / "peg.stl"),
         read_stl(folder / "peg" / "hole.stl"),
     )
+
+
+def peg_parts(source: str) -> tuple[PegParts, str]:
+    """Meshes by where they are from, "published", "generated", or "auto" for the published ones
+    where they are; and which these are."""
+    source = choose_source(source, "peg/peg.stl", "peg/hole.stl", "pads/sensor.vtk")
+    return (published_parts(mesh_folder()) if source == "published" else generated_parts()), source
 
 
 def dog_bone(x: float, y: float, waist_x: float, waist_y: float) -> np.ndarray:
@@ -196,7 +215,7 @@ def targets(scene: Scene, step: int, path: PegPath = PUBLISHED) -> np.ndarray:
     """Poses of the kinematic bodies at a step, shape [env_count, kinematic_count, 7]."""
     place = [np.interp(step * scene.time.dt_s, path.times_s, path.gel_m[:, k]) for k in range(3)]
     mirrored = np.array([[-1, 1, 1], [1, 1, 1]]) * place
-    poses = np.concatenate([mirrored, _TURNS], axis=1)
+    poses = np.concatenate([mirrored, TURNS], axis=1)
     if len(scene.kinematic_bodies) > 2:
         poses = np.concatenate([poses, [[0, 0, 0, 0, 0, 0, 1]]])
     return np.tile(poses, (scene.env_count, 1, 1))

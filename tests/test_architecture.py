@@ -23,6 +23,7 @@ PACKAGES = (
     "benchmarks",
     "robots",
     "tasks",
+    "learning",
 )
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))

@@ -9,7 +9,16 @@ from pathlib import Path
 import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = ["cad.md", "gradients.md", "meshing.md", "robots.md", "scenes.md", "signals.md", "tasks.md"]
+PAGES = [
+    "cad.md",
+    "environments.md",
+    "gradients.md",
+    "meshing.md",
+    "robots.md",
+    "scenes.md",
+    "signals.md",
+    "tasks.md",
+]
 
 
 @pytest.mark.parametrize("page", PAGES)

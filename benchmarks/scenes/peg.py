@@ -6,15 +6,13 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
-from taccel_lab.interop.published_meshes import choose_source, mesh_folder
 from taccel_lab.solvers import SolverConfig
 from taccel_lab.tasks.peg_scene import (
     DHAT_M,
     FRICTION_SPEED_M_S,
     STEPS,
-    generated_parts,
+    peg_parts,
     peg_scene,
-    published_parts,
     targets,
 )
 
@@ -26,8 +24,7 @@ def peg_config(**options: float) -> SolverConfig:
 
 def build(options: SceneOptions) -> BenchScene:
     """The published insertion, of the published meshes where they are."""
-    source = choose_source(options.source, "peg/peg.stl", "peg/hole.stl", "pads/sensor.vtk")
-    parts = published_parts(mesh_folder()) if source == "published" else generated_parts()
+    parts, source = peg_parts(options.source)
     scene = peg_scene(parts, env_count=options.env_count)
     # The first step stays at the start: the gels move from the second one on.
     one = peg_scene(parts)

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tasks that can be learned, by name, as vector environments."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from taccel_lab.errors import InputError
+from taccel_lab.learning.grasp_lift import GraspLiftLearning
+from taccel_lab.learning.peg_insertion import PegInsertionLearning
+from taccel_lab.learning.task import LearningTask
+from taccel_lab.learning.vector_env import TactileVectorEnv
+from taccel_lab.reading.toml_file import read_toml
+from taccel_lab.tasks import __file__ as TASKS
+
+if TYPE_CHECKING:
+    from taccel_lab.tasks.catalogue import Task
+
+KINDS: dict[str, type[LearningTask]] = {
+    "grasp-lift": GraspLiftLearning,
+    "peg-insertion": PegInsertionLearning,
+}
+"""The class of each kind of task."""
+FILES = Path(TASKS).parent / "files"
+
+
+def names() -> list[str]:
+    """Tasks of the package that can be learned."""
+    found = {path.stem: read_toml(path) for path in FILES.glob("*.toml")}
+    return sorted(name for name, table in found.items() if table.get("kind") in KINDS)
+
+
+def make_vec(task: str | Task, num_envs: int, **options: Any) -> TactileVectorEnv:
+    """Environments of a task of the package by its name, or of a task that was read from a file
+    (``tasks.catalogue.read_task``).
+
+    ``options``: those of ``TactileVectorEnv``. InputError for a task that cannot be learned.
+    """
+    if num_envs < 1:
+        raise InputError(f"num_envs must be at least 1, got {num_envs}")
+    if isinstance(task, str):
+        if task not in names():
+            known = ", ".join(names())
+            raise InputError(f"{task!r} is no task that can be learned; there are {known}")
+        # Tests check the package's files by their models, which need pydantic; a machine that
+        # learns may have none.
+        parameters = _values(read_toml(FILES / f"{task}.toml"))
+    else:
+        parameters = task.parameters
+    if parameters.kind not in KINDS:
+        raise InputError(f"tasks of kind {parameters.kind!r} cannot be learned: {', '.join(KINDS)}")
+    return TactileVectorEnv(KINDS[parameters.kind](parameters, num_envs), **options)
+
+
+def _values(table: Any) -> Any:
+    """A table with its keys as attributes."""
+    if isinstance(table, dict):
+        return SimpleNamespace(**{key: _values(value) for key, value in table.items()})
+    return tuple(map(_values, table)) if isinstance(table, list) else table

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``TactileVectorEnv``: a task as a ``gymnasium.vector.VectorEnv`` of torch tensors.
+
+Everything stays on the solver's device but the statuses of a step, 4 bytes an environment, which
+the solver reads, and which environments have ended, 1 byte each: these decide who steps next. After
+resets the solver also reads which environments overlap, 4 bytes each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from taccel_lab.errors import InputError
+from taccel_lab.learning.gel_views import FORCES, VIEWS, Colors, GelViews
+from taccel_lab.learning.starts import EpisodeDraws, randomise
+from taccel_lab.learning.task import LearningTask
+from taccel_lab.solvers import Control, EnvStatus, SolverIPC, StepReport
+from taccel_lab.state import initial_state
+
+Observation = dict[str, torch.Tensor]
+PROPRIOCEPTION = "proprioception"
+OBSERVATIONS = (*VIEWS, PROPRIOCEPTION)
+"""What there is to observe."""
+MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
+
+
+class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
+    """Environments of one solver, as gymnasium says.
+
+    An episode is terminated by success and truncated by the step limit or by a simulation that
+    failed, which is no exception: ``info["cause"]`` has the name of its ``EnvStatus``. With
+    NEXT_STEP an environment that has ended is put to a new start by the next ``step``, which
+    ignores its action, with a reward of 0; with DISABLED by
+    ``reset(options={"reset_mask": mask})``, before it is stepped again.
+
+    What ``step`` and ``reset`` return is memory of its own, a row for each environment: a dict of
+    observations, rewards (float32), terminations and truncations (bool). ``info`` has ``success``
+    (bool) and the task's figures (float32) as tensors, and where a simulation failed ``cause``, an
+    array of objects of the host, None elsewhere, with the mask ``_cause``.
+    """
+
+    def __init__(
+        self,
+        task: LearningTask,
+        observe: tuple[str, ...] = ("wrench", PROPRIOCEPTION),
+        *,
+        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+        randomised: bool = False,
+        size_px: tuple[int, int] = (80, 60),
+        colors: Colors | None = None,
+        device: str | None = None,
+        solver: dict[str, Any] | None = None,
+    ) -> None:
+        """
+        Args:
+            task: As many environments as its scene has.
+            observe: Names of ``OBSERVATIONS``; see ``GelViews.read`` for units.
+            autoreset_mode: NEXT_STEP or DISABLED.
+            randomised: Whether episodes draw the parameters that the task randomises.
+            size_px: Width and height of images and depth.
+            colors: For images: gives the colour network and the untouched image of a pixel grid.
+            device: "cpu" or "cuda:0"; as of ``Scene.finalize`` when None.
+            solver: Settings of ``SolverConfig`` other than the task's.
+
+        Raises:
+            InputError: Unknown observations or mode, images without colours.
+        """
+        unknown = [name for name in observe if name not in OBSERVATIONS]
+        if unknown or not observe or len(set(observe)) < len(observe):
+            known = ", ".join(OBSERVATIONS)
+            raise InputError(f"observe names some of {known}, each once; got {', '.join(observe)}")
+        if autoreset_mode not in MODES:
+            raise InputError(f"autoreset_mode must be NEXT_STEP or DISABLED, got {autoreset_mode}")
+        self.metadata = {"autoreset_mode": autoreset_mode, "render_modes": []}
+        self.task = task
+        self.model = task.scene.finalize(device)
+        self.num_envs = self.model.env_count
+        self.device = torch.device(wp.device_to_torch(self.model.device))
+        """Of all tensors."""
+        self.solver = SolverIPC(self.model, replace(task.config, **(solver or {})))
+        self.state = initial_state(self.model)
+        task.attach(self.model, self.state)
+        self._ranges = tuple(task.randomised) if randomised else ()
+        self._draws = EpisodeDraws(self.model, len(task.start_names) + len(self._ranges))
+        self._seeded = False
+        self._half = torch.tensor(task.start_half, dtype=torch.float64, device=self.device)
+        self.views = GelViews(self.solver, observe, size_px, colors)
+        """What the gels show and feel."""
+        self._observe = observe
+        self._mode = autoreset_mode
+        self._ended = np.ones(self.num_envs, dtype=bool)
+        """Environments that are to begin an episode before they step, on the host."""
+        self._steps = torch.zeros(self.num_envs, dtype=torch.int32, device=self.device)
+        self._still = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        """Environments whose forces are those of no step of their episode."""
+        self.single_action_space = spaces.Box(-1.0, 1.0, (len(task.action_names),), np.float32)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.single_observation_space = spaces.Dict({name: self._space(name) for name in observe})
+
+    @cached_property
+    def observation_space(self) -> spaces.Space:  # type: ignore[override]
+        """Of all environments; made when it is asked for, as bounds of images take memory."""
+        return batch_space(self.single_observation_space, self.num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin episodes.
+
+        Args:
+            seed: Environment i goes by seed + i, whatever runs beside it. When None episodes go on
+                from the last seed, at first from one that nobody knows.
+            options: ``reset_mask``: environments that begin, bool, [env], of numpy or torch; all
+                when it is left out. ``start``: their starts, in place of drawn ones, [env,
+                task.start_names].
+        """
+        super().reset(seed=seed)
+        options = dict(options or {})
+        mask = self._mask(options.pop("reset_mask", None))
+        start = options.pop("start", None)
+        if options:
+            raise InputError(f"options are reset_mask and start, got {', '.join(options)}")
+        if start is not None:
+            start = self._tensor(start, "start", len(self.task.start_names))
+        if not self._seeded:
+            first = int(self.np_random.integers(2**30)) if seed is None else seed
+            self._draws.seed(first, torch.ones_like(self._still))
+            self._seeded = True
+        elif seed is not None:
+            self._draws.seed(seed, torch.as_tensor(mask, device=self.device))
+        self.begin_episodes(mask, start)
+        return self._observation(), {}
+
+    def step(
+        self, actions: torch.Tensor
+    ) -> tuple[Observation, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        """A step of the environments whose episode goes on, by actions in [-1, 1], [env, action];
+        see the class for the others.
+
+        Raises:
+            InputError: Wrong shape; before the first ``reset``; with DISABLED if an environment has
+                ended and was not reset.
+        """
+        actions = self._tensor(actions, "actions", len(self.task.action_names))
+        begin = self._ended.copy()
+        if begin.any() and (self._mode is AutoresetMode.DISABLED or not self._seeded):
+            which = ", ".join(map(str, np.flatnonzero(begin)[:5]))
+            raise InputError(f"environments {which} have no episode: reset() begins one")
+        if begin.any():
+            self.begin_episodes(begin, None)
+        going = torch.as_tensor(~begin, device=self.device)
+        targets = self.task.act(going, actions.clamp(-1.0, 1.0))
+        failed = np.zeros(self.num_envs, dtype=bool)
+        info: dict[str, Any] = {}
+        if not begin.all():
+            report = self.solver.step(self.state, Control(target_poses=targets), who=~begin)
+            failed = ~begin & ~report.converged
+            info |= _causes(report, failed)
+        good = going if not failed.any() else torch.as_tensor(~begin & ~failed, device=self.device)
+        judged = self.task.judge()
+        self._steps += going
+        self._still &= ~good
+        terminated = good & judged.success
+        over = good & ~judged.success & (self._steps >= self.task.step_limit)
+        truncated = over if not failed.any() else over | (going & ~good)
+        self._ended = (terminated | truncated).cpu().numpy()
+        reward = torch.where(good, judged.reward, 0.0)
+        info |= {"success": terminated.clone(), **judged.figures}
+        return self._observation(), reward, terminated, truncated, info
+
+    def begin_episodes(self, mask: np.ndarray, start: torch.Tensor | None) -> None:
+        """New episodes in the environments of a mask (bool, [env]), from drawn starts when None;
+        ``reset`` and NEXT_STEP do it."""
+        who = torch.as_tensor(mask, device=self.device)
+        unit = self._draws.begin(who)
+        count = len(self.task.start_names)
+        if start is None:
+            start = self._half * (2 * unit[:, :count] - 1)
+        poses = self.task.begin(who, start)
+        randomise(self.model, self._ranges, unit[:, count:], who)
+        self.solver.reset(self.state, who, poses)
+        self._steps.masked_fill_(who, 0)
+        self._still |= who
+        self._ended = self._ended & ~mask
+
+    def _observation(self) -> Observation:
+        found = {}
+        for name in self._observe:
+            if name == PROPRIOCEPTION:
+                found[name] = self.task.proprioception().float()
+                continue
+            seen = self.views.read(name, self.state)
+            if name in FORCES:
+                seen = torch.where(self._still.view(-1, *[1] * (seen.ndim - 1)), 0.0, seen)
+            found[name] = seen
+        return found
+
+    def _space(self, name: str) -> spaces.Box:
+        if name == PROPRIOCEPTION:
+            size = len(self.task.proprioception_names)
+            return spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        return self.views.space(name)
+
+    def _tensor(self, value: Any, name: str, width: int) -> torch.Tensor:
+        found = torch.as_tensor(value, device=self.device).to(torch.float64)
+        if found.shape != (self.num_envs, width):
+            shape = list(found.shape)
+            raise InputError(f"{name} must have shape [{self.num_envs}, {width}], got {shape}")
+        return found
+
+    def _mask(self, value: Any) -> np.ndarray:
+        if value is None:
+            return np.ones(self.num_envs, dtype=bool)
+        found = value.cpu().numpy() if isinstance(value, torch.Tensor) else np.asarray(value)
+        if found.shape != (self.num_envs,) or found.dtype != bool or not found.any():
+            raise InputError(
+                f"reset_mask must be bool of shape [{self.num_envs}] and name an environment, got "
+                f"{found.dtype} of shape {list(found.shape)}"
+            )
+        return found
+
+
+def _causes(report: StepReport, failed: np.ndarray) -> dict[str, Any]:
+    """Why simulations failed, for ``info``."""
+    if not failed.any():
+        return {}
+    causes = np.full(len(failed), None, dtype=object)
+    for env in np.flatnonzero(failed):
+        causes[env] = EnvStatus(int(report.status[env])).name
+    return {"cause": causes, "_cause": failed}

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What gels show and feel is what other readers of the same state say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from taccel_lab.geometry import Region
+from taccel_lab.learning.catalogue import make_vec
+from taccel_lab.learning.gel_views import marker_points_mm
+from taccel_lab.model.embedding import rotate
+from taccel_lab.outputs import Outputs
+from taccel_lab.signals import MarkerLayout
+from taccel_lab.signals.gel_faces import face_grid
+
+
+@pytest.fixture(scope="module")
+def pressed() -> tuple:
+    """Two environments whose gels hold a peg, turned differently, and what they observe."""
+    observe = ("depth", "markers", "wrench", "traction")
+    env = make_vec("peg-insertion", 2, observe=observe, device="cpu")
+    env.reset(seed=4)
+    for _ in range(6):
+        seen = env.step(torch.tensor([[0.2, 0.0, -0.5, 1.0], [0.0, -0.3, -0.2, 0.0]]))[0]
+    return env, {name: part.numpy() for name, part in seen.items()}
+
+
+def in_gel(env: object, vectors: np.ndarray, gel: int, origin: bool) -> np.ndarray:
+    """World vectors or points [env, n, 3] in the frame of a gel's mount."""
+    pose = env.state.poses.numpy()[:, None, gel]  # type: ignore[attr-defined]
+    inverse = pose[..., 3:] * [-1, -1, -1, 1]
+    return rotate(inverse, vectors - pose[..., :3] * origin)
+
+
+def test_markers_are_where_their_faces_are(pressed: tuple) -> None:
+    env, seen = pressed
+    for gel in range(2):
+        mesh = env.model.scene.soft_bodies[gel].nodal_mesh
+        points = marker_points_mm(face_grid(mesh, (80, 60)))
+        assert len(np.unique(points, axis=0)) == 48
+        layout = MarkerLayout.from_points(mesh, points)
+        nodes = layout.nodes + env.model.bodies[gel].node_slice.start
+        positions = in_gel(env, env.state.positions.numpy(), gel, True)
+        now = np.einsum("mk,emkc->emc", layout.weights, positions[:, nodes])
+        wanted = 1e3 * now[..., :2] - points
+        np.testing.assert_allclose(seen["markers"][:, gel], wanted, atol=2e-5)
+        assert np.abs(wanted).max() > 0.1
+
+
+def test_depth_is_how_far_the_face_has_sunk(pressed: tuple) -> None:
+    """At rest nothing; where a node is, the pixel above it says so within what a pixel differs."""
+    env, seen = pressed
+    mesh = env.model.scene.soft_bodies[1].nodal_mesh
+    grid = face_grid(mesh, (80, 60))
+    nodes = np.unique(mesh.region_faces(Region.CONTACT))
+    positions = in_gel(env, env.state.positions.numpy(), 1, True)
+    now = positions[:, env.model.bodies[1].node_slice][:, nodes]
+    sunk = 1e3 * (mesh.nodes_m[nodes, 2] - now[..., 2])
+    u, v = np.moveaxis(np.round(grid.pixel_from_gel(1e3 * now[..., :2])).astype(int), -1, 0)
+    inside = (u > 1) & (u < 78) & (v > 1) & (v < 58)
+    e = np.arange(2)[:, None].repeat(len(nodes), axis=1)
+    found = seen["depth"][e[inside], 1, v[inside], u[inside]]
+    assert sunk[inside].max() > 0.3
+    np.testing.assert_allclose(found, sunk[inside], atol=0.04)
+
+
+def test_wrenches_and_tractions_are_those_of_the_nodes(pressed: tuple) -> None:
+    env, seen = pressed
+    outputs = Outputs(env.solver).update(env.state)
+    forces = outputs.normal_forces.numpy() + outputs.friction_forces.numpy()
+    tractions = outputs.surface_load.tractions.numpy()
+    for gel in range(2):
+        nodes = env.model.bodies[gel].node_slice
+        total = in_gel(env, forces[:, nodes].sum(axis=1, keepdims=True), gel, False)[:, 0]
+        np.testing.assert_allclose(seen["wrench"][:, gel, :3], total, rtol=1e-5, atol=1e-5)
+        mesh = env.model.scene.soft_bodies[gel].nodal_mesh
+        face = nodes.start + np.unique(mesh.region_faces(Region.CONTACT))
+        wanted = 1e-3 * in_gel(env, tractions[:, face], gel, False)
+        np.testing.assert_allclose(seen["traction"][:, gel], wanted, rtol=1e-4, atol=1e-4)
+    # Pushed against its face by several newtons.
+    assert (seen["wrench"][:, :, 2] < -3).all()

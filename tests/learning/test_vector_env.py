@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``TactileVectorEnv`` is what gymnasium says of a vector environment, by its own checkers too."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from gymnasium.utils.env_match import check_environments_match
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from taccel_lab.benchmarks.images import background, color_model
+from taccel_lab.errors import InputError
+from taccel_lab.learning.catalogue import make_vec, names
+from taccel_lab.learning.vector_env import OBSERVATIONS, TactileVectorEnv
+from taccel_lab.solvers import EnvStatus
+from taccel_lab.tasks.catalogue import named
+from tests.learning.single_env import SingleEnv, as_numpy
+from tests.learning.tasks import peg_parameters, peg_task, short_task
+
+DOWN = [0.0, 0.0, -1.0, 0.0]
+
+
+def make(task: Any = "peg-insertion", count: int = 2, **options: Any) -> TactileVectorEnv:
+    return make_vec(task, count, device="cpu", **options)
+
+
+def test_observations_are_of_their_spaces() -> None:
+    env = make(
+        observe=OBSERVATIONS,
+        colors=lambda grid: (color_model(grid), background(grid)),
+        size_px=(40, 30),
+    )
+    assert isinstance(env, gymnasium.vector.VectorEnv)
+    first, _ = env.reset(seed=0)
+    assert first["image"].shape == (2, 2, 30, 40, 3) and first["depth"].shape == (2, 2, 30, 40)
+    assert first["markers"].shape == (2, 2, 48, 2) and first["wrench"].shape == (2, 2, 6)
+    for action in (DOWN, [0.3, -0.2, 0.1, 0.5]):
+        seen, reward, terminated, truncated, info = env.step(torch.tensor([action] * 2))
+        assert as_numpy(seen) in env.observation_space
+        for row in range(2):
+            one = {name: part[row] for name, part in as_numpy(seen).items()}
+            assert one in env.single_observation_space
+        for found, dtype in ((reward, torch.float32), (terminated, torch.bool)):
+            assert found.shape == (2,) and found.dtype is dtype
+        assert truncated.dtype is torch.bool and info["success"].dtype is torch.bool
+    assert seen["wrench"].abs().max() > 1 and not first["wrench"].any()
+    assert seen["depth"].max() > 0.1 and seen["traction"].abs().max() > 1
+    assert (seen["image"].int() - first["image"].int()).abs().max() > 3
+    assert env.action_space.shape == (2, 4)
+    assert np.zeros((2, 4), np.float32) in env.action_space
+
+
+@pytest.mark.parametrize("name", names())
+def test_every_task_draws_what_its_file_names_and_steps(name: str) -> None:
+    pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
+    env = make(name, randomised=True, observe=("wrench", "depth", "proprioception"))
+    first, _ = env.reset(seed=1)
+    assert as_numpy(first) in env.observation_space
+    for _ in range(3):
+        action = torch.ones(env.action_space.shape)
+        seen, reward, terminated, truncated, info = env.step(action)
+        assert as_numpy(seen) in env.observation_space and torch.isfinite(reward).all()
+        assert not (terminated | truncated).any() and "cause" not in info
+    assert not torch.equal(seen["proprioception"], first["proprioception"])
+
+
+@pytest.mark.filterwarnings("ignore:.*infinity.*")
+def test_gymnasiums_checkers_pass() -> None:
+    with_markers = {"observe": ("wrench", "markers", "proprioception"), "randomised": True}
+    check_env(SingleEnv("peg-insertion", **with_markers), skip_render_check=True)
+    pair = [SingleEnv(short_task(), **with_markers) for _ in range(2)]
+    check_environments_match(*pair, num_steps=12, seed=3)
+
+
+def same(found: dict[str, torch.Tensor], wanted: dict[str, np.ndarray]) -> None:
+    for name, part in as_numpy(found).items():
+        np.testing.assert_allclose(part, wanted[name], rtol=2e-3, atol=2e-3, err_msg=name)
+
+
+def test_next_step_is_that_of_gymnasiums_own_vector_environment() -> None:
+    """Of single environments with the seeds 5, 6, 7; two end at other moments than the third."""
+    task = short_task()
+    mode = AutoresetMode.NEXT_STEP
+    ours = make(task, 3, randomised=True)
+    theirs = SyncVectorEnv([lambda: SingleEnv(task, randomised=True)] * 3, autoreset_mode=mode)
+    assert ours.metadata["autoreset_mode"] is mode
+    same(ours.reset(seed=5)[0], theirs.reset(seed=5)[0])
+    actions = np.array([DOWN, [0.4, 0.1, -0.2, 0.3], [0.0, 0.0, -0.7, 0.0]], dtype=np.float32)
+    ends = np.zeros((2, 3), dtype=int)
+    for _ in range(18):
+        seen, reward, terminated, truncated, _ = ours.step(torch.tensor(actions))
+        wanted = theirs.step(actions)
+        same(seen, wanted[0])
+        np.testing.assert_allclose(reward.numpy(), wanted[1], rtol=1e-3, atol=1e-4)
+        np.testing.assert_array_equal(terminated.numpy(), wanted[2])
+        np.testing.assert_array_equal(truncated.numpy(), wanted[3])
+        ends += [wanted[2], wanted[3]]
+    assert ends[0, 0] >= 2 and ends[0, 2] >= 1 and ends[1, 1] >= 2
+    assert ends[0, 0] > ends[0, 2]
+
+
+def test_disabled_is_that_of_gymnasiums_own_vector_environment() -> None:
+    task = short_task()
+    mode = AutoresetMode.DISABLED
+    ours = make(task, 2, autoreset_mode=mode)
+    theirs = SyncVectorEnv([lambda: SingleEnv(task)] * 2, autoreset_mode=mode)
+    same(ours.reset(seed=1)[0], theirs.reset(seed=1)[0])
+    actions = np.array([DOWN, [0.0] * 4], dtype=np.float32)
+    resets = 0
+    for _ in range(14):
+        seen, reward, terminated, truncated, _ = ours.step(torch.tensor(actions))
+        wanted = theirs.step(actions)
+        same(seen, wanted[0])
+        np.testing.assert_allclose(reward.numpy(), wanted[1], rtol=1e-3, atol=1e-4)
+        np.testing.assert_array_equal(terminated.numpy(), wanted[2])
+        np.testing.assert_array_equal(truncated.numpy(), wanted[3])
+        ended = terminated | truncated
+        if ended.any():
+            with pytest.raises(InputError, match=r"environments \d.* have no episode"):
+                ours.step(torch.tensor(actions))
+            resets += 1
+            wanted_start, _ = theirs.reset(options={"reset_mask": ended.numpy().copy()})
+            same(ours.reset(options={"reset_mask": ended})[0], wanted_start)
+    assert resets >= 3
+
+
+def test_a_reset_mask_touches_no_other_environment() -> None:
+    env = make(count=3, autoreset_mode=AutoresetMode.DISABLED, randomised=True)
+    env.reset(seed=2)
+    for _ in range(3):
+        seen = env.step(torch.tensor([DOWN] * 3))[0]
+    arrays = [env.state.positions, env.state.velocities, env.state.poses]
+    parameters = [env.model.pair_friction, env.model.masses, env.model.largest_moduli]
+    before = [array.numpy().copy() for array in arrays + parameters]
+    after_reset, _ = env.reset(options={"reset_mask": np.array([False, True, False])})
+    for old, array in zip(before, arrays + parameters, strict=True):
+        new = array.numpy()
+        np.testing.assert_array_equal(new[[0, 2]], old[[0, 2]])
+        assert not np.array_equal(new[1], old[1])
+    for name, part in after_reset.items():
+        torch.testing.assert_close(part[[0, 2]], seen[name][[0, 2]], rtol=0, atol=0)
+        assert not part[1].any()
+
+
+def test_a_simulation_that_fails_ends_with_its_cause() -> None:
+    """One Newton iteration does not squeeze a peg; the next step begins anew all the same."""
+    env = make(solver={"max_newton_iterations": 1, "max_substep_halvings": 0})
+    env.reset(seed=0)
+    seen, reward, terminated, truncated, info = env.step(torch.zeros(2, 4))
+    assert info["cause"].tolist() == ["NO_CONVERGENCE"] * 2 and info["_cause"].all()
+    assert truncated.all() and not terminated.any() and not reward.any()
+    assert all(torch.isfinite(part).all() for part in seen.values())
+    _, _, terminated, truncated, info = env.step(torch.zeros(2, 4))
+    assert "cause" not in info and not (terminated | truncated).any()
+    assert "cause" in env.step(torch.zeros(2, 4))[-1]
+
+
+def test_an_impossible_start_ends_with_its_cause_and_the_others_go_on() -> None:
+    """The peg begins 2 mm deep in the block, where there is no room for it 4 mm beside."""
+    env = make(peg_task(policy=peg_parameters().policy.replace(peg_mm=(0.0, 0.0, 18.0))))
+    env.reset(seed=0, options={"start": [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]]})
+    seen, _, _, truncated, info = env.step(torch.zeros(2, 4))
+    assert info["cause"].tolist() == [None, EnvStatus.OVERLAP.name]
+    assert info["_cause"].tolist() == truncated.tolist() == [False, True]
+    assert not seen["wrench"][1].any()
+    assert env.step(torch.zeros(2, 4))[0]["wrench"][0].abs().max() > 1
+
+
+def test_an_action_that_is_no_number_fails_its_own_environment_alone() -> None:
+    env = make()
+    env.reset(seed=0)
+    _, _, _, truncated, info = env.step(torch.tensor([[0.0] * 4, [float("nan")] * 4]))
+    assert truncated.tolist() == [False, False], "the first step only closes the gels"
+    _, reward, _, truncated, info = env.step(torch.tensor([[0.0] * 4, [float("nan")] * 4]))
+    assert truncated.tolist() == [False, True] and info["_cause"].tolist() == [False, True]
+    seen, *_ = env.step(torch.zeros(2, 4))
+    assert (
+        all(torch.isfinite(part).all() for part in seen.values()) and torch.isfinite(reward).all()
+    )
+
+
+def test_seeds() -> None:
+    """Environment i of seed s does what environment 0 of seed s + i does, in every episode."""
+
+    def episodes(count: int, seed: int) -> list[torch.Tensor]:
+        env = make(short_task(steps=3), count, randomised=True)
+        env.reset(seed=seed)
+        found = []
+        for _ in range(8):
+            seen = env.step(torch.tensor([DOWN] * count))[0]
+            found += [torch.cat([part.flatten(1) for part in seen.values()], dim=1)]
+            found += [torch.tensor(env.state.poses.numpy()[:, 2])]
+        return found
+
+    pair, again, alone = episodes(2, 7), episodes(2, 7), episodes(1, 8)
+    for first, second, one in zip(pair, again, alone, strict=True):
+        assert torch.equal(first, second)
+        torch.testing.assert_close(first[1:], one, rtol=2e-3, atol=2e-3)
+    holes = torch.stack(pair[1::2])
+    assert len({tuple(row) for row in holes[:, 0].tolist()}) == 3, "each episode has its own start"
+    assert not torch.equal(holes[0, 0], holes[0, 1])
+
+
+def test_bad_input_is_refused_in_a_sentence() -> None:
+    env = make(count=2, autoreset_mode=AutoresetMode.DISABLED)
+    with pytest.raises(InputError, match="have no episode"):
+        env.step(torch.zeros(2, 4))
+    for wrong, message in (
+        ({"reset_mask": np.array([0, 1])}, r"reset_mask must be bool of shape \[2\]"),
+        ({"reset_mask": np.array([False, False])}, "name an environment"),
+        ({"start": [[0.0, 0.0]]}, r"start must have shape \[2, 3\], got \[1, 2\]"),
+        ({"pose": 3}, "options are reset_mask and start, got pose"),
+    ):
+        with pytest.raises(InputError, match=message):
+            env.reset(options=wrong)
+    env.reset()
+    with pytest.raises(InputError, match=r"actions must have shape \[2, 4\], got \[2, 3\]"):
+        env.step(torch.zeros(2, 3))
+    with pytest.raises(InputError, match="image needs colors"):
+        make(observe=("image",))
+    with pytest.raises(InputError, match=r"observe names some of image, .*; got smell"):
+        make(observe=("smell",))
+    with pytest.raises(InputError, match="autoreset_mode must be NEXT_STEP or DISABLED"):
+        make(autoreset_mode=AutoresetMode.SAME_STEP)
+    assert names() == ["grasp-lift", "grasp-lift-ball", "grasp-lift-cylinder", "peg-insertion"]
+    for task in ("juggle", named("ball-rolling")):
+        with pytest.raises(InputError, match=r"can(not)? be learned.*peg-insertion"):
+            make(task)
+    with pytest.raises(InputError, match="num_envs must be at least 1"):
+        make(count=0)
