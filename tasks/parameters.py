@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -11,7 +12,7 @@ from pydantic import Field
 
 from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.geometry import TetMesh
-from taccel_lab.geometry.block import block_mesh
+from taccel_lab.geometry.block import block_mesh, labelled
 from taccel_lab.reading.strict_model import Number, StrictModel, Whole
 from taccel_lab.scene import AffineBody, Element, Material, SoftBody, TriangleMesh
 from taccel_lab.solvers import SolverConfig
@@ -65,11 +66,17 @@ class Pad(StrictModel):
     element: Element
     jitter: Annotated[Number, Field(ge=0, le=0.3)] = 0.0
     """How far nodes are moved, as a part of a cell: no direction of the mesh is special then."""
+    focus: NotNegative = 0.0
+    """Cells shrink towards the middle of the face, as sinh(focus s) does for s towards 0."""
 
     def mesh(self) -> TetMesh:
         """Its contact face at z = 0, the bond below."""
         width, height, thickness = (1e-3 * side for side in self.size_mm)
-        return block_mesh(self.cells, (width, height, thickness), self.jitter, seed=4)
+        if self.focus == 0:
+            return block_mesh(self.cells, (width, height, thickness), self.jitter, seed=4)
+        unit = block_mesh(self.cells, (2.0, 2.0, 1.0), self.jitter, seed=4)
+        graded = np.sinh(self.focus * unit.nodes_m) / np.sinh(self.focus)
+        return labelled(graded * [width / 2, height / 2, thickness], unit.tets)
 
     def soft_body(self, mesh: TetMesh, name: str = "gel", mount: str | None = None) -> SoftBody:
         """The gel, in its own frame, or in that of its mount."""
@@ -92,13 +99,16 @@ class Contact(StrictModel):
     """Sliding speed below which friction is static."""
     absolute_tolerance_n: Positive
 
-    def config(self) -> SolverConfig:
-        """Settings of the solver, of a scene with inertia."""
-        return SolverConfig(
-            dhat_m=1e-3 * self.dhat_mm,
-            friction_speed_m_s=1e-3 * self.friction_speed_mm_s,
-            absolute_tolerance_n=self.absolute_tolerance_n,
+    def config(self, quasi_static_s: float | None = None) -> SolverConfig:
+        """Settings of the solver, of a scene with inertia, or of one without that takes steps of
+        ``quasi_static_s``."""
+        config = SolverConfig(
+            dhat_m=1e-3 * self.dhat_mm, absolute_tolerance_n=self.absolute_tolerance_n
         )
+        speed = 1e-3 * self.friction_speed_mm_s
+        if quasi_static_s is None:
+            return replace(config, friction_speed_m_s=speed)
+        return replace(config, friction_eps_m=speed * quasi_static_s)
 
 
 class FreeBody(StrictModel):
