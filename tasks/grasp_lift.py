@@ -1,25 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasp an object that lies on a plane, and lift it.
 
-Two fingers with a gel each close on a stiff free body until both push with a force, and rise. The
-fingers follow their targets exactly (gels stand on kinematic bodies); the force comes from closing
-in small steps until it is measured. The gripper aims at the middle; the body lies beside it.
+Two fingers with a gel each close on a free body, stiff or soft, until both push with a force, and
+rise. The fingers follow their targets exactly (gels stand on kinematic bodies); the force comes
+from closing in small steps until it is measured. The gripper aims at the middle; the body lies
+beside it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
+from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.reading.strict_model import Number, StrictModel
 from taccel_lab.robots import named, on_seat
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import (
+    AffineBody,
     Plane,
     Scene,
+    SoftBody,
     TimeStepping,
     TriangleMesh,
     box_mesh,
@@ -49,6 +54,11 @@ class Object(FreeBody):
     size_mm: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=3)]
     """Sides of a box; radius and height of an upright cylinder; radius of a sphere."""
 
+    @property
+    def half_height_m(self) -> float:
+        """Of its middle over its lowest point."""
+        return -float(self.surface().vertices_m[:, 2].min())
+
     def surface(self) -> TriangleMesh:
         """About its middle [m]."""
         size = [1e-3 * value for value in self.size_mm]
@@ -57,6 +67,23 @@ class Object(FreeBody):
         if self.shape == "cylinder":
             return cylinder_mesh(size[0], size[1])
         return sphere_mesh(size[0], size[0] / 5)
+
+
+class SoftBox(Pad):
+    """What is grasped, a box of gel that nothing holds; the stress in it is measured."""
+
+    @property
+    def half_height_m(self) -> float:
+        """Of its middle over its lowest point."""
+        return 1e-3 * self.size_mm[2] / 2
+
+    def soft_object(self, poses: np.ndarray) -> SoftBody:
+        """It, about its middle, at ``poses`` [env, 7]."""
+        block = self.mesh()
+        middle = (block.nodes_m.min(axis=0) + block.nodes_m.max(axis=0)) / 2
+        sides = np.full(len(block.faces), int(Region.SIDE))
+        free = TetMesh(block.nodes_m - middle, block.tets, block.faces, sides)
+        return replace(self.soft_body(free, "object"), initial_pose=poses)
 
 
 class GraspPolicy(StrictModel):
@@ -80,19 +107,31 @@ class GraspGoal(StrictModel):
     hold_s: Number
 
 
-class GraspLiftParameters(TaskParameters):
-    """The file of a grasp and lift."""
+class GraspParameters(TaskParameters):
+    """What the files of grasps have in common."""
 
-    kind: Literal["grasp-lift"]
     robot: Literal["parallel_gripper"]
     plane_friction: NotNegative
-    object: Object
     gel: Pad
     contact: Contact
     start: PlanarStart
     """Of the object, from the middle between the fingers."""
     policy: GraspPolicy
     goal: GraspGoal
+
+
+class GraspLiftParameters(GraspParameters):
+    """The file of a grasp and lift."""
+
+    kind: Literal["grasp-lift"]
+    object: Object
+
+
+class SoftGraspParameters(GraspParameters):
+    """The file of a grasp and lift of what is soft."""
+
+    kind: Literal["soft-grasp"]
+    object: SoftBox
 
 
 class GraspLift(Episode):
@@ -102,7 +141,10 @@ class GraspLift(Episode):
     direction = (0.7, -1.4, 0.5)
 
     def __init__(
-        self, parameters: GraspLiftParameters, seeds: Sequence[int], device: str | None = None
+        self,
+        parameters: GraspLiftParameters | SoftGraspParameters,
+        seeds: Sequence[int],
+        device: str | None = None,
     ) -> None:
         self.parameters = parameters
         count, policy = len(seeds), parameters.policy
@@ -112,13 +154,16 @@ class GraspLift(Episode):
             pad = parameters.gel.soft_body(mesh)
             robot = robot.mount(f"finger_{side}", pad, on_seat(mesh), f"{side} pad")
         self.robot = robot
-        shape = parameters.object.surface()
-        lowest = -float(shape.vertices_m[:, 2].min())
+        thing = parameters.object
+        lowest = thing.half_height_m
         starts, pose = parameters.start.draw(seeds)
         # It lies where contact has just begun, and settles while the fingers close.
         height = lowest + 1e-3 * parameters.contact.dhat_mm
         pose[:, 2] = height
-        body = parameters.object.body(shape, "object", pose)
+        if isinstance(thing, SoftBox):
+            grasped = thing.soft_object(pose)
+        else:
+            grasped = thing.body(thing.surface(), "object", pose)
         self.seat = np.full(count, 1e-3 * policy.open_mm)
         """Coordinate of the fingers [m]."""
         self.raised = np.zeros(count)
@@ -128,15 +173,18 @@ class GraspLift(Episode):
         tcp = robot.link_poses("tcp", robot.rest_q)[0]
         self._base = np.array([0.0, 0.0, lowest + tcp[2], 1.0, 0.0, 0.0, 0.0])
         scene = Scene(
-            robot.soft_bodies(),
+            [*robot.soft_bodies(), *([grasped] if isinstance(grasped, SoftBody) else [])],
             robot.kinematic_bodies(),
             count,
             TimeStepping(False, parameters.dt_s, (0.0, 0.0, -G)),
-            affine_bodies=body,
+            affine_bodies=[grasped] if isinstance(grasped, AffineBody) else [],
             planes=Plane(friction_coefficient=parameters.plane_friction),
         )
         config = parameters.contact.config()
         super().__init__(parameters, seeds, starts, scene, config, self._targets(), device)
+        self._soft = isinstance(grasped, SoftBody)
+        self._peak = np.zeros(count)
+        """Largest equivalent stress of a soft body so far [Pa]."""
         self._rest_height = height
         self._held = np.zeros(count, dtype=int)
         self._grip = np.zeros((count, 2))
@@ -164,7 +212,7 @@ class GraspLift(Episode):
         policy, goal = self.parameters.policy, self.parameters.goal
         grip = [self.force_on("object", f"{side} pad", friction=False) for side in SIDES]
         self._grip = np.linalg.norm(np.stack(grip, axis=1), axis=2)
-        centre, _ = self.affine_frame()
+        centre = self._middle()
         relative = centre - np.array([0.0, 0.0, 1.0]) * self.raised[:, None]
         closed = self.seat <= 1e-3 * policy.closed_mm
         firm = self._grip.min(axis=1) >= policy.grip_n
@@ -182,6 +230,15 @@ class GraspLift(Episode):
         high = self.running & (self._rise >= 1e-3 * goal.lift_mm)
         self._held = np.where(high, self._held + 1, 0)
 
+    def _middle(self) -> np.ndarray:
+        """Of the object [m], [env, 3]; and the stress in it is looked at."""
+        if not self._soft:
+            return self.affine_frame()[0]
+        nodes = self.model.bodies[self.model.body_id("object")].node_slice
+        stress = self.outputs.von_mises.numpy()[:, nodes].max(axis=1)
+        self._peak[self.running] = np.maximum(self._peak, stress)[self.running]
+        return self.state.positions.numpy()[:, nodes].mean(axis=1)
+
     def judge(self, env: int) -> tuple[str, dict[str, float]]:
         goal = self.parameters.goal
         held = self._held[env] * self.parameters.dt_s
@@ -192,6 +249,8 @@ class GraspLift(Episode):
             "weakest_grip_n": self._weakest[env],
             "strongest_grip_n": self._strongest[env],
         }
+        if self._soft:
+            figures["peak_stress_kpa"] = 1e-3 * self._peak[env]
         figures = {name: float(value) for name, value in figures.items()}
         if figures["rise_mm"] < goal.lift_mm:
             return f"rose by {figures['rise_mm']:.1f} mm at the end", figures

@@ -16,6 +16,7 @@ Nothing slips as friction grows: torque 16/3 G a^3 theta [Reissner and Sagoci 19
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache, cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -61,7 +62,7 @@ class Torsion:
         """Torque if nothing slipped."""
         return 16 / 3 * self.shear_modulus_pa * self.contact_m**3 * self.angle_rad
 
-    @property
+    @cached_property
     def stuck_part(self) -> float:
         """Radius of the disc that sticks, as a part of the contact's."""
         from scipy.optimize import brentq
@@ -118,5 +119,10 @@ def _slip(part: float | np.ndarray) -> np.ndarray:
 
 
 def _gauss(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-    x, weight = np.polynomial.legendre.leggauss(_POINTS)
+    x, weight = _rule()
     return low + (high - low) * (x + 1) / 2, weight * (high - low) / 2
+
+
+@cache
+def _rule() -> tuple[np.ndarray, np.ndarray]:
+    return np.polynomial.legendre.leggauss(_POINTS)
