@@ -18,7 +18,7 @@ from taccel_lab.learning.poses import about_z, compose, planar_inverse
 from taccel_lab.learning.task import Judgement, LearningTask
 from taccel_lab.model import Model
 from taccel_lab.state import State
-from taccel_lab.tasks.bodies import solid
+from taccel_lab.tasks.bodies import free_body, solid
 from taccel_lab.tasks.grasp_scene import grasp_scene
 from taccel_lab.tasks.physics import contact_config
 
@@ -39,11 +39,12 @@ class GraspLiftLearning(LearningTask):
     def __init__(self, parameters: GraspLiftParameters, env_count: int) -> None:
         start, policy, learning = parameters.start, parameters.policy, parameters.learning
         goal, dt = parameters.goal, parameters.dt_s
+        shape = solid(parameters.object.shape, parameters.object.size_mm)
         built = grasp_scene(
             parameters.robot,
             parameters.gel,
-            parameters.object,
-            solid(parameters.object.shape, parameters.object.size_mm),
+            lambda poses: free_body(parameters.object, shape, "object", poses),
+            -float(shape.vertices_m[:, 2].min()),
             np.tile([0.0, 0, 0, 0, 0, 0, 1], (env_count, 1)),
             plane_friction=parameters.plane_friction,
             dhat_mm=parameters.contact.dhat_mm,

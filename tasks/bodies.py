@@ -10,7 +10,7 @@ import numpy as np
 
 from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.geometry import TetMesh
-from taccel_lab.geometry.block import block_mesh
+from taccel_lab.geometry.block import block_mesh, labelled
 from taccel_lab.scene import (
     AffineBody,
     Element,
@@ -30,7 +30,11 @@ def pad_mesh(pad: Pad) -> TetMesh:
     """Its contact face at z = 0, the bond below."""
     width, height, thickness = (1e-3 * side for side in pad.size_mm)
     cells = (pad.cells[0], pad.cells[1], pad.cells[2])
-    return block_mesh(cells, (width, height, thickness), pad.jitter, seed=4)
+    if pad.focus == 0:
+        return block_mesh(cells, (width, height, thickness), pad.jitter, seed=4)
+    unit = block_mesh(cells, (2.0, 2.0, 1.0), pad.jitter, seed=4)
+    graded = np.sinh(pad.focus * unit.nodes_m) / np.sinh(pad.focus)
+    return labelled(graded * [width / 2, height / 2, thickness], unit.tets)
 
 
 def pad_body(pad: Pad, mesh: TetMesh, name: str = "gel", mount: str | None = None) -> SoftBody:

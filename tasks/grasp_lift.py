@@ -1,23 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasp an object that lies on a plane, and lift it.
 
-Two fingers with a gel each close on a stiff free body until both push with a force, and rise. The
-fingers follow their targets exactly (gels stand on kinematic bodies); the force comes from closing
-in small steps until it is measured. The gripper aims at the middle; the body lies beside it.
+Two fingers with a gel each close on a free body, stiff or soft, until both push with a force, and
+rise. The fingers follow their targets exactly (gels stand on kinematic bodies); the force comes
+from closing in small steps until it is measured. The gripper aims at the middle; the body lies
+beside it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
+from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.reading.strict_model import Number, StrictModel
 from taccel_lab.robots.transforms import matrix_of, pose_of
+from taccel_lab.scene import AffineBody, SoftBody
 from taccel_lab.solvers import Control
-from taccel_lab.tasks.bodies import solid
+from taccel_lab.tasks.bodies import free_body, pad_body, pad_mesh, solid
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.grasp_scene import SIDES, grasp_scene
 from taccel_lab.tasks.parameters import (
@@ -39,6 +43,32 @@ class Object(FreeBody):
     shape: Literal["box", "cylinder", "sphere"]
     size_mm: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=3)]
     """Sides of a box; radius and height of an upright cylinder; radius of a sphere."""
+
+    @property
+    def half_height_m(self) -> float:
+        """Of its middle over its lowest point."""
+        return -float(solid(self.shape, self.size_mm).vertices_m[:, 2].min())
+
+    def at(self, poses: np.ndarray) -> AffineBody:
+        """It at ``poses``, [env, 7]."""
+        return free_body(self, solid(self.shape, self.size_mm), "object", poses)
+
+
+class SoftBox(Pad):
+    """What is grasped, a box of gel that nothing holds; the stress in it is measured."""
+
+    @property
+    def half_height_m(self) -> float:
+        """Of its middle over its lowest point."""
+        return 1e-3 * self.size_mm[2] / 2
+
+    def at(self, poses: np.ndarray) -> SoftBody:
+        """It, about its middle, at ``poses``, [env, 7]."""
+        block = pad_mesh(self)
+        middle = (block.nodes_m.min(axis=0) + block.nodes_m.max(axis=0)) / 2
+        sides = np.full(len(block.faces), int(Region.SIDE))
+        free = TetMesh(block.nodes_m - middle, block.tets, block.faces, sides)
+        return replace(pad_body(self, free, "object"), initial_pose=poses)
 
 
 class GraspPolicy(StrictModel):
@@ -69,20 +99,32 @@ class GraspLearning(Learning):
     """Of each finger, of an action of 1."""
 
 
-class GraspLiftParameters(TaskParameters):
-    """The file of a grasp and lift."""
+class GraspParameters(TaskParameters):
+    """What the files of grasps have in common."""
 
-    kind: Literal["grasp-lift"]
     robot: Literal["parallel_gripper"]
     plane_friction: NotNegative
-    object: Object
     gel: Pad
     contact: Contact
     start: PlanarStart
     """Of the object, from the middle between the fingers."""
     policy: GraspPolicy
     goal: GraspGoal
+
+
+class GraspLiftParameters(GraspParameters):
+    """The file of a grasp and lift."""
+
+    kind: Literal["grasp-lift"]
+    object: Object
     learning: GraspLearning
+
+
+class SoftGraspParameters(GraspParameters):
+    """The file of a grasp and lift of what is soft."""
+
+    kind: Literal["soft-grasp"]
+    object: SoftBox
 
 
 class GraspLift(Episode):
@@ -92,7 +134,10 @@ class GraspLift(Episode):
     direction = (0.7, -1.4, 0.5)
 
     def __init__(
-        self, parameters: GraspLiftParameters, seeds: Sequence[int], device: str | None = None
+        self,
+        parameters: GraspLiftParameters | SoftGraspParameters,
+        seeds: Sequence[int],
+        device: str | None = None,
     ) -> None:
         self.parameters = parameters
         count, policy = len(seeds), parameters.policy
@@ -100,8 +145,8 @@ class GraspLift(Episode):
         built = grasp_scene(
             parameters.robot,
             parameters.gel,
-            parameters.object,
-            solid(parameters.object.shape, parameters.object.size_mm),
+            parameters.object.at,
+            parameters.object.half_height_m,
             pose,
             plane_friction=parameters.plane_friction,
             dhat_mm=parameters.contact.dhat_mm,
@@ -115,6 +160,9 @@ class GraspLift(Episode):
         self.gripping = np.zeros(count, dtype=bool)
         config = contact_config(parameters.contact)
         super().__init__(parameters, seeds, starts, built.scene, config, self._targets(), device)
+        self._soft = isinstance(parameters.object, SoftBox)
+        self._peak = np.zeros(count)
+        """Largest equivalent stress of a soft body so far [Pa]."""
         self._rest_height = built.rest_height_m
         self._held = np.zeros(count, dtype=int)
         self._grip = np.zeros((count, 2))
@@ -142,7 +190,7 @@ class GraspLift(Episode):
         policy, goal = self.parameters.policy, self.parameters.goal
         grip = [self.force_on("object", f"{side} pad", friction=False) for side in SIDES]
         self._grip = np.linalg.norm(np.stack(grip, axis=1), axis=2)
-        centre, _ = self.affine_frame()
+        centre = self._middle()
         relative = centre - np.array([0.0, 0.0, 1.0]) * self.raised[:, None]
         closed = self.seat <= 1e-3 * policy.closed_mm
         firm = self._grip.min(axis=1) >= policy.grip_n
@@ -160,6 +208,15 @@ class GraspLift(Episode):
         high = self.running & (self._rise >= 1e-3 * goal.lift_mm)
         self._held = np.where(high, self._held + 1, 0)
 
+    def _middle(self) -> np.ndarray:
+        """Of the object [m], [env, 3]; and the stress in it is looked at."""
+        if not self._soft:
+            return self.affine_frame()[0]
+        nodes = self.model.bodies[self.model.body_id("object")].node_slice
+        stress = self.outputs.von_mises.numpy()[:, nodes].max(axis=1)
+        self._peak[self.running] = np.maximum(self._peak, stress)[self.running]
+        return self.state.positions.numpy()[:, nodes].mean(axis=1)
+
     def judge(self, env: int) -> tuple[str, dict[str, float]]:
         goal = self.parameters.goal
         held = self._held[env] * self.parameters.dt_s
@@ -170,6 +227,8 @@ class GraspLift(Episode):
             "weakest_grip_n": self._weakest[env],
             "strongest_grip_n": self._strongest[env],
         }
+        if self._soft:
+            figures["peak_stress_kpa"] = 1e-3 * self._peak[env]
         figures = {name: float(value) for name, value in figures.items()}
         if figures["rise_mm"] < goal.lift_mm:
             return f"rose by {figures['rise_mm']:.1f} mm at the end", figures

@@ -79,6 +79,8 @@ class Pad(StrictModel):
     element: Element
     jitter: Annotated[Number, Field(ge=0, le=0.3)] = 0.0
     """How far nodes are moved, as a part of a cell: no direction of the mesh is special then."""
+    focus: NotNegative = 0.0
+    """Cells shrink towards the middle of the face, as sinh(focus s) does for s towards 0."""
 
 
 class Contact(StrictModel):

@@ -13,7 +13,6 @@ import numpy as np
 
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
 from taccel_lab.benchmarks.scenes.frames import facing, pose, same_side, turn_about_z
-from taccel_lab.benchmarks.scenes.threads import APOTHEM_M, PITCH_M, hexagon_nut, threaded_rod
 from taccel_lab.geometry import TetMesh
 from taccel_lab.interop.published_meshes import choose_source, mesh_folder, read_stl
 from taccel_lab.scene import (
@@ -33,6 +32,7 @@ from taccel_lab.tasks.peg_scene import (
     generated_parts,
     published_parts,
 )
+from taccel_lab.tasks.threads import APOTHEM_M, PITCH_M, hexagon_nut, threaded_rod
 
 DT_S = 1 / 50
 DENSITY = 1000.0

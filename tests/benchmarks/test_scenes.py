@@ -14,7 +14,6 @@ import pytest
 from taccel_lab.benchmarks.runner import Runner
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 from taccel_lab.benchmarks.scenes.teddy import surface_value, teddy_mesh, without_pinches
-from taccel_lab.benchmarks.scenes.threads import PITCH_M, hexagon_nut, threaded_rod
 from taccel_lab.bodies.crossings import crossing_pairs
 from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.bodies.mesh_checks import check_surface, check_tets
@@ -23,6 +22,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.interop.published_meshes import choose_source, has_data, mesh_folder, read_stl
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.model.embedding import rotate
+from taccel_lab.tasks.threads import PITCH_M, hexagon_nut, threaded_rod
 
 ROOT = Path(__file__).parents[2]
 STEPS = {"peg": 6, "press_239": 6, "squeeze": 3, "hand": 2, "bolt": 2}

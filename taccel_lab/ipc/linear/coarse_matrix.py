@@ -169,7 +169,7 @@ def _inverse_kernel(room: int) -> Any:
         memory = address(wp.tile_empty(shape=room, dtype=wp.float64, storage="shared"))
         if active[env] == 0:
             return
-        for e in range(lane, width * (width + 1) / 2, lanes):
+        for e in range(lane, width * (width + 1) // 2, lanes):
             put_lower(memory, 0, e, wp.float64(0.0))
         block_barrier()
         size = MODES * MODES
