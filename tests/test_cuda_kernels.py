@@ -61,8 +61,9 @@ FACTORIES: dict[str, Callable[[], list[Any]]] = {
 
 
 def texts() -> Iterator[tuple[str, str]]:
-    """Files of the package that have kernels, and their text; of its rooms, too."""
-    rooms = [link for link in PACKAGE.iterdir() if link.is_symlink()]
+    """Files of the package that have kernels, and their text; of its rooms, too. The one kernel of
+    the command line is made where it is run, by ``doctor``."""
+    rooms = [link for link in PACKAGE.iterdir() if link.is_symlink() and link.name != "cli"]
     for path in sorted(path for folder in (PACKAGE, *rooms) for path in folder.rglob("*.py")):
         text = path.read_text(encoding="utf-8")
         if "@wp.kernel" in text:

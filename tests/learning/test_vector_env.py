@@ -15,8 +15,9 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from taccel_lab.benchmarks.images import background, color_model
 from taccel_lab.errors import InputError
-from taccel_lab.learning.catalogue import make_vec, names
+from taccel_lab.learning.catalogue import FILES, make_vec, names
 from taccel_lab.learning.vector_env import OBSERVATIONS, TactileVectorEnv
+from taccel_lab.reading.toml_file import read_toml
 from taccel_lab.solvers import EnvStatus
 from taccel_lab.tasks.catalogue import named
 from tests.learning.single_env import SingleEnv, as_numpy
@@ -53,6 +54,20 @@ def test_observations_are_of_their_spaces() -> None:
     assert (seen["image"].int() - first["image"].int()).abs().max() > 3
     assert env.action_space.shape == (2, 4)
     assert np.zeros((2, 4), np.float32) in env.action_space
+
+
+def _keys(value: object) -> object:
+    """The keys of a table, and of those in it."""
+    if isinstance(value, dict):
+        return {key: _keys(inner) for key, inner in value.items()}
+    return [_keys(inner) for inner in value] if isinstance(value, (list, tuple)) else None
+
+
+@pytest.mark.parametrize("name", names())
+def test_files_leave_nothing_to_defaults(name: str) -> None:
+    """A machine that learns reads them without the models that know the defaults."""
+    table = read_toml(FILES / f"{name}.toml")
+    assert _keys(table) == _keys(named(name).parameters.model_dump())
 
 
 @pytest.mark.parametrize("name", names())
