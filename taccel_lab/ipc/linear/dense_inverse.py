@@ -31,7 +31,9 @@ def lanes_for_inverse(width: int) -> int:
 
 def room_for_inverse(width: int) -> int:
     """float64 numbers of shared memory that the inverse of a matrix of so many rows needs: its
-    lower triangle by rows, and two copies of three columns."""
+    lower triangle by rows, and two copies of three columns. ValueError above ``MOST_ROWS``."""
+    if width > MOST_ROWS:
+        raise ValueError(f"matrices of at most {MOST_ROWS} rows are inverted, got {width}")
     return width * (width + 1) // 2 + 6 * width
 
 

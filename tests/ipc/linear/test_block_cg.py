@@ -216,6 +216,13 @@ def test_inverses_of_blocks_and_clusters(many_lanes: None) -> None:
             start += width**2
 
 
+def test_clusters_that_are_too_large_are_refused() -> None:
+    system, _ = contact_system(1)
+    plan = plan_rows(system.pattern.free_count, [np.arange(49)])
+    with pytest.raises(ValueError, match="at most 144 rows are inverted, got 147"):
+        DiagonalInverses(system, plan)
+
+
 @given(st.lists(st.integers(0, 50), min_size=1, max_size=20), st.integers(1, 13))
 def test_segments_cover_rows_evenly(sizes: list[int], length: int) -> None:
     starts = np.concatenate([[0], np.cumsum(sizes)])
