@@ -3,8 +3,7 @@
 
 One thread block an environment (one thread on the CPU): each thread adds every so manyth entry,
 with compensation [Neumaier 1974], and the block adds its threads up as a tree. However many
-environments there are and whatever they hold, the sum of one of them is bitwise the same. Entries
-are read several at a time: one by one, each would wait for memory.
+environments there are and whatever they hold, the sum of one of them is bitwise the same.
 """
 
 from __future__ import annotations
@@ -29,13 +28,6 @@ def add_compensated(sum_and_loss: wp.vec2d, value: wp.float64) -> wp.vec2d:
 
 
 @wp.func
-def _add_four(sum_and_loss: wp.vec2d, values: wp.vec4d) -> wp.vec2d:
-    """The same with four more, one after the other."""
-    total = add_compensated(add_compensated(sum_and_loss, values[0]), values[1])
-    return add_compensated(add_compensated(total, values[2]), values[3])
-
-
-@wp.func
 def compensated_total(sum_and_loss: wp.vec2d) -> wp.float64:
     """The sum; without its loss when that is not a number (a sum that is infinite)."""
     if wp.isfinite(sum_and_loss[1]):
@@ -53,18 +45,8 @@ def block_total(value: wp.float64) -> wp.float64:
 def lane_sum(env: int, lane: int, values: wp.array2d(dtype=wp.float64), count: int) -> wp.float64:
     """Sum of every so manyth of the first entries of a row."""
     total = wp.vec2d()
-    step = wp.block_dim()
-    i = int(lane)
-    while i + 3 * step < count:
-        a = values[env, i]
-        b = values[env, i + step]
-        c = values[env, i + 2 * step]
-        d = values[env, i + 3 * step]
-        total = _add_four(total, wp.vec4d(a, b, c, d))
-        i += 4 * step
-    while i < count:
+    for i in range(lane, count, wp.block_dim()):
         total = add_compensated(total, values[env, i])
-        i += step
     return compensated_total(total)
 
 
@@ -74,19 +56,8 @@ def lane_list_sum(
 ) -> wp.float64:
     """Sum of every so manyth entry of a list."""
     total = wp.vec2d()
-    step = wp.block_dim()
-    end = list_end(env, room)
-    i = room.starts[env] + lane
-    while i + 3 * step < end:
-        a = values[i]
-        b = values[i + step]
-        c = values[i + 2 * step]
-        d = values[i + 3 * step]
-        total = _add_four(total, wp.vec4d(a, b, c, d))
-        i += 4 * step
-    while i < end:
-        total = add_compensated(total, values[i])
-        i += step
+    for at in range(room.starts[env] + lane, list_end(env, room), wp.block_dim()):
+        total = add_compensated(total, values[at])
     return compensated_total(total)
 
 
@@ -130,17 +101,7 @@ def block_slope(
 ) -> wp.float64:
     """Sum of three nodal gradients times a direction, of an environment, by its block."""
     total = wp.vec2d()
-    step = wp.block_dim()
-    count = direction.shape[1]
-    i = int(lane)
-    while i + step < count:
-        g = gradient_a[env, i] + gradient_b[env, i] + gradient_c[env, i]
-        h = gradient_a[env, i + step] + gradient_b[env, i + step] + gradient_c[env, i + step]
-        u = direction[env, i]
-        v = direction[env, i + step]
-        total = add_compensated(add_compensated(total, wp.dot(g, u)), wp.dot(h, v))
-        i += 2 * step
-    if i < count:
+    for i in range(lane, direction.shape[1], wp.block_dim()):
         g = gradient_a[env, i] + gradient_b[env, i] + gradient_c[env, i]
         total = add_compensated(total, wp.dot(g, direction[env, i]))
     return block_total(compensated_total(total))
@@ -152,19 +113,8 @@ def lane_lengths(
 ) -> wp.float64:
     """Sum of the lengths of every so manyth vector of a range."""
     total = wp.vec2d()
-    step = wp.block_dim()
-    i = first + lane
-    while i + 3 * step < end:
-        a = vectors[env, i]
-        b = vectors[env, i + step]
-        c = vectors[env, i + 2 * step]
-        d = vectors[env, i + 3 * step]
-        lengths = wp.vec4d(wp.length(a), wp.length(b), wp.length(c), wp.length(d))
-        total = _add_four(total, lengths)
-        i += 4 * step
-    while i < end:
+    for i in range(first + lane, end, wp.block_dim()):
         total = add_compensated(total, wp.length(vectors[env, i]))
-        i += step
     return compensated_total(total)
 
 
