@@ -59,7 +59,12 @@ def projection(env: int, p: EnvProgress, r: Rules) -> int:
 
 
 @wp.kernel
-def _aim_kernel(p: EnvProgress, r: Rules, linear_tolerances: wp.array(dtype=wp.float64)):
+def _aim_kernel(
+    p: EnvProgress,
+    r: Rules,
+    linear_tolerances: wp.array(dtype=wp.float64),
+    renewed: wp.array(dtype=wp.int32),
+):
     """How far the frames try to go next, and how well the system has to be solved.
 
     CCD clears the chords. Over a large angle they leave the arcs far behind, and the body would
@@ -89,6 +94,7 @@ def _aim_kernel(p: EnvProgress, r: Rules, linear_tolerances: wp.array(dtype=wp.f
     if progress < one:
         p.moving[env] = 1
     p.psd_mode[env] = projection(env, p, r)
+    renewed[env] = 1 - p.newton[env] % 2
     linear_tolerances[env] = LINEAR_TOLERANCE
     if progress < one or p.newton[env] == 0:
         whole = wp.float64(0.3) / wp.max(p.excess[env], wp.float64(1.0e-300))
@@ -147,7 +153,7 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
     elements = [*s.elastic, *s.viscosity]
 
     def aim() -> None:
-        run.decide(_aim_kernel, p, run.rules, s.linear.tolerances)
+        run.decide(_aim_kernel, p, run.rules, s.linear.tolerances, s.linear.renewed)
         path = (s.start_poses, s.end_poses)
         s.frame_nodes.aim(p.active, p.moving, path, x, s.displacements, p.goal, s.target_poses)
         if s.joints is not None:

@@ -13,15 +13,29 @@ Vectors are kept by the places of a ``RowPlan``, the matrix in slices (``packed_
 
 from __future__ import annotations
 
+from functools import cache
+from typing import Any
+
 import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.branches import side_by_side
-from taccel_lab.ipc.linear.block_ops import Team, block_barrier, launch_team, team, team_sum
+from taccel_lab.ipc.linear.block_ops import Team, anew, block_barrier, launch_team, team, team_sum
+from taccel_lab.ipc.linear.cg_control import (
+    RESTART,
+    SHOW_X,
+    START,
+    CgState,
+    new_solve,
+    next_step,
+    report_solve,
+    state_load,
+)
 from taccel_lab.ipc.linear.coarse_matrix import PART_ROWS, CoarseCorrection, coarse_parts
 from taccel_lab.ipc.linear.coarse_space import CoarseSpace, add_correction, owned_parts
+from taccel_lab.ipc.linear.dense_inverse import address_of_tile
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
-from taccel_lab.ipc.linear.packed_rows import PackedRows, RowSlices
+from taccel_lab.ipc.linear.packed_rows import VERIFY_BELOW, PackedRows, RowSlices
 from taccel_lab.ipc.linear.preconditioner import (
     Clusters,
     DiagonalInverses,
@@ -31,13 +45,17 @@ from taccel_lab.ipc.linear.preconditioner import (
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.row_lists import scalars
 from taccel_lab.ipc.linear.row_plan import plan_rows
-from taccel_lab.ipc.linear.row_products import multiply_extra, multiply_fixed, row_sum
+from taccel_lab.ipc.linear.row_products import multiply_extra, row_sum
+from taccel_lab.ipc.linear.streamed_rows import (
+    begin_stream,
+    end_stream,
+    multiply_streamed,
+    open_stream,
+    room_for_stream,
+    stages_of,
+)
 
 wp.set_module_options({"enable_backward": False})
-
-VERIFY_BELOW = 1e-8
-"""Tolerance from which on the true residual is checked and CG started anew where it falls short:
-its own, which it updates, has drifted by less than 1e-10."""
 
 
 @wp.struct
@@ -60,21 +78,12 @@ class CgWork:
     parts_scalars: wp.array2d(dtype=wp.float64)
 
 
-# What the rows of a pass over the vectors do before they are preconditioned.
-_START = wp.constant(0)  # r = b
-_STEP = wp.constant(1)  # a step of CG
-_SHOW_X = wp.constant(2)  # z = x, to multiply that
-_RESTART = wp.constant(3)  # r = b - A x, with what _SHOW_X brought
-
-
 @wp.func
 def _update_row(
     env: int,
     place: int,
     row: int,
-    mode: int,
-    alpha: wp.float64,
-    beta: wp.float64,
+    state: CgState,
     layout: RowSlices,
     has_extra: bool,
     extra: ExtraRows,
@@ -87,15 +96,15 @@ def _update_row(
 
     All that is read comes before what is written, or each would wait for the last.
     """
-    if mode == _SHOW_X:
+    if state.mode == SHOW_X:
         work.z[env, place] = x[row]
         return wp.vec3d()
     r = b[row]
-    if mode == _START:
+    if state.mode == START:
         x[row] = wp.vec3d()
     else:
         product = row_sum(env, place, layout, has_extra, extra, work.parts[env])
-        if mode == _RESTART:
+        if state.mode == RESTART:
             r = r - product
         else:
             p = work.p[env, place]
@@ -103,171 +112,146 @@ def _update_row(
             z = work.z[env, place]
             r = work.r[env, place]
             done = x[row]
-            if beta == wp.float64(0.0):
+            if state.beta == wp.float64(0.0):
                 p = z
                 q = product
             else:
-                p = z + beta * p
-                q = product + beta * q
+                p = z + state.beta * p
+                q = product + state.beta * q
             work.p[env, place] = p
             work.q[env, place] = q
-            x[row] = done + alpha * p
-            r = r - alpha * q
+            x[row] = done + state.alpha * p
+            r = r - state.alpha * q
     work.r[env, place] = r
     z = inverse * r
     work.z[env, place] = z
     return wp.vec3d(wp.dot(r, z), wp.float64(0.0), wp.dot(r, r))
 
 
-@wp.kernel(grid_stride=False, launch_bounds=(512, 2))
-def _solve_kernel(
-    lanes: int,
-    active: wp.array(dtype=wp.int32),
-    order: wp.array(dtype=wp.int32),
-    layout: RowSlices,
-    all_packed: wp.array2d(dtype=wp.float64),
-    extra: ExtraRows,
-    extra_values: wp.array(dtype=wp.float64),
-    inverses: wp.array2d(dtype=wp.mat33d),
-    clusters: Clusters,
-    all_stores: wp.array2d(dtype=wp.float64),
-    coarse: CoarseSpace,
-    rhs: wp.array2d(dtype=wp.vec3d),
-    tolerances: wp.array(dtype=wp.float64),
-    verify_below: wp.float64,
-    max_iterations: int,
-    work: CgWork,
-    solutions: wp.array2d(dtype=wp.vec3d),
-    iterations: wp.array(dtype=wp.int32),
-    residuals: wp.array(dtype=wp.float64),
-    breakdowns: wp.array(dtype=wp.int32),
-):
-    env, lane = wp.tid()
-    n = rhs.shape[1]
-    zero = wp.float64(0.0)
-    infinity = wp.float64(wp.inf)
-    x = solutions[env]
-    if active[env] == 0:
-        for row in range(lane, n, lanes):
-            x[row] = wp.vec3d()
-        if lane == 0:
-            iterations[env] = 0
-            residuals[env] = zero
-            breakdowns[env] = 0
-        return
-    b = rhs[env]
-    owned = owned_parts(coarse, 0, 1)
-    has_extra = extra.totals[env, 1] > 0
-    verifies = tolerances[env] < verify_below
-    count = int(0)
-    broken = int(0)
-    turn = int(0)
-    mode = int(_START)
-    b_sq = zero
-    r_sq = zero
-    goal = zero
-    start_sq = infinity
-    alpha = wp.float64(1.0)
-    beta = zero
-    rho = wp.float64(1.0)
-    running = int(1)
-    while running == 1:
-        share = wp.vec3d()
-        for place in range(lane, n, lanes):
-            inverse = inverses[env, place]
-            share += _update_row(
-                env,
-                place,
-                order[place],
-                mode,
-                alpha,
-                beta,
-                layout,
-                has_extra,
-                extra,
-                b,
-                inverse,
-                work,
-                x,
-            )
+@cache
+def _solve_kernel(room: int) -> Any:
+    """The kernel, with so many numbers of shared memory."""
+    address = address_of_tile(room)
+
+    @wp.kernel(grid_stride=False, launch_bounds=(512, 1), module="unique", enable_backward=False)
+    def solve_kernel(
+        lanes: int,
+        stages: int,
+        active: wp.array(dtype=wp.int32),
+        order: wp.array(dtype=wp.int32),
+        layout: RowSlices,
+        all_values: wp.array2d(dtype=wp.float64),
+        all_packed: wp.array2d(dtype=wp.float32),
+        extra: ExtraRows,
+        extra_values: wp.array(dtype=wp.float64),
+        inverses: wp.array2d(dtype=wp.mat33d),
+        clusters: Clusters,
+        all_stores: wp.array2d(dtype=wp.float64),
+        coarse: CoarseSpace,
+        rhs: wp.array2d(dtype=wp.vec3d),
+        tolerances: wp.array(dtype=wp.float64),
+        verify_below: wp.float64,
+        max_iterations: int,
+        work: CgWork,
+        solutions: wp.array2d(dtype=wp.vec3d),
+        iterations: wp.array(dtype=wp.int32),
+        residuals: wp.array(dtype=wp.float64),
+        breakdowns: wp.array(dtype=wp.int32),
+    ):
+        env, lane = wp.tid()
+        memory = address(wp.tile_empty(shape=room, dtype=wp.float64, storage="shared"))
+        n = rhs.shape[1]
+        zero = wp.float64(0.0)
+        x = solutions[env]
+        if active[env] == 0:
+            for row in range(lane, n, lanes):
+                x[row] = wp.vec3d()
+            if lane == 0:
+                iterations[env] = 0
+                residuals[env] = zero
+                breakdowns[env] = 0
+            return
+        owned = owned_parts(coarse, 0, 1)
+        slices = layout.slices.shape[0]
+        stream = open_stream(lane, lanes, 0, slices, layout, memory, stages)
+        has_extra = extra.totals[env, 1] > 0
         clustered = clusters.tasks.shape[0]
-        if mode != _SHOW_X and clustered > 0:
+        turn = int(0)
+        state = new_solve()
+        while state.running == 1:
+            share = wp.vec3d()
+            here = anew(env)
+            for place in range(lane, n, lanes):
+                inverse = inverses[here, place]
+                share += _update_row(
+                    here,
+                    place,
+                    order[place],
+                    state,
+                    layout,
+                    has_extra,
+                    extra,
+                    rhs[here],
+                    inverse,
+                    work,
+                    solutions[here],
+                )
+            if state.mode != SHOW_X and clustered + coarse.width > 0:
+                block_barrier()
+                here = anew(env)
+                for task in range(lane, clustered, lanes):
+                    r = work.r_scalars[here]
+                    product = cluster_product(task, clusters, all_stores[here], r)
+                    work.z_scalars[here, task] = product
+                    share[0] += product * r[task]
+                if coarse.width > 0:
+                    here = anew(env)
+                    share[0] += add_correction(
+                        here,
+                        owned,
+                        1,
+                        lane,
+                        lanes,
+                        coarse,
+                        work.gates,
+                        work.r[here],
+                        work.z[here],
+                    )
+            here = anew(env)
+            begin_stream(stream, layout, all_packed[here])
             block_barrier()
-            for task in range(lane, clustered, lanes):
-                product = cluster_product(task, clusters, all_stores[env], work.r_scalars[env])
-                work.z_scalars[env, task] = product
-                share[0] += product * work.r_scalars[env, task]
-        if mode != _SHOW_X and coarse.width > 0:
-            share[0] += add_correction(
-                env,
-                owned,
-                1,
+            here = anew(env)
+            z = work.z_scalars[here]
+            # Stiff bodies make up for little of what rounding takes from them.
+            exact_rows = clustered / 3
+            if state.mode == SHOW_X:
+                exact_rows = n
+            share[1] = multiply_streamed(
                 lane,
-                lanes,
-                coarse,
-                work.gates,
-                work.r[env],
-                work.z[env],
+                stream,
+                exact_rows,
+                layout,
+                all_values[here],
+                all_packed[here],
+                z,
+                work.parts_scalars[here],
             )
-        block_barrier()
-        end = 3 * layout.segments.shape[0]
-        z = work.z_scalars[env]
-        parts = work.parts_scalars[env]
-        share[1] = multiply_fixed(lane, end, lanes, layout, all_packed[env], z, parts)
-        share[1] += multiply_extra(env, lane, lanes, extra, extra_values, z)
-        total = team_sum(share, env, 0, 1, lane, turn, work.gates, work.sums[env])
-        turn = 1 - turn
-        if mode == _SHOW_X:
-            mode = int(_RESTART)
-        else:
-            fresh = mode != _STEP
-            if mode == _START:
-                b_sq = total[2]
-                goal = tolerances[env] * tolerances[env] * b_sq
-            r_sq = total[2]
-            beta = total[0] / rho
-            if fresh:
-                beta = zero
-            curvature = total[1] - beta * total[0] / alpha
-            alpha = total[0] / curvature
-            rho = total[0]
-            mode = int(_STEP)
-            # A true residual may miss by a thousandth: not worth a fresh start.
-            limit = goal
-            if fresh:
-                limit = wp.float64(1.001) * goal
-            sound = rho > zero and curvature > zero and curvature < infinity and r_sq < infinity
-            if r_sq <= limit and r_sq < infinity:
-                running = int(0)
-                if verifies and not fresh and count < max_iterations:
-                    # What the rounding of the recurrence left is solved for in a fresh start.
-                    mode = int(_SHOW_X)
-                    running = int(1)
-            elif fresh and r_sq > wp.float64(0.25) * start_sq:
-                # Starting anew did not help the last time.
-                broken = int(1)
-                running = int(0)
-            elif not sound and not fresh and r_sq < wp.float64(1e-6) * b_sq:
-                # As close as this, it may well be rounding that spoils the curvature.
-                mode = int(_SHOW_X)
-            elif not sound:
-                broken = int(1)
-                running = int(0)
-            elif count >= max_iterations:
-                running = int(0)
+            here = anew(env)
+            share[1] += multiply_extra(here, lane, lanes, extra, extra_values, work.z_scalars[here])
+            sums = team_sum(share, here, 0, 1, lane, turn, work.gates, work.sums[here])
+            turn = 1 - turn
+            if state.mode == SHOW_X:
+                state.mode = RESTART
             else:
-                count += 1
-            if fresh:
-                start_sq = r_sq
-    if lane == 0:
-        iterations[env] = count
-        breakdowns[env] = broken
-        if b_sq == zero:
-            residuals[env] = zero
-        elif count == 0:
-            residuals[env] = wp.float64(1.0)
-        else:
-            residuals[env] = wp.sqrt(r_sq / b_sq)
+                if state.mode == START:
+                    state = state_load(state, sums[2], tolerances[here])
+                verifies = tolerances[here] < verify_below
+                state = next_step(state, sums, verifies, max_iterations)
+        end_stream()
+        if lane == 0:
+            report_solve(env, state, iterations, residuals, breakdowns)
+
+    return solve_kernel
 
 
 class BlockCG:
@@ -295,6 +279,8 @@ class BlockCG:
         self._extra = ExtraRowLists(problem, plan, lanes)
         tasks = 3 * self._packed.layout.segment_count
         self._team = Team(team(device, problem.env_count, tasks, lanes).lanes)
+        self._stages = stages_of(device)
+        self._kernel = _solve_kernel(room_for_stream(self._team.lanes, self._stages))
         work = self._work = CgWork()
         work.r, work.z, work.p, work.q = (
             wp.zeros(problem.shape, dtype=wp.vec3d, device=device) for _ in range(4)
@@ -329,10 +315,11 @@ class BlockCG:
         )
         layout = self._packed.layout
         launch_team(
-            _solve_kernel,
+            self._kernel,
             problem.env_count,
             self._team,
-            [self._team.lanes, active, self._order, layout, self._packed.values]
+            [self._team.lanes, self._stages, active, self._order, layout, self._values]
+            + [self._packed.values]
             + [self._extra.rows, self._extra.values]
             + [self._inverses.blocks, self._inverses.clusters, self._inverses.stores]
             + [self._coarse.space]

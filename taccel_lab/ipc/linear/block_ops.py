@@ -37,6 +37,25 @@ def block_barrier() -> None:
     ...
 
 
+_ANEW_SNIPPET = """
+#if defined(__CUDA_ARCH__)
+    asm volatile("" : "+r"(value));
+#endif
+    return value;
+"""
+
+
+@wp.func_native(_ANEW_SNIPPET)
+def anew(value: int) -> int:
+    """The same value, of which the compiler does not know that it is.
+
+    Addresses made from it are computed where they are used. In the loop of a solver it would keep
+    all of them, some hundred, from before the loop; far more than there are registers, and every
+    use of one would wait for memory.
+    """
+    ...
+
+
 # The first block to join closes the team: the highest bit of the count of those who joined.
 _JOIN_SNIPPET = """
 #if defined(__CUDA_ARCH__)
@@ -82,14 +101,14 @@ def join_team(env: int, blocks: int, patience: int, gates: wp.array(dtype=wp.int
 # never takes long: stop with an error after seconds, should a block ever be missing.
 _WAIT = """
             unsigned int* gate = reinterpret_cast<unsigned int*>(gates.data) + 32 * env;
-            __threadfence();
+            asm volatile("fence.acq_rel.gpu;" ::: "memory");
             const unsigned int arrived = atomicAdd(gate, 1u);
             const unsigned int target = arrived - arrived % blocks + blocks;
             unsigned int polls = 0;
             while (static_cast<int>(*static_cast<volatile unsigned int*>(gate) - target) < 0)
                 if (++polls == (1u << 25))
                     __trap();
-            __threadfence();
+            asm volatile("fence.acq_rel.gpu;" ::: "memory");
 """
 _BARRIER_SNIPPET = """
 #if defined(__CUDA_ARCH__)

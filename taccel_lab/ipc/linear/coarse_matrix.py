@@ -110,6 +110,7 @@ def _put_block(
 def _matrix_kernel(
     lanes: int,
     active: wp.array(dtype=wp.int32),
+    renewed: wp.array(dtype=wp.int32),
     matrix: CoarseMatrix,
     points: wp.array(dtype=wp.vec3d),
     values: wp.array2d(dtype=wp.mat33d),
@@ -117,7 +118,7 @@ def _matrix_kernel(
 ):
     """One warp a 6x6 block: with P = [I, W] of W v = v x point it is [B, B W; W^T B, W^T B W]."""
     env, pair, lane = wp.tid()
-    if active[env] == 0:
+    if active[env] == 0 or renewed[env] == 0:
         return
     shift_shift = wp.mat33d()
     shift_turn = wp.mat33d()
@@ -160,6 +161,7 @@ def _inverse_kernel(room: int) -> Any:
     def invert_kernel(
         lanes: int,
         active: wp.array(dtype=wp.int32),
+        renewed: wp.array(dtype=wp.int32),
         width: int,
         pairs: wp.array(dtype=wp.vec2i),
         blocks: wp.array2d(dtype=wp.float64),
@@ -167,7 +169,7 @@ def _inverse_kernel(room: int) -> Any:
     ):
         env, lane = wp.tid()
         memory = address(wp.tile_empty(shape=room, dtype=wp.float64, storage="shared"))
-        if active[env] == 0:
+        if active[env] == 0 or renewed[env] == 0:
             return
         for e in range(lane, width * (width + 1) // 2, lanes):
             put_lower(memory, 0, e, wp.float64(0.0))
@@ -249,7 +251,7 @@ class CoarseCorrection:
         return f", and the rigid motions of {self._count} parts" if self._count else ""
 
     def update(self, active: wp.array) -> None:
-        """Form and invert the coarse matrices of the active environments."""
+        """Form and invert the coarse matrices of the active environments where ``renewed``."""
         if self._count == 0:
             return
         problem, matrix, space = self._problem, self._matrix, self.space
@@ -257,7 +259,7 @@ class CoarseCorrection:
         wp.launch(
             _matrix_kernel,
             dim=(problem.env_count, len(matrix.pairs), lanes),
-            inputs=[lanes, active, matrix, space.points, problem.values],
+            inputs=[lanes, active, problem.renewed, matrix, space.points, problem.values],
             outputs=[self._blocks],
             device=problem.device,
         )
@@ -265,7 +267,7 @@ class CoarseCorrection:
             self._kernel,
             problem.env_count,
             self._team,
-            [self._team.lanes, active, space.width, matrix.pairs, self._blocks],
+            [self._team.lanes, active, problem.renewed, space.width, matrix.pairs, self._blocks],
             [space.inverses],
             problem.device,
         )

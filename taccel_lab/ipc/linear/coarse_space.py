@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.linear.block_ops import block_barrier, team_barrier
+from taccel_lab.ipc.linear.block_ops import MAX_LANES, team_barrier
 
 wp.set_module_options({"enable_backward": False})
 
@@ -114,81 +114,89 @@ def _restrict(
     ...
 
 
+# A_c^-1 is symmetric: lanes side by side take rows side by side, and read a column of it. Several
+# lanes share a row.
 _MOVE_SNIPPET = """
     const wp::vec_t<2, wp::int32>* const span = spans.data;
     const double* const inverse = inverses.data;
+    double share = 0.0;
 #if defined(__CUDA_ARCH__)
-    const int place = lane % 32;
-    double own[@COLUMNS@];
-    int from[@COLUMNS@], to[@COLUMNS@];
-    #pragma unroll
-    for (int i = 0; i < @COLUMNS@; ++i) {
-        const int k = place + 32 * i;
-        own[i] = 0.0;
-        from[i] = k < width ? span[k / 6][0] : 0;
-        to[i] = k < width ? span[k / 6][1] : 0;
-    }
-    // Few blocks share a part: the first three are read side by side, for all columns.
-    #pragma unroll
-    for (int j = 0; j < 3; ++j) {
-        #pragma unroll
-        for (int i = 0; i < @COLUMNS@; ++i)
-            if (from[i] + j < to[i])
-                own[i] += loads.data[6 * (from[i] + j) + (place + 32 * i) % 6];
-    }
-    #pragma unroll
-    for (int i = 0; i < @COLUMNS@; ++i)
-        #pragma unroll 1
-        for (int c = from[i] + 3; c < to[i]; ++c)
-            own[i] += loads.data[6 * c + (place + 32 * i) % 6];
-    #pragma unroll 2
-    for (int row = first + lane / 32; row < end; row += lanes / 32) {
+    __shared__ double own[@WIDTH@], sums[@LANES@], moved[@WIDTH@];
+    for (int k = lane; k < width; k += lanes) {
+        const int begin = k == lane ? ahead[0] : span[k / 6][0];
+        const int behind = k == lane ? ahead[1] : span[k / 6][1];
         double total = 0.0;
-        #pragma unroll
-        for (int i = 0; i < @COLUMNS@; ++i)
-            if (place + 32 * i < width)
-                total += inverse[width * row + place + 32 * i] * own[i];
-        #pragma unroll
-        for (int step = 16; step > 0; step >>= 1)
-            total += __shfl_xor_sync(0xffffffffu, total, step);
-        if (place == 0)
-            motions.data[row] = total;
+        #pragma unroll 2
+        for (int c = begin; c < behind; ++c)
+            total += loads.data[6 * c + k % 6];
+        own[k] = total;
     }
+    __syncthreads();
+    const int rows = end - first;
+    const int sharing = rows < lanes ? lanes / rows : 1;
+    for (int t = lane; t < rows * sharing; t += lanes) {
+        const double* const column = inverse + first + t % rows;
+        double total = 0.0;
+        #pragma unroll 8
+        for (int k = t / rows; k < width; k += sharing)
+            total += column[width * k] * own[k];
+        sums[t] = total;
+    }
+    __syncthreads();
+    for (int row = lane; row < rows; row += lanes) {
+        double total = 0.0;
+        for (int t = row; t < rows * sharing; t += rows)
+            total += sums[t];
+        moved[row] = total;
+    }
+    __syncthreads();
 #else
+    double* const moved = motions.data + first;
+    WP_TILE_SYNC();
     for (int row = first + lane; row < end; row += lanes) {
         double total = 0.0;
         for (int k = 0; k < width; ++k)
             for (int c = span[k / 6][0]; c < span[k / 6][1]; ++c)
-                total += inverse[width * row + k] * loads.data[6 * c + k % 6];
-        motions.data[row] = total;
+                total += inverse[width * k + row] * loads.data[6 * c + k % 6];
+        moved[row - first] = total;
     }
+    WP_TILE_SYNC();
 #endif
-""".replace("@COLUMNS@", str(-(-MODES * MOST_PARTS // 32)))
+    for (int place = from_place + lane; place < to_place; place += lanes) {
+        const double* const motion = moved + 6 * parts.data[place] - first;
+        const wp::vec_t<3, wp::float64> shift(motion[0], motion[1], motion[2]);
+        const wp::vec_t<3, wp::float64> turn(motion[3], motion[4], motion[5]);
+        const wp::vec_t<3, wp::float64> more = shift + wp::cross(turn, points.data[place]);
+        share += wp::dot(w.data[place], more);
+        m.data[place] += more;
+    }
+    return share;
+""".replace("@WIDTH@", str(MODES * MOST_PARTS)).replace("@LANES@", str(MAX_LANES))
 
 
 @wp.func_native(_MOVE_SNIPPET)
 def _move_parts(
     first: int,
     end: int,
+    from_place: int,
+    to_place: int,
     lane: int,
     lanes: int,
     width: int,
+    ahead: wp.vec2i,
     spans: wp.array(dtype=wp.vec2i),
     inverses: wp.array(dtype=wp.float64),
     loads: wp.array(dtype=wp.float64),
     motions: wp.array(dtype=wp.float64),
-) -> None:
-    """Rows first to end of A_c^-1 P^T w, once all chunks are restricted."""
+    parts: wp.array(dtype=wp.int32),
+    points: wp.array(dtype=wp.vec3d),
+    w: wp.array(dtype=wp.vec3d),
+    m: wp.array(dtype=wp.vec3d),
+) -> wp.float64:
+    """Rows first to end of A_c^-1 P^T w, once all chunks are restricted, and m += P of that at a
+    range of places; returns the part of a lane in w . P A_c^-1 P^T w. For all lanes of a block.
+    ``ahead``: the span of the part of row ``lane``, read while others were waited for."""
     ...
-
-
-@wp.func
-def _prolonged(place: int, coarse: CoarseSpace, motions: wp.array(dtype=wp.float64)) -> wp.vec3d:
-    """P A_c^-1 P^T w at a place."""
-    at = MODES * coarse.parts[place]
-    shift = wp.vec3d(motions[at], motions[at + 1], motions[at + 2])
-    turn = wp.vec3d(motions[at + 3], motions[at + 4], motions[at + 5])
-    return shift + wp.cross(turn, coarse.points[place])
 
 
 @wp.struct
@@ -230,29 +238,30 @@ def add_correction(
     w: wp.array(dtype=wp.vec3d),
     m: wp.array(dtype=wp.vec3d),
 ) -> wp.float64:
-    """Add P A_c^-1 P^T w to ``m``, by all lanes of a team of so many ``blocks``; returns the part
-    of a lane in w . P A_c^-1 P^T w. Begins with a barrier and ends without one."""
+    """Add P A_c^-1 P^T w to ``m``, by all lanes of a team of so many ``blocks`` that have waited
+    for w of their own block; returns the part of a lane in w . P A_c^-1 P^T w. Waits for the rest,
+    and for ``m``, but not for what it adds."""
     loads = coarse.loads[env]
-    motions = coarse.motions[env]
-    block_barrier()
     _restrict(owned.chunks[0], owned.chunks[1], lane, lanes, coarse.chunks, coarse.points, w, loads)
+    ahead = coarse.spans[wp.min(lane, coarse.width - 1) / MODES]
     team_barrier(env, blocks, gates)
-    share = wp.float64(0.0)
-    if owned.rows[1] > 0:
-        _move_parts(
-            owned.rows[0],
-            owned.rows[1],
-            lane,
-            lanes,
-            coarse.width,
-            coarse.spans,
-            coarse.inverses[env],
-            loads,
-            motions,
-        )
-        block_barrier()
-        for place in range(owned.places[0] + lane, owned.places[1], lanes):
-            more = _prolonged(place, coarse, motions)
-            m[place] = m[place] + more
-            share += wp.dot(w[place], more)
-    return share
+    if owned.rows[1] == 0:
+        return wp.float64(0.0)
+    return _move_parts(
+        owned.rows[0],
+        owned.rows[1],
+        owned.places[0],
+        owned.places[1],
+        lane,
+        lanes,
+        coarse.width,
+        ahead,
+        coarse.spans,
+        coarse.inverses[env],
+        loads,
+        coarse.motions[env],
+        coarse.parts,
+        coarse.points,
+        w,
+        m,
+    )

@@ -14,12 +14,16 @@ On Newton matrices of gels in contact it takes as many iterations as the plain r
 
 from __future__ import annotations
 
+from functools import cache
+from typing import Any
+
 import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.branches import side_by_side
 from taccel_lab.ipc.linear.block_ops import (
     Team,
+    anew,
     block_barrier,
     join_team,
     launch_team,
@@ -27,10 +31,23 @@ from taccel_lab.ipc.linear.block_ops import (
     team_barrier,
     team_sum,
 )
+from taccel_lab.ipc.linear.cg_control import (
+    FIRST,
+    RESTART,
+    SHOW_X,
+    START,
+    STEP,
+    CgState,
+    new_solve,
+    next_step,
+    report_solve,
+    state_load,
+)
 from taccel_lab.ipc.linear.coarse_matrix import PART_ROWS, CoarseCorrection, coarse_parts
 from taccel_lab.ipc.linear.coarse_space import CoarseSpace, add_correction, owned_parts
+from taccel_lab.ipc.linear.dense_inverse import address_of_tile
 from taccel_lab.ipc.linear.extra_rows import ExtraRowLists, ExtraRows
-from taccel_lab.ipc.linear.packed_rows import PackedRows, RowSlices
+from taccel_lab.ipc.linear.packed_rows import VERIFY_BELOW, PackedRows, RowSlices
 from taccel_lab.ipc.linear.preconditioner import (
     Clusters,
     DiagonalInverses,
@@ -42,26 +59,23 @@ from taccel_lab.ipc.linear.row_lists import scalars
 from taccel_lab.ipc.linear.row_plan import plan_rows
 from taccel_lab.ipc.linear.row_products import (
     multiply_extra,
-    multiply_fixed,
     row_component,
+)
+from taccel_lab.ipc.linear.streamed_rows import (
+    begin_stream,
+    end_stream,
+    multiply_streamed,
+    open_stream,
+    room_for_stream,
+    stages_of,
 )
 
 wp.set_module_options({"enable_backward": False})
 
-VERIFY_BELOW = 1e-3
-"""Tolerance below which the true residual is checked, and CG started anew where it falls short: on
-stiff random matrices the one that the recurrence updates is off by up to 5e-7 of the load."""
 TASKS_PER_ROW = 6
 """Scalar rows of segments that a row has, about: what a team is sized by."""
 PATIENCE = 100_000
 """Clock cycles for which a team waits for blocks that do not run yet: 50 us, a tenth of a solve."""
-
-# What a pass over the rows does; but for the first two it follows a product.
-_START = wp.constant(0)  # r = b; m = M^-1 r
-_SHOW_X = wp.constant(1)  # m = x, to multiply that
-_RESTART = wp.constant(2)  # r = b - A x; m = M^-1 r
-_FIRST = wp.constant(3)  # u = m, w = A u; m = M^-1 w
-_STEP = wp.constant(4)  # a step of CG; m = M^-1 w
 
 
 @wp.struct
@@ -94,10 +108,8 @@ def _update(
     env: int,
     task: int,
     at: int,
-    mode: int,
     turn: int,
-    alpha: wp.float64,
-    beta: wp.float64,
+    state: CgState,
     layout: RowSlices,
     has_extra: bool,
     extra: ExtraRows,
@@ -112,15 +124,15 @@ def _update(
     """
     zero = wp.float64(0.0)
     size = b.shape[0]
-    if mode == _SHOW_X:
+    if state.mode == SHOW_X:
         work.m[env, size - turn * size + task] = x[at]
         return wp.vec3d()
     product = zero
-    if mode == _START:
+    if state.mode == START:
         x[at] = zero
     else:
         product = row_component(env, task, layout, has_extra, extra, work.parts[env])
-    if mode < _FIRST:
+    if state.mode < FIRST:
         rest = b[at] - product
         work.r[env, task] = rest
         work.w[env, task] = rest
@@ -129,7 +141,7 @@ def _update(
     r = work.r[env, task]
     u = m
     w = product
-    if mode == _STEP:
+    if state.mode == STEP:
         u = work.u[env, task]
         w = work.w[env, task]
         p = work.p[env, task]
@@ -137,201 +149,185 @@ def _update(
         q = work.q[env, task]
         z = work.z[env, task]
         done = x[at]
-        if beta == zero:
+        if state.beta == zero:
             p = u
             s = w
             q = m
             z = product
         else:
-            p = u + beta * p
-            s = w + beta * s
-            q = m + beta * q
-            z = product + beta * z
+            p = u + state.beta * p
+            s = w + state.beta * s
+            q = m + state.beta * q
+            z = product + state.beta * z
         work.p[env, task] = p
         work.s[env, task] = s
         work.q[env, task] = q
         work.z[env, task] = z
-        x[at] = done + alpha * p
-        r = r - alpha * s
-        u = u - alpha * q
-        w = w - alpha * z
+        x[at] = done + state.alpha * p
+        r = r - state.alpha * s
+        u = u - state.alpha * q
+        w = w - state.alpha * z
         work.r[env, task] = r
     work.u[env, task] = u
     work.w[env, task] = w
     return wp.vec3d(r * u, w * u, r * r)
 
 
-@wp.kernel(grid_stride=False, launch_bounds=(512, 1))
-def _solve_kernel(
-    lanes: int,
-    most_blocks: int,
-    patience: int,
-    active: wp.array(dtype=wp.int32),
-    order: wp.array(dtype=wp.int32),
-    block_starts: wp.array(dtype=wp.int32),
-    layout: RowSlices,
-    all_packed: wp.array2d(dtype=wp.float64),
-    extra: ExtraRows,
-    extra_values: wp.array(dtype=wp.float64),
-    inverses: wp.array2d(dtype=wp.float64),
-    clusters: Clusters,
-    all_stores: wp.array2d(dtype=wp.float64),
-    coarse: CoarseSpace,
-    rhs: wp.array2d(dtype=wp.float64),
-    tolerances: wp.array(dtype=wp.float64),
-    verify_below: wp.float64,
-    max_iterations: int,
-    work: PipelineWork,
-    solutions: wp.array2d(dtype=wp.float64),
-    iterations: wp.array(dtype=wp.int32),
-    residuals: wp.array(dtype=wp.float64),
-    breakdowns: wp.array(dtype=wp.int32),
-):
-    index, lane = wp.tid()
-    env = index / most_blocks
-    size = rhs.shape[1]
-    zero = wp.float64(0.0)
-    infinity = wp.float64(wp.inf)
-    x = solutions[env]
-    if active[env] == 0:
-        at = index % most_blocks * lanes + lane
-        for i in range(at, size, most_blocks * lanes):
-            x[i] = zero
-        if at == 0:
-            iterations[env] = 0
-            residuals[env] = zero
-            breakdowns[env] = 0
-        return
-    joined = join_team(env, most_blocks, patience, work.gates)
-    block = joined[0]
-    blocks = joined[1]
-    if blocks == 0:
-        return
-    # Parts of the rows are made for all blocks; who is there takes those of the others, too.
-    first_part = block * most_blocks / blocks
-    end_part = (block + 1) * most_blocks / blocks
-    first = 3 * block_starts[first_part]
-    end = 3 * block_starts[end_part]
-    b = rhs[env]
-    parts = work.parts[env]
-    first_task = layout.task_starts[first_part]
-    end_task = layout.task_starts[end_part]
-    owned = owned_parts(coarse, first_part, end_part)
-    has_extra = extra.totals[env, 1] > 0
-    verifies = tolerances[env] < verify_below
-    count = int(0)
-    broken = int(0)
-    turn = int(0)
-    mode = int(_START)
-    b_sq = zero
-    r_sq = zero
-    goal = zero
-    start_sq = infinity
-    alpha = wp.float64(1.0)
-    beta = zero
-    rho = wp.float64(1.0)
-    running = int(1)
-    while running == 1:
-        share = wp.vec3d()
-        for task in range(first + lane, end, lanes):
-            at = 3 * order[task / 3] + task % 3
-            share += _update(
-                env, task, at, mode, turn, alpha, beta, layout, has_extra, extra, b, work, x
-            )
-        turn = 1 - turn
-        if mode != _SHOW_X:
-            block_barrier()
+@cache
+def _solve_kernel(room: int) -> Any:
+    """The kernel, with so many numbers of shared memory."""
+    address = address_of_tile(room)
+
+    @wp.kernel(grid_stride=False, launch_bounds=(512, 1), module="unique", enable_backward=False)
+    def solve_kernel(
+        lanes: int,
+        stages: int,
+        most_blocks: int,
+        patience: int,
+        active: wp.array(dtype=wp.int32),
+        order: wp.array(dtype=wp.int32),
+        block_starts: wp.array(dtype=wp.int32),
+        layout: RowSlices,
+        all_values: wp.array2d(dtype=wp.float64),
+        all_packed: wp.array2d(dtype=wp.float32),
+        extra: ExtraRows,
+        extra_values: wp.array(dtype=wp.float64),
+        inverses: wp.array2d(dtype=wp.float64),
+        clusters: Clusters,
+        all_stores: wp.array2d(dtype=wp.float64),
+        coarse: CoarseSpace,
+        rhs: wp.array2d(dtype=wp.float64),
+        tolerances: wp.array(dtype=wp.float64),
+        verify_below: wp.float64,
+        max_iterations: int,
+        work: PipelineWork,
+        solutions: wp.array2d(dtype=wp.float64),
+        iterations: wp.array(dtype=wp.int32),
+        residuals: wp.array(dtype=wp.float64),
+        breakdowns: wp.array(dtype=wp.int32),
+    ):
+        index, lane = wp.tid()
+        memory = address(wp.tile_empty(shape=room, dtype=wp.float64, storage="shared"))
+        env = index / most_blocks
+        size = rhs.shape[1]
+        zero = wp.float64(0.0)
+        x = solutions[env]
+        if active[env] == 0:
+            at = index % most_blocks * lanes + lane
+            for i in range(at, size, most_blocks * lanes):
+                x[i] = zero
+            if at == 0:
+                iterations[env] = 0
+                residuals[env] = zero
+                breakdowns[env] = 0
+            return
+        joined = join_team(env, most_blocks, patience, work.gates)
+        block = joined[0]
+        blocks = joined[1]
+        if blocks == 0:
+            return
+        # Parts of the rows are made for all blocks; who is there takes those of the others, too.
+        first_part = block * most_blocks / blocks
+        end_part = (block + 1) * most_blocks / blocks
+        first = 3 * block_starts[first_part]
+        end = 3 * block_starts[end_part]
+        first_slice = layout.task_starts[first_part] / 32
+        end_slice = layout.task_starts[end_part] / 32
+        stream = open_stream(lane, lanes, first_slice, end_slice, layout, memory, stages)
+        owned = owned_parts(coarse, first_part, end_part)
+        has_extra = extra.totals[env, 1] > 0
+        turn = int(0)
+        state = new_solve()
+        while state.running == 1:
+            share = wp.vec3d()
+            here = anew(env)
             for task in range(first + lane, end, lanes):
-                work.m[env, turn * size + task] = preconditioned(
-                    task, clusters, all_stores[env], inverses[env], work.w[env]
-                )
-        if mode != _SHOW_X and coarse.width > 0:
-            add_correction(
-                env,
-                owned,
-                blocks,
-                lane,
-                lanes,
-                coarse,
-                work.gates,
-                work.w_rows[env],
-                work.m_rows[env, turn * size / 3 : (turn + 1) * size / 3],
-            )
-        total = team_sum(share, env, block, blocks, lane, turn, work.gates, work.sums[env])
-        if mode == _START:
-            b_sq = total[2]
-            r_sq = b_sq
-            goal = tolerances[env] * tolerances[env] * b_sq
-            if not (b_sq > zero and b_sq < infinity):
-                running = int(0)
-                if b_sq != zero:
-                    broken = int(1)
-            mode = int(_FIRST)
-        elif mode == _SHOW_X:
-            mode = int(_RESTART)
-        elif mode == _RESTART:
-            mode = int(_FIRST)
-        else:
-            fresh = mode == _FIRST
-            r_sq = total[2]
-            beta = total[0] / rho
-            if fresh:
-                beta = zero
-            curvature = total[1] - beta * total[0] / alpha
-            alpha = total[0] / curvature
-            rho = total[0]
-            mode = int(_STEP)
-            # A true residual may miss by a thousandth: not worth a fresh start.
-            limit = goal
-            if fresh:
-                limit = wp.float64(1.001) * goal
-            sound = rho > zero and curvature > zero and curvature < infinity and r_sq < infinity
-            if r_sq <= limit and r_sq < infinity:
-                running = int(0)
-                if verifies and not fresh and count < max_iterations:
-                    # What the rounding of the recurrence left is solved for in a fresh start.
-                    mode = int(_SHOW_X)
-                    running = int(1)
-            elif fresh and r_sq > wp.float64(0.25) * start_sq:
-                # Starting anew did not help the last time.
-                broken = int(1)
-                running = int(0)
-            elif not sound and not fresh and r_sq < wp.float64(1e-6) * b_sq:
-                # As close as this, it may well be rounding that spoils the curvature.
-                mode = int(_SHOW_X)
-            elif not sound:
-                broken = int(1)
-                running = int(0)
-            elif count >= max_iterations:
-                running = int(0)
-            else:
-                count += 1
-            if fresh:
-                start_sq = r_sq
-        if running == 1 and mode != _SHOW_X:
-            m = work.m[env, turn * size : (turn + 1) * size]
-            multiply_fixed(first_task + lane, end_task, lanes, layout, all_packed[env], m, parts)
-            if has_extra:
-                multiply_extra(
-                    env,
-                    block * lanes + lane,
-                    blocks * lanes,
+                at = 3 * order[task / 3] + task % 3
+                share += _update(
+                    here,
+                    task,
+                    at,
+                    turn,
+                    state,
+                    layout,
+                    has_extra,
                     extra,
-                    extra_values,
-                    m,
+                    rhs[here],
+                    work,
+                    solutions[here],
                 )
-                team_barrier(env, blocks, work.gates)
-            else:
+            turn = 1 - turn
+            if state.mode != SHOW_X:
                 block_barrier()
-    if block == 0 and lane == 0:
-        iterations[env] = count
-        breakdowns[env] = broken
-        if b_sq == zero:
-            residuals[env] = zero
-        elif count == 0:
-            residuals[env] = wp.float64(1.0)
-        else:
-            residuals[env] = wp.sqrt(r_sq / b_sq)
+                here = anew(env)
+                for task in range(first + lane, end, lanes):
+                    work.m[here, turn * size + task] = preconditioned(
+                        task, clusters, all_stores[here], inverses[here], work.w[here]
+                    )
+                if coarse.width > 0:
+                    here = anew(env)
+                    add_correction(
+                        here,
+                        owned,
+                        blocks,
+                        lane,
+                        lanes,
+                        coarse,
+                        work.gates,
+                        work.w_rows[here],
+                        work.m_rows[here, turn * size / 3 : (turn + 1) * size / 3],
+                    )
+            here = anew(env)
+            begin_stream(stream, layout, all_packed[here])
+            sums = team_sum(share, here, block, blocks, lane, turn, work.gates, work.sums[here])
+            if state.mode == START:
+                state = state_load(state, sums[2], tolerances[here])
+                if not (sums[2] > zero and sums[2] < wp.float64(wp.inf)):
+                    state.running = 0
+                    if sums[2] != zero:
+                        state.broken = 1
+                state.mode = FIRST
+            elif state.mode == SHOW_X:
+                state.mode = RESTART
+            elif state.mode == RESTART:
+                state.mode = FIRST
+            else:
+                verifies = tolerances[here] < verify_below
+                state = next_step(state, sums, verifies, max_iterations)
+            if state.running == 1 and state.mode != SHOW_X:
+                here = anew(env)
+                m = work.m[here, turn * size : (turn + 1) * size]
+                # Stiff bodies make up for little of what rounding takes from them.
+                exact_rows = clusters.tasks.shape[0] / 3
+                if state.mode == RESTART:
+                    exact_rows = size / 3
+                multiply_streamed(
+                    lane,
+                    stream,
+                    exact_rows,
+                    layout,
+                    all_values[here],
+                    all_packed[here],
+                    m,
+                    work.parts[here],
+                )
+                if has_extra:
+                    multiply_extra(
+                        here,
+                        block * lanes + lane,
+                        blocks * lanes,
+                        extra,
+                        extra_values,
+                        m,
+                    )
+                    team_barrier(here, blocks, work.gates)
+                else:
+                    block_barrier()
+        end_stream()
+        if block == 0 and lane == 0:
+            report_solve(env, state, iterations, residuals, breakdowns)
+
+    return solve_kernel
 
 
 class PipelinedCG:
@@ -358,6 +354,8 @@ class PipelinedCG:
         if device.is_cpu:
             size = Team(size.lanes)
         self._team = size
+        self._stages = stages_of(device)
+        self._kernel = _solve_kernel(room_for_stream(size.lanes, self._stages))
         plan = plan_rows(n, groups, size.blocks, parts)
 
         def put(array: np.ndarray) -> wp.array:
@@ -402,11 +400,11 @@ class PipelinedCG:
         layout = self._packed.layout
         work.gates.zero_()
         launch_team(
-            _solve_kernel,
+            self._kernel,
             problem.env_count,
             self._team,
-            [self._team.lanes, self._team.blocks, self._patience, active, self._order]
-            + [self._block_starts, layout, self._packed.values]
+            [self._team.lanes, self._stages, self._team.blocks, self._patience, active, self._order]
+            + [self._block_starts, layout, self._values, self._packed.values]
             + [self._extra.rows, self._extra.values]
             + [scalars(self._inverses.blocks), self._inverses.clusters, self._inverses.stores]
             + [self._coarse.space]

@@ -48,6 +48,9 @@ class LinearProblem:
         number is not finite; the solution is then the last good iterate, at worst zero,
         [env_count]."""
         self.residuals = wp.zeros(env_count, dtype=wp.float64, device=device)
+        self.renewed = wp.full(env_count, 1, dtype=wp.int32, device=device)
+        """Whether the next solve makes anew what part of a preconditioner takes long, int32,
+        [env_count]; where 0, that of the last solve serves once more."""
         """||rhs - H p|| / ||rhs|| of the last solution, 0 when rhs is 0, [env_count]."""
 
     @property

@@ -17,7 +17,8 @@ class LinearReport:
     iterations: np.ndarray
     """CG iterations, int64."""
     relative_residual: np.ndarray
-    """True residual ||rhs - H p|| / ||rhs|| of the solution, float64; 0 when rhs is 0, and where a
+    """True residual ||rhs - H p|| / ||rhs|| of the solution, float64, but for what rounding adds
+    where the matrix is rounded and not verified (``VERIFY_BELOW``); 0 when rhs is 0, and where a
     factorisation of the whole matrix gave the solution and nobody measured it."""
     breakdown: np.ndarray
     """Whether the solve stopped early because the matrix is not positive definite or a number is

@@ -45,26 +45,24 @@ def _segment_product(
 
 
 @wp.func
-def multiply_fixed(
-    first: int,
-    end: int,
-    step: int,
+def unpacked_product(
+    task: int,
     layout: RowSlices,
-    packed: wp.array(dtype=wp.float64),
+    values: wp.array(dtype=wp.float64),
     x: wp.array(dtype=wp.float64),
-    parts: wp.array(dtype=wp.float64),
 ) -> wp.float64:
-    """parts = A x for tasks first, first + step, ...: scalar rows of segments, without the extra
-    blocks. Returns their share of x . A x."""
-    share = wp.float64(0.0)
-    for task in range(first, end, step):
-        segment = layout.segments[task / 3]
-        if segment[0] >= 0:
-            span = layout.slices[task / 32]
-            part = packed_product(span[0], span[1], task % 32, layout.columns, packed, x)
-            parts[3 * segment[1] + task % 3] = part
-            share += part * x[3 * segment[0] + task % 3]
-    return share
+    """Product of a scalar row of a slice with x, straight from the blocks of the pattern."""
+    span = layout.slices[task / 32]
+    return _segment_product(
+        span[0] + task % 32,
+        span[0] + 32 * span[1],
+        32,
+        task % 3,
+        layout.columns,
+        layout.codes,
+        values,
+        x,
+    )
 
 
 @wp.func
@@ -77,22 +75,13 @@ def multiply_unpacked(
     x: wp.array(dtype=wp.float64),
     parts: wp.array(dtype=wp.float64),
 ) -> wp.float64:
-    """The same straight from the blocks of the pattern: for few products, without a copy."""
+    """parts = A x for tasks first, first + step, ...: scalar rows of segments, without the extra
+    blocks; straight from the pattern, for few products. Returns their share of x . A x."""
     share = wp.float64(0.0)
     for task in range(first, end, step):
         segment = layout.segments[task / 3]
         if segment[0] >= 0:
-            span = layout.slices[task / 32]
-            part = _segment_product(
-                span[0] + task % 32,
-                span[0] + 32 * span[1],
-                32,
-                task % 3,
-                layout.columns,
-                layout.codes,
-                values,
-                x,
-            )
+            part = unpacked_product(task, layout, values, x)
             parts[3 * segment[1] + task % 3] = part
             share += part * x[3 * segment[0] + task % 3]
     return share

@@ -62,7 +62,8 @@ class LinearSystem(LinearProblem):
         return f"{self._solver.description}; {p.free_count:,} rows, {p.block_count:,} blocks"
 
     def solve(self, active: wp.array, max_iterations: int) -> None:
-        """Solve to ||rhs - H p|| <= tolerances ||rhs|| in each active environment.
+        """Solve to ||rhs - H p|| <= tolerances ||rhs|| in each active environment, on a GPU with H
+        rounded to single precision where tolerances are no tighter than ``VERIFY_BELOW``.
 
         ``active``: int32, shape [env_count]. ``values`` and ``rhs`` are left as they are, and so is
         the matrix, but extra blocks of one place are summed in the list. Written are ``solution``,

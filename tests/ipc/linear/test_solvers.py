@@ -8,7 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from taccel_lab.ipc.linear.packed_rows import VERIFY_BELOW
 from tests.ipc.linear.systems import BACKENDS, delaunay_pattern, random_spd, solve_batch
+
+ROUNDED = ("cg", "pipelined")
+"""Methods whose products round the matrix, and that know its own residual where they verify it."""
 
 
 def _residuals(dense: np.ndarray, x: np.ndarray, rhs: np.ndarray) -> np.ndarray:
@@ -34,10 +38,15 @@ def test_reaches_the_tolerance_as_true_residual(
     rhs = rng.normal(size=(1, pattern.free_count, 3)) * 10.0 ** rng.uniform(-12, 3)
     x, report = solve_batch(pattern, values, rhs, np.ones(1), tolerance, backend=backend)
 
-    residual = _residuals(pattern.dense(values), x, rhs)
-    assert residual[0] <= tolerance * (1 + 1e-3)
+    dense = pattern.dense(values)
+    residual = _residuals(dense, x, rhs)
+    rounding = 1e-15 * stiffness
+    if backend in ROUNDED and tolerance >= VERIFY_BELOW:
+        moved = np.linalg.norm(np.abs(dense[0]) @ np.abs(x.ravel()))
+        rounding += 2.0**-24 * moved / np.linalg.norm(rhs)
+    assert residual[0] <= tolerance * (1 + 1e-3) + rounding
     np.testing.assert_allclose(
-        report.relative_residual, residual, rtol=1e-3, atol=1e-3 * tolerance + 1e-15 * stiffness
+        report.relative_residual, residual, rtol=1e-3, atol=1e-3 * tolerance + rounding
     )
     assert not report.breakdown[0]
     assert report.iterations[0] >= 1
@@ -127,6 +136,7 @@ def test_stops_at_the_iteration_limit_and_says_so(backend: str) -> None:
     )
     assert report.iterations[0] == 8
     assert report.relative_residual[0] > 1e-12
+    known = 1e-5 if backend in ROUNDED else 1e-9
     np.testing.assert_allclose(
-        report.relative_residual, _residuals(pattern.dense(values), x, rhs), rtol=1e-9
+        report.relative_residual, _residuals(pattern.dense(values), x, rhs), rtol=known
     )
