@@ -145,18 +145,23 @@ def test_joints() -> None:
 
 
 def deterministic_run(name: str, env_count: int, **options: object) -> list[np.ndarray]:
-    """State and forces after 30 steps of a benchmark scene whose environments differ."""
+    """State and forces after each of up to 30 steps of a benchmark scene whose environments
+    differ."""
     chosen = SceneOptions(env_count, config={"deterministic": True, **options}, lag=5)
     bench = build_scene(name, chosen)
     model = bench.scene.finalize("cuda:0")
     solver = SolverIPC(model, bench.config)
     state = initial_state(model, bench.targets(0))
-    for step in range(1, 31):
+    found, rubs = [], False
+    for step in range(1, min(30, bench.steps) + 1):
         report = solver.step(state, bench.targets(step))
         assert report.converged.all(), report.summary()
-    forces = [solver.contact_gradient, solver.friction_gradient]
-    assert all(np.abs(array.numpy()).max() > 0 for array in forces), "they touch, and rub"
-    return [array.numpy() for array in (state.positions, state.velocities, state.poses, *forces)]
+        forces = [solver.contact_gradient, solver.friction_gradient]
+        arrays = [state.positions, state.velocities, state.poses, *forces]
+        found.append(np.concatenate([array.numpy().ravel() for array in arrays]))
+        rubs = rubs or bool(solver.friction_gradient.numpy().any())
+    assert rubs
+    return found
 
 
 @pytest.mark.parametrize(
