@@ -45,7 +45,7 @@ class Speed(Suite):
     source: str = "auto"
     """Meshes: published, generated, or auto for the published ones where they are."""
     set: tuple[str, ...] = ()
-    """Solver settings other than the scene's, e.g. relative_tolerance=1e-5."""
+    """Solver settings other than the scene's, e.g. relative_tolerance=1e-5 deterministic=true."""
     lag: int = 0
     """Environment e is e modulo (LAG + 1) steps behind, so that they differ; 0: all do the same."""
     startup: bool = True

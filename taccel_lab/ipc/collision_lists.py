@@ -14,7 +14,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.bodies.surface_topology import NO_BALL_INSET
-from taccel_lab.ipc.capacity import ListRoom, claim_place
+from taccel_lab.ipc.capacity import ListRoom, claim_place, list_end
 from taccel_lab.ipc.distance.closest_pair import ClosestPair
 from taccel_lab.ipc.distance.edge_edge import closest_edge_edge
 from taccel_lab.ipc.distance.point_edge import closest_point_edge
@@ -143,3 +143,40 @@ def add_collision(
         lists.thresholds[at] = threshold
         lists.ranges[at] = reach
         lists.insets[at] = inset
+
+
+@wp.func
+def comes_first(a: int, b: int, lists: CollisionLists) -> bool:
+    """Whether collision a precedes collision b by kind and stencil, which no two have in common."""
+    if lists.kinds[a] != lists.kinds[b]:
+        return lists.kinds[a] < lists.kinds[b]
+    one = lists.stencils[a]
+    other = lists.stencils[b]
+    for i in range(4):
+        if one[i] != other[i]:
+            return one[i] < other[i]
+    return a < b
+
+
+@wp.kernel
+def sort_kernel(
+    active: wp.array(dtype=wp.int32), lanes: int, found: CollisionLists, lists: CollisionLists
+):
+    """Put each collision where its rank says: as many steps as there are collisions, side by side
+    for all of them."""
+    env, lane = wp.tid()
+    if active[env] == 0:
+        return
+    first = found.room.starts[env]
+    end = list_end(env, found.room)
+    for at in range(first + lane, end, lanes):
+        place = first
+        for other in range(first, end):
+            if comes_first(other, at, found):
+                place += 1
+        lists.kinds[place] = found.kinds[at]
+        lists.stencils[place] = found.stencils[at]
+        lists.stiffnesses[place] = found.stiffnesses[at]
+        lists.thresholds[place] = found.thresholds[at]
+        lists.ranges[place] = found.ranges[at]
+        lists.insets[place] = found.insets[at]

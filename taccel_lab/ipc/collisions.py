@@ -55,6 +55,7 @@ from taccel_lab.ipc.collision_lists import (
     closest_pair,
     collision_gap,
     contact_geometry,
+    sort_kernel,
 )
 from taccel_lab.ipc.contact_roles import body_kappas, body_ranks, self_ranges
 from taccel_lab.ipc.lanes import lane_count
@@ -88,7 +89,7 @@ class Collisions(GrowingList):
 
     Collisions are appended by an atomic counter. On the CPU, which runs threads in turn, their
     order and hence every bit of the sums over them is reproducible; on a GPU the order varies from
-    run to run, and the sums with it in the last digits.
+    run to run, and the sums with it in the last digits, unless they are sorted.
     """
 
     columns: ClassVar = {
@@ -119,11 +120,16 @@ class Collisions(GrowingList):
         dhat: float,
         room: int | None = None,
         limit: int = 1 << 20,
+        in_order: bool = False,
     ) -> None:
         """``room``, ``limit``: collisions of an environment that there is room for at first, and
-        that there may be. ``kappa``, ``dhat``: as the attributes."""
+        that there may be. ``kappa``, ``dhat``: as the attributes. ``in_order``: whether they are
+        sorted by kind and stencil."""
         at_first = initial_capacity(model.env_count) if room is None else room
+        self._in_order = in_order
         super().__init__(model.env_count, model.device, at_first, limit)
+        if in_order:
+            self.entry_bytes *= 2
         self.model = model
         self.kappa = kappa
         """Barrier stiffness of all contacts [Pa], contact pressure at a gap of about half of dhat;
@@ -160,6 +166,12 @@ class Collisions(GrowingList):
         self.lists.room = self.room
         for name in self.columns:
             setattr(self.lists, name, getattr(self, name))
+        self._found = self.lists
+        if self._in_order:
+            self._found = CollisionLists()
+            self._found.room = self.room
+            for name, dtype in self.columns.items():
+                setattr(self._found, name, wp.zeros(self.capacity, dtype, device=self.device))
 
     def update(self, active: wp.array, positions: wp.array, candidates: Candidates) -> None:
         """``collect`` by a host that makes room where it is short."""
@@ -173,12 +185,13 @@ class Collisions(GrowingList):
         the lists of others stay as they are."""
         self.clear(active)
         side_by_side(self.model.device, self.searches(active, positions, candidates))
+        self.settle(active)
 
     def searches(
         self, active: wp.array, positions: wp.array, candidates: Candidates
     ) -> list[Callable[[], None]]:
         """Launches, in any order or side by side, that add the collisions among ``candidates`` at
-        ``positions`` to the lists of active environments."""
+        ``positions`` to the lists of active environments, which then are to be ``settle``d."""
         model, plan = self.model, self.model.contact_plan
         if self._moduli is not model.largest_moduli:
             # They differ by environment since.
@@ -192,7 +205,7 @@ class Collisions(GrowingList):
                 kernel,
                 dim=(model.env_count, lanes),
                 inputs=[active, lanes, pairs.room, pairs.pairs, *common],
-                outputs=[self.lists],
+                outputs=[self._found],
                 device=model.device,
             )
 
@@ -201,7 +214,7 @@ class Collisions(GrowingList):
                 node_plane_kernel,
                 dim=(model.env_count, len(plan.node_plane)),
                 inputs=[active, plan.node_plane, model.present, *common],
-                outputs=[self.lists],
+                outputs=[self._found],
                 device=model.device,
             )
 
@@ -213,6 +226,19 @@ class Collisions(GrowingList):
         if len(plan.node_plane):
             searches.append(narrow_planes)
         return searches
+
+    def settle(self, active: wp.array) -> None:
+        """Bring what ``searches`` have found in active environments in order, if it shall be."""
+        if not self._in_order:
+            return
+        lanes = lane_count(self.device, len(active), self.largest_room)
+        wp.launch(
+            sort_kernel,
+            dim=(len(active), lanes),
+            inputs=[active, lanes, self._found],
+            outputs=[self.lists],
+            device=self.device,
+        )
 
     def snapshot(self, env: int) -> dict[str, np.ndarray]:
         """Collisions of one environment, sorted by kind and stencil: the same on every device."""

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import warp as wp
 
 from taccel_lab.ipc.affine.pull_back import pull_back
@@ -94,12 +96,16 @@ def _velocity_kernel(
 def _negate_kernel(
     active: wp.array(dtype=wp.int32),
     reduced: wp.array2d(dtype=wp.vec3d),
+    keep: int,
     rhs: wp.array2d(dtype=wp.vec3d),
 ):
     env, row = wp.tid()
-    rhs[env, row] = wp.vec3d()
+    load = wp.vec3d()
+    if keep != 0:
+        load = rhs[env, row]
     if active[env] != 0:
-        rhs[env, row] = -reduced[env, row]
+        load = load - reduced[env, row]
+    rhs[env, row] = load
 
 
 @wp.kernel
@@ -168,6 +174,19 @@ def newton_system(model: Model, linear: LinearSystem, displacements: wp.array) -
     system.rhs = linear.rhs
     system.displacements = displacements
     return system
+
+
+def newton_systems(
+    model: Model, linear: LinearSystem, displacements: wp.array
+) -> Iterator[NewtonSystem]:
+    """``newton_system`` for what adds in any order, which is launched with all of these in turn:
+    the one that there is, or where bits count one that measures and one that adds. Matrix and
+    right-hand side are zero before then."""
+    blocks, rhs = linear.block_sums.stages(), linear.rhs_sums.stages()
+    for block_sums, rhs_sums in zip(blocks, rhs, strict=True):
+        system = newton_system(model, linear, displacements)
+        system.block_sums, system.rhs_sums = block_sums, rhs_sums
+        yield system
 
 
 def reduce_gradient(
@@ -242,12 +261,15 @@ def measure_velocities(
     )
 
 
-def begin_rhs(model: Model, active: wp.array, reduced: wp.array, rhs: wp.array) -> None:
-    """rhs = -reduced [N], zero in environments that are not active."""
+def begin_rhs(
+    model: Model, active: wp.array, reduced: wp.array, rhs: wp.array, keep: bool = False
+) -> None:
+    """rhs = -reduced [N], zero in environments that are not active; or with ``keep`` rhs -= reduced
+    in the active ones."""
     launch(
         _negate_kernel,
         dim=rhs.shape,
-        inputs=[active, reduced],
+        inputs=[active, reduced, int(keep)],
         outputs=[rhs],
         device=model.device,
     )

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.linear.scatter import NewtonSystem, add_entry
+from taccel_lab.ipc.linear.scatter import NewtonSystem, add_entry, take_from_rhs
 from taccel_lab.ipc.matrix_types import mat43d
 from taccel_lab.ipc.pair_hessian import PairHessian, local_block
 
@@ -226,7 +226,7 @@ def add_pair_hessian(
         if pulled and i == j:
             along = a[0] * pull[0] + a[1] * pull_1 + a[2] * pull_2
             force = wp.vec3d(along, a[0] * pull[1], a[0] * pull[2])
-            wp.atomic_sub(system.rhs, env, row, h.axes * force)
+            take_from_rhs(env, row, h.axes * force, system)
         local = local_block(h, a[0], b[0], a[1], b[1], a[2], b[2])
         add_lower(env, row, row_at(s.stage, j), h.axes * local * to_axes, system)
 
@@ -255,7 +255,7 @@ def add_weighted_block(
         weight = coefficients_at(s.stage, i)[0]
         row = row_at(s.stage, i)
         if pulled and i == j:
-            wp.atomic_sub(system.rhs, env, row, weight * pull)
+            take_from_rhs(env, row, weight * pull, system)
         share = weight * coefficients_at(s.stage, j)[0]
         if share != wp.float64(0.0):
             add_lower(env, row, row_at(s.stage, j), share * core, system)

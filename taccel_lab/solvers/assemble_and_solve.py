@@ -9,7 +9,8 @@ import warp as wp
 
 from taccel_lab.ipc.capacity import ListRoom, overflows
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
-from taccel_lab.ipc.motion import begin_rhs, newton_system, spread_solution
+from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.motion import begin_rhs, newton_system, newton_systems, spread_solution
 from taccel_lab.model.kinematics import turn_within
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import EnvProgress, Rules, lower_flags
@@ -150,6 +151,8 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
     """Matrix and right-hand side of all active environments."""
     s, p, x = run.s, run.p, run.state.positions
     system = newton_system(run.model, s.linear, s.displacements)
+    in_any_order = newton_systems(run.model, s.linear, s.displacements)
+    bits_count = s.linear.in_any_order
     elements = [*s.elastic, *s.viscosity]
 
     def aim() -> None:
@@ -162,20 +165,22 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
     def clear() -> None:
         s.linear.values.zero_()
         s.linear.extra.clear()
+        if bits_count:
+            s.linear.rhs.zero_()
 
     def start_rhs() -> None:
-        begin_rhs(run.model, p.active, s.reduced, s.linear.rhs)
+        begin_rhs(run.model, p.active, s.reduced, s.linear.rhs, keep=bits_count)
 
     def of_elements() -> None:
         for part in elements:
             part.write_hessians(p.active, x, p.psd_mode)
 
-    def of_contact() -> None:
-        s.contact.add_hessian(p.active, x, system, p.psd_mode)
+    def of_contact(part: NewtonSystem) -> None:
+        s.contact.add_hessian(p.active, x, part, p.psd_mode)
 
-    def of_friction() -> None:
+    def of_friction(part: NewtonSystem) -> None:
         if s.friction is not None:
-            s.friction.add_hessian(p.active, run.motion(), system, p.sharpness)
+            s.friction.add_hessian(p.active, run.motion(), part, p.sharpness)
 
     def of_affine() -> None:
         if s.affine is not None:
@@ -192,7 +197,15 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
         for part in elements:
             part.gather_rim(p.moving, system)
 
-    run.together([aim, clear, start_rhs])
     # What adds by atomics first; what gathers in order adds to that.
-    run.together([of_contact, of_elements, of_friction, of_affine])
+    if not bits_count:
+        run.together([aim, clear, start_rhs])
+        (only,) = in_any_order
+        run.together([lambda: of_contact(only), of_elements, lambda: of_friction(only), of_affine])
+    else:
+        run.together([aim, clear])
+        measuring, adding = in_any_order
+        run.together([lambda: of_contact(measuring), of_elements, lambda: of_friction(measuring)])
+        run.together([lambda: of_contact(adding), lambda: of_friction(adding)])
+        run.together([start_rhs, of_affine])
     run.together([gather, gather_rim, *beside])

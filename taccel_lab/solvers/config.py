@@ -50,6 +50,9 @@ class SolverConfig:
     device and size."""
     capture: bool = True
     """Whether steps are captured as graphs and launched as a whole."""
+    deterministic: bool = False
+    """Whether two runs on a GPU give the same bits, as they always do on the CPU. What it costs is
+    in docs/solver.md."""
 
     def __post_init__(self) -> None:
         for name, low, high in (

@@ -281,4 +281,5 @@ def evaluate_trial(run: StepLaunches) -> None:
     energies = run.energy_parts(p.inner, s.trial, s.trial_poses)
     searches = s.collisions.searches(p.inner, s.trial, s.candidates)
     run.together([*searches, *checks, *energies])
+    s.collisions.settle(p.inner)
     s.contact.write_energies(p.inner, s.trial)

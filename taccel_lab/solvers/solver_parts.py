@@ -56,17 +56,19 @@ class SolverParts:
         """Built by the first step of a state with external forces."""
         limit = self.config.max_collisions
         self.candidates = Candidates(model, limit=limit)
-        self.collisions = Collisions(model, self.config.kappa_pa, self.config.dhat_m, limit=limit)
+        same = self.config.deterministic
+        kappa, dhat = self.config.kappa_pa, self.config.dhat_m
+        self.collisions = Collisions(model, kappa, dhat, limit=limit, in_order=same)
         self.pairs = KeptPairs(model, self.candidates, self.config.dhat_m)
         own = any(i == j for i, j in model.contact_plan.pairs)
         self.frame_nodes = FrameNodes(model)
         self.straight_nodes = StraightNodes(model)
         self.shortest_range_m = 0.0 if own else self.collisions.guard
         """Gap below which every pair is a collision [m]; of self-contact nothing is known."""
-        self.contact = ContactPotential(model, self.collisions)
+        self.contact = ContactPotential(model, self.collisions, same)
         static_range = self.config.static_range_m(scene.time)
         self.friction = (
-            FrictionPotential(model, self.collisions, static_range) if model.rubs else None
+            FrictionPotential(model, self.collisions, static_range, same) if model.rubs else None
         )
         first = model.free_count - 4 * model.affine.count
         self.linear = LinearSystem(
@@ -78,6 +80,7 @@ class SolverParts:
             extra_room=self._extra_room(),
             scratch=self._scratch(),
             positions_m=model.rest_positions.numpy()[0, model.free_nodes.numpy()],
+            in_any_order=same,
         )
         shape, device = (model.env_count, model.node_count), model.device
 

@@ -2,7 +2,8 @@
 """Steps on a GPU: captured graphs, all linear methods, many environments.
 
 Without a GPU these are skipped; `TACCEL_LAB_DEVICE=cuda:0 pytest` runs all other tests on it, of
-which those that ask for the same bits twice fail: contacts come in any order there.
+which those that ask for the same bits twice fail: contacts come in any order there, unless
+``SolverConfig.deterministic`` says that it must not matter.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.ipc.linear.system import METHODS
@@ -140,3 +142,48 @@ def test_joints() -> None:
         assert report.joint_violation_m.max() < 1e-9
     assert solver.joints is not None
     assert abs(solver.joints.coordinates.numpy()[0, 0]) > 0.3, "it swings"
+
+
+def deterministic_run(name: str, env_count: int, **options: object) -> list[np.ndarray]:
+    """State and forces after each of up to 30 steps of a benchmark scene whose environments
+    differ."""
+    chosen = SceneOptions(env_count, config={"deterministic": True, **options}, lag=5)
+    bench = build_scene(name, chosen)
+    model = bench.scene.finalize("cuda:0")
+    solver = SolverIPC(model, bench.config)
+    state = initial_state(model, bench.targets(0))
+    found, rubs = [], False
+    for step in range(1, min(30, bench.steps) + 1):
+        report = solver.step(state, bench.targets(step))
+        assert report.converged.all(), report.summary()
+        forces = [solver.contact_gradient, solver.friction_gradient]
+        arrays = [state.positions, state.velocities, state.poses, *forces]
+        found.append(np.concatenate([array.numpy().ravel() for array in arrays]))
+        rubs = rubs or bool(solver.friction_gradient.numpy().any())
+    assert rubs
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "env_count", "options"),
+    [
+        ("peg", 32, {}),
+        ("press_239", 32, {}),
+        ("press_239", 4, {"capture": False}),
+        ("press_2005", 1, {"linear_method": "pipelined"}),
+        ("press_2005", 4, {"linear_method": "cg"}),
+        ("bolt", 8, {}),
+        ("hand", 4, {}),
+        ("squeeze", 2, {}),
+    ],
+)
+def test_two_runs_give_the_same_bits(name: str, env_count: int, options: dict[str, object]) -> None:
+    first, second = (deterministic_run(name, env_count, **options) for _ in range(2))
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_the_same_bits_are_those_of_the_same_motion() -> None:
+    _, plain = lift_cube(grasp())
+    _, ordered = lift_cube(grasp(), deterministic=True)
+    np.testing.assert_allclose(ordered.positions.numpy(), plain.positions.numpy(), atol=1e-7)

@@ -27,7 +27,7 @@ from taccel_lab.state import State, initial_state
 ENVS = 3
 
 
-def make(device: str, element: Element) -> tuple[SolverIPC, State]:
+def make(device: str, element: Element, **options: bool) -> tuple[SolverIPC, State]:
     """A gel on a hand lowers itself on a box that lies on the floor, and rubs."""
     gel = SoftBody(
         block_mesh((2, 2, 2), (4e-3, 4e-3, 3e-3)),
@@ -45,7 +45,7 @@ def make(device: str, element: Element) -> tuple[SolverIPC, State]:
         affine_bodies=[box],
         planes=[Plane((0, 0, -1.05e-3), friction_coefficient=0.4)],
     )
-    solver = SolverIPC(scene.finalize(device), SolverConfig(dhat_m=1e-4))
+    solver = SolverIPC(scene.finalize(device), SolverConfig(dhat_m=1e-4, **options))  # type: ignore[arg-type]
     return solver, initial_state(solver.model, poses(0))
 
 
@@ -73,9 +73,8 @@ def scratch(solver: SolverIPC) -> Iterator[wp.array]:
         yield getattr(p, name)
 
 
-@pytest.mark.parametrize("element", [Element.LINEAR, Element.QUADRATIC])
-def test_what_scratch_memory_held_before_does_not_matter(element: Element) -> None:
-    clean, poisoned = make("cpu", element), make("cpu", element)
+def poison_and_compare(device: str, element: Element, **options: bool) -> None:
+    clean, poisoned = make(device, element, **options), make(device, element, **options)
     for step in range(1, 6):
         for array in scratch(poisoned[0]):
             array.fill_(np.nan)
@@ -85,3 +84,18 @@ def test_what_scratch_memory_held_before_does_not_matter(element: Element) -> No
     assert clean[0].contact_gradient.numpy().any(), "they touch"
     np.testing.assert_array_equal(poisoned[1].positions.numpy(), clean[1].positions.numpy())
     np.testing.assert_array_equal(poisoned[1].velocities.numpy(), clean[1].velocities.numpy())
+
+
+@pytest.mark.parametrize("deterministic", [False, True])
+@pytest.mark.parametrize("element", [Element.LINEAR, Element.QUADRATIC])
+def test_what_scratch_memory_held_before_does_not_matter(
+    element: Element, deterministic: bool
+) -> None:
+    poison_and_compare("cpu", element, deterministic=deterministic)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize("element", [Element.LINEAR, Element.QUADRATIC])
+def test_nor_on_a_gpu_where_two_runs_give_the_same_bits(element: Element) -> None:
+    poison_and_compare("cuda:0", element, deterministic=True)

@@ -96,6 +96,8 @@ def _stray_kernel(
         if lane == 0:
             stale[env] = 0
         return
+    # Before the barriers below: the first thread writes it after them.
+    reached = covered[env]
     big = wp.float64(1.0e30)
     way_low = wp.vec3d(big, big, big)
     way_high = -way_low
@@ -116,7 +118,7 @@ def _stray_kernel(
         end_high = wp.max(end_high, end)
     apart = block_diagonal(way_low, way_high)
     strayed = wp.max(block_diagonal(start_low, start_high), block_diagonal(end_low, end_high))
-    fresh = strayed + reaches[env] <= covered[env]
+    fresh = strayed + reaches[env] <= reached
     if lane == 0:
         ways[env] = apart
         stale[env] = 0

@@ -8,7 +8,8 @@ belongs together, in place - the matrix stays the same - writes row lists of wha
 those out in slices (``packed_rows``), as far as the room for them goes.
 
 The order of the list is that in which a GPU's threads got their slots, so that the last bits of the
-sums may differ from run to run.
+sums may differ from run to run. Where bits count (``LinearProblem.in_any_order``) the blocks of one
+place have an exact sum, and row lists are brought in order (``extra_layout``).
 """
 
 from __future__ import annotations
@@ -17,7 +18,14 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear.block_ops import Team, block_barrier, launch_team, team
-from taccel_lab.ipc.linear.packed_rows import WIDTH, pack_block_row
+from taccel_lab.ipc.linear.extra_layout import (
+    ExtraRows,
+    extra_slice,
+    order_kernel,
+    pack_extra,
+    slice_length,
+)
+from taccel_lab.ipc.linear.packed_rows import WIDTH
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.row_lists import SEGMENT_LENGTH, scalars
 from taccel_lab.ipc.linear.row_plan import RowPlan
@@ -30,45 +38,6 @@ lane a component: a column of a body in contact with another has thousands."""
 _LANES = 256
 _ENTRY_BYTES = 8 + 16 + 8 + 210
 """Memory of a block here, at most: in two orders, two entries, their segments, their slices."""
-
-
-@wp.struct
-class ExtraRows:
-    """Row lists of the extra blocks of every environment; rows and columns are places.
-
-    The arrays hold those of all environments, one after the other, as the list does; what they say
-    of places is counted from the first of an environment.
-
-    starts: first block in the list, first segment and first of packed_columns of each environment,
-    and the ends, [env_count + 1].
-    totals: entries, segments and room in slices in use, [env_count, 3].
-    columns, codes: column of each entry and its block as 2 place in the list + transposed, two
-    entries a block.
-    segments: (row, first entry, end).
-    parts: products of segments; part_scalars: the same memory.
-    row_segments: (first segment, count) of each row, [env_count, row_count].
-    slices: (first in packed_columns or -1 without room, entries of each lane), of 32 scalar rows of
-    the segments each.
-    packed_columns, packed: see ``RowSlices`` and ``PackedRows``.
-    """
-
-    starts: wp.array(dtype=wp.vec3i)
-    totals: wp.array2d(dtype=wp.int32)
-    columns: wp.array(dtype=wp.int32)
-    codes: wp.array(dtype=wp.int32)
-    segments: wp.array(dtype=wp.vec3i)
-    parts: wp.array(dtype=wp.vec3d)
-    part_scalars: wp.array(dtype=wp.float64)
-    row_segments: wp.array2d(dtype=wp.vec2i)
-    slices: wp.array(dtype=wp.vec2i)
-    packed_columns: wp.array(dtype=wp.int32)
-    packed: wp.array(dtype=wp.float64)
-
-
-@wp.func
-def extra_slice(env: int, rows: ExtraRows) -> int:
-    """First slice of an environment."""
-    return 3 * rows.starts[env][1] / 32
 
 
 @wp.func
@@ -162,48 +131,13 @@ def _cut_rows(
 def _claim_slices(env: int, lane: int, lanes: int, rows: ExtraRows):
     """Find room for every slice, as long as the longest of its rows; -1 where there is none."""
     segment_count = rows.totals[env, 1]
-    segments = rows.starts[env][1]
     room = rows.starts[env + 1][2] - rows.starts[env][2]
     for s in range(lane, (3 * segment_count + 31) / 32, lanes):
-        length = int(0)
-        begin = 32 * s // 3
-        for segment in range(begin, wp.min((32 * s + 31) / 3 + 1, segment_count)):
-            span = rows.segments[segments + segment]
-            length = wp.max(length, span[2] - span[1])
+        length = slice_length(env, s, rows)
         first = wp.atomic_add(rows.totals, env, 2, 32 * length)
         if first + 32 * length > room:
             first = int(-1)
         rows.slices[extra_slice(env, rows) + s] = wp.vec2i(first, length)
-
-
-@wp.func
-def _pack(env: int, lane: int, lanes: int, values: wp.array(dtype=wp.float64), rows: ExtraRows):
-    """Fill the slices."""
-    segment_count = rows.totals[env, 1]
-    entries = 2 * rows.starts[env][0]
-    segments = rows.starts[env][1]
-    packed = rows.starts[env][2]
-    for task in range(lane, (3 * segment_count + 31) / 32 * 32, lanes):
-        span = rows.slices[extra_slice(env, rows) + task / 32]
-        place = task % 32
-        first = int(0)
-        count = int(0)
-        if task / 3 < segment_count:
-            segment = rows.segments[segments + task / 3]
-            first = segment[1]
-            count = segment[2] - first
-        length = span[1]
-        if span[0] < 0:
-            length = int(0)
-        for k in range(length):
-            at = packed + span[0] + 32 * k
-            code = int(-1)
-            column = int(0)
-            if k < count:
-                code = rows.codes[entries + first + k]
-                column = rows.columns[entries + first + k]
-            rows.packed_columns[at + place] = column
-            pack_block_row(code, task % 3, 3 * at + place, values, rows.packed)
 
 
 @wp.kernel(grid_stride=False)
@@ -293,7 +227,7 @@ def _merge_kernel(
             rows.codes[2 * first + at_j] = 2 * k + 1
     _claim_slices(env, lane, lanes, rows)
     block_barrier()
-    _pack(env, lane, lanes, values, rows)
+    pack_extra(env, lane, lanes, values, rows)
 
 
 class ExtraRowLists:
@@ -311,7 +245,7 @@ class ExtraRowLists:
         self._row_places = wp.array(order.astype(np.int32), dtype=wp.int32, device=problem.device)
         self._sizes = wp.zeros(problem.shape, dtype=wp.int32, device=problem.device)
         self._ends = wp.zeros(problem.shape, dtype=wp.int32, device=problem.device)
-        problem.extra.entry_bytes += _ENTRY_BYTES
+        problem.extra.entry_bytes += _ENTRY_BYTES + 8 * problem.in_any_order
         self._allocate()
 
     def _allocate(self) -> None:
@@ -337,6 +271,8 @@ class ExtraRowLists:
         rows.starts = wp.array(starts.astype(np.int32), dtype=wp.vec3i, device=problem.device)
         rows.totals = empty((problem.env_count, 3))
         rows.columns, rows.codes = empty(2 * blocks), empty(2 * blocks)
+        if problem.in_any_order:
+            self._came = empty(2 * blocks)
         rows.segments = empty(segment_count, wp.vec3i)
         rows.parts = empty(segment_count, wp.vec3d)
         rows.part_scalars = scalars(rows.parts)
@@ -378,3 +314,13 @@ class ExtraRowLists:
             [self.rows],
             problem.device,
         )
+        if problem.in_any_order:
+            launch_team(
+                order_kernel,
+                problem.env_count,
+                self._team,
+                [self._team.lanes, SEGMENT_LENGTH, active, self._row_places, extra.counts]
+                + [extra.places, self.values, self._owners, self._sizes, self._ends, self._came],
+                [self.rows],
+                problem.device,
+            )

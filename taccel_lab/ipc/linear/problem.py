@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks
+from taccel_lab.ipc.reproducible_sums import ReproducibleSums
 from taccel_lab.ipc.scratch import Scratch
 from taccel_lab.model.matrix_pattern import BlockPattern
 
@@ -22,7 +23,10 @@ class LinearProblem:
         extra_room: int = 1,
         scratch: Scratch | None = None,
         positions_m: np.ndarray | None = None,
+        in_any_order: bool = False,
     ) -> None:
+        self.in_any_order = in_any_order
+        """Whether solutions are the same bits in whatever order blocks and forces were added."""
         self.positions_m = positions_m
         """Where the rows are at rest [m], shape [free_count, 3], for methods that ask."""
         self.scratch = scratch or Scratch()
@@ -37,6 +41,11 @@ class LinearProblem:
         shape = (env_count, pattern.free_count)
         self.rhs = wp.zeros(shape, dtype=wp.vec3d, device=device)
         """Right-hand sides [N], shape [env_count, free_count]."""
+        blocks = (env_count, pattern.block_count)
+        self.block_sums = ReproducibleSums(blocks, device, in_any_order)
+        """How what comes in any order is added to ``values`` and ``extra``."""
+        self.rhs_sums = ReproducibleSums(shape, device, in_any_order)
+        """The same of ``rhs``."""
         self.solution = wp.zeros(shape, dtype=wp.vec3d, device=device)
         """Solutions [m], shape [env_count, free_count]; zero where not active."""
         self.tolerances = wp.full(env_count, 1e-6, dtype=wp.float64, device=device)

@@ -6,6 +6,15 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.capacity import ListRoom, claim_place
+from taccel_lab.ipc.reproducible_sums import (
+    MEASURE,
+    SumStage,
+    add_vector,
+    block_exponent,
+    note_addend,
+    place_anchor,
+    rounded_block,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,6 +33,8 @@ class NewtonSystem:
     again.
     rhs: right-hand side [N], [env_count, free_count].
     displacements: motion of prescribed nodes over this iteration [m], [env_count, node_count].
+    block_sums, rhs_sums: how blocks and right-hand sides are added up. Blocks outside of the
+    pattern count as addends of the diagonal of their row.
     """
 
     free_index: wp.array(dtype=wp.int32)
@@ -37,6 +48,8 @@ class NewtonSystem:
     extra_values: wp.array(dtype=wp.mat33d)
     rhs: wp.array2d(dtype=wp.vec3d)
     displacements: wp.array2d(dtype=wp.vec3d)
+    block_sums: SumStage
+    rhs_sums: SumStage
 
 
 @wp.func
@@ -83,6 +96,8 @@ _ADD_SNIPPET = """
     }
     for (int i = 0; i < 9; ++i) {
         double value = block.data[i / 3][i % 3];
+        if (anchor != 0.0)
+            value = (value + anchor) - anchor;
         if (together) {
             for (int step = 16; step > 0; step >>= 1)
                 value += __shfl_xor_sync(mask, value, step);
@@ -93,16 +108,22 @@ _ADD_SNIPPET = """
     }
 #else
     for (int i = 0; i < 9; ++i)
-        entry[i] += block.data[i / 3][i % 3];
+        entry[i] += anchor == 0.0 ? block.data[i / 3][i % 3]
+                                  : (block.data[i / 3][i % 3] + anchor) - anchor;
 #endif
 """
 
 
 @wp.func_native(_ADD_SNIPPET)
 def add_to_block(
-    env: int, index: int, block: wp.mat33d, values: wp.array2d(dtype=wp.mat33d)
+    env: int,
+    index: int,
+    block: wp.mat33d,
+    anchor: wp.float64,
+    values: wp.array2d(dtype=wp.mat33d),
 ) -> None:
-    """Add to a block of the matrices of all environments, [env_count, block_count]."""
+    """Add to a block of the matrices of all environments, [env_count, block_count]; on the grid of
+    an anchor other than zero."""
     ...
 
 
@@ -112,13 +133,28 @@ def add_entry(env: int, row: int, column: int, block: wp.mat33d, system: NewtonS
     if column > row:
         return
     index = find_block(row, column, system.row_starts, system.columns)
+    anchor = wp.float64(0.0)
+    if system.block_sums.stage > 0:
+        place = index
+        if index < 0:
+            place = system.row_starts[row + 1] - 1
+        if system.block_sums.stage == MEASURE:
+            note_addend(env, place, block_exponent(block), system.block_sums)
+            return
+        anchor = place_anchor(env, place, system.block_sums)
     if index >= 0:
-        add_to_block(env, index, block, system.values)
+        add_to_block(env, index, block, anchor, system.values)
         return
     at = claim_place(env, system.extra_room)
     if at >= 0:
         system.extra_places[at] = wp.vec2i(row, column)
-        system.extra_values[at] = block
+        system.extra_values[at] = rounded_block(block, anchor)
+
+
+@wp.func
+def take_from_rhs(env: int, row: int, force: wp.vec3d, system: NewtonSystem):
+    """Subtract a force [N] from the right-hand side."""
+    add_vector(env, row, -force, system.rhs, system.rhs_sums)
 
 
 @wp.func
@@ -148,7 +184,7 @@ def add_block(env: int, node_i: int, node_j: int, block: wp.mat33d, system: Newt
                 w = system.weights[node_j][k]
                 add_entry(env, row, system.free_index[parent_j + k], w * block, system)
         else:
-            wp.atomic_sub(system.rhs, env, row, block * system.displacements[env, node_j])
+            take_from_rhs(env, row, block * system.displacements[env, node_j], system)
     elif parent_i >= 0:
         for k in range(count):
             scaled = system.weights[node_i][k] * block
@@ -160,4 +196,4 @@ def add_block(env: int, node_i: int, node_j: int, block: wp.mat33d, system: Newt
                     w = system.weights[node_j][m]
                     add_entry(env, row_k, system.free_index[parent_j + m], w * scaled, system)
             else:
-                wp.atomic_sub(system.rhs, env, row_k, scaled * system.displacements[env, node_j])
+                take_from_rhs(env, row_k, scaled * system.displacements[env, node_j], system)

@@ -13,7 +13,7 @@ from taccel_lab.ipc.linear import arrow
 from taccel_lab.ipc.linear.arrow import Arrow
 from taccel_lab.ipc.linear.block_cg import BlockCG
 from taccel_lab.ipc.linear.block_ops import team
-from taccel_lab.ipc.linear.pipelined_cg import TASKS_PER_ROW, PipelinedCG
+from taccel_lab.ipc.linear.pipelined_cg import PATIENCE, TASKS_PER_ROW, PipelinedCG
 from taccel_lab.ipc.linear.problem import LinearProblem
 from taccel_lab.ipc.linear.report import LinearReport
 from taccel_lab.ipc.linear.ssor_cg import SsorCG
@@ -44,13 +44,15 @@ class LinearSystem(LinearProblem):
         extra_room: int = 1,
         scratch: Scratch | None = None,
         positions_m: np.ndarray | None = None,
+        in_any_order: bool = False,
     ) -> None:
         """``clusters``: ranges (first, end) of rows that are stiff among themselves, as the control
         nodes of an affine body. ``method``: "auto" or one of ``METHODS``. ``extra_room``: blocks of
         an environment that ``ExtraBlocks`` has room for at first. ``scratch``: memory that is free
         during a solve. ``positions_m``: of the rows at rest [m], shape [free_count, 3].
+        ``in_any_order``: see ``LinearProblem``.
         """
-        super().__init__(pattern, env_count, device, extra_room, scratch, positions_m)
+        super().__init__(pattern, env_count, device, extra_room, scratch, positions_m, in_any_order)
         self.clusters = list(clusters or [])
         if method == "auto":
             method = _method(pattern, self.clusters, env_count, device)
@@ -76,11 +78,16 @@ class LinearSystem(LinearProblem):
         return LinearReport.read(self)
 
 
+_LONG = 2**31 - 1
+"""Clock cycles, about a second, for which all of a team are waited for where bits count: fewer
+thread blocks add up in another order."""
 METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
     "ssor": SsorCG,
     "cg": lambda system: BlockCG(system, system.clusters),
     "arrow": lambda system: Arrow(system, system.clusters),
-    "pipelined": lambda system: PipelinedCG(system, system.clusters),
+    "pipelined": lambda system: PipelinedCG(
+        system, system.clusters, patience=_LONG if system.in_any_order else PATIENCE
+    ),
 }
 
 

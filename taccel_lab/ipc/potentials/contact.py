@@ -41,6 +41,7 @@ from taccel_lab.ipc.pair_hessian import (
     pair_hessian,
 )
 from taccel_lab.ipc.potentials.energy import EnergyTerm
+from taccel_lab.ipc.reproducible_sums import ReproducibleSums, SumStage, add_vector
 from taccel_lab.ipc.stencil_rows import STENCIL_THREADS, add_pair_hessian, row_parts
 from taccel_lab.model import Model
 
@@ -159,6 +160,7 @@ def add_contact_gradient(
     positions: wp.array2d(dtype=wp.vec3d),
     gradient: wp.array2d(dtype=wp.vec3d),
     min_distance: wp.array(dtype=wp.float64),
+    sums: SumStage,
 ):
     """Add the gradient [N] of one collision and lower the smallest gap [m]."""
     kind = lists.kinds[at]
@@ -167,7 +169,8 @@ def add_contact_gradient(
     wp.atomic_min(min_distance, env, collision_gap(pair, nodes, lists.insets[at], geometry))
     rows = contact_rows(env, at, pair, lists, geometry, positions)
     for i in range(stencil_size(kind)):
-        wp.atomic_add(gradient, env, nodes[i], wp.vec3d(rows[i, 0], rows[i, 1], rows[i, 2]))
+        row = wp.vec3d(rows[i, 0], rows[i, 1], rows[i, 2])
+        add_vector(env, nodes[i], row, gradient, sums)
 
 
 @wp.kernel
@@ -179,12 +182,13 @@ def _gradient_kernel(
     positions: wp.array2d(dtype=wp.vec3d),
     gradient: wp.array2d(dtype=wp.vec3d),
     min_distance: wp.array(dtype=wp.float64),
+    sums: SumStage,
 ):
     env, lane = wp.tid()
     if active[env] == 0:
         return
     for at in range(lists.room.starts[env] + lane, list_end(env, lists.room), lanes):
-        add_contact_gradient(env, at, lists, geometry, positions, gradient, min_distance)
+        add_contact_gradient(env, at, lists, geometry, positions, gradient, min_distance, sums)
 
 
 @wp.func
@@ -254,8 +258,12 @@ def _hessian_kernel(
 class ContactPotential(EnergyTerm):
     """Launches of the barrier energy over a collision set."""
 
-    def __init__(self, model: Model, collisions: Collisions) -> None:
+    def __init__(self, model: Model, collisions: Collisions, in_any_order: bool = False) -> None:
+        """``in_any_order``: whether gradients shall be the same bits however contacts are listed;
+        they are added to zeros then."""
         self.model = model
+        shape = (model.env_count, model.node_count)
+        self._sums = ReproducibleSums(shape, model.device, in_any_order)
         self.collisions = collisions
         self.energies = wp.zeros(0, dtype=wp.float64, device=model.device)
         """Energy of each collision [J], float64, where it is in the list."""
@@ -287,7 +295,8 @@ class ContactPotential(EnergyTerm):
         self, active: wp.array, positions: wp.array, gradient: wp.array, min_distance: wp.array
     ) -> None:
         """Add d energy / dx [N] of all nodes, soft and kinematic, and lower the minimum gap [m]."""
-        self._launch(_gradient_kernel, active, positions, [gradient, min_distance])
+        for stage in self._sums.stages():
+            self._launch(_gradient_kernel, active, positions, [gradient, min_distance, stage])
 
     def add_hessian(
         self, active: wp.array, positions: wp.array, system: NewtonSystem, modes: wp.array

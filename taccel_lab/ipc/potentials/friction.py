@@ -29,6 +29,7 @@ from taccel_lab.ipc.friction import (
 from taccel_lab.ipc.lanes import lane_count, launch
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import EnergyTerm
+from taccel_lab.ipc.reproducible_sums import ReproducibleSums, SumStage, add_vector
 from taccel_lab.ipc.stencil_rows import STENCIL_THREADS, add_weighted_block, row_parts
 from taccel_lab.ipc.touching import way_in
 from taccel_lab.model import Model
@@ -199,6 +200,7 @@ def _gradient_kernel(
     motion: StepMotion,
     eps_u: wp.array(dtype=wp.float64),
     gradient: wp.array2d(dtype=wp.vec3d),
+    sums: SumStage,
 ):
     env, lane = wp.tid()
     if active[env] == 0:
@@ -210,7 +212,7 @@ def _gradient_kernel(
         force = friction_gradient(u, frozen.mu_lambdas[at], eps_u[env])
         for i in range(4):
             if w[i] != wp.float64(0.0):
-                wp.atomic_add(gradient, env, nodes[i], w[i] * force)
+                add_vector(env, nodes[i], w[i] * force, gradient, sums)
 
 
 @wp.kernel
@@ -276,9 +278,18 @@ def step_motion(
 class FrictionPotential(EnergyTerm):
     """Frozen friction of a collision set; built only for scenes with a friction coefficient."""
 
-    def __init__(self, model: Model, collisions: Collisions, static_range_m: float) -> None:
-        """``static_range_m``: sliding in a whole step below which friction is static."""
+    def __init__(
+        self,
+        model: Model,
+        collisions: Collisions,
+        static_range_m: float,
+        in_any_order: bool = False,
+    ) -> None:
+        """``static_range_m``: sliding in a whole step below which friction is static.
+        ``in_any_order``: see ``ContactPotential``."""
         self.model = model
+        shape = (model.env_count, model.node_count)
+        self._sums = ReproducibleSums(shape, model.device, in_any_order)
         self.collisions = collisions
         self._static_range_m = static_range_m
         self.eps_u_m = wp.full(
@@ -356,7 +367,9 @@ class FrictionPotential(EnergyTerm):
 
     def add_gradient(self, active: wp.array, motion: StepMotion, gradient: wp.array) -> None:
         """Add d energy / dx [N] of all nodes."""
-        self._launch(_gradient_kernel, active, [self.frozen, motion, self.eps_u_m, gradient])
+        for stage in self._sums.stages():
+            inputs = [self.frozen, motion, self.eps_u_m, gradient, stage]
+            self._launch(_gradient_kernel, active, inputs)
 
     def add_hessian(
         self,

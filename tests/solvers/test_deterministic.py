@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same bits in whatever order contacts are found and added, as on a GPU from run to run.
+
+The CPU takes everything in turn, so the disorder is made here: candidates are shuffled, parallel
+branches run in another order, and whatever adds by atomics goes through its contacts in another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.ipc.branches import Branches
+from taccel_lab.ipc.broad_phase.candidates import Candidates
+from taccel_lab.ipc.potentials.contact import ContactPotential
+from taccel_lab.ipc.potentials.friction import FrictionPotential
+from taccel_lab.scene import (
+    AffineBody,
+    Element,
+    KinematicBody,
+    Material,
+    Plane,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    box_mesh,
+)
+from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.state import initial_state
+
+ENVS = 2
+SIDES = ("left", "right")
+HALF = float(np.sqrt(0.5))
+
+
+def grasp() -> Scene:
+    """A cube between two gels on mounts, above a plane: contact of gels with an affine body has
+    blocks outside of the pattern on the CPU."""
+    gels = [
+        SoftBody(
+            block_mesh((3, 3, 1), (6e-3, 6e-3, 3e-3)),
+            Material(1e5, 0.4),
+            name=side,
+            mount=f"{side} mount",
+            element=element,
+            friction_coefficient=1.0,
+        )
+        for side, element in zip(SIDES, (Element.LINEAR, Element.QUADRATIC), strict=True)
+    ]
+    cube = AffineBody(box_mesh((8e-3, 8e-3, 8e-3)), name="cube", friction_coefficient=1.0)
+    return Scene(
+        gels,
+        [KinematicBody(None, name=f"{side} mount") for side in SIDES],
+        ENVS,
+        TimeStepping(quasi_static=False, dt_s=4e-3, gravity_m_s2=(0.0, 0.0, -9.81)),
+        affine_bodies=[cube],
+        planes=[Plane((0, 0, -4.05e-3), (0, 0, 1), friction_coefficient=0.5)],
+    )
+
+
+def grasp_poses(step: int) -> np.ndarray:
+    gap = np.array([4.05e-3, 4.06e-3]) - 4e-5 * min(step, 6)
+    lift = 1e-4 * max(step - 6, 0)
+    return np.array(
+        [[[-x, 0, lift, 0, HALF, 0, HALF], [x, 0, lift, 0, -HALF, 0, HALF]] for x in gap]
+    )
+
+
+def pads() -> Scene:
+    """One gel rubs another."""
+    sizes = {"lower": (3, 3, 1), "upper": (2, 2, 1)}
+    gels = [
+        SoftBody(
+            block_mesh(cells, (4e-3, 4e-3, 2e-3)),
+            Material(1e5, 0.4),
+            name=name,
+            mount=f"{name} mount",
+            element=Element.LINEAR,
+            friction_coefficient=0.5,
+        )
+        for name, cells in sizes.items()
+    ]
+    mounts = [KinematicBody(None, name=f"{name} mount") for name in sizes]
+    return Scene(gels, mounts, ENVS, TimeStepping(quasi_static=True))
+
+
+def pad_poses(step: int) -> np.ndarray:
+    depth = 4e-5 * min(step, 4)
+    along = np.array([1e-5, 2e-5]) * step
+    upper = [[x, 0, 1.1e-4 - depth, 1, 0, 0, 0] for x in along]
+    return np.array([[[0, 0, 0, 0, 0, 0, 1], pose] for pose in upper])
+
+
+SCENES: dict[str, tuple[Callable[[], Scene], Callable[[int], np.ndarray]]] = {
+    "grasp": (grasp, grasp_poses),
+    "pads": (pads, pad_poses),
+}
+
+
+def run(name: str, **options: Any) -> list[np.ndarray]:
+    """Positions, velocities and forces after some steps."""
+    make, poses = SCENES[name]
+    model = make().finalize("cpu")
+    solver = SolverIPC(model, SolverConfig(dhat_m=1e-4, capture=False, **options))
+    state = initial_state(model, poses(0))
+    for step in range(1, 9):
+        report = solver.step(state, poses(step))
+        assert report.converged.all(), report.summary()
+    assert solver.friction is not None
+    assert solver.friction.counts.numpy().min() > 8, "they touch"
+    for env in range(ENVS):
+        found = solver.collisions.snapshot(env)
+        keys = np.column_stack([found["kinds"], found["stencils"]])
+        assert len(np.unique(keys, axis=0)) == len(keys), "what they are sorted by is their own"
+    arrays = [state.positions, state.velocities, solver.contact_gradient, solver.friction_gradient]
+    return [array.numpy().copy() for array in arrays]
+
+
+def permute(
+    arrays: Iterable[wp.array], starts: wp.array, counts: wp.array, rng: np.random.Generator
+) -> Callable[[], None]:
+    """Shuffle the entries of each environment; returns what puts them back."""
+    changed: list[tuple[np.ndarray, np.ndarray]] = []
+    for first, count in zip(starts.numpy(), counts.numpy(), strict=False):
+        order = rng.permutation(int(count))
+        for array in arrays:
+            entries = array.numpy()[first : first + count]
+            changed.append((entries, entries.copy()))
+            entries[:] = entries[order]
+
+    def restore() -> None:
+        for entries, before in changed:
+            entries[:] = before
+
+    return restore
+
+
+def disorder(patch: pytest.MonkeyPatch, seed: int) -> None:
+    """What a GPU may do in another order is done in another order."""
+    rng = np.random.default_rng(seed)
+    search = Candidates.search
+
+    def shuffled_search(self: Candidates, *inputs: Any) -> None:
+        search(self, *inputs)
+        for part in self.lists:
+            fits = np.minimum(part.counts.numpy(), part.rooms).astype(np.int32)
+            permute([part.pairs], part.starts, wp.array(fits, dtype=wp.int32, device="cpu"), rng)
+
+    def shuffled_branches(self: Branches, parts: Any) -> None:
+        for i in rng.permutation(len(parts)):
+            parts[i]()
+
+    def shuffling(method: Any, arrays_of: Callable[[Any], list[wp.array]]) -> Any:
+        def wrapped(self: Any, *inputs: Any) -> None:
+            restore = permute(arrays_of(self), self.room.starts, self.room.counts, rng)
+            method(self, *inputs)
+            restore()
+
+        return wrapped
+
+    def of_contact(self: ContactPotential) -> list[wp.array]:
+        return [getattr(self.collisions, name) for name in self.collisions.columns]
+
+    def of_friction(self: FrictionPotential) -> list[wp.array]:
+        frozen = self.frozen
+        return [frozen.stencils, frozen.weights, frozen.normals, frozen.mu_lambdas, frozen.ways_in]
+
+    patch.setattr(Candidates, "search", shuffled_search)
+    patch.setattr(Branches, "run", shuffled_branches)
+    for owner, arrays_of in ((ContactPotential, of_contact), (FrictionPotential, of_friction)):
+        for name in ("add_gradient", "add_hessian"):
+            patch.setattr(owner, name, shuffling(getattr(owner, name), arrays_of))
+
+
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("deterministic", [True, False])
+def test_bits_depend_on_the_order_of_contacts_unless_asked_not_to(
+    name: str, deterministic: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_turn = run(name, deterministic=deterministic)
+    disorder(monkeypatch, 1)
+    shuffled = run(name, deterministic=deterministic)
+    same = [np.array_equal(a, b) for a, b in zip(in_turn, shuffled, strict=True)]
+    assert same == [deterministic] * 4
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_result_is_the_same_within_the_tolerance(name: str) -> None:
+    tight = {"relative_tolerance": 1e-8}
+    plain, sorted_ = run(name, **tight), run(name, deterministic=True, **tight)
+    np.testing.assert_allclose(sorted_[0], plain[0], rtol=0, atol=1e-9)
+    for a, b in zip(plain[2:], sorted_[2:], strict=True):
+        np.testing.assert_allclose(b, a, rtol=0, atol=1e-5 * np.abs(a).max())
