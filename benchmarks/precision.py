@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The suite ``precision``: what is left of a solve when all numbers have single precision.
+"""The suite ``precision``: what is left of a solve when numbers have another precision.
 
-The scenes run with the package as it is and with a copy of it in which all types are exchanged in
-the text, so that nothing of the package has to know of a second precision. Both run in processes of
-their own.
+The scenes run with the package as it is, with a copy of it in which all numbers are single, and on
+a GPU, where CG rounds its matrix, with one in which it does not. Copies are made by exchanging
+text, so that nothing of the package has to know of another precision. All run in processes of their
+own.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import json
 import re
 import shutil
 import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -40,46 +42,85 @@ _OTHER = {
             "host_values(value, name, expected).astype('f')\n",
         ),
     ),
+    "ipc/linear/streamed_rows.py": (
+        ("_STAGE_BYTES // 8", "_STAGE_BYTES // 4"),
+        ("ld.global.f64", "ld.global.f32"),
+        ('"=d"', '"=f"'),
+    ),
     "solvers/report.py": (
         ("2 * (rows.shape[0] - count)", "rows.shape[0] - count"),
         ("(len(_INTS) + 1) // 2", "len(_INTS)"),
     ),
 }
 """Where the width of a number is counted on."""
+_UNROUNDED = {
+    "ipc/linear/pipelined_cg.py": (
+        ("exact_rows = clusters.tasks.shape[0] / 3", "exact_rows = size / 3"),
+    ),
+    "ipc/linear/block_cg.py": (("exact_rows = clustered / 3", "exact_rows = n"),),
+}
+"""Where CG multiplies rows rounded: all are multiplied as they are, at the price of reading them
+from where they were assembled."""
 
 
-def write_single_precision(folder: Path) -> Path:
-    """Copy the package into ``folder`` with all types exchanged; returns the copy.
-
-    Raises:
-        InputError: The folder holds a package already, or a place that has to change is gone.
-    """
+def write_copy(folder: Path) -> Path:
+    """Copy the package into ``folder``; returns the copy. InputError where there is one already."""
     copy = folder / "taccel_lab"
     if copy.exists():
         raise InputError(f"{copy} exists already")
     ignored = shutil.ignore_patterns("__pycache__")
     shutil.copytree(ROOT / "taccel_lab", copy, symlinks=False, ignore=ignored)
+    return copy
+
+
+def _exchange(text: str, path: Path, pairs: Iterable[tuple[str, str]]) -> str:
+    for old, new in pairs:
+        if old not in text:
+            raise InputError(f"{path.name} no longer says {old!r}: look what does now")
+        text = text.replace(old, new)
+    return text
+
+
+def write_double_precision(folder: Path) -> Path:
+    """Copy the package with products of unrounded matrices; returns the copy.
+
+    Raises:
+        InputError: The folder holds a package already, or a place that has to change is gone.
+    """
+    copy = write_copy(folder)
+    for name, pairs in _UNROUNDED.items():
+        path = copy / name
+        text = _exchange(path.read_text(encoding="utf-8"), path, pairs)
+        path.write_text(text, encoding="utf-8")
+    return copy
+
+
+def write_single_precision(folder: Path) -> Path:
+    """Copy the package with all types exchanged; returns the copy.
+
+    Raises:
+        InputError: As ``write_double_precision``.
+    """
+    copy = write_copy(folder)
     for path in copy.rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         for pattern, other in _TYPES:
             text = pattern.sub(other, text)
         if path.is_relative_to(copy / "ipc"):  # Elsewhere it is a word of file formats.
             text = _DOUBLE.sub("float", text)
-        for old, new in _OTHER.get(path.relative_to(copy).as_posix(), ()):
-            if old not in text:
-                raise InputError(f"{path.name} no longer says {old!r}: look what does now")
-            text = text.replace(old, new)
+        text = _exchange(text, path, _OTHER.get(path.relative_to(copy).as_posix(), ()))
         path.write_text(text, encoding="utf-8")
     return copy
 
 
 @dataclass(frozen=True)
 class Precision(Suite):
-    """Scenes in double and in single precision, at several tolerances."""
+    """Scenes as they are, in double and in single precision, at several tolerances."""
 
     name: ClassVar[str] = "precision"
     what: ClassVar[str] = (
-        "Steps that converge, Newton iterations and residual in double and in single precision."
+        "Steps that converge, Newton iterations and residual as it is, in double and in single "
+        "precision."
     )
     scene: tuple[str, ...] = ("press_239", "peg", "bolt")
     """Scenes."""
@@ -95,14 +136,20 @@ class Precision(Suite):
         return {"steps": self.steps, "max_newton_iterations": self.iterations}
 
     def measure_rows(self, result: ResultFile) -> None:
-        """By scene and tolerance, double before single."""
+        """By scene and tolerance, the most exact first. On the CPU nothing is rounded."""
         if min(self.steps, self.iterations) < 1 or min(self.tolerances) <= 0:
             raise InputError("--steps, --iterations and --tolerances must be positive")
         with tempfile.TemporaryDirectory() as folder:
-            single = write_single_precision(Path(folder)).parent
+            roots = {"double": ROOT}
+            if not self.device.startswith("cpu"):
+                roots = {
+                    "double": write_double_precision(Path(folder) / "double").parent,
+                    "as it is": ROOT,
+                }
+            roots["single"] = write_single_precision(Path(folder) / "single").parent
             for scene in self.scene:
                 for tolerance in self.tolerances:
-                    for precision, root in (("double", ROOT), ("single", single)):
+                    for precision, root in roots.items():
                         label = f"{scene}, {precision}, {tolerance:g}"
                         row = partial(measure, scene, precision, root, tolerance, self)
                         result.measure(label, row, describe)

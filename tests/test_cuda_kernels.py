@@ -191,7 +191,7 @@ def test_conjugate_gradients_compile_for_every_chip(arch: int, tmp_path: Path) -
             for i, module in enumerate(modules_of(name)):
                 found = compiled(module, arch, tmp_path / f"{Path(name).stem}{i}")
                 if name.endswith("_cg.py"):
-                    assert max(use.stack_bytes for use in found.values()) <= 160
+                    assert max(use.stack_bytes for use in found.values()) <= 256
 
 
 @pytest.mark.parametrize("name", sorted({*FILES} - {*LINEAR}))

@@ -248,22 +248,20 @@ def skips(document: Document) -> Iterator[str]:
 
 
 def precision(document: Document) -> Iterator[str]:
-    """Double beside single."""
-    rows = []
-    for double, single in zip(document["rows"][::2], document["rows"][1::2], strict=False):
-        both = (double, single)
-        failed = [f"{row['residual']['unconverged']} of {row['steps']}" for row in both]
-        rows.append(
-            [
-                double["scene"],
-                f"{double['tolerance']:.0e}",
-                " / ".join(failed),
-                " / ".join(number(row["newton_mean"]) for row in both),
-                " / ".join(number(row["ms_per_step"]) for row in both),
-            ]
-        )
-    head = ["scene", "residual over contact force", "steps that fail: double / single"]
-    yield markdown_table([*head, "Newton a step", "ms a step"], rows)
+    """A row a scene, tolerance and precision."""
+    rows = [
+        [
+            row["scene"],
+            f"{row['tolerance']:.0e}",
+            row["precision"],
+            f"{row['residual']['unconverged']} of {row['steps']}",
+            number(row["newton_mean"]),
+            number(row["ms_per_step"]),
+        ]
+        for row in document["rows"]
+    ]
+    head = ["scene", "residual over contact force", "precision", "steps that fail", "Newton a step"]
+    yield markdown_table([*head, "ms a step"], rows)
 
 
 def peers(results: Results) -> str:

@@ -8,7 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from taccel_lab.benchmarks.precision import Precision, write_single_precision
+import taccel_lab
+from taccel_lab.benchmarks.precision import (
+    Precision,
+    write_double_precision,
+    write_single_precision,
+)
 from taccel_lab.errors import InputError
 
 
@@ -23,6 +28,18 @@ def test_nothing_of_the_copy_is_double(tmp_path: Path) -> None:
     assert "wp.vec3f" in texts[copy / "ipc" / "friction.py"]
     with pytest.raises(InputError, match="exists already"):
         write_single_precision(tmp_path)
+
+
+def test_a_copy_multiplies_what_is_not_rounded(tmp_path: Path) -> None:
+    copy = write_double_precision(tmp_path)
+    changed = {
+        path.name
+        for path in copy.rglob("*.py")
+        if path.read_bytes()
+        != (Path(taccel_lab.__file__).parent / path.relative_to(copy)).read_bytes()
+    }
+    assert changed == {"block_cg.py", "pipelined_cg.py"}
+    assert "clusters.tasks.shape[0] / 3" not in (copy / "ipc/linear/pipelined_cg.py").read_text()
 
 
 @pytest.mark.slow
