@@ -64,7 +64,13 @@ def import_model(source: Any, *, name: str = "newton") -> NewtonScene:
     model = NewtonModel(source)
     if model.model.tendon_count:
         raise InputError(f"the model has {model.model.tendon_count} tendons: these are not taken")
-    free = _free_bodies(model)
+    free = model.free_bodies()
+    for i in free:
+        if model.is_kinematic(i):
+            raise InputError(
+                f"body {model.bodies[i]!r} is kinematic and on no joint: make it a "
+                "KinematicBody of the scene"
+            )
     robot, start_q = _robot(model, free, name)
     loose = []
     for made in soft_bodies(model):
@@ -78,13 +84,12 @@ def import_model(source: Any, *, name: str = "newton") -> NewtonScene:
                 "by links of a robot"
             )
         robot = robot.mount(carrier, made.gel, name=made.gel.name)
-    planes = [_plane(model, i) for i in touching_shapes(model, -1) if is_plane(model, i)]
     x, y, z = model.array("gravity")[-1].tolist()
     return NewtonScene(
         robot,
         [affine_body(model, i, model.body_q[i]) for i in free],
         loose,
-        planes,
+        world_planes(model),
         (x, y, z),
         start_q,
     )
@@ -136,22 +141,6 @@ def _load(path: Path | str, reader: str, options: dict[str, Any]) -> Robot:
     return scene.robot
 
 
-def _free_bodies(model: NewtonModel) -> list[int]:
-    """Bodies that nothing but a free joint of the world carries, and that carry nothing."""
-    free = int(model.newton.JointType.FREE)
-    kinds, parents = model.array("joint_type"), model.array("joint_parent")
-    children = model.array("joint_child")
-    held = {int(c) for c, kind in zip(children, kinds, strict=True) if kind != free}
-    found = [i for i in range(model.model.body_count) if i not in held and i not in set(parents)]
-    for i in found:
-        if model.array("body_flags")[i] & int(model.newton.BodyFlags.KINEMATIC):
-            raise InputError(
-                f"body {model.bodies[i]!r} is kinematic and on no joint: make it a "
-                "KinematicBody of the scene"
-            )
-    return found
-
-
 def _robot(model: NewtonModel, free: list[int], name: str) -> tuple[Robot | None, np.ndarray]:
     """Everything but the free bodies, and its coordinates at the start."""
     links = [Link(WORLD, collision_shapes(model, -1))]
@@ -182,6 +171,11 @@ def _link(model: NewtonModel, body: int) -> Link:
     if model.bodies[body] == WORLD:
         raise InputError(f"a body is called {WORLD!r}, as newton's world is here: rename it")
     return Link(model.bodies[body], collision_shapes(model, body), known)
+
+
+def world_planes(model: NewtonModel) -> list[Plane]:
+    """The endless planes of newton's world."""
+    return [_plane(model, i) for i in touching_shapes(model, -1) if is_plane(model, i)]
 
 
 def _plane(model: NewtonModel, shape: int) -> Plane:

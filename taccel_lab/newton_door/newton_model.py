@@ -80,6 +80,18 @@ class NewtonModel:
                 )  # fmt: skip
         return found
 
+    def free_bodies(self) -> list[int]:
+        """Bodies that nothing but a free joint of the world carries, and that carry nothing."""
+        kinds, parents = self.array("joint_type"), self.array("joint_parent")
+        free = int(self.newton.JointType.FREE)
+        held = self.array("joint_child")[(kinds != free) | (parents >= 0)]
+        busy = set(held.tolist()) | set(parents.tolist())
+        return [i for i in range(self.model.body_count) if i not in busy]
+
+    def is_kinematic(self, body: int) -> bool:
+        """Whether newton leaves the pose of a body to the user."""
+        return bool(self.array("body_flags")[body] & int(self.newton.BodyFlags.KINEMATIC))
+
     def body_id(self, name: str) -> int:
         """Index of a body by its name or its newton label; InputError for one that is not there."""
         for names in (self.bodies, self.model.body_label):
