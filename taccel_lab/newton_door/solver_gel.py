@@ -27,8 +27,9 @@ from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.model.embedding import control_positions, embed_vertices
 from taccel_lab.newton_door.gel_scene import BodyGel, GelScene
 from taccel_lab.newton_door.newton_model import NewtonModel, unit_poses
+from taccel_lab.newton_door.rigid_motion import rigid_motion
 from taccel_lab.outputs import Outputs
-from taccel_lab.robots.transforms import matrix_of, pose_of
+from taccel_lab.robots.transforms import matrix_of
 from taccel_lab.solvers import Control, SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import State, initial_state
 
@@ -183,7 +184,7 @@ class SolverGel(newton.solvers.SolverBase):
         ):
             first = self.gel_model.affine.first_control + 4 * k
             y, v = positions[0, first : first + 4], velocities[0, first : first + 4]
-            body_q[body], body_qd[body] = _rigid_motion(y, v, solid)
+            body_q[body], body_qd[body] = rigid_motion(y, v, solid)
         state_out.body_q.assign(body_q)
         state_out.body_qd.assign(body_qd)
         rows = self.gel_scene.affine
@@ -209,20 +210,6 @@ class SolverGel(newton.solvers.SolverBase):
         turns = matrix_of(body_q)
         centers = np.einsum("bij,bj->bi", turns[:, :3, :3], self._centers) + turns[:, :3, 3]
         self.wrenches[:, 3:] -= np.cross(centers, self.wrenches[:, :3])
-
-
-def _rigid_motion(y: np.ndarray, v: np.ndarray, solid: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Pose [7], and velocity of the centre with angular velocity [6], of the rotation nearest to an
-    affine body's map; ``y``, ``v``: its control nodes, [4, 3]."""
-    affine = y[1:].T @ solid.axes.T / solid.radius_m
-    rate = v[1:].T @ solid.axes.T / solid.radius_m @ np.linalg.inv(affine)
-    left, _, right = np.linalg.svd(affine)
-    place = np.eye(4)
-    place[:3, :3] = left @ right
-    place[:3, 3] = y[0] - place[:3, :3] @ solid.center_m
-    skew = (rate - rate.T) / 2
-    spin = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
-    return pose_of(place[None])[0], np.concatenate([v[0], spin])
 
 
 def _keep_bodies(state_in: Any, state_out: Any) -> None:
