@@ -16,15 +16,12 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from taccel_lab.newton_door.solver_gel import SolverGel
 from taccel_lab.robots.transforms import matrix_of
-from taccel_lab.signals.gel_faces import face_grid
+from taccel_lab.signals.gel_faces import face_grid, marker_points_mm
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.tactile import SignalTactile
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
-
-MARKERS = (8, 6)
-"""Columns and rows of markers over a gel without others."""
 
 
 class SensorTactile:
@@ -45,7 +42,7 @@ class SensorTactile:
             gel: Name of the gel.
             profile: The sensor that the gel is of: its pixels, colours and untouched image.
             size_px: Width and height of a gel without a profile: pixels that fill its contact face.
-            markers_mm: Places of markers on the face [mm], [marker, 2]; a grid of ``MARKERS`` over
+            markers_mm: Places of markers on the face [mm], [marker, 2]; a grid of 8 x 6 over
                 the pixels when None.
 
         Raises:
@@ -66,7 +63,9 @@ class SensorTactile:
                 f"{profile.mesh.node_count}: give the profile to BodyGel, too"
             )
         grid = face_grid(mesh, size_px) if profile is None else profile.grid()
-        points = np.asarray(_grid_mm(grid) if markers_mm is None else markers_mm, dtype=np.float64)
+        points = np.asarray(
+            marker_points_mm(grid) if markers_mm is None else markers_mm, dtype=np.float64
+        )
         layout, on_face = MarkerLayout.where_on(mesh, points)
         if markers_mm is not None and not on_face.all():
             raise InputError(f"marker {np.argmin(on_face)} lies beside the face of gel {gel!r}")
@@ -131,13 +130,6 @@ class SensorTactile:
     def wrench(self) -> np.ndarray:
         """Force [N] and torque about the gel's origin [N m] on the gel, float64, [6]."""
         return self._solver.outputs.soft_wrenches().numpy()[0, self._index].copy()
-
-
-def _grid_mm(grid: Any) -> np.ndarray:
-    columns, rows = MARKERS
-    u = (np.arange(columns) + 0.5) * grid.width_px / columns - 0.5
-    v = (np.arange(rows) + 0.5) * grid.height_px / rows - 0.5
-    return grid.gel_from_pixel(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
 
 
 def _of_profile(profile: SensorProfile, mesh: Any, grid: Any, options: dict[str, Any]) -> Any:

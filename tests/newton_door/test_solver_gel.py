@@ -115,6 +115,33 @@ def test_a_body_bounces_on_its_gel() -> None:
     np.testing.assert_allclose(aside[:, 0], -aside[:, 1], atol=1e-6)
 
 
+@pytest.mark.slow
+def test_a_drive_of_newton_presses_a_gel() -> None:
+    """A link on a slide, pushed by newton's drive through the ground: at rest the gel pushes back
+    as hard as the drive. Slow where newton's kernels are compiled."""
+    builder = newton.ModelBuilder(gravity=(0, 0, 0))
+    builder.add_ground_plane()
+    inertia = wp.mat33(np.eye(3) * 1e-5)
+    finger = builder.add_link(mass=0.05, inertia=inertia, label="finger")
+    down = wp.transform((0, 0, 1e-4), wp.quat(1.0, 0.0, 0.0, 0.0))
+    drive = {"target_q": 1e-3, "target_ke": 1000.0, "target_kd": 5.0}
+    slide = builder.add_joint_prismatic(-1, finger, parent_xform=down, axis=(0, 0, 1), **drive)
+    builder.add_articulation([slide])
+    model = builder.finalize(device="cpu")
+    rigid = newton.solvers.SolverFeatherstone(model)
+    options = {"rigid": rigid, "coupling": Coupling.LAGGED, "config": CONFIG}
+    solver = SolverGel(model, [BodyGel("finger", PAD)], [], **options)
+    states, control = [model.state(), model.state()], model.control()
+    newton.eval_fk(model, model.joint_q, model.joint_qd, states[0])
+    for _ in range(150):
+        solver.step(states[0], states[1], control, None, 1e-3)
+        states = states[::-1]
+    slid = 1e-4 - states[0].body_q.numpy()[0, 2]
+    force = 1000 * (1e-3 - slid)
+    assert force == pytest.approx(0.788, rel=0.01)
+    assert solver.wrenches[0, 2] == pytest.approx(force, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
