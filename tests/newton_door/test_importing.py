@@ -14,7 +14,7 @@ from taccel_lab.cli import app
 from taccel_lab.errors import InputError
 from taccel_lab.newton_door import import_model, load_mjcf, load_usd
 from taccel_lab.robots import drive
-from taccel_lab.scene import PositionDrive, Scene, TimeStepping, TriangleMesh
+from taccel_lab.scene import PositionDrive, Scene, TimeStepping, TriangleMesh, box_mesh
 from tests.newton_door.models import ARM, ASSETS, largest_difference, newton, read
 
 ROUNDING = 5e-7
@@ -145,6 +145,21 @@ def test_free_bodies_planes_and_gels_are_taken_over() -> None:
         time=TimeStepping(quasi_static=False, dt_s=0.01, gravity_m_s2=scene.gravity_m_s2),
     ).finalize("cpu")
     assert model.soft_count == len(builder.particle_q)
+
+
+@pytest.mark.parametrize("hull", [False, True])
+def test_meshes_are_closed_where_newton_splits_their_vertices(hull: bool) -> None:
+    """A box of which each triangle has vertices of its own, at twice its size."""
+    box = box_mesh((0.02, 0.03, 0.04))
+    points = box.vertices_m[box.faces].reshape(-1, 3).astype(np.float32)
+    mesh = newton.Mesh(points, np.arange(len(points), dtype=np.int32))
+    builder = newton.ModelBuilder()
+    body = builder.add_body(label="box")
+    add = builder.add_shape_convex_hull if hull else builder.add_shape_mesh
+    add(body, mesh=mesh, scale=(2.0, 2.0, 2.0))
+    (taken,) = import_model(builder).affine_bodies
+    assert mass_properties(taken.shape, 1.0).volume_m3 == pytest.approx(8 * 2.4e-5, rel=1e-6)
+    assert len(taken.shape.vertices_m) == 8
 
 
 def add_grid(builder: object, place: tuple[float, ...], **options: bool) -> None:
