@@ -72,7 +72,7 @@ $(VENV)/.installed-dev: $(VENV)/.installed-demo
 	@touch $@
 
 $(VENV)/.installed-peers: $(VENV)/.installed-dev
-	$(PIP) -e ".[demo,dev,peers,robots]"
+	$(PIP) -e ".[demo,dev,peers,robots,newton]"
 	@touch $@
 
 clean:

@@ -41,7 +41,8 @@ class RobotShow:
     """Show a robot: joints with limits, links with masses and shapes, and what is refused."""
 
     robot: Positional[str]
-    """A URDF file, or a robot of the catalogue, e.g. parallel_gripper."""
+    """A URDF, MJCF or USD file (the last two by newton), or a robot of the catalogue, e.g.
+    parallel_gripper."""
     json: bool = False
     """Print JSON instead of tables."""
     picture: Path | None = None
@@ -52,9 +53,9 @@ class RobotShow:
         from rich.text import Text
 
         from taccel_lab.cli.console import print_json
-        from taccel_lab.robots.describe import describe_robot, robot_of
+        from taccel_lab.robots.describe import describe_robot
 
-        robot = robot_of(self.robot)
+        robot = _robot_of(self.robot)
         shown = describe_robot(robot)
         if self.picture is not None:
             _draw(robot, self.picture)
@@ -80,6 +81,22 @@ class RobotShow:
             console.print(Text(f"refused: {sentence}", style="yellow"), soft_wrap=True)
         if self.picture is not None:
             console.print(f"wrote {self.picture}", highlight=False)
+
+
+def _robot_of(text: str) -> Robot:
+    from taccel_lab.reading.xml_file import read_xml
+    from taccel_lab.robots.describe import robot_of
+
+    path = Path(text)
+    kind = path.suffix.lower()
+    is_mjcf = kind == ".mjcf" or (
+        kind == ".xml" and path.is_file() and read_xml(path, "an XML file").tag == "mujoco"
+    )
+    if is_mjcf or kind in (".usd", ".usda", ".usdc", ".usdz"):
+        from taccel_lab.newton_door import load_mjcf, load_usd
+
+        return load_mjcf(path) if is_mjcf else load_usd(path)
+    return robot_of(text)
 
 
 def _draw(robot: Robot, path: Path) -> None:

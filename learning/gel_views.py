@@ -20,7 +20,7 @@ from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.learning.poses import rotated
 from taccel_lab.outputs import Outputs, to_torch
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.gel_faces import bonded_gels, face_grid
+from taccel_lab.signals.gel_faces import MARKERS, bonded_gels, face_grid, marker_points_mm
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.tactile import SignalTactile
 from taccel_lab.solvers import SolverIPC
@@ -30,8 +30,6 @@ VIEWS = ("image", "depth", "markers", "wrench", "traction")
 """What gels have to say."""
 FORCES = ("wrench", "traction")
 """What is zero at a start, where nothing has been stepped."""
-MARKERS = (8, 6)
-"""Columns and rows of markers on a gel."""
 Colors = Callable[[PixelGrid], tuple[ColorModel, np.ndarray]]
 """Of the pixels of a gel its colour network and its image untouched, levels [height, width, 3]."""
 
@@ -166,11 +164,3 @@ class GelViews:
     def _put(self, values: Any) -> torch.Tensor:
         device = wp.device_to_torch(self._model.device)
         return torch.tensor(values, dtype=torch.float32, device=device)
-
-
-def marker_points_mm(grid: PixelGrid) -> np.ndarray:
-    """Places of the markers on a face that the pixels fill, [marker, 2]."""
-    columns, rows = MARKERS
-    u = (np.arange(columns) + 0.5) * grid.width_px / columns - 0.5
-    v = (np.arange(rows) + 0.5) * grid.height_px / rows - 0.5
-    return grid.gel_from_pixel(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))

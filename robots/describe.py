@@ -13,7 +13,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.robots.catalogue import named, names
 from taccel_lab.robots.description import RobotJoint
 from taccel_lab.robots.robot import Robot
-from taccel_lab.robots.shapes import BoxShape, CylinderShape, Shape, SphereShape
+from taccel_lab.robots.shapes import BoxShape, CylinderShape, Shape, SphereShape, SurfaceShape
 from taccel_lab.robots.urdf import load_urdf
 
 
@@ -78,4 +78,5 @@ def _shape(shape: Shape) -> str:
         return f"sphere r {1e3 * shape.radius_m:g} mm"
     if isinstance(shape, CylinderShape):
         return f"cylinder r {1e3 * shape.radius_m:g}, length {1e3 * shape.length_m:g} mm"
-    return f"{'hull of ' if shape.hull else ''}{shape.path.name}"
+    what = shape.what if isinstance(shape, SurfaceShape) else shape.path.name
+    return f"{'hull of ' if shape.hull else ''}{what}"

@@ -17,7 +17,7 @@ from taccel_lab.robots.description import Link, RobotJoint, check_names, listed
 from taccel_lab.robots.inverse_kinematics import IKOptions, IKResult, solve
 from taccel_lab.robots.kinematics import Kinematics
 from taccel_lab.robots.mounts import CarriedBody, Mount, carried_bodies, make_mount
-from taccel_lab.robots.shapes import MeshShape
+from taccel_lab.robots.shapes import MeshShape, SurfaceShape
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import KinematicBody, SoftBody
 
@@ -318,7 +318,7 @@ def _one_pose(value: Any, whose: str) -> np.ndarray:
 def _hulls(link: Link) -> Link:
     shapes = tuple(
         replace(item, shape=replace(item.shape, hull=True))
-        if isinstance(item.shape, MeshShape)
+        if isinstance(item.shape, (MeshShape, SurfaceShape))
         else item
         for item in link.shapes
     )

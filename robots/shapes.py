@@ -71,16 +71,37 @@ class MeshShape:
                 return TriangleMesh(*convex_hull(points))
             if np.prod(self.scale) < 0:
                 faces = faces[:, ::-1]
-            try:
-                check_surface(points, faces, "its surface", closed=False)
-            except InputError as error:
-                raise InputError(
-                    f"{error}. Its convex hull can be touched: Robot.with_hulls"
-                ) from None
+            check_touchable(points, faces)
         return TriangleMesh(points, faces)
 
 
-Shape = BoxShape | SphereShape | CylinderShape | MeshShape
+@dataclass(frozen=True)
+class SurfaceShape:
+    """Triangles that are at hand, about the shape's origin."""
+
+    mesh: TriangleMesh
+    what: str = "mesh"
+    """What they are, for people: "capsule r 5 mm"."""
+    hull: bool = False
+    """Whether their convex hull is touched instead."""
+
+    def surface(self) -> TriangleMesh:
+        """The triangles, or their hull; InputError for those that no body can touch."""
+        if self.hull:
+            return TriangleMesh(*convex_hull(self.mesh.vertices_m))
+        check_touchable(self.mesh.vertices_m, self.mesh.faces)
+        return self.mesh
+
+
+Shape = BoxShape | SphereShape | CylinderShape | MeshShape | SurfaceShape
+
+
+def check_touchable(points: np.ndarray, faces: np.ndarray) -> None:
+    """Refuse triangles that no body can touch, such as a surface that crosses itself."""
+    try:
+        check_surface(points, faces, "its surface", closed=False)
+    except InputError as error:
+        raise InputError(f"{error}. Its convex hull can be touched: Robot.with_hulls") from None
 
 
 @dataclass(frozen=True)

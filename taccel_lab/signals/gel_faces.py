@@ -9,6 +9,9 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.model import Model
 
+MARKERS = (8, 6)
+"""Columns and rows of markers on a gel that has none of its own."""
+
 
 def bonded_gels(model: Model) -> list[int]:
     """Indices of the bonded soft bodies, which are gels; InputError where there are none."""
@@ -26,3 +29,11 @@ def face_grid(mesh: TetMesh | QuadraticMesh, size_px: tuple[int, int]) -> PixelG
     pitch = (high - low) / size
     center = (size - 1) / 2 - (low + high) / 2 / pitch
     return PixelGrid(*size_px, *pitch.tolist(), *center.tolist())
+
+
+def marker_points_mm(grid: PixelGrid) -> np.ndarray:
+    """Places of the markers on a face that the pixels fill, [marker, 2]."""
+    columns, rows = MARKERS
+    u = (np.arange(columns) + 0.5) * grid.width_px / columns - 0.5
+    v = (np.arange(rows) + 0.5) * grid.height_px / rows - 0.5
+    return grid.gel_from_pixel(np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))

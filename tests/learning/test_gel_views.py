@@ -9,11 +9,10 @@ import torch
 
 from taccel_lab.geometry import Region
 from taccel_lab.learning.catalogue import make_vec
-from taccel_lab.learning.gel_views import marker_points_mm
 from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
 from taccel_lab.signals import MarkerLayout
-from taccel_lab.signals.gel_faces import face_grid
+from taccel_lab.signals.gel_faces import face_grid, marker_points_mm
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A newton model on the host: its arrays in double precision, its labels made short and unique."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+
+
+def newton_module() -> Any:
+    """The package ``newton``; InputError where it is not installed."""
+    try:
+        import newton  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise InputError(
+            "this needs newton, which is not installed: pip install 'taccel-lab[newton]'"
+        ) from None
+    return newton
+
+
+class NewtonModel:
+    """What is read of a ``newton.Model``, or of a ``newton.ModelBuilder``, which is finalised."""
+
+    def __init__(self, source: Any) -> None:
+        """Raises InputError for several worlds, and for something that is neither."""
+        newton = newton_module()
+        if isinstance(source, newton.ModelBuilder):
+            try:
+                source = source.finalize(device="cpu")
+            except ValueError as error:
+                raise InputError(f"newton cannot finalise the builder: {error}") from None
+        if not isinstance(source, newton.Model):
+            raise InputError(
+                f"a newton.ModelBuilder or newton.Model is needed, got {type(source).__name__}"
+            )
+        if source.world_count > 1:
+            raise InputError(
+                f"the model has {source.world_count} worlds: import one and repeat it here, "
+                "Scene(env_count=...)"
+            )
+        self.newton = newton
+        self.model = source
+        self.bodies = short_names(source.body_label)
+        """Names of the bodies."""
+        self.joints = short_names(source.joint_label)
+        """Names of the joints."""
+
+    def array(self, name: str) -> np.ndarray:
+        """An array of the model, floats as float64; with no rows where the model has none."""
+        value = getattr(self.model, name)
+        if value is None:
+            return np.zeros(0)
+        host = value.numpy()
+        return host.astype(np.float64) if host.dtype == np.float32 else host
+
+    @cached_property
+    def body_q(self) -> np.ndarray:
+        """Where the bodies are at the model's own joint coordinates, [body, 7]."""
+        return unit_poses(self.array("body_q").reshape(-1, 7))
+
+    @cached_property
+    def mimics(self) -> dict[int, tuple[int, float, float]]:
+        """Leader, offset and factor of each joint that follows another one: those of newton's
+        joints, and its constraints, which its reader of MJCF makes."""
+        found: dict[int, tuple[int, float, float]] = {}
+        for i, leader in enumerate(self.array("joint_mimic_joint")):
+            if leader >= 0:
+                offset, factor = self.array("joint_mimic_coeffs")[i].tolist()
+                found[i] = (int(leader), offset, factor)
+        if self.model.constraint_mimic_count:
+            ends = [self.array(f"constraint_mimic_joint{k}").astype(int) for k in range(2)]
+            terms = [self.array(f"constraint_mimic_coef{k}") for k in range(2)]
+            for row in np.flatnonzero(self.array("constraint_mimic_enabled")):
+                found[int(ends[0][row])] = (
+                    int(ends[1][row]), float(terms[0][row]), float(terms[1][row]),
+                )  # fmt: skip
+        return found
+
+    def free_bodies(self) -> list[int]:
+        """Bodies that nothing but a free joint of the world carries, and that carry nothing."""
+        kinds, parents = self.array("joint_type"), self.array("joint_parent")
+        free = int(self.newton.JointType.FREE)
+        held = self.array("joint_child")[(kinds != free) | (parents >= 0)]
+        busy = set(held.tolist()) | set(parents.tolist())
+        return [i for i in range(self.model.body_count) if i not in busy]
+
+    def is_kinematic(self, body: int) -> bool:
+        """Whether newton leaves the pose of a body to the user."""
+        return bool(self.array("body_flags")[body] & int(self.newton.BodyFlags.KINEMATIC))
+
+    def body_id(self, name: str) -> int:
+        """Index of a body by its name or its newton label; InputError for one that is not there."""
+        for names in (self.bodies, self.model.body_label):
+            if name in names:
+                return list(names).index(name)
+        raise InputError(f"there is no body {name!r}; there are {', '.join(self.bodies)}")
+
+
+def unit_poses(poses: np.ndarray) -> np.ndarray:
+    """Poses [..., 7] in double precision with quaternions of unit length: FP32 ones are off by
+    1e-7, which no rotation is."""
+    poses = np.array(poses, dtype=np.float64)
+    poses[..., 3:] /= np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
+    return poses
+
+
+def short_names(labels: list[str]) -> list[str]:
+    """The last parts of labels such as "robot/worldbody/hand" that tell them from the others."""
+    parts = [label.split("/") for label in labels]
+    names = []
+    for i, own in enumerate(parts):
+        others = parts[:i] + parts[i + 1 :]
+        count = 1
+        while count < len(own) and any(own[-count:] == other[-count:] for other in others):
+            count += 1
+        names.append("/".join(own[-count:]))
+    for i, name in enumerate(names):
+        if names.index(name) != i:
+            names[i] = f"{name} {i}"
+    return names

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``SolverGel``: a solver of newton's with our gels inside.
+
+Newton's bodies move by one of newton's own solvers, the gels by ours: in double precision inside,
+in single precision where poses come in and wrenches and poses go out. Two couplings:
+
+- ``LAGGED``: newton's solver moves all bodies; gels follow them, and what they push is applied as
+  ``body_f`` in the next step. That is a spring taken explicitly: a body of mass m on gels of
+  stiffness k diverges in steps above 2 sqrt(m / k), and needs a few times shorter ones.
+- ``INSIDE``: bodies that move freely are unknowns of our step, which is implicit, and their poses
+  and velocities are written back. What carries gels still feels them one step late.
+
+The wrench on a body that carries a gel is that of contact on the gel: a gel has weight and inertia
+of its own here, which belong into the mass of newton's body as far as they matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import Any
+
+import newton  # pyright: ignore[reportMissingImports]
+import numpy as np
+
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.model.embedding import control_positions, embed_vertices
+from taccel_lab.newton_door.gel_scene import BodyGel, GelScene
+from taccel_lab.newton_door.newton_model import NewtonModel, unit_poses
+from taccel_lab.newton_door.rigid_motion import rigid_motion
+from taccel_lab.outputs import Outputs
+from taccel_lab.robots.transforms import matrix_of
+from taccel_lab.solvers import Control, SolverConfig, SolverIPC, StepReport
+from taccel_lab.state import State, initial_state
+
+
+class Coupling(StrEnum):
+    """How bodies that gels touch and newton's solver share a step."""
+
+    LAGGED = "lagged"
+    INSIDE = "inside"
+
+
+class SolverGel(newton.solvers.SolverBase):
+    """Steps a newton model with gels on its bodies; ``step`` as of any solver of newton's."""
+
+    def __init__(
+        self,
+        model: Any,
+        gels: Sequence[BodyGel],
+        touched: Sequence[str],
+        *,
+        rigid: Any = None,
+        coupling: Coupling = Coupling.INSIDE,
+        config: SolverConfig | None = None,
+    ) -> None:
+        """
+        Args:
+            model: ``newton.Model`` of one world.
+            gels: On which bodies.
+            touched: Names or labels of the bodies that gels may touch.
+            rigid: Newton's solver of the bodies, of the same model. Without one bodies stay where
+                the state has them, and gels follow whatever moves them between steps.
+            coupling: Of bodies that move freely and are touched.
+            config: Of our solver.
+
+        Raises:
+            InputError: A body that is not there, shapes that cannot be taken over, several worlds.
+        """
+        source = NewtonModel(model)
+        super().__init__(model)
+        if coupling not in list(Coupling):
+            raise InputError(f"coupling must be {' or '.join(Coupling)}, got {coupling!r}")
+        inside = coupling == Coupling.INSIDE
+        self.rigid = rigid
+        self.gel_scene = GelScene(source, gels, touched, inside, 0.01)
+        self.gel_model = self.gel_scene.scene.finalize(model.device)
+        """Of our bodies: gels, bodies inside, frames."""
+        self.gel_solver = SolverIPC(self.gel_model, config)
+        self.outputs = Outputs(self.gel_solver)
+        """Of the gels after each step."""
+        self.wrenches = np.zeros((model.body_count, 6))
+        """Of the latest step: force [N] and torque about the centre of mass [N m] that gels and
+        what they touch put on newton's bodies, world axes, float64, [body, 6]. Of bodies inside
+        too, where they have acted already."""
+        self.gel_state: State | None = None
+        """Of our bodies; made from newton's state by the first step, or ``reset``."""
+        self.report: StepReport | None = None
+        """Of the latest step."""
+        self._centers = source.array("body_com").reshape(-1, 3)
+        self._written: tuple[np.ndarray, np.ndarray] | None = None
+        self._free_rows = [_free_joint(source, body) for body in self.gel_scene.affine]
+
+    def step(
+        self,
+        state_in: Any,
+        state_out: Any,
+        control: Any,
+        contacts: Any,
+        dt: float,
+        *,
+        observables: Any = None,
+    ) -> None:
+        """Bodies from ``state_in`` to ``state_out``, and the gels with them, in ``dt`` [s].
+
+        Raises SimulationError where the gels' step fails.
+        """
+        self.validate_observables(observables, contacts)
+        if self.gel_state is None:
+            self.reset(state_in)
+        assert self.gel_state is not None
+        scene = self.gel_scene
+        loads = state_in.body_f.numpy().astype(np.float64)
+        if self.rigid is None:
+            _keep_bodies(state_in, state_out)
+        else:
+            self._step_rigid(state_in, state_out, control, contacts, dt, loads)
+        if scene.affine:
+            self._follow_bodies_inside(state_in)
+        body_q = unit_poses(state_out.body_q.numpy())
+        wanted = Control(target_poses=scene.targets(body_q), dt_s=float(dt))
+        if scene.affine:
+            wanted.wrenches = loads[scene.affine].reshape(1, -1, 2, 3)
+        self.report = self.gel_solver.step(self.gel_state, wanted)
+        if not self.report.converged.all():
+            raise SimulationError(f"the gels' step failed: {self.report.describe()}")
+        if scene.affine:
+            self._write_back(state_out)
+        self._harvest(unit_poses(state_out.body_q.numpy()))
+
+    def reset(self, state: Any, world_mask: Any = None, flags: Any = None) -> None:
+        """Gels at rest on their bodies, bodies inside where ``state`` has them, no wrenches."""
+        targets = self.gel_scene.targets(unit_poses(state.body_q.numpy()))
+        self.gel_state = initial_state(self.gel_model, targets)
+        self.gel_solver.reset(self.gel_state, np.ones(1, dtype=bool), targets)
+        self.wrenches[:] = 0.0
+        self._written = None
+        if self.gel_scene.affine:
+            self._follow_bodies_inside(state)
+
+    def _step_rigid(
+        self, state_in: Any, state_out: Any, control: Any, contacts: Any, dt: float, loads: Any
+    ) -> None:
+        """Newton's solver, with the wrenches of the last step on the bodies that it moves."""
+        pushed = loads + self.wrenches
+        pushed[self.gel_scene.affine] = loads[self.gel_scene.affine]
+        state_in.body_f.assign(pushed.astype(np.float32))
+        self.rigid.step(state_in, state_out, control, contacts, dt)
+        state_in.body_f.assign(loads.astype(np.float32))
+
+    def _follow_bodies_inside(self, state: Any) -> None:
+        """Put bodies inside where newton's state has them, if somebody else has moved them: what
+        was written there in single precision is known here in double."""
+        rows = self.gel_scene.affine
+        found = (state.body_q.numpy()[rows], state.body_qd.numpy()[rows])
+        if self._written is not None and all(
+            np.array_equal(a, b) for a, b in zip(found, self._written, strict=True)
+        ):
+            return
+        assert self.gel_state is not None
+        positions = self.gel_state.positions.numpy()
+        velocities = self.gel_state.velocities.numpy()
+        poses, rates = unit_poses(found[0]), found[1].astype(np.float64)
+        for k, solid in enumerate(self.gel_model.affine.properties):
+            first = self.gel_model.affine.first_control + 4 * k
+            control = control_positions(solid, poses[k])
+            positions[0, first : first + 4] = control
+            velocities[0, first] = rates[k, :3]
+            velocities[0, first + 1 : first + 4] = np.cross(rates[k, 3:], control[1:])
+        for array, value in (
+            (self.gel_state.positions, positions),
+            (self.gel_state.velocities, velocities),
+        ):
+            array.assign(value)
+            embed_vertices(self.gel_model, array)
+
+    def _write_back(self, state_out: Any) -> None:
+        """Poses and velocities of bodies inside into newton's state."""
+        assert self.gel_state is not None
+        body_q, body_qd = state_out.body_q.numpy(), state_out.body_qd.numpy()
+        positions, velocities = self.gel_state.positions.numpy(), self.gel_state.velocities.numpy()
+        for k, (body, solid) in enumerate(
+            zip(self.gel_scene.affine, self.gel_model.affine.properties, strict=True)
+        ):
+            first = self.gel_model.affine.first_control + 4 * k
+            y, v = positions[0, first : first + 4], velocities[0, first : first + 4]
+            body_q[body], body_qd[body] = rigid_motion(y, v, solid)
+        state_out.body_q.assign(body_q)
+        state_out.body_qd.assign(body_qd)
+        rows = self.gel_scene.affine
+        self._written = body_q[rows].copy(), body_qd[rows].copy()
+        if state_out.joint_q is not None and state_out.joint_q.size:
+            joint_q, joint_qd = state_out.joint_q.numpy(), state_out.joint_qd.numpy()
+            for body, row in zip(rows, self._free_rows, strict=True):
+                if row is not None:
+                    joint_q[row[0] :][:7], joint_qd[row[1] :][:6] = body_q[body], body_qd[body]
+            state_out.joint_q.assign(joint_q)
+            state_out.joint_qd.assign(joint_qd)
+
+    def _harvest(self, body_q: np.ndarray) -> None:
+        """Sum the wrenches of contact and friction on what stands for each of newton's bodies."""
+        assert self.gel_state is not None
+        self.outputs.update(self.gel_state)
+        totals = self.outputs.contact_wrenches().totals().numpy()[0]
+        totals = totals + self.outputs.friction_wrenches().totals().numpy()[0]
+        self.wrenches[:] = 0.0
+        for body, wrench in zip(self.gel_scene.carried(), totals, strict=True):
+            if body >= 0:
+                self.wrenches[body] += wrench
+        turns = matrix_of(body_q)
+        centers = np.einsum("bij,bj->bi", turns[:, :3, :3], self._centers) + turns[:, :3, 3]
+        self.wrenches[:, 3:] -= np.cross(centers, self.wrenches[:, :3])
+
+
+def _keep_bodies(state_in: Any, state_out: Any) -> None:
+    """Bodies stay where they are."""
+    for name in ("body_q", "body_qd", "joint_q", "joint_qd"):
+        array = getattr(state_in, name)
+        if array is not None:
+            getattr(state_out, name).assign(array)
+
+
+def _free_joint(source: NewtonModel, body: int) -> tuple[int, int] | None:
+    """Where the coordinates and the rates of a free body's joint begin; None for one without.
+
+    Raises InputError where the coordinates are not the body's pose.
+    """
+    for row in np.flatnonzero(source.array("joint_child") == body):
+        for name in ("joint_X_p", "joint_X_c"):
+            if not np.array_equal(source.array(name)[row], [0, 0, 0, 0, 0, 0, 1]):
+                raise InputError(
+                    f"the free joint of body {source.bodies[body]!r} has frames of its own: "
+                    "a body inside needs one without"
+                )
+        return int(source.array("joint_q_start")[row]), int(source.array("joint_qd_start")[row])
+    return None
