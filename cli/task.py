@@ -148,7 +148,6 @@ def _begin(name: str, device: str, output: Path) -> Task:
 def _write(task: Task, result: TaskResult, device: str, folder: Path) -> None:
     from taccel_lab.output import write_json
     from taccel_lab.report.machine import describe_run
-    from taccel_lab.tasks.result_picture import draw_result
 
     table = result.table()
     rows = table.pop("per_seed")
@@ -157,7 +156,7 @@ def _write(task: Task, result: TaskResult, device: str, folder: Path) -> None:
     write_json(
         folder / "result.json", {**table, "settings": settings, "run": run, "per_seed": rows}
     )
-    draw_result(result, task.parameters.headline, folder / "seeds.png")
+    task.made_by.draw(task.parameters, result, folder)
 
 
 def _print(console: Console, result: TaskResult, output: Path) -> None:

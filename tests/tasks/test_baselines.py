@@ -147,3 +147,22 @@ def test_tac_man_of_a_nut() -> None:
     for trial in result.trials:
         assert 1 <= trial.figures["switches"] <= 12
         assert trial.figures["opened_mm"] == pytest.approx(2.5 * 150 / 360, abs=0.4)
+
+
+@pytest.mark.timeout(3000)
+def test_object_classification() -> None:
+    """Parts are told by a network from sectors of turns that it has not seen, and better than by
+    the nearest grasp."""
+    result = run("object-classification", 400)
+    _, low, high = success_interval(334, 400)
+    assert low <= result.successes / 400 <= high
+    right = {
+        name: sum(trial.figures[name] for trial in result.trials)
+        for name in ("right", "right_at_random", "nearest_right")
+    }
+    assert right["right"] == result.successes
+    assert right["right_at_random"] / 400 > low
+    assert right["nearest_right"] < result.successes - 80
+    for trial in result.trials:
+        for side in ("left", "right"):
+            assert 0.5 <= trial.figures[f"{side}_depth_mm"] <= 1.5
