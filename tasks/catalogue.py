@@ -17,6 +17,7 @@ from taccel_lab.tasks.nut import Nut, NutParameters
 from taccel_lab.tasks.parameters import TaskParameters
 from taccel_lab.tasks.peg_insertion import PegInsertion, PegInsertionParameters
 from taccel_lab.tasks.tac_man import TacMan, TacManParameters
+from taccel_lab.tasks.touch_insertion import TouchInsertion, TouchInsertionParameters
 from taccel_lab.tasks.twist import Twist, TwistParameters
 
 FILES = Path(__file__).parent / "files"
@@ -28,6 +29,7 @@ KINDS: dict[str, tuple[type[TaskParameters], type[Episode]]] = {
     "peg-insertion": (PegInsertionParameters, PegInsertion),
     "soft-grasp": (SoftGraspParameters, GraspLift),
     "tac-man": (TacManParameters, TacMan),
+    "touch-insertion": (TouchInsertionParameters, TouchInsertion),
     "twist": (TwistParameters, Twist),
 }
 """The parameters and the class of each kind."""

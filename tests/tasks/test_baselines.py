@@ -166,3 +166,15 @@ def test_object_classification() -> None:
     for trial in result.trials:
         for side in ("left", "right"):
             assert 0.5 <= trial.figures[f"{side}_depth_mm"] <= 1.5
+
+
+def test_touch_insertion() -> None:
+    """Led by markers, most pegs that begin beside the hole go in."""
+    result = run("touch-insertion", 64)
+    _, low, high = success_interval(55, 64)
+    assert low <= result.successes / 64 <= high
+    for trial in result.trials:
+        off = max(abs(trial.start["x_mm"]), abs(trial.start["y_mm"]))
+        assert trial.figures["tries"] > 1 or off < 1.5
+        assert trial.success or trial.figures["tries"] == 5
+        assert trial.figures["jam_force_n"] < 3
