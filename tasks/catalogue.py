@@ -17,6 +17,7 @@ from taccel_lab.tasks.nut import Nut, NutParameters
 from taccel_lab.tasks.parameters import TaskParameters
 from taccel_lab.tasks.peg_insertion import PegInsertion, PegInsertionParameters
 from taccel_lab.tasks.tac_man import TacMan, TacManParameters
+from taccel_lab.tasks.throw_catch import ThrowCatch, ThrowCatchParameters
 from taccel_lab.tasks.touch_insertion import TouchInsertion, TouchInsertionParameters
 from taccel_lab.tasks.twist import Twist, TwistParameters
 
@@ -29,6 +30,7 @@ KINDS: dict[str, tuple[type[TaskParameters], type[Episode]]] = {
     "peg-insertion": (PegInsertionParameters, PegInsertion),
     "soft-grasp": (SoftGraspParameters, GraspLift),
     "tac-man": (TacManParameters, TacMan),
+    "throw-catch": (ThrowCatchParameters, ThrowCatch),
     "touch-insertion": (TouchInsertionParameters, TouchInsertion),
     "twist": (TwistParameters, Twist),
 }

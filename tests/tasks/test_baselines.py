@@ -178,3 +178,16 @@ def test_touch_insertion() -> None:
         assert trial.figures["tries"] > 1 or off < 1.5
         assert trial.success or trial.figures["tries"] == 5
         assert trial.figures["jam_force_n"] < 3
+
+
+def test_throw_and_catch() -> None:
+    """Who closes early catches high, who closes late low or not at all."""
+    result = run("throw-catch", 64)
+    _, low, high = success_interval(42, 64)
+    assert low <= result.successes / 64 <= high
+    for trial in result.trials:
+        assert trial.figures["flown_s"] >= 0.15
+        # A ball that left at 0.95 to 1.05 m/s rises by 46 to 56 mm, the hand by 20 less.
+        assert 20 < trial.figures["above_mm"] < 40
+        if trial.cause.startswith("was held for 0.00"):
+            assert trial.start["late_s"] > 0 and trial.start["speed_part"] < 0
