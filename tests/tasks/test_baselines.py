@@ -32,6 +32,7 @@ def run(name: str, seeds: int) -> TaskResult:
         ("grasp-lift-cylinder", 64),
         ("grasp-lift-ball", 64),
         ("soft-block", 63),
+        ("soft-bear", 64),
     ],
 )
 def test_grasp_lift(name: str, successes: int) -> None:
@@ -42,11 +43,14 @@ def test_grasp_lift(name: str, successes: int) -> None:
     for trial in result.trials:
         if trial.success:
             assert trial.figures["held_s"] >= 1 and trial.figures["slip_mm"] < 5
-            mass, friction = (0.025, 0.462) if name == "soft-block" else (0.1, 0.334)
+            soft = {"soft-block": (0.025, 0.462), "soft-bear": (0.0145, 0.462)}
+            mass, friction = soft.get(name, (0.1, 0.334))
             assert trial.figures["weakest_grip_n"] > 0.5 * 9.81 * mass / friction / 2
             # 1 N over the whole face of 20.75 x 25.25 mm is 1.9 kPa; edges press harder.
             if name == "soft-block":
                 assert 1.4 < trial.figures["peak_stress_kpa"] < 8.0
+            if name == "soft-bear":
+                assert 9.0 < trial.figures["peak_stress_kpa"] < 16.0
 
 
 def crossing(a: np.ndarray, b: np.ndarray) -> bool:
