@@ -132,7 +132,8 @@ class TaskRecord:
                 film, trial = film_seed(task, self.seed, self.device, progress)
             with console.status("writing the film"):
                 write_film_files(film, folder)
-            write_json(folder / "trial.json", {"task": task.name, **vars(trial)})
+            told = {name: value for name, value in vars(trial).items() if name != "felt"}
+            write_json(folder / "trial.json", {"task": task.name, **told})
         done = "success" if trial.success else trial.cause
         console.print(f"seed {trial.seed}: {done}", highlight=False, markup=False)
         console.print(f"wrote {self.output / 'film.mp4'}", highlight=False, soft_wrap=True)
