@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -63,6 +63,9 @@ class TaskRun:
     """Folder to write; an earlier one is replaced when everything is done."""
     seeds: int | None = None
     """Run seeds 0 to N - 1; as many as the task's file says when left out."""
+    environments: int | None = None
+    """Seeds that one solver steps together; as the task's file says when left out. A GPU is quicker
+    with hundreds."""
     device: str = "cpu"
     """Device of the solver: cpu or cuda:0."""
 
@@ -75,7 +78,12 @@ class TaskRun:
 
         if self.seeds is not None and not 1 <= self.seeds <= MOST_SEEDS:
             raise InputError(f"seeds must lie in 1..{MOST_SEEDS}, got {self.seeds}")
+        if self.environments is not None and not 1 <= self.environments <= MOST_SEEDS:
+            raise InputError(f"environments must lie in 1..{MOST_SEEDS}, got {self.environments}")
         task = _begin(self.task, self.device, self.output)
+        if self.environments is not None:
+            parameters = task.parameters.replace(environments=self.environments)
+            task = replace(task, parameters=parameters)
         console = Console(stderr=True)
         with atomic_directory(self.output) as folder:
             with stage_progress(console) as progress:
@@ -124,7 +132,8 @@ class TaskRecord:
                 film, trial = film_seed(task, self.seed, self.device, progress)
             with console.status("writing the film"):
                 write_film_files(film, folder)
-            write_json(folder / "trial.json", {"task": task.name, **vars(trial)})
+            told = {name: value for name, value in vars(trial).items() if name != "felt"}
+            write_json(folder / "trial.json", {"task": task.name, **told})
         done = "success" if trial.success else trial.cause
         console.print(f"seed {trial.seed}: {done}", highlight=False, markup=False)
         console.print(f"wrote {self.output / 'film.mp4'}", highlight=False, soft_wrap=True)
@@ -148,7 +157,6 @@ def _begin(name: str, device: str, output: Path) -> Task:
 def _write(task: Task, result: TaskResult, device: str, folder: Path) -> None:
     from taccel_lab.output import write_json
     from taccel_lab.report.machine import describe_run
-    from taccel_lab.tasks.result_picture import draw_result
 
     table = result.table()
     rows = table.pop("per_seed")
@@ -157,7 +165,7 @@ def _write(task: Task, result: TaskResult, device: str, folder: Path) -> None:
     write_json(
         folder / "result.json", {**table, "settings": settings, "run": run, "per_seed": rows}
     )
-    draw_result(result, task.parameters.headline, folder / "seeds.png")
+    task.made_by.draw(task.parameters, result, folder)
 
 
 def _print(console: Console, result: TaskResult, output: Path) -> None:

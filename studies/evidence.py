@@ -30,6 +30,7 @@ from taccel_lab.studies.press_record import PressRecord
 
 if TYPE_CHECKING:
     from taccel_lab.optics.photometry import Photometry
+    from taccel_lab.tasks.result import TaskResult
 
 LOAD_N = 0.5
 """Load at which figures are read, where they are read at a load."""
@@ -77,6 +78,15 @@ class Evidence:
     def photometry(self) -> Photometry:
         """Photometric figures of the untouched gel; raises InputError without optics."""
         return photometry(self.parameters, self.device)
+
+    @cached_property
+    def insertion(self) -> TaskResult:
+        """The design in the task ``touch-insertion``; raises InputError without markers."""
+        from taccel_lab.studies.design_task import design_task
+        from taccel_lab.tasks.run import run_task
+
+        task = design_task(self.parameters)
+        return run_task(task, range(task.parameters.seeds), self.device)
 
     def picture_change(self, record: PressRecord, steps: list[int]) -> np.ndarray:
         """See ``camera_view.picture_change``."""

@@ -10,22 +10,28 @@ from pathlib import Path
 from taccel_lab.errors import InputError
 from taccel_lab.reading.toml_file import read_toml
 from taccel_lab.tasks.ball_rolling import BallRolling, BallRollingParameters
+from taccel_lab.tasks.classification import Classification, ClassificationParameters
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.grasp_lift import GraspLift, GraspLiftParameters, SoftGraspParameters
 from taccel_lab.tasks.nut import Nut, NutParameters
 from taccel_lab.tasks.parameters import TaskParameters
 from taccel_lab.tasks.peg_insertion import PegInsertion, PegInsertionParameters
 from taccel_lab.tasks.tac_man import TacMan, TacManParameters
+from taccel_lab.tasks.throw_catch import ThrowCatch, ThrowCatchParameters
+from taccel_lab.tasks.touch_insertion import TouchInsertion, TouchInsertionParameters
 from taccel_lab.tasks.twist import Twist, TwistParameters
 
 FILES = Path(__file__).parent / "files"
 KINDS: dict[str, tuple[type[TaskParameters], type[Episode]]] = {
     "ball-rolling": (BallRollingParameters, BallRolling),
+    "classification": (ClassificationParameters, Classification),
     "grasp-lift": (GraspLiftParameters, GraspLift),
     "nut": (NutParameters, Nut),
     "peg-insertion": (PegInsertionParameters, PegInsertion),
     "soft-grasp": (SoftGraspParameters, GraspLift),
     "tac-man": (TacManParameters, TacMan),
+    "throw-catch": (ThrowCatchParameters, ThrowCatch),
+    "touch-insertion": (TouchInsertionParameters, TouchInsertion),
     "twist": (TwistParameters, Twist),
 }
 """The parameters and the class of each kind."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from taccel_lab.scene import Scene
 from taccel_lab.solvers import Control, EnvStatus, SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
 from taccel_lab.tasks.parameters import TaskParameters
-from taccel_lab.tasks.result import Trial
+from taccel_lab.tasks.result import TaskResult, Trial
 
 
 class Episode(ABC):
@@ -99,6 +100,20 @@ class Episode(ABC):
             cause = self._causes[env] or missed
             found.append(Trial(seed, not cause, cause, int(self._steps[env]), start, figures))
         return found
+
+    @classmethod
+    def conclude(
+        cls, parameters: TaskParameters, trials: list[Trial], device: str | None
+    ) -> list[Trial]:
+        """Trials of all seeds of a run, judged together where a task does so."""
+        return trials
+
+    @classmethod
+    def draw(cls, parameters: TaskParameters, result: TaskResult, folder: Path) -> None:
+        """Pictures of a run, PNG files in a folder that exists."""
+        from taccel_lab.tasks.result_picture import draw_result
+
+        draw_result(result, parameters.headline, folder / "seeds.png")
 
     def force_on(self, body: str, other: str, friction: bool = True) -> np.ndarray:
         """Force of contact, and of friction, on a body by another one [N], [env, 3]."""

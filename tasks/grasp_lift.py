@@ -11,15 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.reading.legacy_vtk import read_legacy_vtk
 from taccel_lab.reading.strict_model import Number, StrictModel
 from taccel_lab.robots.transforms import matrix_of, pose_of
-from taccel_lab.scene import AffineBody, SoftBody
+from taccel_lab.scene import AffineBody, Element, Material, SoftBody
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import free_body, pad_body, pad_mesh, solid
 from taccel_lab.tasks.episode import Episode
@@ -69,6 +72,42 @@ class SoftBox(Pad):
         sides = np.full(len(block.faces), int(Region.SIDE))
         free = TetMesh(block.nodes_m - middle, block.tets, block.faces, sides)
         return replace(pad_body(self, free, "object"), initial_pose=poses)
+
+
+class SoftShape(StrictModel):
+    """What is grasped, a soft body of free form; the stress in it is measured."""
+
+    mesh: Literal["bear"]
+    """A mesh of the package, ``NAME.vtk`` beside the files of tasks."""
+    young_modulus_pa: Positive
+    poisson_ratio: Number
+    density_kg_m3: Positive
+    friction: NotNegative
+    element: Element
+
+    def shape(self) -> TetMesh:
+        """It about the mean of its nodes [m]."""
+        nodes, tets = read_legacy_vtk(Path(__file__).parent / "files" / f"{self.mesh}.vtk")
+        faces = boundary_faces(tets)
+        return TetMesh(
+            nodes - nodes.mean(axis=0), tets, faces, np.full(len(faces), int(Region.SIDE))
+        )
+
+    @property
+    def half_height_m(self) -> float:
+        """Of its middle over its lowest point."""
+        return -float(self.shape().nodes_m[:, 2].min())
+
+    def at(self, poses: np.ndarray) -> SoftBody:
+        """It at ``poses``, [env, 7]."""
+        return SoftBody(
+            self.shape(),
+            Material(self.young_modulus_pa, self.poisson_ratio, self.density_kg_m3),
+            name="object",
+            friction_coefficient=self.friction,
+            element=self.element,
+            initial_pose=poses,
+        )
 
 
 class GraspPolicy(StrictModel):
@@ -124,7 +163,7 @@ class SoftGraspParameters(GraspParameters):
     """The file of a grasp and lift of what is soft."""
 
     kind: Literal["soft-grasp"]
-    object: SoftBox
+    object: SoftBox | SoftShape
 
 
 class GraspLift(Episode):
@@ -160,7 +199,7 @@ class GraspLift(Episode):
         self.gripping = np.zeros(count, dtype=bool)
         config = contact_config(parameters.contact)
         super().__init__(parameters, seeds, starts, built.scene, config, self._targets(), device)
-        self._soft = isinstance(parameters.object, SoftBox)
+        self._soft = not isinstance(parameters.object, Object)
         self._peak = np.zeros(count)
         """Largest equivalent stress of a soft body so far [Pa]."""
         self._rest_height = built.rest_height_m

@@ -22,12 +22,13 @@ def gels_of(pad: Pad) -> tuple[list[SoftBody], list[KinematicBody]]:
 
 
 def mounts_of(hands: np.ndarray, half_m: np.ndarray) -> np.ndarray:
-    """Where the mounts are, [env, 2, 4, 4], the gels' faces at minus and plus ``half_m`` [env] of
-    the hands [env, 4, 4]; a gel's own y is the hand's z."""
+    """Where the mounts are, [env, 2, 4, 4], the gels' faces at minus and plus ``half_m``, [env] or
+    [env, 2], of the hands [env, 4, 4]; a gel's own y is the hand's z."""
     in_hand = np.tile(np.eye(4), (len(hands), 2, 1, 1))
+    half_m = np.broadcast_to(half_m.reshape(len(hands), -1), (len(hands), 2))
     for k, side in enumerate((-1.0, 1.0)):
         in_hand[:, k, :3, 0] = [0.0, -side, 0.0]
         in_hand[:, k, :3, 1] = [0.0, 0.0, 1.0]
         in_hand[:, k, :3, 2] = [-side, 0.0, 0.0]
-        in_hand[:, k, 0, 3] = side * half_m
+        in_hand[:, k, 0, 3] = side * half_m[:, k]
     return hands[:, None] @ in_hand

@@ -27,6 +27,8 @@ class Trial:
     """What the seed drew."""
     figures: dict[str, float]
     """What was measured; names end in their units."""
+    felt: np.ndarray | None = None
+    """What the gels felt at the end, of tasks that judge all seeds together."""
 
 
 @dataclass(frozen=True)

@@ -47,4 +47,5 @@ def run_task(
     except KeyboardInterrupt:
         if not trials:
             raise
+    trials = task.made_by.conclude(task.parameters, trials, device)
     return TaskResult(task.name, trials, time.perf_counter() - started, len(seeds))

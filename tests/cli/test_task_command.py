@@ -45,6 +45,15 @@ def test_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert result["settings"]["steps"] == 3 and result["run"]["device"] == "CPU, one thread"
     pixels = np.asarray(Image.open(out / "seeds.png").convert("RGB")).astype(int)
     assert (pixels.max(axis=2) - pixels.min(axis=2) > 60).sum() > 50
+    assert result["settings"]["environments"] == 8
+    # One environment at a time starts each seed the same way.
+    alone = [*words[:-1], str(tmp_path / "alone"), "--environments", "1"]
+    assert app.main(alone) == 0
+    capsys.readouterr()
+    single = json.loads((tmp_path / "alone" / "result.json").read_text())
+    assert single["settings"]["environments"] == 1
+    for one, both in zip(single["per_seed"], result["per_seed"], strict=True):
+        assert (one["x_mm"], one["y_mm"]) == (both["x_mm"], both["y_mm"])
     # A folder of somebody's own is not replaced.
     (out / "mine.txt").write_text("mine")
     assert app.main(words) == 2
@@ -100,6 +109,7 @@ def test_record(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     [
         (["run", "juggle"], "there is no task 'juggle'; there are"),
         (["run", "peg-insertion", "--seeds", "0"], "seeds must lie in 1..100000, got 0"),
+        (["run", "peg-insertion", "--environments", "0"], "environments must lie in 1..100000"),
         (["record", "peg-insertion", "--seed", "-1"], "seed must lie in 0..99999, got -1"),
         (["run", "peg-insertion", "--device", "tpu"], "tpu"),
         (["run", "nowhere.toml"], "nowhere.toml"),
