@@ -245,8 +245,8 @@ def team(
         return Team(lanes if lanes and wp.config.enable_cpu_blocks else 1)
     processors = int(device.sm_count)
     if lanes is None:
-        # Two blocks of 512 fill the registers of a multiprocessor, four of 256 do better at hiding
-        # each other's barriers.
+        # A block of 512 fills the registers of a multiprocessor, two of 256 hide each other's
+        # barriers.
         most = MAX_LANES if env_count <= processors else MAX_LANES // 2
         lanes = 32
         while lanes < min(tasks, most):
