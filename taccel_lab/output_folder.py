@@ -162,17 +162,32 @@ def _foreign(folder: Path) -> list[str]:
 
 def _require_own(target: Path) -> None:
     for _ in range(_TRIES):
-        before = _identity(target)
-        foreign = [] if before is None else _foreign(target)
-        if not foreign:
-            return
-        if _identity(target) == before:
-            break
+        with _held(target) as before:
+            foreign = [] if before is None else _foreign(target)
+            if not foreign:
+                return
+            if _identity(target) == before:
+                break
     names = [*foreign[:_SHOWN], *(["..."] if len(foreign) > _SHOWN else [])]
     raise InputError(
         f"{target} holds files that taccel-lab did not write, or that were changed since: "
         f"{', '.join(names)}; move them away, or name a new or empty folder"
     )
+
+
+@contextmanager
+def _held(folder: Path) -> Iterator[tuple[int, int] | None]:
+    """The identity of a folder; open, as the number of one that is gone goes to the next."""
+    try:
+        handle = os.open(folder, os.O_PATH | os.O_DIRECTORY)
+    except FileNotFoundError:
+        yield None
+        return
+    try:
+        stat = os.fstat(handle)
+        yield stat.st_dev, stat.st_ino
+    finally:
+        os.close(handle)
 
 
 def _identity(folder: Path) -> tuple[int, int] | None:
