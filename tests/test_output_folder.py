@@ -189,34 +189,6 @@ def test_a_folder_that_is_being_written_is_not_swept_up(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["out"]
 
 
-def test_a_folder_that_comes_between_is_not_taken_for_the_one_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """File systems give the number of a folder that is gone to the next one."""
-    target = tmp_path / "out"
-    write(target, "one")
-    real = output_folder._foreign
-    looked = []
-
-    def overtaken(folder: Path) -> list[str]:
-        looked.append(folder)
-        if len(looked) > 1:
-            return real(folder)
-        number = target.stat().st_ino
-        kept = {path.name: path.read_bytes() for path in target.iterdir()}
-        for _ in range(20):
-            shutil.rmtree(target)
-            target.mkdir()
-            if target.stat().st_ino == number:
-                break
-        for name, content in kept.items():
-            (target / name).write_bytes(content)
-        return ["the marker of one, and a file of the other"]
-
-    monkeypatch.setattr(output_folder, "_foreign", overtaken)
-    require_replaceable(target)
-
-
 @pytest.mark.usefixtures("at_once")
 def test_writers_side_by_side(tmp_path: Path) -> None:
     target = tmp_path / "out"
