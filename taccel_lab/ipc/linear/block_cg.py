@@ -161,15 +161,12 @@ def _solve_kernel(room: int) -> Any:
         env, lane = wp.tid()
         memory = address(wp.tile_empty(shape=room, dtype=wp.float64, storage="shared"))
         n = rhs.shape[1]
-        zero = wp.float64(0.0)
         x = solutions[env]
         if active[env] == 0:
             for row in range(lane, n, lanes):
                 x[row] = wp.vec3d()
             if lane == 0:
-                iterations[env] = 0
-                residuals[env] = zero
-                breakdowns[env] = 0
+                report_solve(env, CgState(), iterations, residuals, breakdowns)
             return
         owned = owned_parts(coarse, 0, 1)
         slices = layout.slices.shape[0]

@@ -41,7 +41,7 @@ class CoarseSpace:
     spans: first chunk of each part and the end, [part_count].
     inverses: A_c^-1, zero where A_c is not positive definite, [env_count, width^2].
     loads: P^T w of each chunk, [env_count, MODES chunk_count].
-    motions: A_c^-1 P^T w, [env_count, width].
+    motions: A_c^-1 P^T w, on the CPU; a GPU keeps it in shared memory; [env_count, width].
     """
 
     width: int

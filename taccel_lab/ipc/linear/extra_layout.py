@@ -101,9 +101,25 @@ def pack_extra(
 
 
 @wp.func
-def _is_long(size: int, segment_length: int) -> bool:
+def segments_of(size: int, segment_length: int) -> int:
+    """Segments of a row of so many entries."""
+    return (size + segment_length - 1) // segment_length
+
+
+@wp.func
+def is_long(size: int, segment_length: int) -> bool:
     """Whether the segments of so many entries are longer than half of the most."""
-    return 2 * size > segment_length * ((size + segment_length - 1) / segment_length)
+    return 2 * size > segment_length * segments_of(size, segment_length)
+
+
+@wp.func
+def cut_row(env: int, place: int, first: int, size: int, segment: int, count: int, rows: ExtraRows):
+    """Cut the entries of a row into ``count`` segments; the first ones of both are given."""
+    rows.row_segments[env, place] = wp.vec2i(segment, count)
+    for s in range(count):
+        rows.segments[rows.starts[env][1] + segment + s] = wp.vec3i(
+            place, first + s * size / count, first + (s + 1) * size / count
+        )
 
 
 @wp.func
@@ -117,22 +133,18 @@ def _cut_in_order(
 ):
     """Entries and segments of a row follow those of all rows before it."""
     size = sizes[row]
-    is_long = _is_long(size, segment_length)
+    own_is_long = is_long(size, segment_length)
     first = int(0)
     segment = int(0)
     for other in range(sizes.shape[0]):
         more = sizes[other]
         if more > 0:
-            other_is_long = _is_long(more, segment_length)
-            if (other_is_long and not is_long) or (other_is_long == is_long and other < row):
+            other_is_long = is_long(more, segment_length)
+            earlier = other_is_long == own_is_long and other < row
+            if (other_is_long and not own_is_long) or earlier:
                 first += more
-                segment += (more + segment_length - 1) / segment_length
-    count = (size + segment_length - 1) / segment_length
-    rows.row_segments[env, place] = wp.vec2i(segment, count)
-    for s in range(count):
-        rows.segments[rows.starts[env][1] + segment + s] = wp.vec3i(
-            place, first + s * size / count, first + (s + 1) * size / count
-        )
+                segment += segments_of(more, segment_length)
+    cut_row(env, place, first, size, segment, segments_of(size, segment_length), rows)
 
 
 @wp.func

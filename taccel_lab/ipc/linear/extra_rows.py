@@ -20,9 +20,12 @@ import warp as wp
 from taccel_lab.ipc.linear.block_ops import Team, block_barrier, launch_team, team
 from taccel_lab.ipc.linear.extra_layout import (
     ExtraRows,
+    cut_row,
     extra_slice,
+    is_long,
     order_kernel,
     pack_extra,
+    segments_of,
     slice_length,
 )
 from taccel_lab.ipc.linear.packed_rows import WIDTH
@@ -102,7 +105,7 @@ def _cut_rows(
     lane: int,
     lanes: int,
     segment_length: int,
-    long: int,
+    long: bool,
     row_places: wp.array(dtype=wp.int32),
     sizes: wp.array(dtype=wp.int32),
     ends: wp.array(dtype=wp.int32),
@@ -111,20 +114,12 @@ def _cut_rows(
     """Give every row with long, or with short, segments a range of entries, and cut it."""
     for row in range(lane, sizes.shape[0], lanes):
         size = sizes[row]
-        count = (size + segment_length - 1) / segment_length
-        is_long = int(0)
-        if 2 * size > segment_length * count:
-            is_long = int(1)
-        if size > 0 and is_long == long:
+        if size > 0 and is_long(size, segment_length) == long:
+            count = segments_of(size, segment_length)
             first = wp.atomic_add(rows.totals, env, 0, size)
             ends[row] = first
             segment = wp.atomic_add(rows.totals, env, 1, count)
-            place = row_places[row]
-            rows.row_segments[env, place] = wp.vec2i(segment, count)
-            for s in range(count):
-                rows.segments[rows.starts[env][1] + segment + s] = wp.vec3i(
-                    place, first + s * size / count, first + (s + 1) * size / count
-                )
+            cut_row(env, row_places[row], first, size, segment, count, rows)
 
 
 @wp.func
@@ -211,9 +206,9 @@ def _merge_kernel(
             wp.atomic_add(sizes, places[k][0], 1)
             wp.atomic_add(sizes, places[k][1], 1)
     block_barrier()
-    _cut_rows(env, lane, lanes, segment_length, 1, row_places, sizes, ends, rows)
+    _cut_rows(env, lane, lanes, segment_length, True, row_places, sizes, ends, rows)
     block_barrier()
-    _cut_rows(env, lane, lanes, segment_length, 0, row_places, sizes, ends, rows)
+    _cut_rows(env, lane, lanes, segment_length, False, row_places, sizes, ends, rows)
     block_barrier()
     for k in range(lane, count, lanes):
         if owners[k] == k:

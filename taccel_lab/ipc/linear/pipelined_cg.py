@@ -217,9 +217,7 @@ def _solve_kernel(room: int) -> Any:
             for i in range(at, size, most_blocks * lanes):
                 x[i] = zero
             if at == 0:
-                iterations[env] = 0
-                residuals[env] = zero
-                breakdowns[env] = 0
+                report_solve(env, CgState(), iterations, residuals, breakdowns)
             return
         joined = join_team(env, most_blocks, patience, work.gates)
         block = joined[0]
