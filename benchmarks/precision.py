@@ -42,6 +42,15 @@ _OTHER = {
             "host_values(value, name, expected).astype('f')\n",
         ),
     ),
+    "ipc/reduce.py": (
+        ("reinterpret_cast<long long*>", "reinterpret_cast<int*>"),
+        ("__double_as_longlong", "__float_as_int"),
+    ),
+    "ipc/linear/arrow_program.py": (
+        ("- STATIC_BYTES) // 8", "- STATIC_BYTES) // 4"),
+        ("8 * self.room", "4 * self.room"),
+        ("room + (len(words) + 1) // 2", "room + len(words)"),
+    ),
     "ipc/linear/streamed_rows.py": (
         ("_STAGE_BYTES // 8", "_STAGE_BYTES // 4"),
         ("ld.global.f64", "ld.global.f32"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sums over the entries of an environment, on the device and in a fixed order.
+"""Sums and minima over the entries of an environment, on the device; sums in a fixed order.
 
 One thread block an environment (one thread on the CPU): each thread adds every so manyth entry,
 with compensation [Neumaier 1974], and the block adds its threads up as a tree. However many
@@ -16,6 +16,24 @@ wp.set_module_options({"enable_backward": False})
 
 BLOCK_THREADS = 128
 """Threads of a block on a GPU."""
+
+
+@wp.func_native("""
+    double* const place = wp::address(values, env);
+#if defined(__CUDA_ARCH__)
+    atomicMin(reinterpret_cast<long long*>(place), __double_as_longlong(value));
+#else
+    if (value < *place) *place = value;
+#endif
+""")
+def lower_to(values: wp.array(dtype=wp.float64), env: int, value: wp.float64) -> None:
+    """Lower an entry to a value, whoever else does so meanwhile; both at least 0, or the entry
+    becomes some negative value.
+
+    The bits of such numbers are ordered as integers, of which a GPU finds the least without a
+    thread waiting for another one, as those of ``wp.atomic_min`` of doubles do.
+    """
+    ...
 
 
 @wp.func

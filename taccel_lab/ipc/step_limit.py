@@ -22,6 +22,7 @@ from taccel_lab.ipc.collision_lists import (
     kept_distance,
 )
 from taccel_lab.ipc.lanes import lane_count
+from taccel_lab.ipc.reduce import lower_to
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})
@@ -148,7 +149,7 @@ def _node_face_kernel(
         )
         least = wp.min(least, limit)
     if least < wp.float64(1.0):
-        wp.atomic_min(limits, env, least)
+        lower_to(limits, env, least)
 
 
 @wp.kernel
@@ -182,7 +183,7 @@ def _edge_edge_kernel(
         )
         least = wp.min(least, limit)
     if least < wp.float64(1.0):
-        wp.atomic_min(limits, env, least)
+        lower_to(limits, env, least)
 
 
 @wp.kernel
@@ -213,7 +214,7 @@ def _node_plane_kernel(
         slackness,
         wp.float64(1.0),
     )
-    wp.atomic_min(limits, env, result.toi)
+    lower_to(limits, env, result.toi)
 
 
 def limit_checks(

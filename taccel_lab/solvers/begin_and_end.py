@@ -77,6 +77,7 @@ def _begin_kernel(
     p.margin[env] = r.dhat
     p.before[env] = zero
     p.projected[env] = 0
+    p.boost[env] = one
     p.sharpness[env] = one
     p.last_residual[env] = wp.float64(wp.inf)
     if p.who[env] == 0:

@@ -109,7 +109,7 @@ class EnvProgress:
     """Part of the remaining motion that the next one asks for."""
     trial_progress: wp.array(dtype=wp.float64)
     lag_change: wp.array(dtype=wp.float64)
-    """``excess`` after friction was last frozen anew."""
+    """Largest ``excess`` since friction was last frozen anew."""
     damping: wp.array(dtype=wp.float64)
     """Longest step while freezing alternates."""
     margin: wp.array(dtype=wp.float64)
@@ -124,6 +124,8 @@ class EnvProgress:
     """PSD_* of the next matrix: projected, or as it is."""
     projected: wp.array(dtype=wp.int32)
     """Iterations for which matrices are projected in any case."""
+    boost: wp.array(dtype=wp.float64)
+    """Multiple of Newton's direction that is searched along."""
     last_residual: wp.array(dtype=wp.float64)
     """``residual`` one iteration earlier; infinite after friction was frozen anew."""
     bend: wp.array(dtype=wp.float64)

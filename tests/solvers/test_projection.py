@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, MaterialModel, Scene, SoftBody
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
@@ -37,6 +38,20 @@ def test_it_converges_quadratically_under_prestress(model: MaterialModel, elemen
     """Six more digits in two or three iterations; projected matrices alone took six and more."""
     rough = newton_of_a_press(1e-3, model, element)
     assert newton_of_a_press(1e-9, model, element) <= rough + 3
+
+
+def test_it_gets_away_from_a_saddle_by_longer_and_longer_steps() -> None:
+    """A peg whose grip slips on the rim: 22, 16 and 20 iterations in three of its steps by those
+    that all have the length of Newton's, 17, 16 and 15 by these."""
+    bench = build_scene("peg", SceneOptions(1, "generated", {}))
+    model = bench.scene.finalize()
+    solver, state = SolverIPC(model, bench.config), initial_state(model, bench.targets(0))
+    iterations = []
+    for k in range(1, 90):
+        report = solver.step(state, bench.targets(k))
+        assert report.converged[0], report.summary()
+        iterations.append(int(report.newton_iterations[0]))
+    assert sum(sorted(iterations[60:])[-3:]) < 54
 
 
 def bar() -> tuple[SolverIPC, np.ndarray]:

@@ -41,6 +41,7 @@ from taccel_lab.ipc.pair_hessian import (
     pair_hessian,
 )
 from taccel_lab.ipc.potentials.energy import EnergyTerm
+from taccel_lab.ipc.reduce import lower_to
 from taccel_lab.ipc.reproducible_sums import ReproducibleSums, SumStage, add_vector
 from taccel_lab.ipc.stencil_rows import STENCIL_THREADS, add_pair_hessian, row_parts
 from taccel_lab.model import Model
@@ -166,7 +167,7 @@ def add_contact_gradient(
     kind = lists.kinds[at]
     nodes = lists.stencils[at]
     pair = closest_pair(env, kind, nodes, positions, geometry)
-    wp.atomic_min(min_distance, env, collision_gap(pair, nodes, lists.insets[at], geometry))
+    lower_to(min_distance, env, collision_gap(pair, nodes, lists.insets[at], geometry))
     rows = contact_rows(env, at, pair, lists, geometry, positions)
     for i in range(stencil_size(kind)):
         row = wp.vec3d(rows[i, 0], rows[i, 1], rows[i, 2])
