@@ -19,6 +19,7 @@ from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.images import background, color_model
 from taccel_lab.model import Model
 from taccel_lab.outputs import to_torch
+from taccel_lab.outputs.gel_frames import GelFrames
 from taccel_lab.outputs.soft_wrenches import SoftWrenchReader
 from taccel_lab.signals.gel_faces import bonded_gels, face_grid
 from taccel_lab.signals.tactile import SignalTactile
@@ -65,9 +66,7 @@ class Observer:
         self._clock = clock_of(model.device)
         self.gels = bonded_gels(model)
         """Indices of the gels among the soft bodies."""
-        frames = [frame.name for frame in model.scene.kinematic_bodies]
-        mounts = [model.scene.soft_bodies[i].mount for i in self.gels]
-        self._mounts = [None if name is None else frames.index(name) for name in mounts]
+        self._frames = GelFrames(model)
         self._signals = [gel_signal(model, i) for i in self.gels] if "rgb" in names else []
         self._wrenches = SoftWrenchReader(solver) if "wrench" in names else None
         self.images: list[torch.Tensor] = []
@@ -107,8 +106,8 @@ class Observer:
         import torch
 
         self.images = []
-        for signal, mount in zip(self._signals, self._mounts, strict=True):
-            signal.update(state.positions, None if mount is None else state.poses[:, mount], who)
+        for gel, signal in zip(self.gels, self._signals, strict=True):
+            signal.update(state.positions, self._frames.of(gel, state), who)
             self.images.append(to_torch(signal.rgb))
         means = [image.to(torch.float32).mean(dim=(1, 2)) / 255.0 for image in self.images]
         return torch.stack(means, dim=1)

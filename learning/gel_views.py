@@ -18,7 +18,7 @@ from gymnasium import spaces
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.learning.poses import rotated
-from taccel_lab.outputs import Outputs, to_torch
+from taccel_lab.outputs import GelFrames, Outputs, to_torch
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.gel_faces import MARKERS, bonded_gels, face_grid, marker_points_mm
 from taccel_lab.signals.markers import MarkerLayout
@@ -63,9 +63,8 @@ class GelViews:
         self._outputs = Outputs(solver)
         self.gels = bonded_gels(solver.model)
         """Indices of the gels among the soft bodies."""
-        frames = [frame.name for frame in self._model.scene.kinematic_bodies]
+        self._frames = GelFrames(self._model)
         bodies = [self._model.scene.soft_bodies[i] for i in self.gels]
-        self._mounts = [None if b.mount is None else frames.index(b.mount) for b in bodies]
         meshes = [body.nodal_mesh for body in bodies]
         grids = self.grids = [face_grid(mesh, size_px) for mesh in meshes]
         """Pixels of each gel."""
@@ -105,8 +104,8 @@ class GelViews:
 
         ``image``: uint8, [row, column, 3]. ``depth``: how far the face has sunk [mm], [row,
         column]. ``markers``: how far markers have moved along the face [mm], [marker, 2].
-        ``wrench``: force [N] and torque [N m] of contact and friction in the frame of the gel's
-        mount, [6]. ``traction``: force by area at the nodes of the face [kPa], in that frame,
+        ``wrench``: force [N] and torque [N m] of contact and friction in the gel's frame where it
+        has a mount, [6]. ``traction``: force by area at the nodes of the face [kPa], in that frame,
         [node, 3]. All but images float32.
         """
         if name == "wrench":
@@ -116,8 +115,8 @@ class GelViews:
         return torch.stack([self._see(name, k, state) for k in range(len(self.gels))], dim=1)
 
     def _see(self, name: str, gel: int, state: State) -> torch.Tensor:
-        signal, mount = self._signals[gel], self._mounts[gel]
-        signal.update(state.positions, None if mount is None else state.poses[:, mount])
+        signal = self._signals[gel]
+        signal.update(state.positions, self._frames.of(self.gels[gel], state))
         if name == "image":
             return to_torch(signal.rgb)
         if name == "depth":
@@ -127,12 +126,12 @@ class GelViews:
 
     def _tractions(self, state: State) -> torch.Tensor:
         load = to_torch(self._outputs.update(state).surface_load.tractions)
-        poses = to_torch(state.poses)
         found = []
-        for nodes, mount in zip(self._face_nodes, self._mounts, strict=True):
+        for gel, nodes in zip(self.gels, self._face_nodes, strict=True):
             traction = 1e-3 * load[:, nodes]
-            if mount is not None:
-                back = poses[:, None, mount, 3:] * self._inverse
+            frames = self._frames.of(gel, state)
+            if frames is not None:
+                back = to_torch(frames)[:, None, 3:] * self._inverse
                 traction = rotated(back, traction)
             found.append(traction)
         return torch.stack(found, dim=1).float()

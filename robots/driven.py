@@ -3,8 +3,9 @@
 
 Links that fixed joints connect are one group. A group has an affine body for each collision shape,
 held together by fixed joints. Together they have the mass, centre and inertia that the file states
-of its links; each has a share by its volume, about the group's centre. The base does not move: its
-shapes are kinematic bodies. Links of robots do not touch one another.
+of its links; each has a share by its volume, about the group's centre. A gel is mounted on one of
+them, and weighs on it beside that. The base goes where it is told: its shapes are kinematic bodies,
+and what it carries hangs on the first of them. Links of robots do not touch one another.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.errors import InputError
 from taccel_lab.robots.description import LinkMass, RobotJoint, listed
 from taccel_lab.robots.mounts import GEL_LAYER, LINK_LAYER
-from taccel_lab.robots.robot import Robot
-from taccel_lab.robots.transforms import matrix_of
+from taccel_lab.robots.robot import IDENTITY_POSE, Robot
+from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import (
     AffineBody,
     Ball,
@@ -31,6 +32,7 @@ from taccel_lab.scene import (
     KinematicBody,
     PrismaticJoint,
     RevoluteJoint,
+    SoftBody,
     StatedMass,
     Surface,
     TriangleMesh,
@@ -54,16 +56,28 @@ class DrivenRobot:
     """Coordinates that the scene starts at, where the coordinates of its joints are 0, [dof]."""
     affine_bodies: list[AffineBody]
     """For ``Scene(affine_bodies=)``."""
+    soft_bodies: list[SoftBody]
+    """Its gels, for ``Scene(soft_bodies=)``."""
     kinematic_bodies: list[KinematicBody]
-    """Shapes of the base and frames of its gels, for ``Scene(kinematic_bodies=)``."""
+    """Shapes of the base and frames of its gels, for ``Scene(kinematic_bodies=)``; where it has
+    neither, a frame for the joints that hang on it."""
     joints: list[Joint]
     """For ``Scene(joints=)``; joints that move are called as the robot's."""
     base: Robot
-    """The robot with the shapes alone of what does not move."""
+    """The robot with the shapes and gels alone of what does not move."""
 
-    def poses(self, env_count: int) -> np.ndarray:
-        """Of ``kinematic_bodies``, which stay, [env_count, body, 7]: ``Control.target_poses``."""
-        return self.base.targets(np.tile(self.start_q, (env_count, 1)))
+    def poses(self, env_count: int, world_from_base: Any = None) -> np.ndarray:
+        """Of ``kinematic_bodies``, [env_count, body, 7]: ``Control.target_poses``. They stay, or
+        take all that hangs on them to ``world_from_base``, [7] or [env_count, 7]."""
+        if world_from_base is None:
+            world_from_base = self.robot.world_from_base
+        at = np.asarray(world_from_base, dtype=np.float64)
+        if at.shape not in ((7,), (env_count, 7)) or not np.isfinite(at).all():
+            raise InputError(
+                f"world_from_base must be finite, [7] or [{env_count}, 7], got shape {at.shape}"
+            )
+        turned = matrix_of(np.broadcast_to(at, (env_count, 7)))
+        return pose_of(turned[:, None] @ matrix_of(_of_base(self.base, self.start_q)))
 
     def joint_targets(self, q: Any) -> np.ndarray:
         """``Control.joint_targets`` of position drives for coordinates [n, dof], [n, joint].
@@ -112,22 +126,20 @@ def drive(
             many do, instead of refusing it.
 
     Raises:
-        InputError: A gel on a link that moves (the solver mounts gels on kinematic bodies), a part
-            that moves without collision shape or mass or with an inertia of no solid, a drive of an
-            unknown joint, coordinates out of the limits, or a shape without inside.
+        InputError: A part that moves without collision shape or mass or with an inertia of no
+            solid, a drive of an unknown joint, coordinates out of the limits, or a shape without
+            inside.
     """
     q = robot.rest_q if start_q is None else np.asarray(start_q, dtype=np.float64)
     if q.shape != (robot.dof,):
         raise InputError(f"start_q must have shape [{robot.dof}], got {q.shape}")
     groups = _groups(robot)
-    base = robot.touching([name for name, top in groups.items() if top == robot.base])
-    base.targets(q)  # Refuses coordinates out of the limits.
-    for mount in robot.mounts:
-        if groups[mount.link] != robot.base:
-            raise InputError(
-                f"gel {mount.gel.name!r} is on link {mount.link!r}, which drives move: gels are "
-                "mounted on links that are prescribed, see Robot.targets"
-            )
+    robot.targets(q)  # Refuses coordinates out of the limits.
+    fixed = [name for name, top in groups.items() if top == robot.base]
+    base = robot.touching(fixed)
+    base = replace(base, mounts=tuple(mount for mount in robot.mounts if mount.link in fixed))
+    frames = base.kinematic_bodies() or [KinematicBody(None, name=f"{robot.name}/base")]
+    hung = frames[0].name, matrix_of(robot.world_from_base) @ matrix_of(_of_base(base, q)[0])
     moving = [joint.name for joint in robot.joints if joint.moves]
     if isinstance(drives, Mapping):
         for name in drives:
@@ -137,6 +149,7 @@ def drive(
     bodies: list[AffineBody] = []
     joints: list[Joint] = []
     carriers: dict[str, str] = {}
+    starts: list[np.ndarray] = []
     for group in dict.fromkeys(groups.values()):
         if group == robot.base:
             continue
@@ -144,6 +157,7 @@ def drive(
         made = _group_bodies(robot, group, links, poses, closest_inertia)
         carriers[group] = made[0].name
         bodies += made
+        starts += [np.asarray(body.initial_pose) for body in made]
         joints += [
             FixedJoint(body.name, made[0].name, tuple(poses[group][:3]), name=f"{body.name}: bond")
             for body in made[1:]
@@ -154,8 +168,30 @@ def drive(
             parent = carriers.get(groups[joint.parent])
             world = matrix_of(poses[joint.child])
             chosen = drives.get(joint.name) if isinstance(drives, Mapping) else _own(drives, joint)
-            joints.append(_joint(joint, carriers[joint.child], parent, world, float(value), chosen))
-    return DrivenRobot(robot, q, bodies, base.kinematic_bodies(), joints, base)
+            made_joint = _joint(joint, carriers[joint.child], parent, world, float(value), chosen)
+            if parent is None:
+                made_joint = replace(made_joint, second=hung[0], second_pose=pose_of(hung[1]))
+            joints.append(made_joint)
+    names = [body.name for body in bodies]
+    gels = []
+    for mount in robot.mounts:
+        gel = mount.gel
+        if mount.link not in fixed:
+            # A body of its own link, or the first one of those that move with it as one.
+            own = [f"{robot.name}/{mount.link}", f"{robot.name}/{mount.link}/0"]
+            carrier = next((name for name in own if name in names), carriers[groups[mount.link]])
+            body_from_world = np.linalg.inv(matrix_of(starts[names.index(carrier)]))
+            pose = body_from_world @ matrix_of(poses[mount.link]) @ mount.link_from_gel
+            gel = replace(gel, mount=carrier, mount_pose=pose_of(pose))
+        gels.append(gel)
+    return DrivenRobot(robot, q, bodies, gels, frames, joints, base)
+
+
+def _of_base(base: Robot, q: np.ndarray) -> np.ndarray:
+    """Poses of the base's bodies in the base, [body, 7]; of the frame of one without any."""
+    if not base.kinematic_bodies():
+        return IDENTITY_POSE[None]
+    return replace(base, world_from_base=IDENTITY_POSE).targets(q)[0]
 
 
 def _own(drive: Drive, joint: RobotJoint) -> Drive:

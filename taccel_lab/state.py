@@ -216,8 +216,9 @@ def _initial_motion(model: Model) -> tuple[np.ndarray, np.ndarray]:
     velocities = np.zeros_like(positions)
     for index, body in enumerate(scene.soft_bodies):
         nodes = model.bodies[index].node_slice
-        if body.mount is None and body.initial_pose is not None:
-            pose = np.atleast_2d(body.initial_pose)[:, None]
+        start = (scene.carrier(body) or body).initial_pose
+        if start is not None:
+            pose = np.atleast_2d(start)[:, None]
             positions[:, nodes] = rotate(pose[..., 3:], positions[:, nodes]) + pose[..., :3]
         velocities[:, nodes] = body.initial_velocity_m_s
     velocities[:, model.free_index.numpy() < 0] = 0.0
@@ -231,4 +232,10 @@ def _initial_motion(model: Model) -> tuple[np.ndarray, np.ndarray]:
         velocities[:, first + 1 : first + 4] = spin
         absent = model.present.numpy()[:, len(scene.soft_bodies) + index] == 0
         velocities[absent, first : first + 4] = 0.0
+        for gel, soft in enumerate(scene.soft_bodies):
+            if soft.mount == body.name:
+                nodes = model.bodies[gel].node_slice
+                arms = positions[:, nodes] - control[:, :1]
+                turning = np.cross(np.array(body.initial_spin_rad_s), arms)
+                velocities[:, nodes] = np.array(body.initial_velocity_m_s) + turning
     return positions, velocities

@@ -11,9 +11,9 @@ import numpy as np
 
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.output import write_image
+from taccel_lab.outputs import GelFrames
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.style import BLUE, GREEN, ORANGE, PURPLE, in_report_style, new_figure
-from taccel_lab.scene import KinematicBody
 from taccel_lab.signals import SignalTactile
 from taccel_lab.tasks.catalogue import Task
 from taccel_lab.tasks.episode import Episode
@@ -98,9 +98,9 @@ class _GelView:
         pitch = height / IMAGE_PX
         self.grid = PixelGrid(int(width / pitch), IMAGE_PX, pitch, pitch)
         self._episode = episode
-        names = [body.name for body in scene.kinematic_bodies if isinstance(body, KinematicBody)]
-        self._mount = names.index(gel.mount) if gel.mount is not None else None
-        first = episode.model.bodies[episode.model.body_id(gel.name)].nodes[0]
+        self._frames = GelFrames(episode.model)
+        self._gel = episode.model.body_id(gel.name)
+        first = episode.model.bodies[self._gel].nodes[0]
         device = episode.model.device
         self._signal = SignalTactile(
             mesh, self.grid, env_count=count, first_node=first, device=device
@@ -108,12 +108,7 @@ class _GelView:
 
     def height_m(self) -> np.ndarray:
         state = self._episode.state
-        frames = None
-        if self._mount is not None:
-            import warp as wp
-
-            frames = wp.clone(state.poses[:, self._mount])
-        self._signal.update(state.positions, frames)
+        self._signal.update(state.positions, self._frames.of(self._gel, state))
         return self._signal.height_m.numpy()[0].astype(np.float64)
 
 

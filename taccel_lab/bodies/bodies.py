@@ -84,7 +84,7 @@ def _check_vector(value: tuple[float, float, float], name: str, whose: str) -> N
 
 @dataclass(frozen=True)
 class SoftBody:
-    """A FEM body; its bonded nodes carry no degrees of freedom."""
+    """A FEM body; its bonded nodes carry no degrees of freedom of their own."""
 
     mesh: TetMesh
     material: Material | MaterialField
@@ -98,14 +98,17 @@ class SoftBody:
     friction_coefficient: float | None = None
     """Coulomb friction; see ``Scene.pair_friction``. None leaves it to the other body."""
     mount: str | None = None
-    """Kinematic body whose frame the mesh is given in, and which the bonded nodes follow exactly;
-    fixed in the world when None."""
+    """Body that the bonded nodes follow exactly, fixed in the world when None: a kinematic body, in
+    whose frame the mesh is given, or an affine one, which the gel pulls at and weighs on."""
+    mount_pose: np.ndarray | None = None
+    """mount_from_mesh, [7], on an affine body; the identity when None."""
     element: Element = Element.QUADRATIC
     self_contact: bool = False
     surface: Surface = Surface()
     initial_pose: np.ndarray | None = None
     """world_from_mesh at the start, [7] or [env, 7]; for a body without a mount."""
     initial_velocity_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of all nodes but bonded ones; on an affine mount all move as that does."""
 
     def __post_init__(self) -> None:
         count = self.material.tet_count
@@ -116,6 +119,16 @@ class SoftBody:
         check_friction(self.friction_coefficient, repr(self.name))
         if self.mount is not None and self.initial_pose is not None:
             raise InputError(f"{self.name!r} has a mount: its pose is the mount's")
+        if self.mount_pose is not None:
+            pose = check_pose(self.mount_pose, f"{self.name!r} in its mount")
+            if self.mount is None:
+                raise InputError(f"{self.name!r} has a mount_pose, but no mount")
+            if pose is not None and pose.ndim != 1:
+                raise InputError(
+                    f"mount_pose of {self.name!r} is one for all environments, [7], got shape "
+                    f"{pose.shape}"
+                )
+            object.__setattr__(self, "mount_pose", pose)
         if self.surface.environments is not None:
             raise InputError(f"soft body {self.name!r} must be present in all environments")
         object.__setattr__(self, "initial_pose", check_pose(self.initial_pose, repr(self.name)))

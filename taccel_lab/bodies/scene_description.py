@@ -177,13 +177,25 @@ class SceneDescription:
                         f"called; bodies: {', '.join(map(repr, names))}"
                     )
             check_friction(value, f"the pair {pair}")
-        frames = [body.name for body in self.kinematic_bodies]
+        frames = [body.name for body in (*self.affine_bodies, *self.kinematic_bodies)]
         for body in self.soft_bodies:
             if body.mount is not None and frames.count(body.mount) != 1:
                 raise InputError(
-                    f"mount {body.mount!r} of {body.name!r} must be the name of one kinematic "
-                    f"body; there are {', '.join(map(repr, frames)) or 'none'}"
+                    f"mount {body.mount!r} of {body.name!r} must be the name of one kinematic or "
+                    f"affine body; there are {', '.join(map(repr, frames)) or 'none'}"
                 )
+            carrier = self.carrier(body)
+            if carrier is not None:
+                _check_carried(body, carrier)
+            elif body.mount_pose is not None:
+                raise InputError(
+                    f"mount_pose of {body.name!r} is for a mount that is an affine body; "
+                    f"{body.mount!r} is kinematic, and the mesh is given in its frame"
+                )
+
+    def carrier(self, body: SoftBody) -> AffineBody | None:
+        """The affine body that a gel is mounted on; None for any other gel."""
+        return next((other for other in self.affine_bodies if other.name == body.mount), None)
 
     @property
     def bodies(self) -> list[Body]:
@@ -213,3 +225,22 @@ class SceneDescription:
         if any(isinstance(body, KinematicBody) and body.shape is None for body in (first, second)):
             return False
         return first.surface.meets(second.surface)
+
+
+def _check_carried(body: SoftBody, carrier: AffineBody) -> None:
+    """Refuse what a gel on an affine body cannot have."""
+    if carrier.surface.environments is not None:
+        raise InputError(
+            f"{carrier.name!r} carries {body.name!r}: it must be present in all environments"
+        )
+    if any(body.initial_velocity_m_s):
+        raise InputError(f"{body.name!r} starts to move as its mount {carrier.name!r} does")
+    rest = body.rest_positions_m
+    bonded = body.bonded()
+    if len(bonded) == 0:
+        raise InputError(f"{body.name!r} has a mount, but no bonded nodes to hold it there")
+    if rest is not None and (np.asarray(rest)[:, bonded] != np.asarray(rest)[:1, bonded]).any():
+        raise InputError(
+            f"rest_positions_m of {body.name!r} must have the bonded nodes in the same places in "
+            f"all environments: its mount {carrier.name!r} is affine"
+        )

@@ -14,7 +14,7 @@ from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
 from taccel_lab.model import Model
-from taccel_lab.model.embedding import vertex_range
+from taccel_lab.model.embedding import listed_node, vertex_range
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
@@ -113,6 +113,8 @@ def _spread_kernel(
     mask: wp.array(dtype=wp.int32),
     free_nodes: wp.array(dtype=wp.int32),
     first_vertex: int,
+    vertex_count: int,
+    carried: wp.array(dtype=wp.int32),
     parents: wp.array(dtype=wp.int32),
     weights: wp.array(dtype=wp.vec4d),
     free_index: wp.array(dtype=wp.int32),
@@ -129,7 +131,7 @@ def _spread_kernel(
     if i < solution.shape[1]:
         displacements[env, free_nodes[i]] = multiple * solution[env, i]
         return
-    node = first_vertex + i - solution.shape[1]
+    node = listed_node(i - solution.shape[1], first_vertex, vertex_count, carried)
     y = parents[node]
     w = weights[node]
     displacements[env, node] = multiple * (
@@ -198,7 +200,8 @@ def reduce_gradient(
 ) -> None:
     """Sum of three nodal gradients by the unknowns [N], shape [env_count, free_count].
 
-    What acts on a vertex of an affine body counts with its weights on the control nodes.
+    What acts on a node that an affine body carries along counts with its weights on the control
+    nodes.
     """
     soft_rows = model.free_count - 4 * model.affine.count
 
@@ -289,11 +292,12 @@ def spread_solution(
     """Write the rows of ``solution`` [m] to their nodes, and to what is embedded in them, in the
     environments of ``mask``."""
     first, end = vertex_range(model)
+    carried = model.affine.carried
     launch(
         _spread_kernel,
-        dim=(model.env_count, solution.shape[1] + end - first),
-        inputs=[mask, model.free_nodes, first, model.parents, model.weights, model.free_index]
-        + [solution, multiples],
+        dim=(model.env_count, solution.shape[1] + end - first + len(carried)),
+        inputs=[mask, model.free_nodes, first, end - first, carried, model.parents]
+        + [model.weights, model.free_index, solution, multiples],
         outputs=[displacements],
         device=model.device,
     )

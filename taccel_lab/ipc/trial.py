@@ -60,13 +60,14 @@ def _straight_kernel(nodes: wp.array(dtype=wp.int32), t: Trial):
 
 
 class StraightNodes:
-    """Nodes that neither follow a frame nor belong to an affine body."""
+    """Nodes that follow neither a frame nor an affine body."""
 
     def __init__(self, model: Model) -> None:
         self._model = model
         others = np.ones(model.node_count, dtype=bool)
         others[model.frame_nodes.numpy()] = False
         others[model.affine.first_control : vertex_range(model)[1]] = False
+        others[model.affine.carried.numpy()] = False
         nodes = np.flatnonzero(others).astype(np.int32)
         self.nodes = wp.array(nodes, dtype=wp.int32, device=model.device)
 

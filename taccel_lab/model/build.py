@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ import warp as wp
 
 from taccel_lab.bodies.bodies import KinematicBody, Plane, SoftBody
 from taccel_lab.bodies.element import Element
-from taccel_lab.bodies.mass_properties import MassProperties
 from taccel_lab.bodies.primitives import Ball, TriangleMesh
 from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.bodies.surface_topology import (
@@ -20,8 +18,10 @@ from taccel_lab.bodies.surface_topology import (
     surface_areas,
     surface_topology,
 )
+from taccel_lab.model.carried import carried_blocks
 from taccel_lab.model.contact_plan import BodySurface, contact_plan
-from taccel_lab.model.elastic import SoftDiscretization, build_element_groups, discretize
+from taccel_lab.model.elastic import build_element_groups
+from taccel_lab.model.layout import Layout
 from taccel_lab.model.matrix_pattern import block_gather, block_pattern
 from taccel_lab.model.model import AffineArrays, BodyKind, BodyRange, Model, RigidTarget
 from taccel_lab.model.surface import Put, surface_arrays, surface_trees
@@ -33,141 +33,8 @@ MAX_COUPLED_AFFINE = 32
 contact adds between two of them is a list of extra blocks."""
 
 
-@dataclass(frozen=True)
-class _Part:
-    """One body of the scene, in its own node numbers."""
-
-    kind: BodyKind
-    rest_m: np.ndarray
-    """Shape [rest_count, node_count, 3]."""
-    faces: np.ndarray
-
-
-class _Layout:
-    """Where the nodes of each body are."""
-
-    def __init__(self, scene: SceneDescription) -> None:
-        self.scene = scene
-        self.soft: list[SoftDiscretization] = [discretize(body) for body in scene.soft_bodies]
-        self.properties: list[MassProperties] = [
-            body.mass_properties() for body in scene.affine_bodies
-        ]
-        self.rest_count = max([len(part.rest_m) for part in self.soft], default=1)
-        parts = [_Part(BodyKind.SOFT, part.rest_m, part.faces) for part in self.soft]
-        for body in scene.affine_bodies:
-            parts.append(_Part(BodyKind.AFFINE, body.shape.vertices_m[None], body.shape.faces))
-        for body in scene.kinematic_bodies:
-            vertices, faces = _vertices_and_faces(body.shape)
-            parts.append(_Part(BodyKind.KINEMATIC, vertices[None], faces))
-        for plane in scene.planes:
-            origin = np.asarray(plane.point_m, dtype=np.float64)[None, None]
-            parts.append(_Part(BodyKind.PLANE, origin, np.zeros((0, 3), dtype=np.int32)))
-        self.parts = parts
-        self.affine_count = len(self.properties)
-        self.soft_count = sum(part.rest_m.shape[1] for part in self.soft)
-        node = 0
-        self.starts: list[int] = []
-        for index, part in enumerate(parts):
-            if index == len(self.soft):
-                node += 4 * self.affine_count
-            self.starts.append(node)
-            node += part.rest_m.shape[1]
-        self.node_count = node
-        self.first_control = self.soft_count
-
-    def node_range(self, body: int) -> tuple[int, int]:
-        start = self.starts[body]
-        return start, start + self.parts[body].rest_m.shape[1]
-
-    def control_nodes(self) -> np.ndarray:
-        """Control nodes of each affine body, shape [affine_count, 4]."""
-        return self.first_control + np.arange(4 * self.affine_count).reshape(-1, 4)
-
-    def rest_positions(self) -> np.ndarray:
-        """All nodes at rest [m], shape [rest_count, node_count, 3]."""
-        rest = np.zeros((self.rest_count, self.node_count, 3))
-        for body, part in enumerate(self.parts):
-            first, last = self.node_range(body)
-            rest[:, first:last] = part.rest_m
-        for nodes, solid in zip(self.control_nodes(), self.properties, strict=True):
-            rest[:, nodes[0]] = solid.center_m
-            rest[:, nodes[1:]] = solid.radius_m * solid.axes.T
-        return rest
-
-    def free_nodes(self) -> np.ndarray:
-        """Nodes with a row in the Newton system, ascending."""
-        free = np.zeros(self.node_count, dtype=bool)
-        for body, part in enumerate(self.soft):
-            first, last = self.node_range(body)
-            free[first:last] = True
-            free[first + part.bonded] = False
-        free[self.control_nodes().ravel()] = True
-        return np.flatnonzero(free).astype(np.int32)
-
-    def masses(self) -> np.ndarray:
-        """Lumped masses [kg], shape [rest_count, node_count]."""
-        masses = np.zeros((self.rest_count, self.node_count))
-        for body, part in enumerate(self.soft):
-            first, last = self.node_range(body)
-            masses[:, first:last] = part.masses_kg
-        for nodes, solid in zip(self.control_nodes(), self.properties, strict=True):
-            masses[:, nodes[0]] = solid.mass_kg
-            masses[:, nodes[1:]] = solid.second_moments_kg_m2 / solid.radius_m**2
-        return masses
-
-    def embedding(self) -> tuple[np.ndarray, np.ndarray]:
-        """First control node of embedded vertices [node_count], and weights [node_count, 4]."""
-        parents = np.full(self.node_count, -1, dtype=np.int32)
-        weights = np.zeros((self.node_count, 4))
-        for index, solid in enumerate(self.properties):
-            body = len(self.soft) + index
-            rows = slice(*self.node_range(body))
-            parents[rows] = self.control_nodes()[index, 0]
-            weights[rows, 0] = 1.0
-            local = solid.to_principal(self.parts[body].rest_m[0])
-            weights[rows, 1:] = local / solid.radius_m
-        return parents, weights
-
-    def frame_followers(self, at_start: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes that follow a kinematic frame, and the kinematic index of each. ``at_start``: all
-        that a frame places before the first step, whole gels that are mounted on it."""
-        names = [body.name for body in self.scene.kinematic_bodies]
-        nodes, frames = [], []
-        for index in range(len(names)):
-            body = len(self.soft) + self.affine_count + index
-            nodes.append(np.arange(*self.node_range(body)))
-            frames.append(np.full(len(nodes[-1]), index))
-        for body, (soft, part) in enumerate(zip(self.scene.soft_bodies, self.soft, strict=True)):
-            if soft.mount is not None:
-                mine = np.arange(*self.node_range(body))
-                nodes.append(mine if at_start else mine[part.bonded])
-                frames.append(np.full(len(nodes[-1]), names.index(soft.mount)))
-        if not nodes:
-            return np.zeros(0), np.zeros(0)
-        return np.concatenate(nodes), np.concatenate(frames)
-
-    def frame_radii(self) -> np.ndarray:
-        """Reach of each kinematic body and of what it carries from its origin [m], shape
-        [rest_count, kinematic_count]: a mounted gel may have another size in each environment."""
-        nodes, frames = self.frame_followers()
-        reach = np.linalg.norm(self.rest_positions()[:, nodes.astype(int)], axis=-1)
-        radii = np.zeros((self.rest_count, len(self.scene.kinematic_bodies)))
-        for index, body in enumerate(self.scene.kinematic_bodies):
-            radii[:, index] = reach[:, frames == index].max(axis=1, initial=0.0)
-            if isinstance(body.shape, Ball):
-                radii[:, index] = np.maximum(radii[:, index], body.shape.radius_m)
-        return radii
-
-
-def _vertices_and_faces(shape: TriangleMesh | Ball | None) -> tuple[np.ndarray, np.ndarray]:
-    if isinstance(shape, TriangleMesh):
-        return shape.vertices_m, shape.faces
-    count = 0 if shape is None else 1
-    return np.zeros((count, 3)), np.zeros((0, 3), dtype=np.int32)
-
-
 def _surfaces(
-    layout: _Layout, topology: SurfaceTopology, face_starts: np.ndarray
+    layout: Layout, topology: SurfaceTopology, face_starts: np.ndarray
 ) -> list[BodySurface]:
     # Unique edges are sorted by node, so those of one body are contiguous.
     lowest = topology.edges[:, 0]
@@ -187,7 +54,7 @@ def _surfaces(
     return surfaces
 
 
-def _targets(layout: _Layout, device: wp.Device, put: Put) -> list[RigidTarget]:
+def _targets(layout: Layout, device: wp.Device, put: Put) -> list[RigidTarget]:
     targets = []
     radii = layout.frame_radii()
     for body, part in enumerate(layout.parts):
@@ -212,7 +79,7 @@ def _targets(layout: _Layout, device: wp.Device, put: Put) -> list[RigidTarget]:
     return targets
 
 
-def _node_marks(scene: SceneDescription, layout: _Layout) -> dict[str, np.ndarray]:
+def _node_marks(scene: SceneDescription, layout: Layout) -> dict[str, np.ndarray]:
     """Body, radius, ball flag and plane normal of each node."""
     marks = {
         "bodies": np.full(layout.node_count, -1),
@@ -234,7 +101,13 @@ def _node_marks(scene: SceneDescription, layout: _Layout) -> dict[str, np.ndarra
     return marks
 
 
-def _affine_arrays(scene: SceneDescription, layout: _Layout, put: Put) -> AffineArrays:
+def _affine_arrays(
+    scene: SceneDescription,
+    layout: Layout,
+    carried: np.ndarray,
+    carried_starts: np.ndarray,
+    put: Put,
+) -> AffineArrays:
     first = len(layout.soft)
     ranges = [layout.node_range(first + i) for i in range(layout.affine_count)]
     ends = [ranges[-1][1]] if ranges else []
@@ -251,6 +124,9 @@ def _affine_arrays(scene: SceneDescription, layout: _Layout, put: Put) -> Affine
             wp.float64,
         ),
         vertex_starts=put(np.array([r[0] for r in ranges] + ends), wp.int32),
+        carried=put(carried, wp.int32),
+        carried_starts=put(carried_starts, wp.int32),
+        riders=put(layout.riders(), wp.vec2i),
         have_joints=put(
             np.array(
                 [
@@ -267,7 +143,7 @@ def _affine_arrays(scene: SceneDescription, layout: _Layout, put: Put) -> Affine
     )
 
 
-def _affine_connectivity(scene: SceneDescription, layout: _Layout) -> np.ndarray:
+def _affine_connectivity(scene: SceneDescription, layout: Layout) -> np.ndarray:
     """Which control nodes may couple: groups of eight (two bodies) or four."""
     control = layout.control_nodes()
     count = layout.affine_count
@@ -278,7 +154,7 @@ def _affine_connectivity(scene: SceneDescription, layout: _Layout) -> np.ndarray
         for i in range(count)
         for j in range(i + 1, count)
         if frozenset((bodies[i].name, bodies[j].name)) in joined
-        or (count <= MAX_COUPLED_AFFINE and scene.may_touch(bodies[i], bodies[j]))
+        or (count <= MAX_COUPLED_AFFINE and _may_meet(scene, layout, i, j))
     ]
     if not pairs:
         return control
@@ -288,9 +164,27 @@ def _affine_connectivity(scene: SceneDescription, layout: _Layout) -> np.ndarray
     return np.concatenate([couples, padded]) if alone else couples
 
 
-def _contact_couples(
-    scene: SceneDescription, layout: _Layout, free_index: np.ndarray
-) -> np.ndarray:
+def _may_meet(scene: SceneDescription, layout: Layout, i: int, j: int) -> bool:
+    """Whether two affine bodies may touch, or one of them the glued face of a gel on the other."""
+    bodies, soft = scene.affine_bodies, scene.soft_bodies
+    return scene.may_touch(bodies[i], bodies[j]) or any(
+        scene.may_touch(soft[gel], bodies[other])
+        for carrier, other in ((i, j), (j, i))
+        for gel in layout.carried_by(carrier)
+    )
+
+
+def _bond_couples(elements: np.ndarray, free_index: np.ndarray, parents: np.ndarray) -> np.ndarray:
+    """Free nodes of elements with carried nodes, each with the control nodes of the body that
+    carries them, [n, 5]."""
+    parent = parents[elements].max(axis=1, initial=-1)
+    held = elements[parent >= 0]
+    pairs = np.column_stack([held.ravel(), np.repeat(parent[parent >= 0], elements.shape[1])])
+    node, first = np.unique(pairs[free_index[pairs[:, 0]] >= 0], axis=0).reshape(-1, 2).T
+    return np.column_stack([node, first[:, None] + np.arange(4)])
+
+
+def _contact_couples(scene: SceneDescription, layout: Layout, free_index: np.ndarray) -> np.ndarray:
     """Surface nodes of gels, each with the control nodes of an affine body to touch, [n, 5]."""
     control = layout.control_nodes()
     couples = [np.zeros((0, 5), dtype=np.int64)]
@@ -320,7 +214,7 @@ def build_model(
     def put(value: np.ndarray, dtype: Any) -> wp.array:
         return wp.array(np.ascontiguousarray(value), dtype=dtype, device=wp_device)
 
-    layout = _Layout(scene)
+    layout = Layout(scene)
     rest_positions = layout.rest_positions()
     free_nodes = layout.free_nodes()
     free_index = np.full(layout.node_count, -1, dtype=np.int32)
@@ -344,11 +238,15 @@ def build_model(
 
     moving = np.zeros(layout.node_count, dtype=bool)
     moving[layout.frame_followers()[0].astype(int)] = True
+    parents, weights = layout.embedding()
+    carried, carried_starts = layout.carried_nodes()
+    coupled = free_index >= 0
+    coupled[carried] = True
     groups, parts = build_element_groups(
         scene.soft_bodies,
         layout.soft,
         layout.starts[: len(layout.soft)],
-        free_index >= 0,
+        coupled,
         moving,
         put,
     )
@@ -356,11 +254,13 @@ def build_model(
     if not contact_in_pattern or len(couples) > MAX_CONTACT_COUPLES:
         couples = couples[:0]
     connectivities = [part.elements for part in parts]
+    bonds = [_bond_couples(elements, free_index, parents) for elements in connectivities]
     pattern = block_pattern(
-        [*connectivities, _affine_connectivity(scene, layout), couples], free_index
+        [*connectivities, _affine_connectivity(scene, layout), *bonds, couples], free_index
     )
     for group, part in zip(groups, parts, strict=True):
         group.set_gather(block_gather(pattern, part.first, part.second, free_index, moving), put)
+        group.carried = carried_blocks(pattern, part.first, part.second, free_index, parents, put)
 
     bodies = scene.bodies
     plan = contact_plan(scene, surfaces, put)
@@ -374,7 +274,6 @@ def build_model(
         if body.surface.environments is not None:
             present[:, index] = 0
             present[list(body.surface.environments), index] = 1
-    parents, weights = layout.embedding()
     followers, frames = layout.frame_followers()
     started, start_frames = layout.frame_followers(at_start=True)
     gravity_scale = np.ones(layout.node_count)
@@ -419,7 +318,7 @@ def build_model(
             marks["normals"],
             put,
         ),
-        affine=_affine_arrays(scene, layout, put),
+        affine=_affine_arrays(scene, layout, carried, carried_starts, put),
         targets=_targets(layout, wp_device, put),
         contact_plan=plan,
         present=put(present, wp.int32),

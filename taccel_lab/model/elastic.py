@@ -15,6 +15,7 @@ from taccel_lab.bodies.element import Element
 from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region
+from taccel_lab.model.carried import CarriedBlocks
 from taccel_lab.model.element_chunks import ChunkTables, chunk_lanes, chunk_sums
 from taccel_lab.model.matrix_pattern import BlockGather, node_gather, pair_nodes
 from taccel_lab.model.surface import Put
@@ -87,6 +88,8 @@ class ElementArrays:
     """What ``mu`` and ``lam`` come from [Pa], float64, [env_count * element_count], and Poisson's
     ratios; None until moduli differ by environment."""
     poisson_ratios: wp.array | None = None
+    carried: CarriedBlocks | None = None
+    """What nodes on affine bodies add to the matrix; None where there are none."""
 
     @property
     def element_count(self) -> int:
@@ -212,8 +215,8 @@ def build_element_groups(
 ) -> tuple[list[ElementArrays], list[BlockParts]]:
     """Element groups and what they add to the matrix.
 
-    ``starts``: first node of each body. ``free``, ``moving``: nodes that have a row in the matrix,
-    and nodes that are prescribed to move, bool, shape [node_count].
+    ``starts``: first node of each body. ``free``, ``moving``: nodes that have a row in the matrix
+    or go with rows of an affine body, and nodes that are prescribed to move, bool, [node_count].
     ``ElementArrays.set_gather`` comes later, with the matrix.
     """
     members: dict[tuple[MaterialModel, Element, bool], list[int]] = {}

@@ -90,6 +90,12 @@ class AffineArrays:
     """Young's modulus times volume [J], float64, shape [affine_count]."""
     vertex_starts: wp.array
     """First vertex node, and the one after the last body's, int32, shape [affine_count + 1]."""
+    carried: wp.array
+    """Bonded nodes of gels that are mounted on the bodies: embedded as vertices are, int32."""
+    carried_starts: wp.array
+    """Range of each body in ``carried``, int32, shape [affine_count + 1]."""
+    riders: wp.array
+    """The other nodes of these gels and the body of each, vec2i."""
     have_joints: wp.array
     """1 for a body with joints, int32, shape [affine_count]."""
     properties: list[MassProperties]
@@ -141,9 +147,10 @@ class Model:
     gravity_scale: wp.array
     """1 for nodes that gravity acts on, 0 for the control nodes y1..y3, float64, [node_count]."""
     parents: wp.array
-    """First control node of the body that a vertex is embedded in, else -1, int32, [node_count]."""
+    """First control node of the body that a vertex or bonded node is embedded in, else -1, int32,
+    [node_count]."""
     weights: wp.array
-    """Weights of the four control nodes of an embedded vertex, vec4d, shape [node_count]."""
+    """Weights of the four control nodes of an embedded node, vec4d, shape [node_count]."""
     frame_nodes: wp.array
     """Nodes that follow a kinematic frame, int32, shape [frame_node_count]."""
     frame_ids: wp.array

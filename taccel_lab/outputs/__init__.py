@@ -7,8 +7,9 @@ the host, ``to_torch(array)`` shares its memory with torch, and ``from_dlpack`` 
 
 from taccel_lab.outputs.arrays import to_torch
 from taccel_lab.outputs.contact_wrenches import PairWrenches
+from taccel_lab.outputs.gel_frames import GelFrames
 from taccel_lab.outputs.momentum import Momentum
 from taccel_lab.outputs.outputs import Outputs
 from taccel_lab.outputs.surface_load import SurfaceLoad
 
-__all__ = ["Momentum", "Outputs", "PairWrenches", "SurfaceLoad", "to_torch"]
+__all__ = ["GelFrames", "Momentum", "Outputs", "PairWrenches", "SurfaceLoad", "to_torch"]

@@ -72,7 +72,8 @@ class Outputs:
 
     def soft_wrenches(self, who: np.ndarray | None = None) -> wp.array:
         """Force and torque of contact and friction on each soft body, about the origin and in the
-        axes of its mount, of the world where it has none: (Fx, Fy, Fz, Mx, My, Mz) [N, N m], six
+        axes of its mesh where its mount carries that (``GelFrames``; on a kinematic mount the
+        mount's own), of the world where it has none: (Fx, Fy, Fz, Mx, My, Mz) [N, N m], six
         float64, shape [env_count, soft_count]. Does not wait for the device.
 
         ``who``: environments to read, bool, [env_count], of the host, a row for each; all when

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wrench on each soft body: ``F = sum f_i``, ``M = sum (x_i - x_mount) x f_i`` over its nodes.
+"""Wrench on each soft body: ``F = sum f_i``, ``M = sum (x_i - x_gel) x f_i`` over its nodes.
 
 What ``signals.resultant_wrench`` says on the host, on the device and without waiting for it. Its
 nodes carry all contact and friction of a soft body, so that no pair has to be looked at.
@@ -12,6 +12,7 @@ import warp as wp
 
 from taccel_lab.model.env_rows import chosen_env, chosen_envs
 from taccel_lab.outputs.contact_wrenches import vec6d
+from taccel_lab.outputs.gel_frames import GelFrames
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State
 
@@ -53,14 +54,19 @@ class SoftWrenchReader:
     """Reads the wrenches of contact and friction on a solver's soft bodies."""
 
     def __init__(self, solver: SolverIPC, in_mounts: bool = True) -> None:
-        """``in_mounts``: in the frames of the mounts, about their origins, where there are some;
+        """``in_mounts``: in the frames of the gels, about their origins, where they have mounts;
         otherwise in the world's, as bodies without a mount in any case."""
         model = solver.model
         self._solver = solver
         soft = model.scene.soft_bodies
         starts = [*(body.nodes[0] for body in model.bodies[: len(soft)]), model.soft_count]
-        names = [frame.name for frame in model.scene.kinematic_bodies]
-        mounts = [names.index(body.mount) if in_mounts and body.mount else -1 for body in soft]
+        self._frames = GelFrames(model)
+        mounts = self._frames.columns
+        self._on_affine = in_mounts and max(self._frames.carriers, default=-1) >= 0
+        if self._on_affine:
+            mounts = [-1 if body.mount is None else i for i, body in enumerate(soft)]
+        if not in_mounts:
+            mounts = [-1] * len(soft)
         self._starts = wp.array(np.array(starts), dtype=wp.int32, device=model.device)
         self._mounts = wp.array(np.array(mounts), dtype=wp.int32, device=model.device)
         self._everyone = wp.empty(0, dtype=wp.int32, device=model.device)
@@ -70,12 +76,13 @@ class SoftWrenchReader:
         solver, model = self._solver, self._solver.model
         envs = self._everyone if who is None else chosen_envs(who, model.env_count, model.device)
         count = model.env_count if who is None else len(envs)
+        poses = self._frames.read(state) if self._on_affine else state.poses
         wrenches = wp.empty((count, len(self._mounts)), dtype=vec6d, device=model.device)
         wp.launch(
             _soft_wrench_kernel,
             dim=wrenches.shape,
             inputs=[solver.contact_gradient, solver.friction_gradient, state.positions]
-            + [state.poses, self._starts, self._mounts, envs],
+            + [poses, self._starts, self._mounts, envs],
             outputs=[wrenches],
             device=model.device,
         )

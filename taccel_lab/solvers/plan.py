@@ -52,8 +52,9 @@ def make_plan(solver: SolverParts) -> Plan:
     model, scene = solver.model, solver.model.scene
     jobs, time = model.contact_plan, model.scene.time
     prescribed = [b for b in model.bodies if b.kind in (BodyKind.KINEMATIC, BodyKind.PLANE)]
-    bonded = model.soft_count + 4 * model.affine.count - model.free_count
-    mounted = [body.name for body in scene.soft_bodies if body.mount is not None]
+    carried = len(model.affine.carried)
+    bonded = model.soft_count + 4 * model.affine.count - model.free_count - carried
+    mounted = [b.name for b in scene.soft_bodies if b.mount is not None and not scene.carrier(b)]
     stiff = len(jobs.node_target) + len(jobs.face_target) + len(jobs.edge_target)
     gate_count = solver.candidates.gate_count
     selves = [model.bodies[i].name for i, j in jobs.pairs if i == j]
@@ -80,7 +81,12 @@ def make_plan(solver: SolverParts) -> Plan:
             solver.inertia is not None,
             f"{time.scheme}, dt {time.dt_s:g} s" if solver.inertia else "quasi-static",
         ),
-        ("affine bodies", model.affine.count > 0, _count(model.affine.count, "bodies")),
+        (
+            "affine bodies",
+            model.affine.count > 0,
+            _count(model.affine.count, "bodies")
+            + (f" that carry {_count(carried, 'bonded nodes')}" if carried else ""),
+        ),
         ("joints", solver.joints is not None, _count(len(scene.joints), "joints")),
         (
             "external loads",

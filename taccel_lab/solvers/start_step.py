@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.affine.prediction import predict_affine
+from taccel_lab.ipc.affine.prediction import predict_affine, ride_along
 from taccel_lab.ipc.capacity import ListRoom, overflows
 from taccel_lab.ipc.motion import coast, keep_steady, subtract_rows
 from taccel_lab.ipc.potentials.energy import sum_energies
@@ -178,9 +178,11 @@ def plan_start(run: StepLaunches) -> None:
 
 
 def _fly(run: StepLaunches) -> None:
-    """The ways of the environments ``flying``, whose control nodes are in ``trial``."""
+    """The ways of the environments ``flying``, whose control nodes are in ``trial``; gels on the
+    bodies come along."""
     s, p, state = run.s, run.p, run.state
     if s.joints is not None:
         s.joints.set_frames(state.poses)
         s.joints.close_predicted(p.flying, s.trial)
+    ride_along(run.model, p.flying, state.positions, s.trial)
     subtract_rows(p.flying, s.trial, state.positions, s.displacements)

@@ -162,6 +162,74 @@ def test_rest_shapes_of_environments() -> None:
             ).finalize()
 
 
+def on_cube(carrier: AffineBody | None = None, **options: Any) -> Scene:
+    """A gel on an affine body."""
+    body = AffineBody(box_mesh((1e-3, 1e-3, 1e-3)), name="cube") if carrier is None else carrier
+    gel = SoftBody(MESH, GEL, **{"name": "pad", "mount": "cube", **options})
+    return Scene(
+        gel,
+        KinematicBody(None, name="frame"),
+        env_count=2,
+        affine_bodies=body,
+        time=TimeStepping(quasi_static=False),
+    )
+
+
+REST = np.stack([MESH.nodes_m, MESH.nodes_m * 1.01])
+CUBE = box_mesh((1e-3, 1e-3, 1e-3))
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (
+            lambda: on_cube(mount="hand"),
+            "mount 'hand' of 'pad' must be the name of one kinematic or affine body; there are "
+            "'cube', 'frame'",
+        ),
+        (
+            lambda: on_cube(mount="frame", mount_pose=pose(0, 0, 1e-3)),
+            "mount_pose of 'pad' is for a mount that is an affine body; 'frame' is kinematic",
+        ),
+        (
+            lambda: on_cube(mount=None, mount_pose=pose(0, 0, 1e-3)),
+            "'pad' has a mount_pose, but no mount",
+        ),
+        (
+            lambda: on_cube(mount_pose=np.tile(pose(0, 0, 1e-3), (2, 1))),
+            r"mount_pose of 'pad' is one for all environments, \[7\], got shape \(2, 7\)",
+        ),
+        (
+            lambda: on_cube(mount_pose=np.array([0, 0, 0, 0, 0, 0, 2.0])),
+            "of 'pad' in its mount must have unit length",
+        ),
+        (
+            lambda: on_cube(initial_pose=pose(0, 0, 1e-3)),
+            "'pad' has a mount: its pose is the mount's",
+        ),
+        (
+            lambda: on_cube(initial_velocity_m_s=(0, 0, 1.0)),
+            "'pad' starts to move as its mount 'cube' does",
+        ),
+        (
+            lambda: on_cube(AffineBody(CUBE, name="cube", surface=Surface(environments=(0,)))),
+            "'cube' carries 'pad': it must be present in all environments",
+        ),
+        (
+            lambda: on_cube(rest_positions_m=REST),
+            "rest_positions_m of 'pad' must have the bonded nodes in the same places in all",
+        ),
+        (
+            lambda: on_cube(bonded_nodes=np.zeros(0, dtype=int)),
+            "'pad' has a mount, but no bonded nodes to hold it there",
+        ),
+    ],
+)
+def test_gels_on_affine_bodies(make: Any, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        make()
+
+
 def test_collision_surfaces_must_be_manifold() -> None:
     fan = TriangleMesh(
         np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0]]) * 1e-3,

@@ -41,8 +41,8 @@ from taccel_lab.scene.shards import (
 MESH = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
 GEL = Material(1e5, 0.4)
 SHARED = {
-    SoftBody: "mesh material bonded_nodes name friction_coefficient mount element self_contact "
-    "surface initial_velocity_m_s",
+    SoftBody: "mesh material bonded_nodes name friction_coefficient mount mount_pose element "
+    "self_contact surface initial_velocity_m_s",
     AffineBody: "shape density_kg_m3 young_modulus_pa name friction_coefficient surface "
     "initial_velocity_m_s initial_spin_rad_s stated_mass",
     KinematicBody: "shape friction_coefficient name surface",

@@ -32,6 +32,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
+from tests.solvers.driven_grasp import base_poses, driven_grasp
 
 ENVS = 2
 SIDES = ("left", "right")
@@ -99,6 +100,7 @@ def pad_poses(step: int) -> np.ndarray:
 SCENES: dict[str, tuple[Callable[[], Scene], Callable[[int], np.ndarray]]] = {
     "grasp": (grasp, grasp_poses),
     "pads": (pads, pad_poses),
+    "driven": (driven_grasp, lambda step: base_poses(ENVS, 1e-4 * max(step - 4, 0))),
 }
 
 

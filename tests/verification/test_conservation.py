@@ -29,7 +29,7 @@ from taccel_lab.scene import (
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import pose
+from tests.verification.blocks import block_mesh, pose
 
 SIDE = 4e-2
 SOFT = Material(1e4, 0.4)
@@ -127,6 +127,45 @@ def test_a_free_body_keeps_its_momentum(scheme: TimeScheme, element: Element) ->
     assert free.energy[-1] < 0.995 * free.energy[0]
     if scheme is TimeScheme.EULER:
         assert np.diff(free.energy).max() <= 0
+
+
+@pytest.mark.parametrize("element", list(Element))
+@pytest.mark.parametrize("scheme", list(TimeScheme))
+def test_a_body_and_the_gel_on_it_keep_their_momentum(scheme: TimeScheme, element: Element) -> None:
+    """They pull at one another; what one gains the other loses. The gel is let go sheared."""
+    stepping = TimeStepping(quasi_static=False, dt_s=1e-3, scheme=scheme)
+    body = AffineBody(
+        box_mesh((SIDE, SIDE / 2, SIDE / 4)),
+        name="body",
+        density_kg_m3=300.0,
+        initial_velocity_m_s=(0.5, 0.0, -0.2),
+        initial_spin_rad_s=(6.0, 0.0, 20.0),
+    )
+    gel = SoftBody(
+        block_mesh((3, 2, 2), (SIDE / 2, SIDE / 4, SIDE / 4), jitter=0.15),
+        SOFT,
+        mount="body",
+        mount_pose=pose(0, 0, 3 * SIDE / 8, (0, 0, 1), 30.0),
+        element=element,
+    )
+    free = Free(
+        Scene(gel, affine_bodies=body, time=stepping), SolverConfig(absolute_tolerance_n=1e-9)
+    )
+    x = free.state.positions.numpy().copy()
+    first, end = free.model.bodies[0].nodes
+    height = x[:, first:end, 2:] - x[:, first:end, 2:].min()
+    x[:, first:end] += 0.1 * height * [1.0, 0.5, 0.0]
+    free.state.positions.assign(x)
+    free.run(8)
+    assert free.drift("linear") < 1e-9
+    scale = np.linalg.norm(free.angular[0])
+    if scheme is TimeScheme.EULER:
+        assert np.abs(free.torque).max() < 1e-9 * scale
+        assert np.diff(free.energy).max() <= 0
+    momenta = free.outputs.momentum().linear.numpy()[0]
+    assert np.linalg.norm(momenta[0]) > 0.1 * np.linalg.norm(momenta[1])
+    of_gel = free.state.velocities.numpy()[0, first:end]
+    assert np.linalg.norm(of_gel - of_gel.mean(axis=0), axis=1).max() > 0.1, "the gel swings"
 
 
 def test_how_angular_momentum_is_lost() -> None:

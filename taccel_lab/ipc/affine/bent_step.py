@@ -25,6 +25,7 @@ from taccel_lab.ipc.lanes import lane_count, launch
 from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
 from taccel_lab.ipc.trial import Trial, put_node, straight
 from taccel_lab.model import Model
+from taccel_lab.model.embedding import Embedded, embedded, embedded_count, embedded_node
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
@@ -187,17 +188,16 @@ def _place_kernel(
     smallest: wp.float64,
     lanes: int,
     control_starts: wp.array(dtype=wp.int32),
-    vertex_starts: wp.array(dtype=wp.int32),
     lengths: wp.array(dtype=wp.float64),
     have_joints: wp.array(dtype=wp.int32),
     pivots: wp.array2d(dtype=wp.vec3d),
-    weights: wp.array(dtype=wp.vec4d),
+    e: Embedded,
     t: Trial,
 ):
-    """Each thread finds the control nodes itself, for the vertices that it places."""
+    """Each thread finds the control nodes itself, for the nodes that it places."""
     env, body, lane = wp.tid()
-    first = vertex_starts[body] + lane
-    if t.mask[env] == 0 or (lane > 0 and first >= vertex_starts[body + 1]):
+    count = embedded_count(body, e)
+    if t.mask[env] == 0 or (lane > 0 and lane >= count):
         return
     start = control_starts[body]
     y0 = straight(env, start, t)
@@ -217,8 +217,9 @@ def _place_kernel(
         put_node(env, start + 1, y1, t)
         put_node(env, start + 2, y2, t)
         put_node(env, start + 3, y3, t)
-    for node in range(first, vertex_starts[body + 1], lanes):
-        w = weights[node]
+    for i in range(lane, count, lanes):
+        node = embedded_node(body, i, e)
+        w = e.weights[node]
         put_node(env, node, w[0] * y0 + w[1] * y1 + w[2] * y2 + w[3] * y3, t)
 
 
@@ -271,11 +272,12 @@ def place_affine(model: Model, turns: wp.array, pivots: wp.array, trial: Trial) 
     affine = model.affine
     first = len(model.scene.soft_bodies)
     ranges = [body.nodes for body in model.bodies[first : first + affine.count]]
-    lanes = lane_count(model.device, model.env_count, max(end - start for start, end in ranges))
+    most = max(end - start for start, end in ranges) + len(affine.carried)
+    lanes = lane_count(model.device, model.env_count, most)
     launch(
         _place_kernel,
         dim=(model.env_count, affine.count, lanes),
-        inputs=[turns, SMALLEST_TURN, lanes, affine.control_starts, affine.vertex_starts]
-        + [affine.lengths, affine.have_joints, pivots, model.weights, trial],
+        inputs=[turns, SMALLEST_TURN, lanes, affine.control_starts, affine.lengths]
+        + [affine.have_joints, pivots, embedded(model), trial],
         device=model.device,
     )

@@ -6,13 +6,15 @@ lie off the rotations by the square of the angle turned. The nearest rigid place
 orthogonal Procrustes problem, solved by the singular vectors of sum_k m_k y~_k e_k^T [Golub and Van
 Loan, Matrix Computations, section 6.4.1]. Newton's steps are straight and stay within the square
 root of the body's compliance of the rotations: without this start a body that spins fast takes
-many of them. Joints keep their points: bodies are placed from the root of each mechanism on.
+many of them. Joints keep their points: bodies are placed from the root of each mechanism on. A gel
+that is mounted on such a body rides along with it as it is.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.affine.orthogonality import affine_map
 from taccel_lab.ipc.lanes import WARP_THREADS, launch
 from taccel_lab.ipc.svd import signed_svd_3x3
 from taccel_lab.model import Model
@@ -87,3 +89,39 @@ def predict_affine(
         outputs=[predicted, bends],
         device=model.device,
     )
+
+
+@wp.kernel
+def _ride_kernel(
+    active: wp.array(dtype=wp.int32),
+    riders: wp.array(dtype=wp.vec2i),
+    control_starts: wp.array(dtype=wp.int32),
+    lengths: wp.array(dtype=wp.float64),
+    positions: wp.array2d(dtype=wp.vec3d),
+    predicted: wp.array2d(dtype=wp.vec3d),
+):
+    env, i = wp.tid()
+    if active[env] == 0:
+        return
+    node = riders[i][0]
+    body = riders[i][1]
+    y = control_starts[body]
+    x = positions[env]
+    z = predicted[env]
+    now = affine_map(x[y + 1], x[y + 2], x[y + 3], lengths[body])
+    then = affine_map(z[y + 1], z[y + 2], z[y + 3], lengths[body])
+    predicted[env, node] = z[y] + then * (wp.inverse(now) * (x[node] - x[y]))
+
+
+def ride_along(model: Model, active: wp.array, positions: wp.array, predicted: wp.array) -> None:
+    """Free nodes of gels on affine bodies [m], written to ``predicted``, [env_count, node_count],
+    where the control nodes of the bodies are already: they keep their places on the bodies."""
+    affine = model.affine
+    if len(affine.riders):
+        launch(
+            _ride_kernel,
+            dim=(model.env_count, len(affine.riders)),
+            inputs=[active, affine.riders, affine.control_starts, affine.lengths, positions],
+            outputs=[predicted],
+            device=model.device,
+        )

@@ -15,6 +15,7 @@ import warp as wp
 from taccel_lab.ipc.elasticity.laws import Moduli
 from taccel_lab.ipc.lanes import WARP_THREADS, launch
 from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.potentials.carried import gather_carried
 from taccel_lab.ipc.potentials.chunk_stage import STAGED_THREADS
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.ipc.reduce import add_row_sums
@@ -274,6 +275,8 @@ class ElementSum(Potential):
             outputs=[system.values],
             device=m.device,
         )
+        if g.carried is not None:
+            gather_carried(m, active, g.carried, self._blocks, system.values)
 
     def gather_rim(self, moving: wp.array, system: NewtonSystem) -> None:
         """Add what prescribed nodes contribute to the right-hand side where they move: in the

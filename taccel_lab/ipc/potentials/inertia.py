@@ -22,9 +22,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.potentials.carried import add_carried_inertia
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 from taccel_lab.state import StepHistory
@@ -121,17 +123,17 @@ def _energy_kernel(
     positions: wp.array2d(dtype=wp.vec3d),
     predictions: wp.array2d(dtype=wp.vec3d),
     masses: wp.array2d(dtype=wp.float64),
-    free_nodes: wp.array(dtype=wp.int32),
+    nodes: wp.array(dtype=wp.int32),
     spans: wp.array(dtype=wp.float64),
     energies: wp.array2d(dtype=wp.float64),
 ):
-    env, row = wp.tid()
+    env, i = wp.tid()
     if active[env] == 0:
         return
-    node = free_nodes[row]
+    node = nodes[i]
     r = positions[env, node] - predictions[env, node]
     weight = masses[env % masses.shape[0], node] / (spans[env] * spans[env])
-    energies[env, row] = wp.float64(0.5) * weight * wp.dot(r, r)
+    energies[env, i] = wp.float64(0.5) * weight * wp.dot(r, r)
 
 
 @wp.kernel
@@ -140,14 +142,14 @@ def _derivative_kernel(
     positions: wp.array2d(dtype=wp.vec3d),
     predictions: wp.array2d(dtype=wp.vec3d),
     masses: wp.array2d(dtype=wp.float64),
-    free_nodes: wp.array(dtype=wp.int32),
+    nodes: wp.array(dtype=wp.int32),
     spans: wp.array(dtype=wp.float64),
     gradient: wp.array2d(dtype=wp.vec3d),
 ):
-    env, row = wp.tid()
+    env, i = wp.tid()
     if active[env] == 0:
         return
-    node = free_nodes[row]
+    node = nodes[i]
     weight = masses[env % masses.shape[0], node] / (spans[env] * spans[env])
     gradient[env, node] += weight * (positions[env, node] - predictions[env, node])
 
@@ -230,14 +232,20 @@ def _find_jumps_kernel(
 
 
 class InertiaPotential(Potential):
-    """Inertia and weight of the free nodes; not built for a quasi-static scene."""
+    """Inertia and weight of the nodes that move freely or with affine bodies; not built for a
+    quasi-static scene."""
 
     def __init__(self, model: Model) -> None:
         self.model = model
         device = model.device
-        shape = (model.env_count, model.free_count)
+        self._nodes = model.free_nodes
+        carried = model.affine.carried
+        if len(carried):
+            nodes = np.concatenate([model.free_nodes.numpy(), carried.numpy()])
+            self._nodes = wp.array(nodes, dtype=wp.int32, device=device)
+        shape = (model.env_count, len(self._nodes))
         self.energies = wp.zeros(shape, dtype=wp.float64, device=device)
-        """Energy of each free node [J], shape [env_count, free_count]."""
+        """Energy of each free and each carried node [J], shape [env_count, node_count of these]."""
         nodal = (model.env_count, model.node_count)
         self._anchors = wp.zeros(nodal, dtype=wp.vec3d, device=device)
         self.predictions = wp.zeros(nodal, dtype=wp.vec3d, device=device)
@@ -332,7 +340,7 @@ class InertiaPotential(Potential):
         wp.launch(
             kernel,
             dim=self.energies.shape,
-            inputs=[active, positions, self.predictions, m.masses, m.free_nodes, self.spans],
+            inputs=[active, positions, self.predictions, m.masses, self._nodes, self.spans],
             outputs=[out],
             device=m.device,
         )
@@ -352,12 +360,15 @@ class InertiaPotential(Potential):
         system: NewtonSystem,
         psd_modes: wp.array | None = None,
     ) -> None:
-        """Add M / s^2 [N/m] to the diagonal blocks; the same at all positions and definite."""
+        """Add M / s^2 [N/m] to the diagonal blocks; the same at all positions and definite. Carried
+        nodes add to those of the control nodes and between them."""
         m = self.model
         wp.launch(
             _hessian_kernel,
-            dim=self.energies.shape,
+            dim=(m.env_count, m.free_count),
             inputs=[active, m.masses, m.free_nodes, m.diagonal, self.spans],
             outputs=[system.values],
             device=m.device,
         )
+        if len(m.affine.carried):
+            add_carried_inertia(m, active, self.spans, system.values)

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Elements and inertia of gels on affine bodies, by the unknowns that are left: against differences
+of the energy, and of the gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.ipc.motion import newton_system, reduce_gradient
+from taccel_lab.ipc.potentials.elastic import PSD_NONE
+from taccel_lab.model.embedding import embed_vertices
+from taccel_lab.scene import AffineBody, Element, Material, Scene, SoftBody, TimeStepping, box_mesh
+from taccel_lab.solvers import SolverIPC
+from taccel_lab.state import initial_state
+
+HALF = np.sqrt(0.5)
+MODULUS_PA = 1e5
+SIZE_M = 2e-3
+
+
+def two_gels_on_a_box(element: Element) -> SolverIPC:
+    """On two sides of one of two boxes; two environments."""
+    mesh = block_mesh((1, 2, 2), (SIZE_M, SIZE_M, SIZE_M))
+    gel = Material(MODULUS_PA, 0.4, damping_time_s=0.01)
+    box = box_mesh((SIZE_M, SIZE_M, SIZE_M))
+    spot = np.array([0.1, 0.2, 0.3, HALF, 0, 0, HALF])
+    aside = np.array([0, -2 * SIZE_M, 0, HALF, 0, 0, HALF])
+    gels = [
+        SoftBody(mesh, gel, name="top", mount="box", element=element),
+        SoftBody(mesh, gel, name="side", mount="box", mount_pose=aside, element=element),
+    ]
+    scene = Scene(
+        gels,
+        env_count=2,
+        time=TimeStepping(quasi_static=False, dt_s=0.01, gravity_m_s2=(0, 0, -9.81)),
+        affine_bodies=[
+            AffineBody(box, name="other"),
+            AffineBody(box, name="box", initial_pose=spot, initial_spin_rad_s=(1.0, 2.0, 3.0)),
+        ],
+    )
+    return SolverIPC(scene.finalize("cpu"))
+
+
+@pytest.fixture(scope="module", params=list(Element))
+def solver(request: pytest.FixtureRequest) -> SolverIPC:
+    return two_gels_on_a_box(request.param)
+
+
+class Reduced:
+    """Energy, gradient and matrix of what elements and inertia add up to, by the unknowns."""
+
+    def __init__(self, solver: SolverIPC) -> None:
+        self.solver, self.model = solver, solver.model
+        state = initial_state(self.model)
+        self.everyone = wp.full(self.model.env_count, 1, dtype=wp.int32)
+        dts = wp.full(self.model.env_count, 0.01, dtype=wp.float64)
+        assert solver.inertia is not None and solver.viscosity
+        solver.inertia.begin_step(state.positions, state.velocities)
+        for part in solver.viscosity:
+            part.begin_step(state.positions, dts)
+        self.parts = [*solver.elastic, *solver.viscosity, solver.inertia]
+        self.start = state.positions.numpy()
+        noise = np.random.default_rng(4).normal(size=(self.model.free_count, 3))
+        self.base = self.start[0, self.model.free_nodes.numpy()] + 0.02 * SIZE_M * noise
+
+    def positions(self, free: np.ndarray) -> wp.array:
+        x = self.start.copy()
+        x[:, self.model.free_nodes.numpy()] = free
+        placed = wp.array(x, dtype=wp.vec3d)
+        embed_vertices(self.model, placed)
+        return placed
+
+    def energy(self, free: np.ndarray) -> float:
+        x = self.positions(free)
+        return sum(part.energy(self.everyone, x)[0] for part in self.parts)
+
+    def gradient(self, free: np.ndarray) -> np.ndarray:
+        x = self.positions(free)
+        nodal, none = wp.zeros_like(x), wp.zeros_like(x)
+        for part in self.parts:
+            part.add_gradient(self.everyone, x, nodal)
+        shape = (self.model.env_count, self.model.free_count)
+        reduced = wp.zeros(shape, dtype=wp.vec3d)
+        reduce_gradient(self.model, self.everyone, [nodal, none, none], reduced)
+        return reduced.numpy()[0]
+
+    def matrix(self, free: np.ndarray) -> np.ndarray:
+        linear = self.solver.linear
+        linear.values.zero_()
+        system = newton_system(self.model, linear, self.solver.displacements)
+        exact = wp.full(self.model.env_count, PSD_NONE, dtype=wp.int32)
+        for part in self.parts:
+            part.add_hessian(self.everyone, self.positions(free), system, exact)
+        return self.model.pattern.dense(linear.values.numpy())[0]
+
+
+def test_derivatives_against_differences(solver: SolverIPC) -> None:
+    reduced = Reduced(solver)
+    x, count = reduced.base, reduced.base.size
+    step = 1e-4 * SIZE_M
+    moves = step * np.eye(count).reshape(count, *x.shape)
+    # All that the boxes move, and some of the rest: the boxes' rows are last.
+    some = [*range(0, count - 24, 7), *range(count - 24, count)]
+    gradient, matrix = reduced.gradient(x).ravel(), reduced.matrix(x)
+    force, stiffness = np.abs(gradient).max(), np.abs(matrix).max()
+    assert np.abs(gradient[-12:]).max() > 1e-3 * MODULUS_PA * SIZE_M**2, "the gels pull at the box"
+    for i in some:
+        slope = (reduced.energy(x + moves[i]) - reduced.energy(x - moves[i])) / (2 * step)
+        assert gradient[i] == pytest.approx(slope, abs=1e-6 * force)
+        column = (reduced.gradient(x + moves[i]) - reduced.gradient(x - moves[i])) / (2 * step)
+        np.testing.assert_allclose(matrix[:, i], column.ravel(), atol=1e-6 * stiffness)
+
+
+def test_a_box_that_carries_nothing_is_left_alone(solver: SolverIPC) -> None:
+    """The other box's rows hold its own inertia alone, and no block to the gels."""
+    reduced = Reduced(solver)
+    matrix = reduced.matrix(reduced.base)
+    other = matrix[-24:-12]
+    own = np.zeros_like(other)
+    masses = solver.model.masses.numpy()[0, solver.model.free_nodes.numpy()[-8:-4]] / 0.01**2
+    own[:, -24:-12] = np.diag(np.repeat(masses, 3))
+    np.testing.assert_allclose(other, own, rtol=1e-12)

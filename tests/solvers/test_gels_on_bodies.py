@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gels on bodies that move by dynamics: what holds them is the gel on a frame, moved by forces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from scipy.sparse.linalg import spsolve
+
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.ipc.linear.system import LinearSystem
+from taccel_lab.model import Model
+from taccel_lab.outputs import GelFrames, Outputs
+from taccel_lab.scene import (
+    AffineBody,
+    Element,
+    Material,
+    RevoluteJoint,
+    Scene,
+    SoftBody,
+    TimeScheme,
+    TimeStepping,
+    VelocityDrive,
+    box_mesh,
+)
+from taccel_lab.solvers import Control, SolverConfig, SolverIPC
+from taccel_lab.solvers.tangent import sparse_matrix
+from taccel_lab.state import State, initial_state
+from tests.solvers.driven_grasp import (
+    FORCE_N,
+    PAD,
+    SIDES,
+    START_M,
+    base_poses,
+    driven_grasp,
+    driven_squeeze,
+    face_pose,
+    prescribed_squeeze,
+    toward,
+)
+
+DHAT = 5e-5
+BOTH = (Element.LINEAR, Element.QUADRATIC)
+SETTLING = 25
+"""Steps in which the grip comes to rest."""
+
+
+def lift(step: int) -> float:
+    """Height of the base [m]."""
+    return 2e-4 * max(step - SETTLING, 0)
+
+
+class Grasp:
+    """A solver of a driven grasp with its state."""
+
+    def __init__(self, scene: Scene, **options: object) -> None:
+        self.model = scene.finalize("cpu")
+        self.envs = self.model.env_count
+        self.solver = SolverIPC(self.model, SolverConfig(dhat_m=DHAT, **options))  # type: ignore[arg-type]
+        poses = base_poses(self.envs)
+        if len(self.model.kinematic) == 2:
+            poses = np.concatenate([poses, base_poses(self.envs)], axis=1)
+        self.poses = poses
+        self.state = initial_state(self.model, poses)
+
+    def step(self, z_m: float = 0.0, targets: np.ndarray | None = None):
+        poses = self.poses.copy()
+        poses[:, 0, 2] = z_m
+        control = Control(target_poses=poses, joint_targets=targets)
+        report = self.solver.step(self.state, control)
+        assert report.converged.all(), report.summary()
+        return report
+
+    def gel(self, side: str) -> np.ndarray:
+        """Positions of its nodes [m], [env, node, 3]."""
+        body = self.model.bodies[self.model.body_id(side)]
+        return self.state.positions.numpy()[:, body.node_slice]
+
+    def normal_forces(self) -> np.ndarray:
+        """Force of the box on each gel along its depth [N], [env, gel]."""
+        return -Outputs(self.solver).update(self.state).soft_wrenches().numpy()[..., 2]
+
+
+def test_drives_press_with_their_largest_force_and_lift() -> None:
+    """Both grip with what the drives give, the fingers' inertia and joints taking nothing of it at
+    rest; then the box goes up with the base, and hangs in the gels with its weight."""
+    grasp = Grasp(driven_grasp())
+    box = grasp.model.affine.first_control + 4 * 2
+    for step in range(SETTLING):
+        grasp.step(lift(step))
+    np.testing.assert_allclose(grasp.normal_forces(), FORCE_N, rtol=1e-3)
+    stood = grasp.state.positions.numpy()[:, box, 2].copy()
+    for step in range(SETTLING, SETTLING + 40):
+        report = grasp.step(lift(min(step, SETTLING + 20)))
+    assert report.newton_iterations.max() <= 10, "at rest a step is a few iterations"
+    np.testing.assert_allclose(grasp.normal_forces(), FORCE_N, rtol=1e-3)
+    rose = grasp.state.positions.numpy()[:, box, 2] - stood
+    # It sinks in the gels by its weight over their stiffness against shear.
+    np.testing.assert_allclose(rose, lift(SETTLING + 20), atol=4e-4)
+    wrenches = Outputs(grasp.solver).update(grasp.state).soft_wrenches().numpy()
+    weight = 9.81 * grasp.model.affine.properties[2].mass_kg
+    # The gels' x axis is the world's z, or its opposite.
+    held = sum(-toward(side) * wrenches[:, i, 0] for i, side in enumerate(SIDES))
+    np.testing.assert_allclose(np.abs(held), weight, rtol=1e-2)
+
+
+@pytest.mark.parametrize("element", list(Element))
+def test_it_is_the_gel_on_a_frame_that_goes_where_the_finger_went(element: Element) -> None:
+    """Nothing gives way between finger and gel: the error is the strain of the finger, an affine
+    body of a modulus of its own, and falls with it: 1.4e-4 of the force with 1 GPa."""
+    forces = []
+    for young_pa in (1e9, 1e11):
+        driven = Grasp(driven_squeeze((element, element), young_pa), absolute_tolerance_n=1e-9)
+        for _ in range(80):
+            driven.step()
+        np.testing.assert_allclose(driven.normal_forces(), FORCE_N, rtol=1e-6)
+        assert driven.solver.joints is not None
+        slides = driven.solver.joints.coordinates.numpy()[0]
+        assert slides.min() > 5e-4, "the gels of 3 mm are squeezed"
+        model, solver, state = prescribed(element, slides)
+        wanted = -Outputs(solver).update(state).soft_wrenches().numpy()[..., 2]
+        forces.append(np.abs(driven.normal_forces() / wanted - 1).max())
+        for side in SIDES:
+            nodes = state.positions.numpy()[:, model.bodies[model.body_id(side)].node_slice]
+            off = np.abs(driven.gel(side) - nodes).max()
+            assert off < (1e-7 if young_pa == 1e9 else 5e-9)
+    assert 2e-5 < forces[0] < 2e-4
+    assert forces[1] < 0.02 * forces[0]
+
+
+def prescribed(element: Element, slides: np.ndarray) -> tuple[Model, SolverIPC, State]:
+    """Gels on frames that come to where fingers have slid, at rest."""
+    model = prescribed_squeeze((element, element)).finalize("cpu")
+    solver = SolverIPC(model, SolverConfig(dhat_m=DHAT, absolute_tolerance_n=1e-9))
+
+    def poses(part: float) -> np.ndarray:
+        faces = [
+            face_pose(side, START_M - part * slide)
+            for side, slide in zip(SIDES, slides, strict=True)
+        ]
+        return np.array([[*faces, [0, 0, 0, 0, 0, 0, 1]]])
+
+    state = initial_state(model, poses(0))
+    for step in range(80):
+        assert solver.step(state, poses(min((step + 1) / 10, 1.0))).converged.all()
+    return model, solver, state
+
+
+def test_newton_takes_as_many_iterations_as_without_gels() -> None:
+    """A body that turns takes its gel along from the start of the search: a hinge at 5 rad/s, arm
+    0.1 m, steps of 0.01 s."""
+
+    def iterations(soft: list[SoftBody]) -> int:
+        body = AffineBody(
+            box_mesh((1e-2, 1e-2, 1e-2)), name="arm", initial_pose=np.array([0, 0.1, 0, 0, 0, 0, 1])
+        )
+        hinge = RevoluteJoint("arm", axis=(1, 0, 0), drive=VelocityDrive(1.0, 5.0))
+        time = TimeStepping(quasi_static=False, dt_s=0.01)
+        scene = Scene(soft, affine_bodies=body, joints=hinge, time=time)
+        solver = SolverIPC(scene.finalize("cpu"))
+        state = initial_state(solver.model)
+        taken = 0
+        for step in range(12):
+            report = solver.step(state)
+            assert report.converged.all()
+            taken += int(report.newton_iterations[0]) if step >= 4 else 0
+        return taken
+
+    pose = np.array([0, 0, 8e-3, 0, 0, 0, 1])
+    gel = SoftBody(PAD, Material(1e5, 0.45), name="pad", mount="arm", mount_pose=pose)
+    assert iterations([gel]) <= iterations([]) + 8
+
+
+def test_environments_are_as_if_alone_and_a_reset_starts_anew() -> None:
+    """Two that do different things, the third reset on the way; bit by bit."""
+    together = Grasp(driven_grasp(3))
+    alone = [Grasp(driven_grasp(1)) for _ in range(2)]
+    wanted = np.array([[2e-3, 2e-3], [1e-3, 0.0], [2e-3, 2e-3]])
+    first: State | None = None
+    for step in range(12):
+        if step == 4:
+            first = together.state.copy()
+            together.solver.reset(together.state, np.array([False, False, True]))
+        together.step(targets=wanted)
+        for env, one in enumerate(alone):
+            one.step(targets=wanted[env : env + 1])
+    x = together.state.positions.numpy()
+    for env, one in enumerate(alone):
+        np.testing.assert_array_equal(x[env], one.state.positions.numpy()[0])
+    assert first is not None
+    again = Grasp(driven_grasp(1))
+    for _ in range(8):
+        again.step(targets=wanted[2:])
+    np.testing.assert_array_equal(x[2], again.state.positions.numpy()[0])
+    assert not np.array_equal(x[2], x[0])
+
+
+@pytest.mark.parametrize("scheme", list(TimeScheme))
+def test_each_stays_within_the_tolerance(scheme: TimeScheme) -> None:
+    grasp = Grasp(driven_grasp(scheme=scheme))
+    for step in range(10):
+        report = grasp.step(lift(step + SETTLING - 5))
+        limit = np.maximum(
+            grasp.solver.config.relative_tolerance * report.contact_force_n,
+            grasp.solver.config.absolute_tolerance_n,
+        )
+        assert (report.residual_n <= 1.5 * limit + 1e-6).all()
+
+
+@pytest.mark.parametrize("method", ["ssor", "arrow", "cg", "pipelined"])
+def test_all_linear_methods_solve_a_grip(method: str) -> None:
+    """The matrix of a grip under way, whose gels, fingers, joints and box all hang together."""
+    grasp = Grasp(driven_grasp(1, (Element.LINEAR, Element.LINEAR)), deterministic=True)
+    for _ in range(8):
+        grasp.step()
+    source, model = grasp.solver.linear, grasp.model
+    assert model.free_count < 400
+    first = model.free_count - 4 * model.affine.count
+    linear = LinearSystem(
+        model.pattern,
+        1,
+        model.device,
+        clusters=[(first + 4 * i, first + 4 * i + 4) for i in range(model.affine.count)],
+        method=method,
+        extra_room=4096,
+        positions_m=model.rest_positions.numpy()[0, model.free_nodes.numpy()],
+    )
+    wp.copy(linear.values, source.values)
+    count = int(source.extra.counts.numpy()[0])
+    assert count > 0, "box and gels touch"
+    wp.copy(linear.extra.places, source.extra.places, count=count)
+    wp.copy(linear.extra.values, source.extra.values, count=count)
+    wp.copy(linear.extra.counts, source.extra.counts)
+    rhs = np.random.default_rng(1).normal(size=(1, model.free_count, 3))
+    linear.rhs.assign(rhs)
+    linear.tolerances.fill_(1e-10)
+    matrix = sparse_matrix(model.pattern, source.values.numpy()[0]).tolil()
+    places, blocks = source.extra.places.numpy(), source.extra.values.numpy()
+    for (row, column), block in zip(places[:count], blocks[:count], strict=True):
+        r, c = slice(3 * row, 3 * row + 3), slice(3 * column, 3 * column + 3)
+        matrix[r, c] += block
+        matrix[c, r] += block.T
+    linear.solve(wp.full(1, 1, dtype=wp.int32), 20_000)
+    wanted = spsolve(matrix.tocsc(), rhs.ravel())
+    found = linear.solution.numpy().ravel()
+    assert not linear.breakdown.numpy().any()
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6 * np.abs(wanted).max())
+
+
+def test_gel_frames_follow_and_bonded_nodes_with_them() -> None:
+    """A box that flies and spins: its gel's frame is where its bonded nodes are, in each of two
+    environments that start in other places."""
+    half = np.sqrt(0.5)
+    starts = np.array([[0, 0, 0, 0, 0, 0, 1], [0.3, -0.1, 0.2, half, 0, 0, half]])
+    body = AffineBody(
+        box_mesh((1e-2, 2e-2, 3e-2)),
+        name="box",
+        initial_pose=starts,
+        initial_spin_rad_s=(4.0, -7.0, 5.0),
+        initial_velocity_m_s=(0.1, 0.2, 0.0),
+    )
+    at = np.array([5e-3, 1e-3, 0, 0, half, 0, half])
+    gel = SoftBody(PAD, Material(1e5, 0.45), name="pad", mount="box", mount_pose=at)
+    aside = np.array([1.0, 0, 0, 0, 0, 0, 1])
+    cube = block_mesh((1, 1, 1), (1e-3,) * 3)
+    loose = SoftBody(cube, Material(1e5, 0.4), name="loose", initial_pose=aside)
+    time = TimeStepping(quasi_static=False, dt_s=0.01)
+    scene = Scene([gel, loose], env_count=2, affine_bodies=body, time=time)
+    solver = SolverIPC(scene.finalize("cpu"))
+    state = initial_state(solver.model)
+    frames, bonded = GelFrames(solver.model), PAD.bonded_nodes()
+    for step in range(4):
+        if step:
+            assert solver.step(state).converged.all()
+        found = frames.read(state).numpy()
+        np.testing.assert_array_equal(found[:, 1], [[0, 0, 0, 0, 0, 0, 1]] * 2)
+        for env in range(2):
+            turn = np.array(wp.quat_to_matrix(wp.quatd(*found[env, 0, 3:]))).reshape(3, 3)
+            wanted = PAD.nodes_m[bonded] @ turn.T + found[env, 0, :3]
+            np.testing.assert_allclose(state.positions.numpy()[env, bonded], wanted, atol=1e-8)
+    assert frames.of(1, state) is None
+    of_gel = frames.of(0, state)
+    assert of_gel is not None
+    np.testing.assert_array_equal(of_gel.numpy(), found[:, 0])
