@@ -29,6 +29,7 @@ from taccel_lab.solvers.tangent import sparse_matrix
 from taccel_lab.state import State, initial_state
 from tests.solvers.driven_grasp import (
     FORCE_N,
+    HALF,
     PAD,
     SIDES,
     START_M,
@@ -37,6 +38,7 @@ from tests.solvers.driven_grasp import (
     driven_squeeze,
     face_pose,
     prescribed_squeeze,
+    time_of,
     toward,
 )
 
@@ -283,3 +285,32 @@ def test_gel_frames_follow_and_bonded_nodes_with_them() -> None:
     of_gel = frames.of(0, state)
     assert of_gel is not None
     np.testing.assert_array_equal(of_gel.numpy(), found[:, 0])
+
+
+def test_parameters_by_environment_reach_the_body_that_carries_the_gel() -> None:
+    """A heavier, softer gel in one environment is what a scene with such a gel has, bit by bit."""
+    other = Material(6e4, 0.45, density_kg_m3=3000.0)
+
+    def hanging(material: Material, envs: int) -> Scene:
+        arm = AffineBody(box_mesh((8e-3, 8e-3, 8e-3)), name="arm")
+        pose = np.array([7e-3, 0, 0, 0, HALF, 0, HALF])
+        gel = SoftBody(PAD, material, name="pad", mount="arm", mount_pose=pose)
+        hinge = RevoluteJoint("arm", anchor_m=(-0.02, 0, 0), axis=(0, 1, 0), name="hinge")
+        return Scene(gel, env_count=envs, affine_bodies=arm, joints=hinge, time=time_of(True))
+
+    model = hanging(Material(1e5, 0.45), 2).finalize("cpu")
+    solver, state = SolverIPC(model), initial_state(model)
+    second = np.array([False, True])
+    model.set_body("pad", young_modulus_pa=6e4, density_kg_m3=3000.0, mask=second)
+    ends = []
+    for material in (Material(1e5, 0.45), other):
+        alone = SolverIPC(hanging(material, 1).finalize("cpu"))
+        ends.append((alone, initial_state(alone.model)))
+    for _ in range(6):
+        assert solver.step(state).converged.all()
+        for alone, its in ends:
+            assert alone.step(its).converged.all()
+    x = state.positions.numpy()
+    for env, (_, its) in enumerate(ends):
+        np.testing.assert_array_equal(x[env], its.positions.numpy()[0])
+    assert np.abs(x[1] - x[0]).max() > 1e-6
