@@ -9,10 +9,21 @@ import torch
 
 from taccel_lab.geometry import Region
 from taccel_lab.learning.catalogue import make_vec
+from taccel_lab.learning.gel_views import GelViews
 from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
+from taccel_lab.scene import Element
 from taccel_lab.signals import MarkerLayout
 from taccel_lab.signals.gel_faces import face_grid, marker_points_mm
+from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.state import initial_state
+from tests.solvers.driven_grasp import (
+    SIDES,
+    START_M,
+    driven_squeeze,
+    face_pose,
+    prescribed_squeeze,
+)
 
 
 @pytest.fixture(scope="module")
@@ -80,3 +91,33 @@ def test_wrenches_and_tractions_are_those_of_the_nodes(pressed: tuple) -> None:
         np.testing.assert_allclose(seen["traction"][:, gel], wanted, rtol=1e-4, atol=1e-4)
     # Pushed against its face by several newtons.
     assert (seen["wrench"][:, :, 2] < -3).all()
+
+
+def test_a_gel_on_a_driven_finger_shows_what_one_on_a_frame_does() -> None:
+    """Two pads squeezed by drives, and the same two on frames that come to where the fingers are:
+    depth, markers, wrenches and tractions are those of the gel's own frame."""
+    linear = (Element.LINEAR, Element.LINEAR)
+    driven = SolverIPC(driven_squeeze(linear, 1e11).finalize("cpu"), SolverConfig(dhat_m=5e-5))
+    state = initial_state(driven.model)
+    for _ in range(60):
+        assert driven.step(state).converged.all()
+    assert driven.joints is not None
+    slides = driven.joints.coordinates.numpy()[0]
+    on_frames = SolverIPC(prescribed_squeeze(linear).finalize("cpu"), SolverConfig(dhat_m=5e-5))
+
+    def poses(part: float) -> np.ndarray:
+        sides = zip(SIDES, slides, strict=True)
+        faces = [face_pose(side, START_M - part * slide) for side, slide in sides]
+        return np.array([[*faces, [0, 0, 0, 0, 0, 0, 1]]])
+
+    other = initial_state(on_frames.model, poses(0))
+    for step in range(60):
+        assert on_frames.step(other, poses(min((step + 1) / 10, 1.0))).converged.all()
+    names = ("depth", "markers", "wrench", "traction")
+    views = [GelViews(solver, names) for solver in (driven, on_frames)]
+    for name in names:
+        found, wanted = (
+            view.read(name, at).numpy() for view, at in zip(views, (state, other), strict=True)
+        )
+        assert np.abs(wanted).max() > 1e-2
+        np.testing.assert_allclose(found, wanted, atol=2e-3 * np.abs(wanted).max(), err_msg=name)

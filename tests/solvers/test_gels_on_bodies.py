@@ -16,6 +16,7 @@ from taccel_lab.scene import (
     AffineBody,
     Element,
     Material,
+    Plane,
     RevoluteJoint,
     Scene,
     SoftBody,
@@ -314,3 +315,41 @@ def test_parameters_by_environment_reach_the_body_that_carries_the_gel() -> None
     for env, (_, its) in enumerate(ends):
         np.testing.assert_array_equal(x[env], its.positions.numpy()[0])
     assert np.abs(x[1] - x[0]).max() > 1e-6
+
+
+def test_a_glued_face_collides_and_rubs_as_its_body_does() -> None:
+    """A block slides on the glued face of the gel below it: the floor bears the weight of both, and
+    Coulomb's friction stops both alike."""
+    friction, speed = 0.4, 0.2
+    block = AffineBody(
+        box_mesh((8e-3, 8e-3, 4e-3)), name="block", initial_velocity_m_s=(speed, 0, 0)
+    )
+    # Its glued face is the lowest one, 3 mm below its frame.
+    pose = np.array([0, 0, -3e-3, 0, 0, 0, 1])
+    gel = SoftBody(PAD, Material(3e5, 0.4), name="pad", mount="block", mount_pose=pose)
+    floor = Plane((0, 0, -6e-3 - 2e-5), friction_coefficient=friction, name="floor")
+    dt = 1e-3
+    time = TimeStepping(quasi_static=False, dt_s=dt, gravity_m_s2=(0, 0, -9.81))
+    model = Scene(gel, affine_bodies=block, planes=floor, time=time).finalize("cpu")
+    solver, state = SolverIPC(model), initial_state(model)
+    outputs = Outputs(solver)
+    mass = model.masses.numpy()[0, model.bodies[0].node_slice].sum()
+    mass += model.affine.properties[0].mass_kg
+    for _ in range(30):
+        report = solver.step(state)
+        assert report.converged.all(), report.summary()
+    before = outputs.update(state).momentum().linear.numpy()[0].sum(axis=0).copy()
+    pressed = []
+    for _ in range(10):
+        assert solver.step(state).converged.all()
+        outputs.update(state)
+        pressed.append(outputs.soft_wrenches().numpy()[0, 0])
+    change = outputs.momentum().linear.numpy()[0].sum(axis=0) - before
+    weight = mass * 9.81
+    assert np.mean([w[2] for w in pressed]) == pytest.approx(weight, rel=2e-2)
+    assert change[0] == pytest.approx(10 * dt * np.mean([w[0] for w in pressed]), rel=1e-3)
+    assert change[0] == pytest.approx(-friction * weight * 10 * dt, rel=2e-2)
+    slopes = np.linalg.norm(solver.contact_gradient.numpy()[0, : model.soft_count], axis=1)
+    touching = np.flatnonzero(slopes > 1e-9)
+    assert len(touching) >= 4
+    assert (model.parents.numpy()[touching] >= 0).all(), "glued nodes alone touch"

@@ -30,6 +30,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
+from tests.solvers.driven_grasp import base_poses, driven_grasp
 
 pytestmark = [
     pytest.mark.gpu,
@@ -124,6 +125,22 @@ def test_lists_grow() -> None:
 
 def test_quadratic_gels() -> None:
     lift_cube(grasp(2, Element.QUADRATIC))
+
+
+@pytest.mark.parametrize("method", GPU_METHODS)
+def test_gels_on_bodies_that_drives_push(method: str) -> None:
+    """What the CPU finds, to what a tight tolerance leaves."""
+    elements = (Element.LINEAR, Element.LINEAR)
+    ends = []
+    for device, name in (("cpu", "ssor"), ("cuda:0", method)):
+        model = driven_grasp(2, elements).finalize(device)
+        config = SolverConfig(dhat_m=5e-5, relative_tolerance=1e-7, linear_method=name)
+        solver, state = SolverIPC(model, config), initial_state(model, base_poses(2))
+        for step in range(1, 11):
+            report = solver.step(state, base_poses(2, 1e-4 * max(step - 6, 0)))
+            assert report.converged.all(), report.summary()
+        ends.append(state.positions.numpy())
+    np.testing.assert_allclose(ends[1], ends[0], atol=1e-7)
 
 
 def test_joints() -> None:

@@ -98,7 +98,8 @@ class ExternalLoad(Potential):
         all when None; torques act on the bodies as they stand now.
 
         ``forces`` on nodes [N], vec3d, shape [env_count, node_count]: those on vertices of affine
-        bodies act on the body, those on prescribed nodes on nothing. ``wrenches``: force [N] and
+        bodies, and on bonded nodes that these carry, act on the body, those on prescribed nodes on
+        nothing. ``wrenches``: force [N] and
         torque about the centre of mass [N m] of affine bodies in world axes, vec3d, shape
         [env_count, affine_count, 2].
         """
