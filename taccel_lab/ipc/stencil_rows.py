@@ -4,7 +4,9 @@
 The Hessian of a pair is bilinear in coefficients of its nodes (the 4-vectors of ``PairHessian``,
 the weights of friction). A vertex of an affine body is a weighted sum of four control nodes, so
 their coefficients are the same weighted sums over the vertices of the pair, and the blocks can be
-formed by unknown: 15 for a gel node on a face of an affine body; by vertex there would be 157.
+formed by unknown: 15 for a gel node on a face of an affine body; by vertex there would be 157. A
+bonded node that an affine body carries counts as a vertex of it: two bodies and two free nodes, as
+where the rim of a gel meets another gel's, have ten unknowns, and nothing has more.
 """
 
 from __future__ import annotations
@@ -18,23 +20,25 @@ from taccel_lab.ipc.pair_hessian import PairHessian, local_block
 wp.set_module_options({"enable_backward": False})
 
 _MOST_PARTS = 8
-"""Parts that the 15 to 36 blocks of a stencil are shared out in, on an idle GPU."""
+"""Parts that the 15 to 55 blocks of a stencil are shared out in, on an idle GPU."""
 _FEW_LANES = 1 << 13
 """Lanes up to which a GPU is idle enough for several threads a stencil."""
 
 
 STENCIL_THREADS = 128
-"""Threads of a block, as modules with kernels that add stencils state it: 28 KiB of shared memory,
-of which 256 threads would need more than every GPU has."""
+"""Threads of a block, as modules with kernels that add stencils state it: 35 KiB of shared memory,
+of which 256 threads would need more than every GPU has. Registers allow two or three blocks a
+multiprocessor, which have room for it on A100 and later."""
 
-# Rows and coefficients of the stencil of each thread, side by side in shared memory: indexed by
-# what is only known at run time, they would else lie in a thread's own part of the GPU's memory.
+# Rows and coefficients of the stencil of each thread (of ten unknowns, three numbers and half a one
+# each), side by side in shared memory: indexed by what is only known at run time, they would else
+# lie in a thread's own part of the GPU's memory.
 _STAGE_SNIPPET = """
 #if defined(__CUDA_ARCH__)
-    __shared__ double stage[28 * WP_TILE_BLOCK_DIM];
+    __shared__ double stage[35 * WP_TILE_BLOCK_DIM];
     return reinterpret_cast<wp::uint64>(stage);
 #else
-    static double stage[28];
+    static double stage[35];
     return reinterpret_cast<wp::uint64>(stage);
 #endif
 """
@@ -45,7 +49,7 @@ _PLACES = """
     const int step = 1, mine = 0;
 #endif
     double* const coefficient = reinterpret_cast<double*>(stage) + 3 * step * at + mine;
-    int* const row = reinterpret_cast<int*>(reinterpret_cast<double*>(stage) + 24 * step)
+    int* const row = reinterpret_cast<int*>(reinterpret_cast<double*>(stage) + 30 * step)
         + step * at + mine;
     (void)coefficient;
     (void)row;

@@ -12,8 +12,17 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.motion import newton_system, reduce_gradient
 from taccel_lab.ipc.potentials.elastic import PSD_NONE
 from taccel_lab.model.embedding import embed_vertices
-from taccel_lab.scene import AffineBody, Element, Material, Scene, SoftBody, TimeStepping, box_mesh
-from taccel_lab.solvers import SolverIPC
+from taccel_lab.scene import (
+    AffineBody,
+    Element,
+    Material,
+    Scene,
+    SoftBody,
+    Surface,
+    TimeStepping,
+    box_mesh,
+)
+from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
 
 HALF = np.sqrt(0.5)
@@ -112,6 +121,86 @@ def test_derivatives_against_differences(solver: SolverIPC) -> None:
         assert gradient[i] == pytest.approx(slope, abs=1e-6 * force)
         column = (reduced.gradient(x + moves[i]) - reduced.gradient(x - moves[i])) / (2 * step)
         np.testing.assert_allclose(matrix[:, i], column.ravel(), atol=1e-6 * stiffness)
+
+
+def test_rims_of_gels_on_two_bodies_that_touch() -> None:
+    """Stencils of two bodies and two free nodes, of ten unknowns: edges from the glued to the free
+    face of two gels that cross, against differences of the forces."""
+    gap, dhat = 1e-5, 1e-4
+    gel = Material(MODULUS_PA, 0.4)
+    spots = [
+        np.array([-SIZE_M / 2, 0, 0, 0, 0, 0, 1]),
+        np.array([SIZE_M / 2 + gap, -SIZE_M / 2, -SIZE_M / 2, HALF, 0, 0, HALF]),
+    ]
+    mesh = block_mesh((2, 2, 1), (SIZE_M, SIZE_M, SIZE_M))
+    box = box_mesh((SIZE_M, SIZE_M, SIZE_M))
+    apart = Surface(layer=2, collides_with=2)
+    bodies = [
+        AffineBody(box, name=f"box {i}", initial_pose=spot, surface=apart)
+        for i, spot in enumerate(spots)
+    ]
+    gels = [
+        SoftBody(mesh, gel, name=f"gel {i}", mount=f"box {i}", element=Element.LINEAR)
+        for i in range(2)
+    ]
+    time = TimeStepping(quasi_static=False)
+    model = Scene(gels, affine_bodies=bodies, time=time).finalize("cpu")
+    solver = SolverIPC(model, SolverConfig(dhat_m=dhat))
+    state, everyone = initial_state(model), wp.full(1, 1, dtype=wp.int32)
+    free = model.free_nodes.numpy()
+    noise = np.random.default_rng(3).normal(size=(len(free), 3))
+    start = state.positions.numpy().copy()
+    start[0, free] += 0.02 * gap * noise
+
+    def moved(way: np.ndarray) -> wp.array:
+        x = start.copy()
+        x[0, free] += way
+        placed = wp.array(x, dtype=wp.vec3d)
+        embed_vertices(model, placed)
+        solver.displacements.zero_()
+        solver.candidates.update(
+            everyone, placed, solver.displacements, state.poses, state.poses, dhat
+        )
+        solver.pairs.forget(everyone)
+        solver.collisions.update(everyone, placed, solver.candidates)
+        return placed
+
+    def gradient(way: np.ndarray) -> np.ndarray:
+        x = moved(way)
+        nodal, none = wp.zeros_like(x), wp.zeros_like(x)
+        nearest = wp.full(1, np.inf, dtype=wp.float64)
+        solver.contact.add_gradient(everyone, x, nodal, nearest)
+        reduced = wp.zeros((1, model.free_count), dtype=wp.vec3d)
+        reduce_gradient(model, everyone, [nodal, none, none], reduced)
+        return reduced.numpy()[0].ravel()
+
+    x = moved(np.zeros((len(free), 3)))
+    nodes = solver.collisions.snapshot(0)["stencils"]
+    parents, rows = model.parents.numpy(), model.free_index.numpy()
+    unknowns = [
+        4 * len({p for p in parents[s] if p >= 0}) + len({r for r in rows[s] if r >= 0})
+        for s in nodes
+    ]
+    assert max(unknowns) == 10
+    linear = solver.linear
+    linear.values.zero_()
+    linear.extra.clear()
+    exact = wp.full(1, PSD_NONE, dtype=wp.int32)
+    solver.contact.add_hessian(
+        everyone, x, newton_system(model, linear, solver.displacements), exact
+    )
+    matrix = model.pattern.dense(linear.values.numpy())[0]
+    count = int(linear.extra.counts.numpy()[0])
+    places, blocks = linear.extra.places.numpy(), linear.extra.values.numpy()
+    for (row, column), block in zip(places[:count], blocks[:count], strict=True):
+        matrix[3 * row : 3 * row + 3, 3 * column : 3 * column + 3] += block
+        matrix[3 * column : 3 * column + 3, 3 * row : 3 * row + 3] += block.T
+    step, largest = 1e-5 * gap, np.abs(matrix).max()
+    for i in range(3 * len(free)):
+        way = np.zeros((len(free), 3))
+        way.ravel()[i] = step
+        column = (gradient(way) - gradient(-way)) / (2 * step)
+        np.testing.assert_allclose(matrix[:, i], column, atol=1e-5 * largest)
 
 
 def test_a_box_that_carries_nothing_is_left_alone(solver: SolverIPC) -> None:
