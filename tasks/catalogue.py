@@ -11,6 +11,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.reading.toml_file import read_toml
 from taccel_lab.tasks.ball_rolling import BallRolling, BallRollingParameters
 from taccel_lab.tasks.classification import Classification, ClassificationParameters
+from taccel_lab.tasks.driven_grasp import DrivenGraspLift, DrivenGraspParameters
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.grasp_lift import GraspLift, GraspLiftParameters, SoftGraspParameters
 from taccel_lab.tasks.nut import Nut, NutParameters
@@ -25,6 +26,7 @@ FILES = Path(__file__).parent / "files"
 KINDS: dict[str, tuple[type[TaskParameters], type[Episode]]] = {
     "ball-rolling": (BallRollingParameters, BallRolling),
     "classification": (ClassificationParameters, Classification),
+    "driven-grasp": (DrivenGraspParameters, DrivenGraspLift),
     "grasp-lift": (GraspLiftParameters, GraspLift),
     "nut": (NutParameters, Nut),
     "peg-insertion": (PegInsertionParameters, PegInsertion),

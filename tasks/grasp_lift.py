@@ -22,7 +22,7 @@ from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.reading.legacy_vtk import read_legacy_vtk
 from taccel_lab.reading.strict_model import Number, StrictModel
 from taccel_lab.robots.transforms import matrix_of, pose_of
-from taccel_lab.scene import AffineBody, Element, Material, SoftBody
+from taccel_lab.scene import AffineBody, Element, Material, Scene, SoftBody
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import free_body, pad_body, pad_mesh, solid
 from taccel_lab.tasks.episode import Episode
@@ -198,7 +198,8 @@ class GraspLift(Episode):
         """How far the gripper has risen [m]."""
         self.gripping = np.zeros(count, dtype=bool)
         config = contact_config(parameters.contact)
-        super().__init__(parameters, seeds, starts, built.scene, config, self._targets(), device)
+        scene = self._in_scene(built.scene)
+        super().__init__(parameters, seeds, starts, scene, config, self._targets(), device)
         self._soft = not isinstance(parameters.object, Object)
         self._peak = np.zeros(count)
         """Largest equivalent stress of a soft body so far [Pa]."""
@@ -255,6 +256,10 @@ class GraspLift(Episode):
         stress = self.outputs.von_mises.numpy()[:, nodes].max(axis=1)
         self._peak[self.running] = np.maximum(self._peak, stress)[self.running]
         return self.state.positions.numpy()[:, nodes].mean(axis=1)
+
+    def _in_scene(self, scene: Scene) -> Scene:
+        """The scene with the gripper in it as it is moved."""
+        return scene
 
     def judge(self, env: int) -> tuple[str, dict[str, float]]:
         goal = self.parameters.goal

@@ -31,6 +31,7 @@ def run(name: str, seeds: int) -> TaskResult:
         ("grasp-lift", 63),
         ("grasp-lift-cylinder", 64),
         ("grasp-lift-ball", 64),
+        ("grasp-lift-driven", 64),
         ("soft-block", 63),
         ("soft-bear", 64),
     ],
@@ -42,7 +43,12 @@ def test_grasp_lift(name: str, successes: int) -> None:
     assert low <= result.successes / 64 <= high
     for trial in result.trials:
         if trial.success:
-            assert trial.figures["held_s"] >= 1 and trial.figures["slip_mm"] < 5
+            driven = name == "grasp-lift-driven"
+            assert trial.figures["held_s"] >= 1
+            # Boxes that lie askew turn flat between the fingers while they are lifted.
+            assert trial.figures["slip_mm"] < (7 if driven else 5)
+            if driven:
+                assert trial.figures["strongest_grip_n"] < 1.3 * 4.0
             soft = {"soft-block": (0.025, 0.462), "soft-bear": (0.0145, 0.462)}
             mass, friction = soft.get(name, (0.1, 0.334))
             assert trial.figures["weakest_grip_n"] > 0.5 * 9.81 * mass / friction / 2
