@@ -13,6 +13,7 @@ from taccel_lab.tasks.ball_rolling import BallRolling, BallRollingParameters
 from taccel_lab.tasks.classification import Classification, ClassificationParameters
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.grasp_lift import GraspLift, GraspLiftParameters, SoftGraspParameters
+from taccel_lab.tasks.grasp_matrix import GraspMatrix, GraspMatrixParameters
 from taccel_lab.tasks.nut import Nut, NutParameters
 from taccel_lab.tasks.parameters import TaskParameters
 from taccel_lab.tasks.peg_insertion import PegInsertion, PegInsertionParameters
@@ -26,6 +27,7 @@ KINDS: dict[str, tuple[type[TaskParameters], type[Episode]]] = {
     "ball-rolling": (BallRollingParameters, BallRolling),
     "classification": (ClassificationParameters, Classification),
     "grasp-lift": (GraspLiftParameters, GraspLift),
+    "grasp-matrix": (GraspMatrixParameters, GraspMatrix),
     "nut": (NutParameters, Nut),
     "peg-insertion": (PegInsertionParameters, PegInsertion),
     "soft-grasp": (SoftGraspParameters, GraspLift),
