@@ -16,7 +16,11 @@ from taccel_lab.tasks.grasp_lift import GraspLift, GraspLiftParameters, SoftGras
 from taccel_lab.tasks.grasp_matrix import GraspMatrix, GraspMatrixParameters
 from taccel_lab.tasks.nut import Nut, NutParameters
 from taccel_lab.tasks.parameters import TaskParameters
-from taccel_lab.tasks.peg_insertion import PegInsertion, PegInsertionParameters
+from taccel_lab.tasks.peg_insertion import (
+    PegFitParameters,
+    PegInsertion,
+    PegInsertionParameters,
+)
 from taccel_lab.tasks.tac_man import TacMan, TacManParameters
 from taccel_lab.tasks.throw_catch import ThrowCatch, ThrowCatchParameters
 from taccel_lab.tasks.touch_insertion import TouchInsertion, TouchInsertionParameters
@@ -29,6 +33,7 @@ KINDS: dict[str, tuple[type[TaskParameters], type[Episode]]] = {
     "grasp-lift": (GraspLiftParameters, GraspLift),
     "grasp-matrix": (GraspMatrixParameters, GraspMatrix),
     "nut": (NutParameters, Nut),
+    "peg-fit": (PegFitParameters, PegInsertion),
     "peg-insertion": (PegInsertionParameters, PegInsertion),
     "soft-grasp": (SoftGraspParameters, GraspLift),
     "tac-man": (TacManParameters, TacMan),
