@@ -140,13 +140,15 @@ def test_round_pegs_that_fit_go_in(
     [("peg-vitac-cuboid", 15), ("peg-vitac-trapezoid", 11), ("peg-vitac-concave", 10)],
 )
 def test_pegs_on_the_rim(name: str, successes: int) -> None:
-    """None goes in at the first try: starts from which it would do not count."""
+    """None goes in at the first try: starts from which it would do not count. One that fails has
+    used up its tries, or stayed behind as the hand went down without feeling it."""
     result = run(name, 64)
     _, low, high = success_interval(successes, 64)
     assert low <= result.successes / 64 <= high
     for trial in result.trials:
         assert trial.figures["tries"] > 1 and trial.figures["jam_force_n"] > 3
-        assert trial.success or trial.figures["tries"] == 8
+        stayed = trial.figures["slip_mm"] > 8
+        assert trial.success or trial.figures["tries"] == 8 or stayed
 
 
 def test_ball_rolling() -> None:
