@@ -14,9 +14,14 @@ from taccel_lab.tasks.classification import Classification, ClassificationParame
 from taccel_lab.tasks.driven_grasp import DrivenGraspLift, DrivenGraspParameters
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.grasp_lift import GraspLift, GraspLiftParameters, SoftGraspParameters
+from taccel_lab.tasks.grasp_matrix import GraspMatrix, GraspMatrixParameters
 from taccel_lab.tasks.nut import Nut, NutParameters
 from taccel_lab.tasks.parameters import TaskParameters
-from taccel_lab.tasks.peg_insertion import PegInsertion, PegInsertionParameters
+from taccel_lab.tasks.peg_insertion import (
+    PegFitParameters,
+    PegInsertion,
+    PegInsertionParameters,
+)
 from taccel_lab.tasks.tac_man import TacMan, TacManParameters
 from taccel_lab.tasks.throw_catch import ThrowCatch, ThrowCatchParameters
 from taccel_lab.tasks.touch_insertion import TouchInsertion, TouchInsertionParameters
@@ -28,7 +33,9 @@ KINDS: dict[str, tuple[type[TaskParameters], type[Episode]]] = {
     "classification": (ClassificationParameters, Classification),
     "driven-grasp": (DrivenGraspParameters, DrivenGraspLift),
     "grasp-lift": (GraspLiftParameters, GraspLift),
+    "grasp-matrix": (GraspMatrixParameters, GraspMatrix),
     "nut": (NutParameters, Nut),
+    "peg-fit": (PegFitParameters, PegInsertion),
     "peg-insertion": (PegInsertionParameters, PegInsertion),
     "soft-grasp": (SoftGraspParameters, GraspLift),
     "tac-man": (TacManParameters, TacMan),

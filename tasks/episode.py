@@ -71,6 +71,16 @@ class Episode(ABC):
     def judge(self, env: int) -> tuple[str, dict[str, float]]:
         """Why an environment does not meet the criterion, empty if it does; and its figures."""
 
+    def cell(self, env: int) -> tuple[str, ...]:
+        """What an environment is of, of tasks with several cells: their results are told apart."""
+        return ()
+
+    @classmethod
+    def groups(cls, parameters: TaskParameters, seeds: Sequence[int]) -> list[Sequence[int]]:
+        """Seeds that become environments of one solver, group by group."""
+        size = parameters.environments
+        return [seeds[i : i + size] for i in range(0, len(seeds), size)]
+
     @abstractmethod
     def forces(self) -> dict[str, float]:
         """Forces of environment 0 that films show, by name [N]."""
@@ -98,7 +108,8 @@ class Episode(ABC):
         for env, (seed, start) in enumerate(zip(self.seeds, self.starts, strict=True)):
             missed, figures = self.judge(env)
             cause = self._causes[env] or missed
-            found.append(Trial(seed, not cause, cause, int(self._steps[env]), start, figures))
+            steps = int(self._steps[env])
+            found.append(Trial(seed, not cause, cause, steps, start, figures, cell=self.cell(env)))
         return found
 
     @classmethod

@@ -27,6 +27,7 @@ from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import free_body, pad_body, pad_mesh, solid
 from taccel_lab.tasks.episode import Episode
 from taccel_lab.tasks.grasp_scene import SIDES, grasp_scene
+from taccel_lab.tasks.lift_record import LiftGoal, LiftRecord
 from taccel_lab.tasks.parameters import (
     Contact,
     FreeBody,
@@ -124,13 +125,6 @@ class GraspPolicy(StrictModel):
     lift_mm: Positive
 
 
-class GraspGoal(StrictModel):
-    """When it is done."""
-
-    lift_mm: Positive
-    hold_s: Number
-
-
 class GraspLearning(Learning):
     """What a learned policy may do: it opens and closes the fingers, too."""
 
@@ -148,7 +142,7 @@ class GraspParameters(TaskParameters):
     start: PlanarStart
     """Of the object, from the middle between the fingers."""
     policy: GraspPolicy
-    goal: GraspGoal
+    goal: LiftGoal
 
 
 class GraspLiftParameters(GraspParameters):
@@ -196,21 +190,14 @@ class GraspLift(Episode):
         """Coordinate of the fingers [m]."""
         self.raised = np.zeros(count)
         """How far the gripper has risen [m]."""
-        self.gripping = np.zeros(count, dtype=bool)
+        shape = (count, len(SIDES))
+        self._record = LiftRecord(parameters.goal, parameters.dt_s, built.rest_height_m, shape)
         config = contact_config(parameters.contact)
         scene = self._in_scene(built.scene)
         super().__init__(parameters, seeds, starts, scene, config, self._targets(), device)
         self._soft = not isinstance(parameters.object, Object)
         self._peak = np.zeros(count)
         """Largest equivalent stress of a soft body so far [Pa]."""
-        self._rest_height = built.rest_height_m
-        self._held = np.zeros(count, dtype=int)
-        self._grip = np.zeros((count, 2))
-        self._weakest = np.full(count, np.nan)
-        self._strongest = np.zeros(count)
-        self._gripped_at = np.full((count, 3), np.nan)
-        self._slip = np.full(count, np.nan)
-        self._rise = np.zeros(count)
 
     def _targets(self) -> np.ndarray:
         base = np.tile(self._base, (len(self.seat), 1))
@@ -219,7 +206,7 @@ class GraspLift(Episode):
 
     def control(self) -> Control:
         policy, dt = self.parameters.policy, self.parameters.dt_s
-        closing = ~self.gripping
+        closing = ~self._record.gripping
         closer = np.maximum(self.seat - 1e-3 * policy.close_mm_s * dt, 1e-3 * policy.closed_mm)
         self.seat = np.where(closing, closer, self.seat)
         higher = np.minimum(self.raised + 1e-3 * policy.lift_mm_s * dt, 1e-3 * policy.lift_mm)
@@ -227,26 +214,13 @@ class GraspLift(Episode):
         return Control(target_poses=self._targets())
 
     def measure(self) -> None:
-        policy, goal = self.parameters.policy, self.parameters.goal
+        policy, record = self.parameters.policy, self._record
         grip = [self.force_on("object", f"{side} pad", friction=False) for side in SIDES]
-        self._grip = np.linalg.norm(np.stack(grip, axis=1), axis=2)
-        centre = self._middle()
-        relative = centre - np.array([0.0, 0.0, 1.0]) * self.raised[:, None]
+        record.grip_n = np.linalg.norm(np.stack(grip, axis=1), axis=2)
         closed = self.seat <= 1e-3 * policy.closed_mm
-        firm = self._grip.min(axis=1) >= policy.grip_n
-        begins = self.running & ~self.gripping & (firm | closed)
-        self._gripped_at[begins] = relative[begins]
-        self.gripping |= begins
-        holding = self.running & self.gripping
-        slip = np.linalg.norm(relative - self._gripped_at, axis=1)
-        self._slip[holding] = slip[holding]
-        weakest = np.fmin(self._weakest, self._grip.min(axis=1))
-        self._weakest[holding] = weakest[holding]
-        strongest = np.maximum(self._strongest, self._grip.max(axis=1))
-        self._strongest[self.running] = strongest[self.running]
-        self._rise[self.running] = (centre[:, 2] - self._rest_height)[self.running]
-        high = self.running & (self._rise >= 1e-3 * goal.lift_mm)
-        self._held = np.where(high, self._held + 1, 0)
+        firm = record.grip_n.min(axis=1) >= policy.grip_n
+        begins = self.running & ~record.gripping & (firm | closed)
+        record.look(self.running, begins, self._middle(), self.raised)
 
     def _middle(self) -> np.ndarray:
         """Of the object [m], [env, 3]; and the stress in it is looked at."""
@@ -262,23 +236,10 @@ class GraspLift(Episode):
         return scene
 
     def judge(self, env: int) -> tuple[str, dict[str, float]]:
-        goal = self.parameters.goal
-        held = self._held[env] * self.parameters.dt_s
-        figures = {
-            "rise_mm": 1e3 * self._rise[env],
-            "held_s": held,
-            "slip_mm": 1e3 * self._slip[env],
-            "weakest_grip_n": self._weakest[env],
-            "strongest_grip_n": self._strongest[env],
-        }
+        figures = self._record.figures(env)
         if self._soft:
-            figures["peak_stress_kpa"] = 1e-3 * self._peak[env]
-        figures = {name: float(value) for name, value in figures.items()}
-        if figures["rise_mm"] < goal.lift_mm:
-            return f"rose by {figures['rise_mm']:.1f} mm at the end", figures
-        if held < goal.hold_s - 1e-9:
-            return f"was held high for {held:.2f} s", figures
-        return "", figures
+            figures["peak_stress_kpa"] = float(1e-3 * self._peak[env])
+        return self._record.missed(env), figures
 
     def forces(self) -> dict[str, float]:
-        return {f"{side} pad": float(self._grip[0, i]) for i, side in enumerate(SIDES)}
+        return {f"{side} pad": float(self._record.grip_n[0, i]) for i, side in enumerate(SIDES)}

@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import islice
 from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from taccel_lab.errors import InputError
 from taccel_lab.reading.strict_model import Number, StrictModel, Whole
 from taccel_lab.scene import Element
-from taccel_lab.tasks.draw import draw
+from taccel_lab.tasks.draw import draws
 
 Positive = Annotated[Number, Field(gt=0)]
 NotNegative = Annotated[Number, Field(ge=0)]
@@ -120,10 +122,24 @@ class PlanarStart(StrictModel):
     y_mm: NotNegative
     yaw_deg: NotNegative
 
-    def draw(self, seeds: Sequence[int]) -> tuple[list[dict[str, float]], np.ndarray]:
-        """What each seed draws, and the poses of that, [seed, 7], at z = 0."""
+    def draw(
+        self, seeds: Sequence[int], again: Callable[[float, float, float], bool] | None = None
+    ) -> tuple[list[dict[str, float]], np.ndarray]:
+        """What each seed draws, and the poses of that, [seed, 7], at z = 0.
+
+        ``again`` tells of x and y [m] and yaw [rad] whether they are drawn again; after a thousand
+        draws InputError says that there is no other start.
+        """
         ranges = {"x_mm": self.x_mm, "y_mm": self.y_mm, "yaw_deg": self.yaw_deg}
-        starts = [draw(seed, ranges) for seed in seeds]
+        starts = []
+        for seed in seeds:
+            for drawn in islice(draws(seed, ranges), 1000):
+                x, y, yaw = drawn.values()
+                if again is None or not again(1e-3 * x, 1e-3 * y, np.radians(yaw)):
+                    starts.append(drawn)
+                    break
+            else:
+                raise InputError(f"no start of {ranges} counts")
         yaw = np.radians([start["yaw_deg"] for start in starts])
         poses = np.zeros((len(starts), 7))
         poses[:, 0] = [1e-3 * start["x_mm"] for start in starts]

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Push a peg, held between two gels, into a hole that is not where the policy believes it.
 
-The scene is Taccel's (``peg_scene``). The policy is blind: the gels close in the first step, go
-straight down and stay. Offset and turn of gels and peg against the hole are drawn.
+The scene is Taccel's (``peg_scene``), with its own peg or another one. The policy is blind: the
+gels close in the first step, go straight down and stay. Offset and turn of gels and peg against the
+hole are drawn.
 """
 
 from __future__ import annotations
@@ -27,7 +28,15 @@ from taccel_lab.tasks.parameters import (
     Positive,
     TaskParameters,
 )
-from taccel_lab.tasks.peg_scene import PegPath, peg_parts, peg_scene, targets
+from taccel_lab.tasks.peg_scene import (
+    PegParts,
+    PegPath,
+    generated_gel,
+    peg_parts,
+    peg_scene,
+    targets,
+)
+from taccel_lab.tasks.pegs import Hole, Peg
 from taccel_lab.tasks.physics import contact_config
 
 SIDES = ("left", "right")
@@ -63,19 +72,47 @@ class PegGoal(StrictModel):
     """Of the peg's lowest point below the rim."""
 
 
-class PegInsertionParameters(TaskParameters):
-    """The file of a peg insertion."""
+class PegParameters(TaskParameters):
+    """What the files of peg insertions have in common."""
 
-    kind: Literal["peg-insertion"]
-    meshes: Literal["published", "generated"]
-    """Those of Taccel's example, from the data folder, or ours of the same dimensions."""
     contact: Contact
     start: PlanarStart
     """Of gels and peg, from above the middle of the hole."""
     policy: PegPolicy
     goal: PegGoal
+
+
+class PegInsertionParameters(PegParameters):
+    """The file of Taccel's peg insertion."""
+
+    kind: Literal["peg-insertion"]
+    meshes: Literal["published", "generated"]
+    """Those of Taccel's example, from the data folder, or ours of the same dimensions."""
     learning: Learning
     """From when the gels have closed."""
+
+    def parts(self) -> PegParts:
+        """The bodies of the scene."""
+        return peg_parts(self.meshes)[0]
+
+
+class PegFitParameters(PegParameters):
+    """The file of an insertion of another peg between the same gels."""
+
+    kind: Literal["peg-fit"]
+    peg: Peg
+    hole: Hole
+
+    def parts(self) -> PegParts:
+        """The bodies of the scene."""
+        return PegParts(
+            generated_gel(),
+            self.peg.mesh(),
+            self.hole.mesh(self.peg),
+            self.peg.mass_kg,
+            self.peg.friction,
+            self.hole.friction,
+        )
 
 
 class PegInsertion(Episode):
@@ -85,10 +122,13 @@ class PegInsertion(Episode):
     direction = (0.9, -1.4, 0.8)
 
     def __init__(
-        self, parameters: PegInsertionParameters, seeds: Sequence[int], device: str | None = None
+        self,
+        parameters: PegInsertionParameters | PegFitParameters,
+        seeds: Sequence[int],
+        device: str | None = None,
     ) -> None:
         self.parameters = parameters
-        parts, _ = peg_parts(parameters.meshes)
+        parts = parameters.parts()
         policy = parameters.policy
         self._path = PegPath.of_mm(policy.peg_mm, policy.times_s, policy.gel_mm)
         starts, offset = parameters.start.draw(seeds)

@@ -98,6 +98,9 @@ class PegParts:
     """Middle of the pad at the origin, bonded at its smallest z."""
     peg: TriangleMesh
     hole: TriangleMesh
+    peg_mass_kg: float = PEG_MASS_KG
+    peg_friction: float = STIFF_FRICTION
+    hole_friction: float = STIFF_FRICTION
 
 
 def published_parts(folder: Path) -> PegParts:
@@ -150,11 +153,16 @@ def tube(inner: np.ndarray, outer: np.ndarray, height: float) -> TriangleMesh:
     return TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
 
 
-def generated_parts(cells: tuple[int, int, int] = (6, 7, 1)) -> PegParts:
-    """Meshes of the published dimensions; about as many gel nodes as the published pad."""
+def generated_gel(cells: tuple[int, int, int] = (6, 7, 1)) -> TetMesh:
+    """Of the published dimensions, in the frame of ``PegParts``."""
     size = (20.75e-3, 25.25e-3, 4e-3)
     pad = block_mesh(cells, size, jitter=0.15, seed=4)
-    gel = labelled(pad.nodes_m + [0, 0, size[2] / 2], pad.tets)
+    return labelled(pad.nodes_m + [0, 0, size[2] / 2], pad.tets)
+
+
+def generated_parts(cells: tuple[int, int, int] = (6, 7, 1)) -> PegParts:
+    """Meshes of the published dimensions; about as many gel nodes as the published pad."""
+    gel = generated_gel(cells)
     cap = [(0, 1, 7), (1, 6, 7), (1, 2, 6), (2, 5, 6), (2, 3, 5), (3, 4, 5)]
     peg = prism(dog_bone(15e-3, 17.5e-3, 5e-3, 11.7265e-3), cap, 50e-3)
     hole = dog_bone(17e-3, 20.9641e-3, 4.4641e-3, 13.7265e-3)
@@ -191,22 +199,25 @@ def peg_scene(
     volume = mass_properties(parts.peg, 1.0).volume_m3
     peg = AffineBody(
         parts.peg,
-        density_kg_m3=PEG_MASS_KG / volume,
+        density_kg_m3=parts.peg_mass_kg / volume,
         young_modulus_pa=1e9,
         name="peg",
-        friction_coefficient=STIFF_FRICTION,
+        friction_coefficient=parts.peg_friction,
         initial_pose=np.array([*path.peg_m, 0, 0, 0, 1]) if peg_poses is None else peg_poses,
     )
     bodies, joints = [peg], []
     if hole_is_affine:
         bodies.append(
             AffineBody(
-                parts.hole, young_modulus_pa=1e9, name="hole", friction_coefficient=STIFF_FRICTION
+                parts.hole,
+                young_modulus_pa=1e9,
+                name="hole",
+                friction_coefficient=parts.hole_friction,
             )
         )
         joints.append(FixedJoint("hole"))
     else:
-        frames.append(KinematicBody(parts.hole, STIFF_FRICTION, name="hole"))
+        frames.append(KinematicBody(parts.hole, parts.hole_friction, name="hole"))
     time = TimeStepping(quasi_static=False, dt_s=dt_s, gravity_m_s2=GRAVITY)
     return Scene(gels, frames, env_count, time, affine_bodies=bodies, joints=joints)
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +30,8 @@ class Trial:
     """What was measured; names end in their units."""
     felt: np.ndarray | None = None
     """What the gels felt at the end, of tasks that judge all seeds together."""
+    cell: tuple[str, ...] = ()
+    """What it is of, of tasks with several cells: a hand and an object."""
 
 
 @dataclass(frozen=True)
@@ -62,18 +65,42 @@ class TaskResult:
             "solver_failures": sum(t.cause.startswith("solver: ") for t in self.trials),
             "seconds": round(self.seconds, 2),
             "figures": {name: self._spread(name) for name in names},
+            **({"cells": self.cells()} if any(trial.cell for trial in self.trials) else {}),
             "per_seed": [
                 {
                     "seed": trial.seed,
                     "success": trial.success,
                     "cause": trial.cause,
                     "steps": trial.steps,
+                    **({"cell": list(trial.cell)} if trial.cell else {}),
                     **trial.start,
                     **trial.figures,
                 }
                 for trial in self.trials
             ],
         }
+
+    def cells(self) -> list[dict[str, Any]]:
+        """Rate, interval and causes of each cell, in the order in which they come."""
+        by_cell: dict[tuple[str, ...], list[Trial]] = {}
+        for trial in self.trials:
+            by_cell.setdefault(trial.cell, []).append(trial)
+        found = []
+        for cell, trials in by_cell.items():
+            successes = sum(trial.success for trial in trials)
+            rate, low, high = success_interval(successes, len(trials))
+            causes = Counter(trial.cause.partition(":")[0] for trial in trials if trial.cause)
+            found.append(
+                {
+                    "cell": list(cell),
+                    "successes": successes,
+                    "trials": len(trials),
+                    "success_rate": rate,
+                    "interval_95": [low, high],
+                    "causes": dict(causes),
+                }
+            )
+        return found
 
     def _spread(self, name: str) -> dict[str, float]:
         values = np.array([t.figures[name] for t in self.trials if name in t.figures])

@@ -33,8 +33,8 @@ def run_task(
     """
     if not seeds:
         raise InputError("a run needs at least one seed")
-    size, limit = task.parameters.environments, steps or task.parameters.steps
-    groups = [seeds[i : i + size] for i in range(0, len(seeds), size)]
+    limit = steps or task.parameters.steps
+    groups = task.made_by.groups(task.parameters, seeds)
     trials: list[Trial] = []
     started = time.perf_counter()
     try:

@@ -11,11 +11,12 @@ again. The gels close until both push with a force, which is the gripper's own.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
-from taccel_lab.reading.strict_model import StrictModel
+from taccel_lab.reading.strict_model import Flag, Number, StrictModel
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import KinematicBody, Scene, TimeStepping
 from taccel_lab.signals.markers import MarkerLayout
@@ -26,14 +27,13 @@ from taccel_lab.tasks.pair_of_gels import SIDES, gels_of, mounts_of
 from taccel_lab.tasks.parameters import (
     Contact,
     Count,
-    FreeBody,
     NotNegative,
     Pad,
     PlanarStart,
     Positive,
     TaskParameters,
 )
-from taccel_lab.tasks.peg_scene import prism, tube
+from taccel_lab.tasks.pegs import Hole, Peg
 from taccel_lab.tasks.physics import contact_config
 
 
@@ -54,24 +54,6 @@ class Markers(StrictModel):
             for count, pitch in zip((self.columns, self.rows), self.pitch_mm, strict=True)
         )
         return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-
-
-class Peg(FreeBody):
-    """A prism on end whose section is an even octagon."""
-
-    across_mm: Positive
-    """Of opposite flats; the gels grip two of them."""
-    height_mm: Positive
-
-
-class Hole(StrictModel):
-    """A hole in a block that stands still, of the peg's section and somewhat larger."""
-
-    clearance_mm: Positive
-    """On each side of the peg."""
-    wall_mm: Positive
-    depth_mm: Positive
-    friction: NotNegative
 
 
 class TouchPolicy(StrictModel):
@@ -103,6 +85,8 @@ class TouchPolicy(StrictModel):
     than the mean and this part of it."""
     aside_mm: Positive
     """Step away from that side."""
+    turns_deg: tuple[Number, ...] = ()
+    """Turns instead, one after the other, where the rim is felt on no side."""
     tries: Count
 
 
@@ -111,6 +95,8 @@ class TouchGoal(StrictModel):
 
     depth_mm: Positive
     """Of the peg's lowest point below the rim."""
+    whole: Flag = False
+    """Of its whole lower end instead."""
 
 
 class TouchInsertionParameters(TaskParameters):
@@ -124,8 +110,16 @@ class TouchInsertionParameters(TaskParameters):
     contact: Contact
     start: PlanarStart
     """Of gels and peg, from above the middle of the hole."""
+    on_rim: Flag = False
+    """Whether starts from which the peg would go in at once are drawn again."""
     policy: TouchPolicy
     goal: TouchGoal
+
+    def drawn_again(self, x_m: float, y_m: float, yaw_rad: float) -> bool:
+        """Whether a start does not count."""
+        section = self.peg.section()
+        hole = replace(section, outline=self.hole.outline(self.peg))
+        return self.on_rim and not hole.crosses(section.placed(x_m, y_m, yaw_rad))
 
 
 class TouchInsertion(Episode):
@@ -140,12 +134,11 @@ class TouchInsertion(Episode):
         self.parameters = parameters
         count, policy = len(seeds), parameters.policy
         block, pit = parameters.peg, parameters.hole
-        self._rim, self._flat = 1e-3 * pit.depth_mm, 5e-4 * block.across_mm
-        inner = self._flat + 1e-3 * pit.clearance_mm
-        cap = [(0, i, i + 1) for i in range(1, 7)]
-        peg = prism(_octagon(self._flat), cap, 1e-3 * block.height_mm)
-        hole = tube(_octagon(inner), _octagon(inner + 1e-3 * pit.wall_mm), self._rim)
-        starts, pose = parameters.start.draw(seeds)
+        self._rim, self._flat = 1e-3 * pit.depth_mm, block.half_m
+        peg, hole = block.mesh(), pit.mesh(block)
+        self._end = peg.vertices_m[:, 2] < peg.vertices_m[:, 2].min() + 1e-9
+        """Nodes of the peg's lower end, bool, [node]."""
+        starts, pose = parameters.start.draw(seeds, parameters.drawn_again)
         self._hands = matrix_of(pose)
         """Middle of both gels, as the policy moves it, [env, 4, 4]."""
         lower = self._rim + 1e-3 * policy.clear_mm
@@ -173,15 +166,24 @@ class TouchInsertion(Episode):
         self._now = self._zero.copy()
         self._aside = np.zeros((count, 2))
         """Step that the policy takes when it is up [m]."""
+        self._turn, self._turns = np.zeros(count), np.zeros(count, dtype=int)
+        """Turn that it takes then [rad], and how many of its turns it has taken."""
         self._tries = np.ones(count, dtype=int)
         self._depth = np.full(count, np.nan)
         self._jam, self._on_hole = np.zeros(count), np.zeros(count)
         self._grip = np.zeros((count, 2))
+        self._gripped_at = np.full((count, 3), np.nan)
+        self._slip = np.full(count, np.nan)
 
     @property
     def hands_m(self) -> np.ndarray:
         """Where the policy has moved the middle of the gels [m], [env, 3]."""
         return self._hands[:, :3, 3].copy()
+
+    @property
+    def turns_deg(self) -> np.ndarray:
+        """How far about the vertical the hands are turned, [env]."""
+        return np.degrees(np.arctan2(self._hands[:, 1, 0], self._hands[:, 0, 0]))
 
     def _targets(self) -> np.ndarray:
         mounts = mounts_of(self._hands, self._flat - self._closed)
@@ -221,7 +223,10 @@ class TouchInsertion(Episode):
         there = up & (height >= self._top - 1e-12)
         turned = np.einsum("eij,ej->ei", self._hands[:, :2, :2], self._aside)
         self._hands[there, :2, 3] += turned[there]
-        self._aside[there] = 0.0
+        about_z = np.zeros((int(there.sum()), 7))
+        about_z[:, 5], about_z[:, 6] = np.sin(self._turn[there] / 2), np.cos(self._turn[there] / 2)
+        self._hands[there] = self._hands[there] @ matrix_of(about_z)
+        self._aside[there], self._turn[there] = 0.0, 0.0
         return Control(target_poses=self._targets())
 
     def measure(self) -> None:
@@ -231,13 +236,21 @@ class TouchInsertion(Episode):
         self._on_hole[run] = np.linalg.norm(self.force_on("peg", "hole"), axis=1)[run]
         self._jam = np.maximum(self._jam, self._on_hole)
         body = self.model.bodies[self.model.body_id("peg")]
-        lowest = self.state.positions.numpy()[:, body.node_slice, 2].min(axis=1)
-        self._depth[run] = (self._rim - lowest)[run]
+        heights = self.state.positions.numpy()[:, body.node_slice, 2]
+        end = heights[:, self._end]
+        lower = end.max(axis=1) if self.parameters.goal.whole else end.min(axis=1)
+        self._depth[run] = (self._rim - lower)[run]
         seen = self._seen()
         self._now[run] = seen[run]
         was = self._gripped.copy()
         firm = (self._grip >= policy.grip_n).all(axis=1)
         self._gripped |= run & (firm | (self._closed >= 1e-3 * policy.squeeze_mm - 1e-12))
+        local = np.einsum(
+            "eji,ej->ei", self._hands[:, :3, :3], self.affine_frame()[0] - self._hands[:, :3, 3]
+        )
+        fresh = self._gripped & ~was
+        self._gripped_at[fresh] = local[fresh]
+        self._slip[run] = np.linalg.norm(local - self._gripped_at, axis=1)[run]
         ready = run & self._gripped & (~was | self._rising)
         ready &= self._hands[:, 2, 3] >= self._top - 1e-12
         going = run & was & ~self._rising
@@ -246,6 +259,9 @@ class TouchInsertion(Episode):
         felt = going & (self._moved_up().mean(axis=(1, 2)) > 1e-3 * policy.felt_mm)
         for env in np.flatnonzero(felt):
             self._aside[env] = self._away(int(env))
+            if not self._aside[env].any() and self._turns[env] < len(policy.turns_deg):
+                self._turn[env] = np.radians(policy.turns_deg[self._turns[env]])
+                self._turns[env] += 1
         out = felt & (self._tries >= policy.tries)
         self._tries[felt & ~out] += 1
         self._rising |= felt
@@ -277,6 +293,7 @@ class TouchInsertion(Episode):
             "depth_mm": 1e3 * self._depth[env],
             "tries": self._tries[env],
             "jam_force_n": self._jam[env],
+            "slip_mm": 1e3 * self._slip[env],
             "grip_n": self._grip[env].mean(),
         }
         figures = {name: float(value) for name, value in found.items()}
@@ -287,9 +304,3 @@ class TouchInsertion(Episode):
     def forces(self) -> dict[str, float]:
         gels = {f"{side} gel": float(self._grip[0, i]) for i, side in enumerate(SIDES)}
         return gels | {"hole": float(self._on_hole[0])}
-
-
-def _octagon(apothem_m: float) -> np.ndarray:
-    """Counter-clockwise, flats to +-x and +-y, [8, 2]."""
-    angles = np.pi / 8 + np.pi / 4 * np.arange(8)
-    return apothem_m / np.cos(np.pi / 8) * np.stack([np.cos(angles), np.sin(angles)], axis=1)

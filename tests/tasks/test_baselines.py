@@ -59,6 +59,31 @@ def test_grasp_lift(name: str, successes: int) -> None:
                 assert 9.0 < trial.figures["peak_stress_kpa"] < 16.0
 
 
+@pytest.mark.timeout(3000)
+def test_grasp_lift_matrix() -> None:
+    """Four of the 24 starts of each cell; balls are held by all hands, bolts by none."""
+    task = named("grasp-lift-matrix")
+    result = run_task(task, [seed for seed in range(960) if seed % 24 < 4], "cpu")
+    assert result.table()["solver_failures"] == 0
+    cells = {tuple(cell["cell"]): cell for cell in result.cells()}
+    assert len(cells) == 40 and all(cell["trials"] == 4 for cell in cells.values())
+    measured = {
+        "parallel_gripper": 27,
+        "panda_hand": 30,
+        "three_finger_hand": 33,
+        "allegro_right": 25,
+    }
+    for hand, successes in measured.items():
+        _, low, high = success_interval(successes, 40)
+        rate = sum(cells[key]["successes"] for key in cells if key[0] == hand) / 40
+        assert low <= rate <= high
+        assert cells[hand, "ball"]["successes"] == 4
+        assert cells[hand, "hex bolt"]["successes"] == 0
+    for trial in result.trials:
+        assert trial.figures["strongest_grip_n"] < 30
+        assert not trial.success or trial.figures["gels_pushing"] >= 2
+
+
 def crossing(a: np.ndarray, b: np.ndarray) -> bool:
     """Whether the closed outlines [n, 2] and [m, 2] cross."""
     p, q = a[:, None], np.roll(a, -1, axis=0)[:, None]
@@ -94,6 +119,42 @@ def test_peg_insertion_is_what_geometry_allows() -> None:
     assert len(free) > 20 and len(blocked) > 5
     assert all(t.success and t.figures["jam_force_n"] == 0 for t in free)
     assert all(t.figures["jam_force_n"] > 1 for t in blocked)
+
+
+@pytest.mark.parametrize(
+    ("name", "successes", "clearance_mm", "depth_mm"),
+    [("peg-tacex", 62, 0.057, 24.5), ("peg-tacsl", 48, 0.2585, 22.6)],
+)
+def test_round_pegs_that_fit_go_in(
+    name: str, successes: int, clearance_mm: float, depth_mm: float
+) -> None:
+    """By their distance from the hole's axis; the flats of 64 sides take 0.1 % of a radius."""
+    result = run(name, 64)
+    _, low, high = success_interval(successes, 64)
+    assert low <= result.successes / 64 <= high
+    for trial in result.trials:
+        off = np.hypot(trial.start["x_mm"], trial.start["y_mm"])
+        assert trial.success or off > 0.95 * clearance_mm
+        assert not trial.success or off < clearance_mm + 0.02
+        if off < 0.8 * clearance_mm:
+            assert trial.figures["depth_mm"] == pytest.approx(depth_mm, abs=0.4)
+            assert trial.figures["jam_force_n"] < 0.1 and trial.figures["slip_mm"] < 0.2
+
+
+@pytest.mark.parametrize(
+    ("name", "successes"),
+    [("peg-vitac-cuboid", 15), ("peg-vitac-trapezoid", 11), ("peg-vitac-concave", 10)],
+)
+def test_pegs_on_the_rim(name: str, successes: int) -> None:
+    """None goes in at the first try: starts from which it would do not count. One that fails has
+    used up its tries, or stayed behind as the hand went down without feeling it."""
+    result = run(name, 64)
+    _, low, high = success_interval(successes, 64)
+    assert low <= result.successes / 64 <= high
+    for trial in result.trials:
+        assert trial.figures["tries"] > 1 and trial.figures["jam_force_n"] > 3
+        stayed = trial.figures["slip_mm"] > 8
+        assert trial.success or trial.figures["tries"] == 8 or stayed
 
 
 def test_ball_rolling() -> None:

@@ -45,3 +45,20 @@ def test_a_solver_failure_counts_as_failure_with_its_cause() -> None:
     assert table["figures"]["slip_mm"]["median"] == pytest.approx(0.2)
     assert [row["cause"] for row in table["per_seed"]] == [trial.cause for trial in trials]
     assert json.loads(json.dumps(to_jsonable(table)))["per_seed"][3]["slip_mm"] is None
+
+
+def test_cells_are_told_apart() -> None:
+    trials = [
+        Trial(0, True, "", 9, {}, {}, cell=("hand", "nut")),
+        Trial(1, False, "slipped: rose by 1.0 mm", 9, {}, {}, cell=("hand", "nut")),
+        Trial(2, False, "solver: OVERLAP in step 1", 0, {}, {}, cell=("claw", "nut")),
+        Trial(3, False, "slipped: rose by 7.0 mm", 9, {}, {}, cell=("hand", "nut")),
+    ]
+    table = to_jsonable(TaskResult("lift", trials, 1.0, 4).table())
+    first, second = table["cells"]
+    assert first["cell"] == ["hand", "nut"] and first["causes"] == {"slipped": 2}
+    assert (first["successes"], first["trials"]) == (1, 3)
+    assert first["interval_95"] == list(success_interval(1, 3)[1:])
+    assert second["success_rate"] == 0 and second["causes"] == {"solver": 1}
+    assert [row["cell"][0] for row in table["per_seed"]] == ["hand", "hand", "claw", "hand"]
+    assert "cells" not in TaskResult("lift", [Trial(0, True, "", 9, {}, {})], 1.0, 1).table()

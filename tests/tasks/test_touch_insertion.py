@@ -53,3 +53,19 @@ def test_tries_are_used_up() -> None:
     (trial,) = run_task(task, [1], "cpu").trials
     assert not trial.success and trial.figures["tries"] == 2
     assert trial.figures["depth_mm"] < 0.1 and trial.steps < 60
+
+
+def test_where_no_side_is_felt_the_hand_turns() -> None:
+    """A policy that tells no side goes through its turns, and then stays turned."""
+    task = named("touch-insertion")
+    assert isinstance(task.parameters, TouchInsertionParameters)
+    policy = task.parameters.policy.replace(side_part=(1e3, 1e3), turns_deg=(3.0, -5.0), tries=4)
+    task = replace(task, parameters=task.parameters.replace(policy=policy))
+    episode = task.begin([1], "cpu")
+    assert isinstance(episode, TouchInsertion)
+    seen = []
+    while not episode.over:
+        episode.advance()
+        seen.append(round(float(episode.turns_deg[0]), 6))
+    assert list(dict.fromkeys(seen)) == [0.0, 3.0, -2.0]
+    assert episode.trials()[0].figures["tries"] == 4

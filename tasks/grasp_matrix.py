@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Grasp and lift each of several objects with each of several hands.
+
+A cell is a hand with an object. Each finger closes until its own gels push with a force, on its
+stated way (``tasks.hands``); then the hand rises. Starts are the same in all cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from taccel_lab.errors import InputError
+from taccel_lab.reading.strict_model import StrictModel
+from taccel_lab.robots.transforms import matrix_of, pose_of
+from taccel_lab.scene import Plane, Scene, TimeStepping, TriangleMesh, sphere_mesh
+from taccel_lab.solvers import Control
+from taccel_lab.tasks.bodies import free_body
+from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.hands import Hand, HandWithGels
+from taccel_lab.tasks.lift_record import LiftGoal, LiftRecord
+from taccel_lab.tasks.parameters import (
+    Contact,
+    Count,
+    FreeBody,
+    NotNegative,
+    Pad,
+    PlanarStart,
+    Positive,
+    TaskParameters,
+)
+from taccel_lab.tasks.parts import PARTS
+from taccel_lab.tasks.physics import G, contact_config
+from taccel_lab.tasks.result import TaskResult
+
+SHAPES: dict[str, Callable[[], TriangleMesh]] = {
+    **PARTS,
+    "ball": lambda: sphere_mesh(5e-3, 1e-3),
+}
+"""Objects by name, before they are scaled; the ball has a radius of 5 mm."""
+
+
+class ScaledShape(StrictModel):
+    """What is grasped, as it stands with its axis upright."""
+
+    shape: str
+    scale: Positive
+
+    def mesh(self) -> TriangleMesh:
+        """It about the middle of its box [m]."""
+        shape = SHAPES[self.shape]()
+        return TriangleMesh(self.scale * shape.vertices_m, shape.faces)
+
+
+class MatrixPolicy(StrictModel):
+    """The scripted baseline."""
+
+    reach_mm_s: Positive
+    """Of each gel until one of its finger's touches the object."""
+    close_mm_s: Positive
+    """And after."""
+    grip_n: Positive
+    """A finger stays while all its gels push as hard, or a link of it touches the object: where
+    links go as they are told, several would crush it."""
+    most_n: Positive
+    """Closing ends when all fingers stay or are closed, or a gel pushes as hard."""
+    grip_s: Positive
+    """And at the latest then."""
+    lift_mm_s: Positive
+    lift_mm: Positive
+    lost_mm: Positive
+    """An object that has slipped as far is given up."""
+
+
+class GraspMatrixParameters(TaskParameters):
+    """The file of a matrix of hands and objects."""
+
+    kind: Literal["grasp-matrix"]
+    starts: Count
+    """Of each cell: seed k is start k modulo this, of cell k divided by it, cells row by row (all
+    objects of the first hand first); seeds beyond all cells are further starts of them."""
+    plane_friction: NotNegative
+    gel: Pad
+    contact: Contact
+    body: FreeBody
+    """Mass and friction of every object."""
+    start: PlanarStart
+    """Of the object, from below the middle of the hand."""
+    policy: MatrixPolicy
+    goal: LiftGoal
+    objects: Annotated[tuple[ScaledShape, ...], Field(min_length=1)]
+    hands: Annotated[dict[str, Hand], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        unknown = [thing.shape for thing in self.objects if thing.shape not in SHAPES]
+        if unknown:
+            raise ValueError(f"no shapes {', '.join(unknown)}; there are {', '.join(SHAPES)}")
+        if len({thing.shape for thing in self.objects}) < len(self.objects):
+            raise ValueError("objects names one shape twice")
+        return self
+
+    def cell(self, seed: int) -> tuple[str, ScaledShape]:
+        """Name of the hand, and the object of a seed."""
+        row, column = divmod(
+            seed // self.starts % (len(self.hands) * len(self.objects)), len(self.objects)
+        )
+        return list(self.hands)[row], self.objects[column]
+
+    def drawn(self, seed: int) -> int:
+        """Number of a seed's start, the same in all cells."""
+        rounds = seed // (self.starts * len(self.hands) * len(self.objects))
+        return rounds * self.starts + seed % self.starts
+
+
+class GraspMatrix(Episode):
+    """Grasps of some seeds of one cell; one that is over is not stepped any more."""
+
+    gel = "gel 1"
+    direction = (0.7, -1.4, 0.5)
+
+    def __init__(
+        self, parameters: GraspMatrixParameters, seeds: Sequence[int], device: str | None = None
+    ) -> None:
+        self.parameters = parameters
+        name, thing = parameters.cell(seeds[0])
+        if any(parameters.cell(seed) != (name, thing) for seed in seeds):
+            raise InputError("seeds of one episode must be of one cell")
+        self._cell = (name, thing.shape)
+        count, policy = len(seeds), parameters.policy
+        starts, poses = parameters.start.draw([parameters.drawn(seed) for seed in seeds])
+        mesh = thing.mesh()
+        half = -float(mesh.vertices_m[:, 2].min())
+        # It lies where contact has just begun, and settles while the fingers close.
+        poses[:, 2] = half + 1e-3 * parameters.contact.dhat_mm
+        self.hand = HandWithGels(parameters.hands[name], parameters.gel)
+        robot = self.hand.robot
+        self._base = self.hand.base(half)
+        scene = Scene(
+            robot.soft_bodies(),
+            robot.kinematic_bodies(),
+            count,
+            TimeStepping(False, parameters.dt_s, (0.0, 0.0, -G)),
+            affine_bodies=free_body(parameters.body, mesh, "object", poses),
+            planes=Plane(friction_coefficient=parameters.plane_friction),
+        )
+        self._ways = np.zeros((count, len(self.hand.lengths_m)))
+        """Of the fingers [m], [env, finger]."""
+        self._raised = np.zeros(count)
+        config = contact_config(parameters.contact)
+        super().__init__(parameters, seeds, starts, scene, config, self._targets(), device)
+        rest = self.affine_frame()[0][:, 2]
+        shape = (count, len(self.hand.gels))
+        self._record = LiftRecord(parameters.goal, parameters.dt_s, rest, shape)
+        self._touched = np.zeros_like(self._ways, dtype=bool)
+        self._stays = np.zeros_like(self._ways, dtype=bool)
+        self._grip_steps = round(policy.grip_s / parameters.dt_s)
+
+    def _targets(self) -> np.ndarray:
+        base = np.tile(self._base, (len(self._ways), 1))
+        base[:, 2] += self._raised
+        links = self.hand.robot.targets(self.hand.coordinates(self._ways))
+        return pose_of(matrix_of(base)[:, None] @ matrix_of(links))
+
+    def control(self) -> Control:
+        policy, dt = self.parameters.policy, self.parameters.dt_s
+        speed = np.where(self._touched, policy.close_mm_s, policy.reach_mm_s)
+        closer = np.minimum(self._ways + 1e-3 * speed * dt, self.hand.lengths_m)
+        gripping = self._record.gripping
+        self._ways = np.where(gripping[:, None] | self._stays, self._ways, closer)
+        higher = np.minimum(self._raised + 1e-3 * policy.lift_mm_s * dt, 1e-3 * policy.lift_mm)
+        self._raised = np.where(gripping, higher, self._raised)
+        return Control(target_poses=self._targets())
+
+    def measure(self) -> None:
+        policy, record = self.parameters.policy, self._record
+        wrenches = self.outputs.contact_wrenches().wrenches.numpy()
+        on_object = np.linalg.norm(wrenches[:, self.model.body_id("object"), :, :3], axis=2)
+
+        def by(names: list[str]) -> np.ndarray:
+            return on_object[:, [self.model.body_id(name) for name in names]]
+
+        forces = by(self.hand.gels)
+        record.grip_n = np.where(self.running[:, None], forces, record.grip_n)
+        for i, links in enumerate(self.hand.links):
+            own = forces[:, self.hand.finger_of == i]
+            self._touched[:, i] |= (own > 0).any(axis=1)
+            self._stays[:, i] = (own >= policy.grip_n).all(axis=1) | (by(links) > 0).any(axis=1)
+        ended = (self._stays | (self._ways >= self.hand.lengths_m - 1e-12)).all(axis=1)
+        ended |= (forces >= policy.most_n).any(axis=1) | (self.taken >= self._grip_steps)
+        begins = self.running & ~record.gripping & ended
+        record.look(self.running, begins, self.affine_frame()[0], self._raised)
+        lost = np.nan_to_num(record.slip_m) > 1e-3 * policy.lost_mm
+        self.running &= ~(record.done | lost)
+
+    def judge(self, env: int) -> tuple[str, dict[str, float]]:
+        record = self._record
+        pushing = int(record.pushing[env].sum())
+        figures = record.figures(env) | {"gels_pushing": float(pushing)}
+        # What links hold, which push as hard as it takes, is no grasp.
+        if pushing < 2:
+            return f"never gripped: {pushing} of {len(self.hand.gels)} gels pushed", figures
+        missed = record.missed(env)
+        return missed and f"slipped: {missed}", figures
+
+    def cell(self, env: int) -> tuple[str, ...]:
+        return self._cell
+
+    def forces(self) -> dict[str, float]:
+        return {gel: float(self._record.grip_n[0, i]) for i, gel in enumerate(self.hand.gels)}
+
+    @classmethod
+    def groups(cls, parameters: TaskParameters, seeds: Sequence[int]) -> list[Sequence[int]]:
+        assert isinstance(parameters, GraspMatrixParameters)
+        by_cell: dict[tuple[str, str], list[int]] = {}
+        for seed in seeds:
+            hand, thing = parameters.cell(seed)
+            by_cell.setdefault((hand, thing.shape), []).append(seed)
+        found: list[Sequence[int]] = []
+        for chosen in by_cell.values():
+            found += super().groups(parameters, chosen)
+        return found
+
+    @classmethod
+    def draw(cls, parameters: TaskParameters, result: TaskResult, folder: Path) -> None:
+        """``cells.png`` besides."""
+        from taccel_lab.tasks.cells_picture import draw_cells
+
+        super().draw(parameters, result, folder)
+        draw_cells(result, folder / "cells.png")
