@@ -40,9 +40,9 @@ class LearningTask(ABC):
 
     start_names: ClassVar[tuple[str, ...]]
     """What a start draws, with units."""
-    action_names: ClassVar[tuple[str, ...]]
+    action_names: tuple[str, ...]
     """What the entries of an action move; each lies in [-1, 1]."""
-    proprioception_names: ClassVar[tuple[str, ...]]
+    proprioception_names: tuple[str, ...]
     """What the robot knows of itself, with units."""
 
     scene: Scene

@@ -211,7 +211,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         return self.views.space(name)
 
     def _tensor(self, value: Any, name: str, width: int) -> torch.Tensor:
-        found = torch.as_tensor(value, device=self.device).to(torch.float64)
+        found = torch.as_tensor(value, dtype=torch.float64, device=self.device)
         if found.shape != (self.num_envs, width):
             shape = list(found.shape)
             raise InputError(f"{name} must have shape [{self.num_envs}, {width}], got {shape}")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasp an object that lies on a plane, and lift it.
 
-Two fingers with a gel each close on a free body, stiff or soft, until both push with a force, and
+Fingers with a gel each close on a free body, stiff or soft, until all push with a force, and
 rise. The fingers follow their targets exactly (gels stand on kinematic bodies); the force comes
 from closing in small steps until it is measured. The gripper aims at the middle; the body lies
 beside it.
@@ -26,7 +26,7 @@ from taccel_lab.scene import AffineBody, Element, Material, SoftBody
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import free_body, pad_body, pad_mesh, solid
 from taccel_lab.tasks.episode import Episode
-from taccel_lab.tasks.grasp_scene import SIDES, grasp_scene
+from taccel_lab.tasks.grasp_scene import grasp_scene
 from taccel_lab.tasks.parameters import (
     Contact,
     FreeBody,
@@ -114,12 +114,12 @@ class GraspPolicy(StrictModel):
     """The scripted baseline."""
 
     open_mm: Positive
-    """Of each finger's seat from the middle, at the start."""
+    """Of each gel's seat from the middle, at the start."""
     closed_mm: NotNegative
     """Where closing ends, whatever the force."""
     close_mm_s: Positive
     grip_n: Positive
-    """Closing ends when both gels push as hard."""
+    """Closing ends when all gels push as hard."""
     lift_mm_s: Positive
     lift_mm: Positive
 
@@ -132,16 +132,20 @@ class GraspGoal(StrictModel):
 
 
 class GraspLearning(Learning):
-    """What a learned policy may do: it opens and closes the fingers, too."""
+    """What a learned policy may do: it moves the joints of the fingers, too."""
 
-    close_mm_s: Positive
-    """Of each finger, of an action of 1."""
+    joint_actions: Literal["delta", "target"]
+    """What actions of joints mean: a step of the coordinate, or where it is to go."""
+    joint_speed: Positive
+    """Of each joint, of an action of 1 [mm/s or degrees/s]."""
+    joint_reach: Positive
+    """How far from its start each joint may go [mm or degrees], within its limits."""
 
 
 class GraspParameters(TaskParameters):
     """What the files of grasps have in common."""
 
-    robot: Literal["parallel_gripper"]
+    robot: Literal["parallel_gripper", "three_finger_hand"]
     plane_friction: NotNegative
     gel: Pad
     contact: Contact
@@ -169,7 +173,6 @@ class SoftGraspParameters(GraspParameters):
 class GraspLift(Episode):
     """Grasp and lift of some seeds."""
 
-    gel = "left pad"
     direction = (0.7, -1.4, 0.5)
 
     def __init__(
@@ -187,13 +190,16 @@ class GraspLift(Episode):
             parameters.object.at,
             parameters.object.half_height_m,
             pose,
+            closed_m=1e-3 * policy.closed_mm,
             plane_friction=parameters.plane_friction,
             dhat_mm=parameters.contact.dhat_mm,
             dt_s=parameters.dt_s,
         )
         self.robot, self._base = built.robot, built.base
+        self._grasper, self._pads = built.grasper, list(built.grasper.pads)
+        self.gel = self._pads[0]
         self.seat = np.full(count, 1e-3 * policy.open_mm)
-        """Coordinate of the fingers [m]."""
+        """Of the gels from the middle between them [m]."""
         self.raised = np.zeros(count)
         """How far the gripper has risen [m]."""
         self.gripping = np.zeros(count, dtype=bool)
@@ -204,7 +210,7 @@ class GraspLift(Episode):
         """Largest equivalent stress of a soft body so far [Pa]."""
         self._rest_height = built.rest_height_m
         self._held = np.zeros(count, dtype=int)
-        self._grip = np.zeros((count, 2))
+        self._grip = np.zeros((count, len(self._pads)))
         self._weakest = np.full(count, np.nan)
         self._strongest = np.zeros(count)
         self._gripped_at = np.full((count, 3), np.nan)
@@ -214,7 +220,8 @@ class GraspLift(Episode):
     def _targets(self) -> np.ndarray:
         base = np.tile(self._base, (len(self.seat), 1))
         base[:, 2] += self.raised
-        return pose_of(matrix_of(base)[:, None] @ matrix_of(self.robot.targets(self.seat[:, None])))
+        links = self.robot.targets(self._grasper.closed(self.seat))
+        return pose_of(matrix_of(base)[:, None] @ matrix_of(links))
 
     def control(self) -> Control:
         policy, dt = self.parameters.policy, self.parameters.dt_s
@@ -227,7 +234,7 @@ class GraspLift(Episode):
 
     def measure(self) -> None:
         policy, goal = self.parameters.policy, self.parameters.goal
-        grip = [self.force_on("object", f"{side} pad", friction=False) for side in SIDES]
+        grip = [self.force_on("object", pad, friction=False) for pad in self._pads]
         self._grip = np.linalg.norm(np.stack(grip, axis=1), axis=2)
         centre = self._middle()
         relative = centre - np.array([0.0, 0.0, 1.0]) * self.raised[:, None]
@@ -276,4 +283,4 @@ class GraspLift(Episode):
         return "", figures
 
     def forces(self) -> dict[str, float]:
-        return {f"{side} pad": float(self._grip[0, i]) for i, side in enumerate(SIDES)}
+        return {pad: float(self._grip[0, i]) for i, pad in enumerate(self._pads)}

@@ -31,6 +31,7 @@ def run(name: str, seeds: int) -> TaskResult:
         ("grasp-lift", 63),
         ("grasp-lift-cylinder", 64),
         ("grasp-lift-ball", 64),
+        ("grasp-lift-hand", 64),
         ("soft-block", 63),
         ("soft-bear", 64),
     ],
