@@ -17,6 +17,7 @@ import warp as wp
 from taccel_lab.bodies.joints import JointKind
 from taccel_lab.learning.joint_control import JointControl
 from taccel_lab.learning.poses import about_z, compose, planar_inverse
+from taccel_lab.learning.ranges import DrawnRange, Given, sensor_ranges
 from taccel_lab.learning.task import Judgement, LearningTask
 from taccel_lab.model import Model
 from taccel_lab.state import State
@@ -25,6 +26,7 @@ from taccel_lab.tasks.grasp_scene import grasp_scene
 from taccel_lab.tasks.physics import contact_config
 
 if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
     from taccel_lab.tasks.grasp_lift import GraspLiftParameters
 
 SUCCESS_REWARD = 1.0
@@ -36,7 +38,12 @@ class GraspLiftLearning(LearningTask):
 
     start_names = ("x_mm", "y_mm", "yaw_deg")
 
-    def __init__(self, parameters: GraspLiftParameters, env_count: int) -> None:
+    def __init__(
+        self,
+        parameters: GraspLiftParameters,
+        env_count: int,
+        sensor: SensorProfile | None = None,
+    ) -> None:
         start, policy, learning = parameters.start, parameters.policy, parameters.learning
         goal, dt = parameters.goal, parameters.dt_s
         shape = solid(parameters.object.shape, parameters.object.size_mm)
@@ -47,6 +54,7 @@ class GraspLiftLearning(LearningTask):
             -float(shape.vertices_m[:, 2].min()),
             np.tile([0.0, 0, 0, 0, 0, 0, 1], (env_count, 1)),
             closed_m=1e-3 * policy.closed_mm,
+            sensor=sensor,
             plane_friction=parameters.plane_friction,
             dhat_mm=parameters.contact.dhat_mm,
             dt_s=dt,
@@ -56,6 +64,7 @@ class GraspLiftLearning(LearningTask):
         self.step_limit = parameters.steps
         self.start_half = (start.x_mm, start.y_mm, start.yaw_deg)
         self.randomised = tuple(learning.randomise)
+        self._sensor, self._gels = sensor, tuple(built.grasper.pads)
         kinds = {joint.name: joint.kind for joint in built.robot.joints}
         dofs = built.robot.dof_names
         units = [1e-3 if kinds[name] is JointKind.PRISMATIC else np.radians(1.0) for name in dofs]
@@ -75,6 +84,11 @@ class GraspLiftLearning(LearningTask):
         self._per_step = dt * np.array([*ways, np.radians(learning.turn_deg_s)])
         reach = [1e-3 * reach for reach in learning.reach_mm]
         self._reach = np.array([*reach, np.radians(learning.reach_deg)])
+
+    def ranges(self, given: Given) -> tuple[DrawnRange, ...]:
+        if self._sensor is None:
+            return super().ranges(given)
+        return sensor_ranges(self.randomised, self._sensor, self._gels, self.scene, given)
 
     def attach(self, model: Model, state: State) -> None:
         count, device = model.env_count, wp.device_to_torch(model.device)

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.errors import InputError
 from taccel_lab.robots import Robot, named, on_seat
 from taccel_lab.scene import AffineBody, Plane, Scene, SoftBody, TimeStepping
 from taccel_lab.tasks.bodies import pad_body, pad_mesh
 from taccel_lab.tasks.physics import G
 
 if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
     from taccel_lab.tasks.parameters import Pad
 
 
@@ -74,18 +76,27 @@ def grasp_scene(
     poses: np.ndarray,
     *,
     closed_m: float,
+    sensor: SensorProfile | None = None,
     plane_friction: float,
     dhat_mm: float,
     dt_s: float,
 ) -> GraspScene:
     """The scene of ``poses`` of the object, [env, 7], whose heights do not count: of ``grasped``
     there, whose middle is ``half_height_m`` over its lowest point. Fingers close until seats of
-    gels are ``closed_m`` from the middle."""
+    gels are ``closed_m`` from the middle. Gels of ``sensor`` stand in place of ``pad``.
+
+    Raises InputError for a sensor whose gel has layers of several materials.
+    """
     grasper = GRASPERS[robot_name]
     robot = named(robot_name).touching(grasper.touched)
-    mesh = pad_mesh(pad)
+    if sensor is not None and sensor.material.layers:
+        raise InputError(
+            f"sensor {sensor.sensor.name!r} has a gel of several layers: grasps take gels of one"
+        )
+    mesh = pad_mesh(pad) if sensor is None else sensor.mesh
+    gel = sensor or pad_body(pad, mesh)
     for name, link in grasper.pads.items():
-        robot = robot.mount(link, pad_body(pad, mesh), on_seat(mesh), name)
+        robot = robot.mount(link, gel, on_seat(mesh), name)
     # It lies where contact has just begun, and settles while the fingers close.
     height = half_height_m + 1e-3 * dhat_mm
     poses = np.array(poses)
