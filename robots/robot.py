@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
@@ -17,10 +17,26 @@ from taccel_lab.robots.arrays import Array, Constants, is_tensor, namespace
 from taccel_lab.robots.description import Link, RobotJoint, check_names, listed
 from taccel_lab.robots.inverse_kinematics import IKOptions, IKResult, solve
 from taccel_lab.robots.kinematics import Kinematics
-from taccel_lab.robots.mounts import CarriedBody, Mount, carried_bodies, make_mount
+from taccel_lab.robots.mounts import (
+    GEL_SURFACE,
+    TOUCHING_SURFACES,
+    CarriedBody,
+    Mount,
+    carried_bodies,
+    make_mount,
+)
+from taccel_lab.robots.self_contact import (
+    Pairs,
+    Part,
+    checked_pairs,
+    on_surfaces,
+    overlapping,
+    require_apart,
+    surfaces,
+)
 from taccel_lab.robots.shapes import MeshShape, SurfaceShape
 from taccel_lab.robots.transforms import matrix_of, pose_of
-from taccel_lab.scene import KinematicBody, SoftBody
+from taccel_lab.scene import KinematicBody, Scene, SoftBody, Surface
 
 if TYPE_CHECKING:
     import torch
@@ -50,6 +66,8 @@ class Robot:
     mounts: tuple[Mount, ...] = ()
     link_friction: float | None = None
     """Coulomb friction of the links; None leaves it to what they touch."""
+    apart: Pairs | None = None
+    """Links and gels that do not touch though the robot touches itself; None: it does not."""
 
     def __post_init__(self) -> None:
         _ = self.tree  # Refuses what is no tree.
@@ -176,7 +194,8 @@ class Robot:
         return replace(self, world_from_base=world_from_base)
 
     def attach(self, link: str, other: Robot, link_from_base: Any, prefix: str = "") -> Robot:
-        """With another robot fixed to a link; names of its links and joints get a prefix.
+        """With another robot fixed to a link; names of its links and joints get a prefix. It does
+        not touch itself until it is told to.
 
         Args:
             link: What carries it.
@@ -208,6 +227,7 @@ class Robot:
             self,
             links=(*self.links, *(replace(part, name=prefix + part.name) for part in other.links)),
             joints=(*self.joints, bond, *joints),
+            apart=None,
         )
         for mount in other.mounts:
             carried = carried.mount(
@@ -219,7 +239,8 @@ class Robot:
         return carried
 
     def part(self, link: str) -> Robot:
-        """A link and what it carries, as a robot of its own whose base it is.
+        """A link and what it carries, as a robot of its own whose base it is; one that does not
+        touch itself until it is told to.
 
         Raises InputError where one of its joints mimics another one that is not carried.
         """
@@ -231,6 +252,7 @@ class Robot:
             joints=tuple(j for j in self.joints if j.child in kept and j.child != link),
             mounts=tuple(mount for mount in self.mounts if mount.link in kept),
             world_from_base=IDENTITY_POSE,
+            apart=None,
         )
 
     def _carries(self, link: str, other: str) -> bool:
@@ -248,6 +270,30 @@ class Robot:
                 link if link.name in kept else replace(link, shapes=()) for link in self.links
             ),
         )
+
+    def touching_itself(self, apart: Iterable[tuple[str, str]] = (), at: Any = None) -> Robot:
+        """With gels that touch its links, and links that touch one another where they move freely.
+
+        A gel touches all links but those that are one with what carries it. Links that a joint
+        connects, or fixed joints do, do not touch. Links that are prescribed do not touch either:
+        they go where they are told, and through each other. Of two robots that touch themselves
+        each touches the other.
+
+        Args:
+            apart: Names of links and gels that do not touch, in pairs, beside these.
+            at: Coordinates at which nothing may overlap, [dof]; ``rest_q`` when None. Gels that are
+                mounted later are not looked at.
+
+        Raises:
+            InputError: A gel and a link, or two gels, that overlap there: all pairs are named.
+        """
+        known = [*self.link_names, *(mount.gel.name for mount in self.mounts)]
+        made = replace(self, apart=checked_pairs(apart, known, self.name))
+        if made.mounts:
+            scene = Scene(made.soft_bodies(), made.kinematic_bodies())
+            poses = made.targets(self.rest_q if at is None else at)
+            require_apart(overlapping(scene, poses, made.parts(made._shaped)), self.name)
+        return made
 
     def with_hulls(self, links: Iterable[str] | None = None) -> Robot:
         """With the convex hulls of the meshes of these links, or of all when None."""
@@ -280,7 +326,7 @@ class Robot:
 
     def soft_bodies(self) -> list[SoftBody]:
         """Its gels, for ``Scene(soft_bodies=)``."""
-        return [mount.gel for mount in self.mounts]
+        return self._on_surfaces([mount.gel for mount in self.mounts])
 
     def kinematic_bodies(self) -> list[KinematicBody]:
         """Frames of its gels and shapes of its links, for ``Scene(kinematic_bodies=)``.
@@ -288,7 +334,34 @@ class Robot:
         Raises InputError for a collision mesh that cannot be read or touched, and for a shape whose
         size no body may have.
         """
-        return [carried.body for carried in self._carried]
+        return self._on_surfaces([carried.body for carried in self._carried])
+
+    def _on_surfaces(self, bodies: list[Any]) -> list[Any]:
+        if self.apart is None:
+            return bodies
+        return on_surfaces(bodies, self.surfaces(self._shaped))
+
+    def surfaces(self, links: Mapping[str, str]) -> dict[str, Surface]:
+        """Surfaces of its gels and links in a scene where it touches itself, by body.
+
+        ``links``: of each body that is a link's shape its link. Gels of a surface of their own keep
+        it.
+        """
+        parts = self.parts(links)
+        return surfaces(parts, self.link_names, self.joints, self.apart or (), TOUCHING_SURFACES)
+
+    def parts(self, links: Mapping[str, str]) -> list[Part]:
+        """Its gels and links in a scene; ``links`` as of ``surfaces``."""
+        gels = [mount for mount in self.mounts if mount.gel.surface == GEL_SURFACE]
+        return [
+            *(Part(mount.gel.name, mount.gel.name, mount.link, True) for mount in gels),
+            *(Part(body, link, link, False) for body, link in links.items()),
+        ]
+
+    @property
+    def _shaped(self) -> dict[str, str]:
+        carried = [item for item in self._carried if item.body.shape is not None]
+        return {item.body.name: item.link for item in carried}
 
     @overload
     def targets(self, q: torch.Tensor, *, check: bool = True) -> torch.Tensor: ...
