@@ -16,6 +16,7 @@ from taccel_lab.reading.toml_file import read_toml
 from taccel_lab.tasks import __file__ as TASKS
 
 if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
     from taccel_lab.tasks.catalogue import Task
 
 KINDS: dict[str, type[LearningTask]] = {
@@ -32,11 +33,20 @@ def names() -> list[str]:
     return sorted(name for name, table in found.items() if table.get("kind") in KINDS)
 
 
-def make_vec(task: str | Task, num_envs: int, **options: Any) -> TactileVectorEnv:
-    """Environments of a task of the package by its name, or of a task that was read from a file
-    (``tasks.catalogue.read_task``).
+def make_vec(
+    task: str | Task, num_envs: int, sensor: SensorProfile | None = None, **options: Any
+) -> TactileVectorEnv:
+    """Environments of a task.
 
-    ``options``: those of ``TactileVectorEnv``. InputError for a task that cannot be learned.
+    Args:
+        task: Of the package by its name, or one that was read from a file
+            (``tasks.catalogue.read_task``).
+        num_envs: How many.
+        sensor: Whose gels stand in place of the task's.
+        options: Of ``TactileVectorEnv``.
+
+    Raises:
+        InputError: A task that cannot be learned, or takes no sensor.
     """
     if num_envs < 1:
         raise InputError(f"num_envs must be at least 1, got {num_envs}")
@@ -51,7 +61,7 @@ def make_vec(task: str | Task, num_envs: int, **options: Any) -> TactileVectorEn
         parameters = task.parameters
     if parameters.kind not in KINDS:
         raise InputError(f"tasks of kind {parameters.kind!r} cannot be learned: {', '.join(KINDS)}")
-    return TactileVectorEnv(KINDS[parameters.kind](parameters, num_envs), **options)
+    return TactileVectorEnv(KINDS[parameters.kind](parameters, num_envs, sensor), **options)
 
 
 def _values(table: Any) -> Any:

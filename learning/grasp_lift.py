@@ -3,7 +3,7 @@
 
 There the object lies off the middle between the fingers; here the gripper begins off the object by
 the inverse. An action moves the gripper in the frame in which it began, turns it about the
-vertical, and closes the fingers.
+vertical, and moves the joints of its fingers.
 """
 
 from __future__ import annotations
@@ -14,7 +14,10 @@ import numpy as np
 import torch
 import warp as wp
 
+from taccel_lab.bodies.joints import JointKind
+from taccel_lab.learning.joint_control import JointControl
 from taccel_lab.learning.poses import about_z, compose, planar_inverse
+from taccel_lab.learning.ranges import DrawnRange, Given, sensor_ranges
 from taccel_lab.learning.task import Judgement, LearningTask
 from taccel_lab.model import Model
 from taccel_lab.state import State
@@ -23,6 +26,7 @@ from taccel_lab.tasks.grasp_scene import grasp_scene
 from taccel_lab.tasks.physics import contact_config
 
 if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
     from taccel_lab.tasks.grasp_lift import GraspLiftParameters
 
 SUCCESS_REWARD = 1.0
@@ -33,10 +37,13 @@ class GraspLiftLearning(LearningTask):
     """Grasp and lift of some environments."""
 
     start_names = ("x_mm", "y_mm", "yaw_deg")
-    action_names = ("x", "y", "z", "yaw", "close")
-    proprioception_names = ("x_mm", "y_mm", "z_mm", "yaw_deg", "finger_mm")
 
-    def __init__(self, parameters: GraspLiftParameters, env_count: int) -> None:
+    def __init__(
+        self,
+        parameters: GraspLiftParameters,
+        env_count: int,
+        sensor: SensorProfile | None = None,
+    ) -> None:
         start, policy, learning = parameters.start, parameters.policy, parameters.learning
         goal, dt = parameters.goal, parameters.dt_s
         shape = solid(parameters.object.shape, parameters.object.size_mm)
@@ -46,6 +53,8 @@ class GraspLiftLearning(LearningTask):
             lambda poses: free_body(parameters.object, shape, "object", poses),
             -float(shape.vertices_m[:, 2].min()),
             np.tile([0.0, 0, 0, 0, 0, 0, 1], (env_count, 1)),
+            closed_m=1e-3 * policy.closed_mm,
+            sensor=sensor,
             plane_friction=parameters.plane_friction,
             dhat_mm=parameters.contact.dhat_mm,
             dt_s=dt,
@@ -55,19 +64,31 @@ class GraspLiftLearning(LearningTask):
         self.step_limit = parameters.steps
         self.start_half = (start.x_mm, start.y_mm, start.yaw_deg)
         self.randomised = tuple(learning.randomise)
-        self._open_m, self._closed_m = 1e-3 * policy.open_mm, 1e-3 * policy.closed_mm
-        # Fingers slide: their links' places are linear in the coordinate, and nothing turns.
-        ends = built.robot.targets(np.array([[self._open_m], [self._closed_m]]))
-        assert np.allclose(ends[0, :, 3:], ends[1, :, 3:])
-        self._ends = np.array(ends)
+        self._sensor, self._gels = sensor, tuple(built.grasper.pads)
+        kinds = {joint.name: joint.kind for joint in built.robot.joints}
+        dofs = built.robot.dof_names
+        units = [1e-3 if kinds[name] is JointKind.PRISMATIC else np.radians(1.0) for name in dofs]
+        self._joints = JointControl(
+            built.robot,
+            built.grasper.closed(np.array([1e-3 * policy.open_mm]))[0],
+            dt * learning.joint_speed * np.array(units),
+            actions=learning.joint_actions,
+            reach=learning.joint_reach * np.array(units),
+        )
+        self.action_names = ("x", "y", "z", "yaw", *dofs)
+        self.proprioception_names = ("x_mm", "y_mm", "z_mm", "yaw_deg", *self._joints.names)
         self._base_pose = built.base
         self._rest_m = built.rest_height_m
         self._goal_m, self._hold_steps = 1e-3 * goal.lift_mm, goal.hold_s / dt - 1e-6
         ways = [1e-3 * speed for speed in learning.speed_mm_s]
         self._per_step = dt * np.array([*ways, np.radians(learning.turn_deg_s)])
-        self._close_step = -1e-3 * dt * learning.close_mm_s
         reach = [1e-3 * reach for reach in learning.reach_mm]
         self._reach = np.array([*reach, np.radians(learning.reach_deg)])
+
+    def ranges(self, given: Given) -> tuple[DrawnRange, ...]:
+        if self._sensor is None:
+            return super().ranges(given)
+        return sensor_ranges(self.randomised, self._sensor, self._gels, self.scene, given)
 
     def attach(self, model: Model, state: State) -> None:
         count, device = model.env_count, wp.device_to_torch(model.device)
@@ -80,13 +101,12 @@ class GraspLiftLearning(LearningTask):
         self._step_size, self._most = put(self._per_step), put(self._reach)
         # Not below where it began: there is the plane.
         self._least = put(-self._reach * [1, 1, 0, 1])
-        self._links, self._base = put(self._ends), put(self._base_pose)
+        self._base = put(self._base_pose)
+        self._joints.attach(count, device)
         self._start = put(np.tile([0.0, 0, 0, 0, 0, 0, 1], (count, 1)))
         """Frame in which the gripper began, [env, 7]."""
         self._moved = put(np.zeros((count, 4)))
         """Of the gripper [m], and its turn [rad], since the start."""
-        self._finger = put(np.full(count, self._open_m))
-        """Coordinate of the fingers [m]."""
         self._rise = put(np.zeros(count))
         self._held = torch.zeros(count, dtype=torch.int32, device=device)
         """Steps that the object has been high."""
@@ -94,7 +114,7 @@ class GraspLiftLearning(LearningTask):
     def begin(self, who: torch.Tensor, start: torch.Tensor) -> torch.Tensor:
         self._start = torch.where(who[:, None], planar_inverse(start), self._start)
         self._moved = torch.where(who[:, None], 0.0, self._moved)
-        self._finger = torch.where(who, self._open_m, self._finger)
+        self._joints.begin(who)
         self._rise = torch.where(who, 0.0, self._rise)
         self._held = torch.where(who, 0, self._held)
         return self._poses()
@@ -102,19 +122,15 @@ class GraspLiftLearning(LearningTask):
     def act(self, who: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         moved = self._moved + self._step_size * action[:, :4]
         moved = torch.minimum(torch.maximum(moved, self._least), self._most)
-        finger = (self._finger + self._close_step * action[:, 4]).clamp(
-            self._closed_m, self._open_m
-        )
         self._moved = torch.where(who[:, None], moved, self._moved)
-        self._finger = torch.where(who, finger, self._finger)
+        self._joints.act(who, action[:, 4:])
         return self._poses()
 
     def _poses(self) -> torch.Tensor:
-        part = (self._finger - self._open_m) / (self._closed_m - self._open_m)
-        links = torch.lerp(self._links[:1], self._links[1:], part[:, None, None])
         moved = torch.cat([self._moved[:, :3], about_z(self._moved[:, 3])], dim=1)
         # The base hangs above the object's middle, and turns about the vertical through it.
-        return compose(compose(self._start, compose(moved, self._base))[:, None], links)
+        base = compose(self._start, compose(moved, self._base))
+        return compose(base[:, None], self._joints.poses())
 
     def judge(self) -> Judgement:
         """The reward is the part of the asked height that the step gained, and 1 for success."""
@@ -128,5 +144,5 @@ class GraspLiftLearning(LearningTask):
         return Judgement(reward.float(), success, {"rise_mm": 1e3 * rise.float()})
 
     def proprioception(self) -> torch.Tensor:
-        yaw, finger = torch.rad2deg(self._moved[:, 3:]), 1e3 * self._finger[:, None]
-        return torch.cat([1e3 * self._moved[:, :3], yaw, finger], dim=1)
+        yaw = torch.rad2deg(self._moved[:, 3:])
+        return torch.cat([1e3 * self._moved[:, :3], yaw, self._joints.told()], dim=1)

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 import warp as wp
 
+from taccel_lab.errors import InputError
 from taccel_lab.learning.poses import about_z, compose, planar_inverse
 from taccel_lab.learning.task import Judgement, LearningTask
 from taccel_lab.model import Model
@@ -22,6 +23,7 @@ from taccel_lab.tasks.peg_scene import TURNS, PegPath, peg_parts, peg_scene
 from taccel_lab.tasks.physics import contact_config
 
 if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
     from taccel_lab.tasks.peg_insertion import PegInsertionParameters
 
 SUCCESS_REWARD = 1.0
@@ -35,7 +37,16 @@ class PegInsertionLearning(LearningTask):
     action_names = ("x", "y", "z", "yaw")
     proprioception_names = ("x_mm", "y_mm", "z_mm", "yaw_deg")
 
-    def __init__(self, parameters: PegInsertionParameters, env_count: int) -> None:
+    def __init__(
+        self,
+        parameters: PegInsertionParameters,
+        env_count: int,
+        sensor: SensorProfile | None = None,
+    ) -> None:
+        if sensor is not None:
+            raise InputError(
+                "the gels of a peg insertion are part of the task: a sensor goes into grasp-lift"
+            )
         start, policy, learning = parameters.start, parameters.policy, parameters.learning
         parts, _ = peg_parts(parameters.meshes)
         path = PegPath.of_mm(policy.peg_mm, policy.times_s, policy.gel_mm)

@@ -16,7 +16,7 @@ import warp as wp
 from taccel_lab.model import Model
 
 if TYPE_CHECKING:
-    from taccel_lab.tasks.parameters import Randomised
+    from taccel_lab.learning.ranges import DrawnRange
 
 wp.set_module_options({"enable_backward": False})
 
@@ -66,7 +66,7 @@ class EpisodeDraws:
 
 
 def randomise(
-    model: Model, ranges: Sequence[Randomised], unit: torch.Tensor, who: torch.Tensor
+    model: Model, ranges: Sequence[DrawnRange], unit: torch.Tensor, who: torch.Tensor
 ) -> None:
     """Set parameters of bodies in the environments of ``who`` (bool, [env]): the k-th by the k-th
     number of each environment in [0, 1), float64, [env, ranges]."""

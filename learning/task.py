@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 
+from taccel_lab.learning.ranges import DrawnRange, Given, ranges_of
 from taccel_lab.model import Model
 from taccel_lab.scene import Scene
 from taccel_lab.solvers import SolverConfig
 from taccel_lab.state import State
 
 if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
     from taccel_lab.tasks.parameters import Randomised
 
 
@@ -40,9 +42,9 @@ class LearningTask(ABC):
 
     start_names: ClassVar[tuple[str, ...]]
     """What a start draws, with units."""
-    action_names: ClassVar[tuple[str, ...]]
+    action_names: tuple[str, ...]
     """What the entries of an action move; each lies in [-1, 1]."""
-    proprioception_names: ClassVar[tuple[str, ...]]
+    proprioception_names: tuple[str, ...]
     """What the robot knows of itself, with units."""
 
     scene: Scene
@@ -52,11 +54,25 @@ class LearningTask(ABC):
     start_half: tuple[float, ...]
     """Half ranges of the starts, by ``start_names``."""
     randomised: tuple[Randomised, ...]
-    """Parameters that episodes may draw."""
+    """Parameters that episodes may draw, of the file."""
 
     @abstractmethod
-    def __init__(self, parameters: Any, env_count: int) -> None:
-        """``parameters``: of the task's file, by attributes."""
+    def __init__(
+        self, parameters: Any, env_count: int, sensor: SensorProfile | None = None
+    ) -> None:
+        """
+        Args:
+            parameters: Of the task's file, by attributes.
+            env_count: Environments of the scene.
+            sensor: Whose gels stand in place of the file's.
+
+        Raises:
+            InputError: A sensor, of a task whose gels are part of it.
+        """
+
+    def ranges(self, given: Given) -> tuple[DrawnRange, ...]:
+        """What episodes draw, with ranges that are given in place of others; see ``ranges_of``."""
+        return ranges_of(self.randomised, given)
 
     @abstractmethod
     def attach(self, model: Model, state: State) -> None:

@@ -21,6 +21,7 @@ from gymnasium.vector.utils import batch_space
 
 from taccel_lab.errors import InputError
 from taccel_lab.learning.gel_views import FORCES, VIEWS, Colors, GelViews
+from taccel_lab.learning.ranges import Given
 from taccel_lab.learning.starts import EpisodeDraws, randomise
 from taccel_lab.learning.task import LearningTask
 from taccel_lab.solvers import Control, EnvStatus, SolverIPC, StepReport
@@ -54,7 +55,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         observe: tuple[str, ...] = ("wrench", PROPRIOCEPTION),
         *,
         autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
-        randomised: bool = False,
+        randomised: bool | Given = False,
         size_px: tuple[int, int] = (80, 60),
         colors: Colors | None = None,
         device: str | None = None,
@@ -65,14 +66,16 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
             task: As many environments as its scene has.
             observe: Names of ``OBSERVATIONS``; see ``GelViews.read`` for units.
             autoreset_mode: NEXT_STEP or DISABLED.
-            randomised: Whether episodes draw the parameters that the task randomises.
+            randomised: Whether episodes draw the parameters that the task randomises; ranges, by
+                what is drawn, stand in place of the task's or the sensor's.
             size_px: Width and height of images and depth.
             colors: For images: gives the colour network and the untouched image of a pixel grid.
             device: "cpu" or "cuda:0"; as of ``Scene.finalize`` when None.
             solver: Settings of ``SolverConfig`` other than the task's.
 
         Raises:
-            InputError: Unknown observations or mode, images without colours.
+            InputError: Unknown observations or mode, images without colours, ranges of what is not
+                drawn, or a sensor that does not state how far its gels spread.
         """
         unknown = [name for name in observe if name not in OBSERVATIONS]
         if unknown or not observe or len(set(observe)) < len(observe):
@@ -89,7 +92,8 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         self.solver = SolverIPC(self.model, replace(task.config, **(solver or {})))
         self.state = initial_state(self.model)
         task.attach(self.model, self.state)
-        self._ranges = tuple(task.randomised) if randomised else ()
+        given = {} if isinstance(randomised, bool) else randomised
+        self._ranges = task.ranges(given) if randomised else ()
         self._draws = EpisodeDraws(self.model, len(task.start_names) + len(self._ranges))
         self._seeded = False
         self._half = torch.tensor(task.start_half, dtype=torch.float64, device=self.device)
@@ -211,7 +215,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         return self.views.space(name)
 
     def _tensor(self, value: Any, name: str, width: int) -> torch.Tensor:
-        found = torch.as_tensor(value, device=self.device).to(torch.float64)
+        found = torch.as_tensor(value, dtype=torch.float64, device=self.device)
         if found.shape != (self.num_envs, width):
             shape = list(found.shape)
             raise InputError(f"{name} must have shape [{self.num_envs}, {width}], got {shape}")

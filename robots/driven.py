@@ -5,7 +5,8 @@ Links that fixed joints connect are one group. A group has an affine body for ea
 held together by fixed joints. Together they have the mass, centre and inertia that the file states
 of its links; each has a share by its volume, about the group's centre. A gel is mounted on one of
 them, and weighs on it beside that. The base goes where it is told: its shapes are kinematic bodies,
-and what it carries hangs on the first of them. Links of robots do not touch one another.
+and what it carries hangs on the first of them. Links do not touch one another unless the robot
+touches itself.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.robots.description import LinkMass, RobotJoint, listed
 from taccel_lab.robots.mounts import GEL_LAYER, LINK_LAYER
 from taccel_lab.robots.robot import IDENTITY_POSE, Robot
+from taccel_lab.robots.self_contact import on_surfaces, overlapping, require_apart, rigid_groups
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import (
     AffineBody,
@@ -32,9 +34,11 @@ from taccel_lab.scene import (
     KinematicBody,
     PrismaticJoint,
     RevoluteJoint,
+    Scene,
     SoftBody,
     StatedMass,
     Surface,
+    TimeStepping,
     TriangleMesh,
     sphere_mesh,
 )
@@ -114,7 +118,8 @@ def drive(
 ) -> DrivenRobot:
     """A robot as bodies and joints that its drives move.
 
-    A joint that mimics another one follows it by the target of its own drive, not by force.
+    A joint that mimics another one follows it by the target of its own drive, not by force. Links
+    of a robot that touches itself (``Robot.touching_itself``) touch one another.
 
     Args:
         robot: Its base stands where ``world_from_base`` says.
@@ -127,8 +132,8 @@ def drive(
 
     Raises:
         InputError: A part that moves without collision shape or mass or with an inertia of no
-            solid, a drive of an unknown joint, coordinates out of the limits, or a shape without
-            inside.
+            solid, a drive of an unknown joint, coordinates out of the limits, a shape without
+            inside, or links that touch one another and overlap at the start.
     """
     q = robot.rest_q if start_q is None else np.asarray(start_q, dtype=np.float64)
     if q.shape != (robot.dof,):
@@ -184,7 +189,34 @@ def drive(
             pose = body_from_world @ matrix_of(poses[mount.link]) @ mount.link_from_gel
             gel = replace(gel, mount=carrier, mount_pose=pose_of(pose))
         gels.append(gel)
-    return DrivenRobot(robot, q, bodies, gels, frames, joints, base)
+    made = DrivenRobot(robot, q, bodies, gels, frames, joints, base)
+    return made if robot.apart is None else _touching_itself(made)
+
+
+def _touching_itself(driven: DrivenRobot) -> DrivenRobot:
+    """With the surfaces of a robot that touches itself; InputError where it overlaps itself."""
+    robot = driven.robot
+    links = {}
+    for body in (*driven.affine_bodies, *driven.kinematic_bodies):
+        if body.shape is not None:
+            name = body.name.removeprefix(f"{robot.name}/")
+            links[body.name] = name if name in robot.link_names else name.rpartition("/")[0]
+    found = robot.surfaces(links)
+    made = replace(
+        driven,
+        affine_bodies=on_surfaces(driven.affine_bodies, found),
+        soft_bodies=on_surfaces(driven.soft_bodies, found),
+        kinematic_bodies=on_surfaces(driven.kinematic_bodies, found),
+    )
+    scene = Scene(
+        made.soft_bodies,
+        made.kinematic_bodies,
+        time=TimeStepping(quasi_static=False),
+        affine_bodies=made.affine_bodies,
+        joints=made.joints,
+    )
+    require_apart(overlapping(scene, made.poses(1), robot.parts(links)), robot.name)
+    return made
 
 
 def _of_base(base: Robot, q: np.ndarray) -> np.ndarray:
@@ -199,15 +231,7 @@ def _own(drive: Drive, joint: RobotJoint) -> Drive:
 
 
 def _groups(robot: Robot) -> dict[str, str]:
-    """Of each link the first link of those that fixed joints connect it with."""
-    carrier = {joint.child: joint for joint in robot.joints}
-    groups = {}
-    for name in robot.link_names:
-        top = name
-        while top in carrier and not carrier[top].moves:
-            top = carrier[top].parent
-        groups[name] = top
-    return groups
+    return rigid_groups(robot.link_names, robot.joints)
 
 
 def _group_bodies(

@@ -1,14 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the links of a tree are for coordinates of its joints, and how they move with these."""
+"""Where the links of a tree are for coordinates of its joints, and how they move with these.
+
+Coordinates and frames are arrays of numpy or tensors of torch on any device, float64; what comes
+out is of the kind that went in. Joints of one depth of the tree are computed together.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from taccel_lab.bodies.joints import JointKind
+from taccel_lab.robots.arrays import Array, Constants, namespace
 from taccel_lab.robots.description import Link, RobotJoint, base_of, coordinate_map, limits_of
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What has to be computed for some links."""
+
+    bounds: tuple[tuple[int, int], ...]
+    """First joint of each depth of the tree, and the one after its last."""
+    constants: Constants
+    """Of the joints that carry the links, by depth: what ``_motion`` gives, factors and offsets of
+    their coordinates, which of them turn; where in the depth before each one's parent is; and where
+    the links are among the base and the joints' children."""
 
 
 class Kinematics:
@@ -21,9 +40,9 @@ class Kinematics:
         self.limits = limits_of(joints, self.factors, self.offsets, self.dof_names)
         """Smallest and largest coordinates [rad or m], [dof, 2]."""
         self._joints = joints
-        self._ids = {link.name: i for i, link in enumerate(links)}
         self._carrier = {joint.child: i for i, joint in enumerate(joints)}
-        self._motions = [_motion(joint) for joint in joints]
+        self._plans: dict[tuple[str, ...], _Plan] = {}
+        self._axes: dict[str, Constants] = {}
 
     def path_to(self, link: str) -> list[int]:
         """Indices of the joints from the base to a link."""
@@ -33,33 +52,30 @@ class Kinematics:
             link = self._joints[path[-1]].parent
         return path[::-1]
 
-    def frames(
-        self, q: np.ndarray, links: Sequence[str], world_from_base: np.ndarray
-    ) -> np.ndarray:
+    def frames(self, q: Array, links: Sequence[str], world_from_base: Array) -> Array:
         """world_from_link of some links at coordinates [n, dof], shape [n, link, 4, 4]; what does
-        not carry them is not computed."""
-        known = {self.base: np.tile(world_from_base, (len(q), 1, 1))}
-        for link in links:
-            for i in self.path_to(link):
-                joint = self._joints[i]
-                if joint.child not in known:
-                    known[joint.child] = self._carried(known[joint.parent], i, q)
-        result = np.empty((len(q), len(links), 4, 4))
-        for k, link in enumerate(links):
-            result[:, k] = known[link]
-        return result
+        not carry them is not computed. ``world_from_base``: [4, 4] or [n, 4, 4]."""
+        xp, plan = namespace(q), self._plan(tuple(links))
+        of = plan.constants.beside(q)
+        value = q @ of["factors"].T + of["offsets"]
+        # 1 - cos by the half angle: small turns keep their digits.
+        first = xp.where(of["turns"], xp.sin(value), value)[..., None, None]
+        second = (2 * xp.sin(value / 2) ** 2)[..., None, None]
+        moved = of["still"] + first * of["first"] + second * of["second"]
+        known = [xp.broadcast_to(world_from_base, (len(q), 4, 4))[:, None]]
+        for k, (begin, end) in enumerate(plan.bounds):
+            known.append(known[-1][:, of[f"parents {k}"]] @ moved[:, begin:end])
+        return xp.concat(known, axis=1)[:, of["order"]]
 
-    def along(self, link: str, q: np.ndarray) -> np.ndarray:
+    def along(self, link: str, q: Array) -> Array:
         """base_from_child of the joints from the base to a link, shape [n, joint + 1, 4, 4]; the
         first one is the base, the last one the link."""
-        path = self.path_to(link)
-        result = np.empty((len(q), len(path) + 1, 4, 4))
-        result[:, 0] = np.eye(4)
-        for k, i in enumerate(path):
-            result[:, k + 1] = self._carried(result[:, k], i, q)
-        return result
+        children = [self._joints[i].child for i in self.path_to(link)]
+        return self.frames(
+            q, [self.base, *children], namespace(q).eye(4, dtype=q.dtype, device=q.device)
+        )
 
-    def jacobian(self, link: str, frames: np.ndarray, point: np.ndarray) -> np.ndarray:
+    def jacobian(self, link: str, frames: Array, point: Array) -> Array:
         """Velocity and angular velocity of a link by the rates of the coordinates, [n, 6, dof].
 
         Geometric: column of a turning joint (a x (p - o), a), of a sliding one (a, 0), with its
@@ -70,52 +86,80 @@ class Kinematics:
             frames: ``along`` of the link.
             point: p, of the link in the base's frame [m], [n, 3].
         """
-        result = np.zeros((len(frames), 6, self.factors.shape[1]))
-        for k, i in enumerate(self.path_to(link)):
-            joint = self._joints[i]
-            if not joint.moves:
-                continue
-            axis = frames[:, k + 1, :3, :3] @ joint.axis
-            column = np.zeros((len(frames), 6))
-            if joint.kind is JointKind.PRISMATIC:
-                column[:, :3] = axis
-            else:
-                column[:, :3] = np.cross(axis, point - frames[:, k + 1, :3, 3])
-                column[:, 3:] = axis
-            result += column[:, :, None] * self.factors[i]
-        return result
+        xp = namespace(frames)
+        if link not in self._axes:
+            self._axes[link] = self._axes_to(link)
+        of = self._axes[link].beside(frames)
+        axis = (frames[:, 1:, :3, :3] @ of["axes"][..., None])[..., 0]
+        turning = axis * of["turns"]
+        arm = point[:, None] - frames[:, 1:, :3, 3]
+        shift = xp.linalg.cross(turning, arm) + axis * of["slides"]
+        return xp.concat([shift, turning], axis=-1).swapaxes(1, 2) @ of["factors"]
 
     def length_m(self, link: str) -> float:
         """Length of the way from the base to a link over the joints' frames [m]."""
         steps = [self._joints[i].parent_from_joint[:3, 3] for i in self.path_to(link)]
         return float(sum(np.linalg.norm(step) for step in steps))
 
-    def _carried(self, frames: np.ndarray, i: int, q: np.ndarray) -> np.ndarray:
-        """Frames of a joint's child from those of its parent, [n, 4, 4]."""
-        still, first, second = self._motions[i]
-        result = frames.reshape(-1, 4) @ still
-        if first is not None:
-            value = np.repeat(q @ self.factors[i] + self.offsets[i], 4)[:, None]
-            flat = frames.reshape(-1, 4)
-            if second is None:
-                result += value * (flat @ first)
-            else:
-                # 1 - cos by the half angle: small turns keep their digits.
-                result += np.sin(value) * (flat @ first)
-                result += 2 * np.sin(value / 2) ** 2 * (flat @ second)
-        return result.reshape(-1, 4, 4)
+    def _plan(self, links: tuple[str, ...]) -> _Plan:
+        if links not in self._plans:
+            self._plans[links] = self._made_plan(links)
+        return self._plans[links]
+
+    def _made_plan(self, links: tuple[str, ...]) -> _Plan:
+        paths = [self.path_to(link) for link in links]
+        levels = [
+            list(dict.fromkeys(path[k] for path in paths if len(path) > k))
+            for k in range(max(map(len, paths), default=0))
+        ]
+        joints = [i for level in levels for i in level]
+        kinds = [self._joints[i].kind for i in joints]
+        motions = np.array([_motion(self._joints[i]) for i in joints]).reshape(-1, 3, 4, 4)
+        found = {self.base: 0} | {self._joints[i].child: 1 + k for k, i in enumerate(joints)}
+        arrays = {
+            "still": motions[:, 0],
+            "first": motions[:, 1],
+            "second": motions[:, 2],
+            "factors": self.factors[joints],
+            "offsets": self.offsets[joints],
+            "turns": np.array([kind is JointKind.REVOLUTE for kind in kinds], dtype=bool),
+            "order": np.array([found[link] for link in links], dtype=np.int64),
+        }
+        before = [self.base]
+        for k, level in enumerate(levels):
+            parents = [before.index(self._joints[i].parent) for i in level]
+            arrays[f"parents {k}"] = np.array(parents, dtype=np.int64)
+            before = [self._joints[i].child for i in level]
+        ends = np.cumsum([0, *map(len, levels)]).tolist()
+        return _Plan(tuple(pairwise(ends)), Constants(arrays))
+
+    def _axes_to(self, link: str) -> Constants:
+        path = self.path_to(link)
+        kinds = [self._joints[i].kind for i in path]
+
+        def of_kind(kind: JointKind) -> np.ndarray:
+            return np.array([float(found is kind) for found in kinds]).reshape(-1, 1)
+
+        return Constants(
+            {
+                "axes": np.array([self._joints[i].axis for i in path]).reshape(-1, 3),
+                "turns": of_kind(JointKind.REVOLUTE),
+                "slides": of_kind(JointKind.PRISMATIC),
+                "factors": self.factors[path],
+            }
+        )
 
 
-def _motion(joint: RobotJoint) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+def _motion(joint: RobotJoint) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """parent_from_child as a sum of constant matrices [4, 4]: the first one, the second one times
     the slide or the sine of the angle, the third one times 1 - cosine (Rodrigues' formula)."""
-    origin = joint.parent_from_joint
+    origin, nothing = joint.parent_from_joint, np.zeros((4, 4))
     if not joint.moves:
-        return origin, None, None
+        return origin, nothing, nothing
     first = np.zeros((4, 4))
     if joint.kind is JointKind.PRISMATIC:
         first[:3, 3] = joint.axis
-        return origin, origin @ first, None
+        return origin, origin @ first, nothing
     x, y, z = joint.axis
     first[:3, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
     return origin, origin @ first, origin @ first @ first

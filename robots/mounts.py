@@ -4,7 +4,7 @@
 A gel stands on a frame without a surface, a body of its own that goes with the link; its bonded
 nodes follow that exactly (``SoftBody.mount``). Gels and links do not touch one another, whichever
 robot they belong to: pads are glued to links, and cut into their shapes. Both touch everything
-else, and gels touch gels.
+else, and gels touch gels. Robots that touch themselves are another matter (``self_contact``).
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ LINK_LAYER, GEL_LAYER = 1 << 29, 1 << 30
 """Collision layers of links and of gels on them."""
 LINK_SURFACE = Surface(layer=LINK_LAYER, collides_with=ALL_LAYERS & ~GEL_LAYER)
 GEL_SURFACE = Surface(layer=GEL_LAYER, collides_with=ALL_LAYERS & ~LINK_LAYER)
+TOUCHING_SURFACES = Surface(layer=LINK_LAYER), Surface(layer=GEL_LAYER)
+"""Of links and gels of a robot that touches itself."""
 
 
 def on_seat(mesh: TetMesh) -> np.ndarray:

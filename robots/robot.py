@@ -3,25 +3,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from taccel_lab.bodies.bodies import check_pose
 from taccel_lab.bodies.joints import JointKind
 from taccel_lab.errors import InputError
+from taccel_lab.robots.arrays import Array, Constants, is_tensor, namespace
 from taccel_lab.robots.description import Link, RobotJoint, check_names, listed
 from taccel_lab.robots.inverse_kinematics import IKOptions, IKResult, solve
 from taccel_lab.robots.kinematics import Kinematics
-from taccel_lab.robots.mounts import CarriedBody, Mount, carried_bodies, make_mount
+from taccel_lab.robots.mounts import (
+    GEL_SURFACE,
+    TOUCHING_SURFACES,
+    CarriedBody,
+    Mount,
+    carried_bodies,
+    make_mount,
+)
+from taccel_lab.robots.self_contact import (
+    Pairs,
+    Part,
+    checked_pairs,
+    on_surfaces,
+    overlapping,
+    require_apart,
+    surfaces,
+)
 from taccel_lab.robots.shapes import MeshShape, SurfaceShape
 from taccel_lab.robots.transforms import matrix_of, pose_of
-from taccel_lab.scene import KinematicBody, SoftBody
+from taccel_lab.scene import KinematicBody, Scene, SoftBody, Surface
 
 if TYPE_CHECKING:
+    import torch
+
     from taccel_lab.profile import SensorProfile
 
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
@@ -35,7 +54,8 @@ class Robot:
 
     Poses are position [m] and quaternion x, y, z, w. Coordinates ``q`` [rad or m] are those of the
     joints that move by themselves, in the order of ``dof_names``; one row, or a row for each
-    environment.
+    environment. Of coordinates that are a tensor of torch, poses and Jacobians are tensors on its
+    device, float64, that autograd follows.
     """
 
     name: str
@@ -46,6 +66,8 @@ class Robot:
     mounts: tuple[Mount, ...] = ()
     link_friction: float | None = None
     """Coulomb friction of the links; None leaves it to what they touch."""
+    apart: Pairs | None = None
+    """Links and gels that do not touch though the robot touches itself; None: it does not."""
 
     def __post_init__(self) -> None:
         _ = self.tree  # Refuses what is no tree.
@@ -102,26 +124,44 @@ class Robot:
 
     # Where its links are -------------------------------------------------------------------------
 
-    def forward_kinematics(self, q: Any) -> np.ndarray:
+    @overload
+    def forward_kinematics(self, q: torch.Tensor, *, check: bool = True) -> torch.Tensor: ...
+    @overload
+    def forward_kinematics(self, q: Any, *, check: bool = True) -> np.ndarray: ...
+    def forward_kinematics(self, q: Any, *, check: bool = True) -> Any:
         """world_from_link of all links for coordinates [n, dof], shape [n, link, 7].
 
-        Limits are not looked at. Raises InputError for another shape, or what is not finite.
+        Limits are not looked at. Raises InputError for another shape, or what is not finite; this
+        is not looked at without ``check``, as it waits for the device of a tensor.
         """
-        return pose_of(self.tree.frames(self._rows(q), self.link_names, self._world))
+        return self._poses(self._rows(q, check), self.link_names)
 
-    def link_poses(self, link: str, q: Any) -> np.ndarray:
+    @overload
+    def link_poses(self, link: str, q: torch.Tensor, *, check: bool = True) -> torch.Tensor: ...
+    @overload
+    def link_poses(self, link: str, q: Any, *, check: bool = True) -> np.ndarray: ...
+    def link_poses(self, link: str, q: Any, *, check: bool = True) -> Any:
         """world_from_link of one link, [n, 7]; as ``forward_kinematics``, without the others."""
         self.link_id(link)
-        return pose_of(self.tree.frames(self._rows(q), [link], self._world)[:, 0])
+        return self._poses(self._rows(q, check), [link])[:, 0]
 
-    def jacobian(self, link: str, q: Any) -> np.ndarray:
+    def _poses(self, rows: Array, links: list[str]) -> Array:
+        return pose_of(self.tree.frames(rows, links, self._constants.beside(rows)["world"]))
+
+    @overload
+    def jacobian(self, link: str, q: torch.Tensor, *, check: bool = True) -> torch.Tensor: ...
+    @overload
+    def jacobian(self, link: str, q: Any, *, check: bool = True) -> np.ndarray: ...
+    def jacobian(self, link: str, q: Any, *, check: bool = True) -> Any:
         """Velocity of a link's origin [m] and its angular velocity [rad], in world axes, by the
-        rates of the coordinates: the geometric Jacobian, [n, 6, dof]."""
+        rates of the coordinates: the geometric Jacobian, [n, 6, dof]; ``check`` as of
+        ``forward_kinematics``."""
         self.link_id(link)
-        frames = self.tree.along(link, self._rows(q))
+        rows = self._rows(q, check)
+        frames = self.tree.along(link, rows)
         local = self.tree.jacobian(link, frames, frames[:, -1, :3, 3])
-        turn = self._world[:3, :3]
-        return np.concatenate([turn @ local[:, :3], turn @ local[:, 3:]], axis=1)
+        turn = self._constants.beside(rows)["world"][:3, :3]
+        return namespace(rows).concat([turn @ local[:, :3], turn @ local[:, 3:]], axis=1)
 
     def inverse_kinematics(
         self, link: str, poses: Any, start: Any = None, options: IKOptions | None = None
@@ -140,10 +180,10 @@ class Robot:
         self.link_id(link)
         wanted = check_pose(np.atleast_2d(np.asarray(poses, dtype=np.float64)), "the link")
         assert wanted is not None
-        begin = self._rows(self.rest_q if start is None else start)
+        begin = self._rows(self.rest_q if start is None else start, True)
         if len(begin) not in (1, len(wanted)):
             raise InputError(f"start has {len(begin)} rows, expected {len(wanted)} or one")
-        targets = np.linalg.inv(self._world) @ matrix_of(wanted)
+        targets = np.linalg.inv(matrix_of(self.world_from_base)) @ matrix_of(wanted)
         begin = np.broadcast_to(begin, (len(wanted), self.dof))
         return solve(self.tree, link, targets, begin, options or IKOptions())
 
@@ -154,7 +194,8 @@ class Robot:
         return replace(self, world_from_base=world_from_base)
 
     def attach(self, link: str, other: Robot, link_from_base: Any, prefix: str = "") -> Robot:
-        """With another robot fixed to a link; names of its links and joints get a prefix.
+        """With another robot fixed to a link; names of its links and joints get a prefix. It does
+        not touch itself until it is told to.
 
         Args:
             link: What carries it.
@@ -186,6 +227,7 @@ class Robot:
             self,
             links=(*self.links, *(replace(part, name=prefix + part.name) for part in other.links)),
             joints=(*self.joints, bond, *joints),
+            apart=None,
         )
         for mount in other.mounts:
             carried = carried.mount(
@@ -197,7 +239,8 @@ class Robot:
         return carried
 
     def part(self, link: str) -> Robot:
-        """A link and what it carries, as a robot of its own whose base it is.
+        """A link and what it carries, as a robot of its own whose base it is; one that does not
+        touch itself until it is told to.
 
         Raises InputError where one of its joints mimics another one that is not carried.
         """
@@ -209,6 +252,7 @@ class Robot:
             joints=tuple(j for j in self.joints if j.child in kept and j.child != link),
             mounts=tuple(mount for mount in self.mounts if mount.link in kept),
             world_from_base=IDENTITY_POSE,
+            apart=None,
         )
 
     def _carries(self, link: str, other: str) -> bool:
@@ -226,6 +270,30 @@ class Robot:
                 link if link.name in kept else replace(link, shapes=()) for link in self.links
             ),
         )
+
+    def touching_itself(self, apart: Iterable[tuple[str, str]] = (), at: Any = None) -> Robot:
+        """With gels that touch its links, and links that touch one another where they move freely.
+
+        A gel touches all links but those that are one with what carries it. Links that a joint
+        connects, or fixed joints do, do not touch. Links that are prescribed do not touch either:
+        they go where they are told, and through each other. Of two robots that touch themselves
+        each touches the other.
+
+        Args:
+            apart: Names of links and gels that do not touch, in pairs, beside these.
+            at: Coordinates at which nothing may overlap, [dof]; ``rest_q`` when None. Gels that are
+                mounted later are not looked at.
+
+        Raises:
+            InputError: A gel and a link, or two gels, that overlap there: all pairs are named.
+        """
+        known = [*self.link_names, *(mount.gel.name for mount in self.mounts)]
+        made = replace(self, apart=checked_pairs(apart, known, self.name))
+        if made.mounts:
+            scene = Scene(made.soft_bodies(), made.kinematic_bodies())
+            poses = made.targets(self.rest_q if at is None else at)
+            require_apart(overlapping(scene, poses, made.parts(made._shaped)), self.name)
+        return made
 
     def with_hulls(self, links: Iterable[str] | None = None) -> Robot:
         """With the convex hulls of the meshes of these links, or of all when None."""
@@ -258,7 +326,7 @@ class Robot:
 
     def soft_bodies(self) -> list[SoftBody]:
         """Its gels, for ``Scene(soft_bodies=)``."""
-        return [mount.gel for mount in self.mounts]
+        return self._on_surfaces([mount.gel for mount in self.mounts])
 
     def kinematic_bodies(self) -> list[KinematicBody]:
         """Frames of its gels and shapes of its links, for ``Scene(kinematic_bodies=)``.
@@ -266,44 +334,92 @@ class Robot:
         Raises InputError for a collision mesh that cannot be read or touched, and for a shape whose
         size no body may have.
         """
-        return [carried.body for carried in self._carried]
+        return self._on_surfaces([carried.body for carried in self._carried])
 
-    def targets(self, q: Any) -> np.ndarray:
+    def _on_surfaces(self, bodies: list[Any]) -> list[Any]:
+        if self.apart is None:
+            return bodies
+        return on_surfaces(bodies, self.surfaces(self._shaped))
+
+    def surfaces(self, links: Mapping[str, str]) -> dict[str, Surface]:
+        """Surfaces of its gels and links in a scene where it touches itself, by body.
+
+        ``links``: of each body that is a link's shape its link. Gels of a surface of their own keep
+        it.
+        """
+        parts = self.parts(links)
+        return surfaces(parts, self.link_names, self.joints, self.apart or (), TOUCHING_SURFACES)
+
+    def parts(self, links: Mapping[str, str]) -> list[Part]:
+        """Its gels and links in a scene; ``links`` as of ``surfaces``."""
+        gels = [mount for mount in self.mounts if mount.gel.surface == GEL_SURFACE]
+        return [
+            *(Part(mount.gel.name, mount.gel.name, mount.link, True) for mount in gels),
+            *(Part(body, link, link, False) for body, link in links.items()),
+        ]
+
+    @property
+    def _shaped(self) -> dict[str, str]:
+        carried = [item for item in self._carried if item.body.shape is not None]
+        return {item.body.name: item.link for item in carried}
+
+    @overload
+    def targets(self, q: torch.Tensor, *, check: bool = True) -> torch.Tensor: ...
+    @overload
+    def targets(self, q: Any, *, check: bool = True) -> np.ndarray: ...
+    def targets(self, q: Any, *, check: bool = True) -> Any:
         """Poses of ``kinematic_bodies`` for coordinates [n, dof], shape [n, body, 7]: what a step
         takes as ``Control.target_poses``, a row an environment.
 
-        Raises InputError for coordinates out of the limits, also of joints that mimic others.
+        Raises InputError for what is not finite, and coordinates out of the limits, also of joints
+        that mimic others. Without ``check`` neither is looked at, as that waits for the device of a
+        tensor: keep them within ``limits`` then.
         """
-        rows = self._rows(q)
-        low, high = self.tree.limits.T
+        rows = self._rows(q, check)
+        if check:
+            self._check_limits(rows)
+        frames = self.tree.frames(rows, self._carriers, self._constants.beside(rows)["world"])
+        return pose_of(frames @ self._offsets.beside(rows)["link_from_body"])
+
+    def _check_limits(self, rows: Array) -> None:
+        low, high = self._constants.beside(rows)["limits"]
         beyond = (rows < low - LIMIT_SLACK) | (rows > high + LIMIT_SLACK)
-        if beyond.any():
-            env, i = np.argwhere(beyond)[0]
+        if bool(beyond.any()):
+            env, i = (int(index[0]) for index in namespace(rows).where(beyond))
             raise InputError(
-                f"coordinate {rows[env, i]:g} of joint {self.dof_names[i]!r} in row {env} is out "
-                f"of its limits [{low[i]:g}, {high[i]:g}]"
+                f"coordinate {float(rows[env, i]):g} of joint {self.dof_names[i]!r} in row {env} "
+                f"is out of its limits [{float(low[i]):g}, {float(high[i]):g}]"
             )
-        frames = self.tree.frames(rows, [carried.link for carried in self._carried], self._world)
-        for i, carried in enumerate(self._carried):
-            frames[:, i] = (frames[:, i].reshape(-1, 4) @ carried.link_from_body).reshape(-1, 4, 4)
-        return pose_of(frames)
 
     @cached_property
     def _carried(self) -> list[CarriedBody]:
         return carried_bodies(self.name, self.links, self.mounts, self.link_friction)
 
     @cached_property
-    def _world(self) -> np.ndarray:
-        return matrix_of(self.world_from_base)
+    def _carriers(self) -> list[str]:
+        return [carried.link for carried in self._carried]
 
-    def _rows(self, q: Any) -> np.ndarray:
-        rows = np.atleast_2d(np.asarray(q, dtype=np.float64))
-        if rows.ndim != 2 or rows.shape[1] != self.dof:
+    @cached_property
+    def _constants(self) -> Constants:
+        return Constants({"world": matrix_of(self.world_from_base), "limits": self.tree.limits.T})
+
+    @cached_property
+    def _offsets(self) -> Constants:
+        """Of the bodies in the links that carry them, [body, 4, 4]."""
+        offsets = [carried.link_from_body for carried in self._carried]
+        return Constants({"link_from_body": np.array(offsets).reshape(-1, 4, 4)})
+
+    def _rows(self, q: Any, check: bool) -> Array:
+        """Coordinates [n, dof], float64."""
+        xp = namespace(q)
+        given = q.to(xp.float64) if is_tensor(q) else np.asarray(q, dtype=np.float64)
+        rows = given if given.ndim == 2 else given.reshape(1, -1)
+        if given.ndim not in (1, 2) or rows.shape[1] != self.dof:
             raise InputError(
                 f"coordinates of {self.name!r} must have shape [{self.dof}] or [n, {self.dof}] "
-                f"({listed(self.dof_names)}), got {np.shape(q)}"
+                f"({listed(self.dof_names)}), got {tuple(given.shape)}"
             )
-        if not np.isfinite(rows).all():
+        if check and not bool(xp.isfinite(rows).all()):
             raise InputError(f"coordinates of {self.name!r} hold NaN or infinite values")
         return rows
 

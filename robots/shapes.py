@@ -10,6 +10,7 @@ import numpy as np
 
 from taccel_lab.bodies.mesh_checks import check_surface
 from taccel_lab.errors import InputError, naming
+from taccel_lab.reading.collada_file import SUFFIX, read_collada
 from taccel_lab.reading.triangle_file import read_triangle_file
 from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh
 
@@ -50,11 +51,11 @@ class CylinderShape:
 
 @dataclass(frozen=True)
 class MeshShape:
-    """A triangle mesh in a file: STL, PLY or OBJ."""
+    """A triangle mesh in a file: STL, PLY, OBJ or Collada."""
 
     path: Path
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """File units times this are metres."""
+    """File units times this are metres; of Collada its metres, as it names its unit."""
     hull: bool = False
     """Whether its convex hull is touched instead of its triangles."""
 
@@ -64,7 +65,8 @@ class MeshShape:
         Raises InputError for a file that cannot be read, and for triangles that no body can touch,
         such as a surface that crosses itself.
         """
-        points, faces = read_triangle_file(self.path)
+        collada = self.path.suffix.lower() == SUFFIX
+        points, faces = (read_collada if collada else read_triangle_file)(self.path)
         points = points * np.array(self.scale)
         with naming(self.path):
             if self.hull:

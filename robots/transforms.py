@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.robots.arrays import Array, namespace
+
 
 def matrix_of(pose: np.ndarray) -> np.ndarray:
     """Poses [..., 7], their quaternions of unit length, as matrices [..., 4, 4]."""
@@ -18,12 +20,28 @@ def matrix_of(pose: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def pose_of(matrix: np.ndarray) -> np.ndarray:
-    """Rigid matrices [..., 4, 4] as poses [..., 7]; the quaternion's last part is not negative."""
-    from scipy.spatial.transform import Rotation
-
-    turns = Rotation.from_matrix(matrix[..., :3, :3].reshape(-1, 3, 3)).as_quat(canonical=True)
-    return np.concatenate([matrix[..., :3, 3], turns.reshape(*matrix.shape[:-2], 4)], axis=-1)
+def pose_of(matrix: Array) -> Array:
+    """Rigid matrices [..., 4, 4] of numpy or torch as poses [..., 7] of the same kind; the
+    quaternion's last part is not negative."""
+    xp = namespace(matrix)
+    a, b, c, d, e, f, g, h, i = (
+        matrix[..., row, column] for row in range(3) for column in range(3)
+    )
+    # Four times the quaternion times each of its parts; the row of the largest part keeps its
+    # digits [Shepperd 1978; Markley 2008].
+    rows = [
+        [1 + a - e - i, b + d, c + g, h - f],
+        [b + d, 1 - a + e - i, f + h, c - g],
+        [c + g, f + h, 1 - a - e + i, d - b],
+        [h - f, c - g, d - b, 1 + a + e + i],
+    ]
+    products = xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+    squares = xp.stack([row[k] for k, row in enumerate(rows)], axis=-1)
+    largest = xp.argmax(squares, axis=-1)[..., None] == xp.arange(4, device=matrix.device)
+    row = xp.sum(xp.where(largest[..., None], products, 0.0), axis=-2)
+    length = xp.sqrt(xp.sum(row * row, axis=-1))
+    turn = row * (xp.where(row[..., 3] < 0, -1.0, 1.0) / length)[..., None]
+    return xp.concat([matrix[..., :3, 3], turn], axis=-1)
 
 
 def rotation_vector(rotation: np.ndarray) -> np.ndarray:

@@ -44,12 +44,13 @@ def load_urdf(path: Path | str, *, shapes: bool = True) -> Robot:
     Args:
         path: The file.
         shapes: Whether collision shapes are read. Without them a robot has kinematics and gels, and
-            its file may name meshes that cannot be read, such as Collada.
+            its file may name meshes that cannot be read.
 
     Raises:
         InputError: Names the file and what of it cannot be taken over: no XML, something missing
             or no number, joints that are planar or floating, loops, an axis of no length, collision
-            meshes that are not there or not STL, PLY or OBJ. Also where yourdfpy is not installed.
+            meshes that are not there or not STL, PLY, OBJ or Collada. Also where yourdfpy is not
+            installed.
     """
     path = Path(path)
     root = read_xml(path, "a URDF file")

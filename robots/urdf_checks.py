@@ -13,6 +13,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from taccel_lab.errors import InputError
+from taccel_lab.reading.collada_file import SUFFIX
 from taccel_lab.reading.text_file import shown
 from taccel_lab.reading.triangle_file import SUFFIXES
 
@@ -119,10 +120,10 @@ def _check_kind(element: Element, what: str) -> None:
             )
     if element.tag == "mesh":
         name = str(element.get("filename"))
-        if not name.lower().endswith(SUFFIXES):
+        if not name.lower().endswith((*SUFFIXES, SUFFIX)):
             raise InputError(
                 f"collision mesh {shown(Path(name).name)} of {what} is of a kind that is not "
-                f"read; allowed are {', '.join(SUFFIXES)}"
+                f"read; allowed are {', '.join((*SUFFIXES, SUFFIX))}"
             )
     if element.tag != "joint":
         return

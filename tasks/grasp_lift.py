@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grasp an object that lies on a plane, and lift it.
 
-Two fingers with a gel each close on a free body, stiff or soft, until both push with a force, and
+Fingers with a gel each close on a free body, stiff or soft, until all push with a force, and
 rise. The fingers follow their targets exactly (gels stand on kinematic bodies); the force comes
 from closing in small steps until it is measured. The gripper aims at the middle; the body lies
 beside it.
@@ -26,7 +26,7 @@ from taccel_lab.scene import AffineBody, Element, Material, Scene, SoftBody
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import free_body, pad_body, pad_mesh, solid
 from taccel_lab.tasks.episode import Episode
-from taccel_lab.tasks.grasp_scene import SIDES, grasp_scene
+from taccel_lab.tasks.grasp_scene import grasp_scene
 from taccel_lab.tasks.lift_record import LiftGoal, LiftRecord
 from taccel_lab.tasks.parameters import (
     Contact,
@@ -115,27 +115,31 @@ class GraspPolicy(StrictModel):
     """The scripted baseline."""
 
     open_mm: Positive
-    """Of each finger's seat from the middle, at the start."""
+    """Of each gel's seat from the middle, at the start."""
     closed_mm: NotNegative
     """Where closing ends, whatever the force."""
     close_mm_s: Positive
     grip_n: Positive
-    """Closing ends when both gels push as hard."""
+    """Closing ends when all gels push as hard."""
     lift_mm_s: Positive
     lift_mm: Positive
 
 
 class GraspLearning(Learning):
-    """What a learned policy may do: it opens and closes the fingers, too."""
+    """What a learned policy may do: it moves the joints of the fingers, too."""
 
-    close_mm_s: Positive
-    """Of each finger, of an action of 1."""
+    joint_actions: Literal["delta", "target"]
+    """What actions of joints mean: a step of the coordinate, or where it is to go."""
+    joint_speed: Positive
+    """Of each joint, of an action of 1 [mm/s or degrees/s]."""
+    joint_reach: Positive
+    """How far from its start each joint may go [mm or degrees], within its limits."""
 
 
 class GraspParameters(TaskParameters):
     """What the files of grasps have in common."""
 
-    robot: Literal["parallel_gripper"]
+    robot: Literal["parallel_gripper", "three_finger_hand"]
     plane_friction: NotNegative
     gel: Pad
     contact: Contact
@@ -163,7 +167,6 @@ class SoftGraspParameters(GraspParameters):
 class GraspLift(Episode):
     """Grasp and lift of some seeds."""
 
-    gel = "left pad"
     direction = (0.7, -1.4, 0.5)
 
     def __init__(
@@ -181,16 +184,19 @@ class GraspLift(Episode):
             parameters.object.at,
             parameters.object.half_height_m,
             pose,
+            closed_m=1e-3 * policy.closed_mm,
             plane_friction=parameters.plane_friction,
             dhat_mm=parameters.contact.dhat_mm,
             dt_s=parameters.dt_s,
         )
         self.robot, self._base = built.robot, built.base
+        self._grasper, self._pads = built.grasper, list(built.grasper.pads)
+        self.gel = self._pads[0]
         self.seat = np.full(count, 1e-3 * policy.open_mm)
-        """Coordinate of the fingers [m]."""
+        """Of the gels from the middle between them [m]."""
         self.raised = np.zeros(count)
         """How far the gripper has risen [m]."""
-        shape = (count, len(SIDES))
+        shape = (count, len(self._pads))
         self._record = LiftRecord(parameters.goal, parameters.dt_s, built.rest_height_m, shape)
         config = contact_config(parameters.contact)
         scene = self._in_scene(built.scene)
@@ -202,7 +208,8 @@ class GraspLift(Episode):
     def _targets(self) -> np.ndarray:
         base = np.tile(self._base, (len(self.seat), 1))
         base[:, 2] += self.raised
-        return pose_of(matrix_of(base)[:, None] @ matrix_of(self.robot.targets(self.seat[:, None])))
+        links = self.robot.targets(self._grasper.closed(self.seat))
+        return pose_of(matrix_of(base)[:, None] @ matrix_of(links))
 
     def control(self) -> Control:
         policy, dt = self.parameters.policy, self.parameters.dt_s
@@ -215,7 +222,7 @@ class GraspLift(Episode):
 
     def measure(self) -> None:
         policy, record = self.parameters.policy, self._record
-        grip = [self.force_on("object", f"{side} pad", friction=False) for side in SIDES]
+        grip = [self.force_on("object", pad, friction=False) for pad in self._pads]
         record.grip_n = np.linalg.norm(np.stack(grip, axis=1), axis=2)
         closed = self.seat <= 1e-3 * policy.closed_mm
         firm = record.grip_n.min(axis=1) >= policy.grip_n
@@ -242,4 +249,4 @@ class GraspLift(Episode):
         return self._record.missed(env), figures
 
     def forces(self) -> dict[str, float]:
-        return {f"{side} pad": float(self._record.grip_n[0, i]) for i, side in enumerate(SIDES)}
+        return {pad: float(self._record.grip_n[0, i]) for i, pad in enumerate(self._pads)}

@@ -37,6 +37,8 @@ class Surface:
     """Distance that others keep from the surface [m]: the smallest gap is the sum of a pair's."""
     environments: tuple[int, ...] | None = None
     """Environments in which the body is present; all when None. Not for soft bodies."""
+    apart_from: frozenset[str] = frozenset()
+    """Names of bodies that it does not touch, whatever their layers."""
 
     def __post_init__(self) -> None:
         for name in ("layer", "collides_with"):

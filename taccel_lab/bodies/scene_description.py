@@ -169,6 +169,9 @@ class SceneDescription:
 
     def _check_names(self) -> None:
         names = [body.name for body in self.bodies]
+        for body in self.bodies:
+            for name in body.surface.apart_from.difference(names):
+                raise InputError(f"{body.name!r} is kept apart from {name!r}, which is no body")
         for pair, value in self.pair_friction.items():
             for name in pair:
                 if names.count(name) != 1:
@@ -216,6 +219,8 @@ class SceneDescription:
         """
         moves = (SoftBody, AffineBody)
         if not isinstance(first, moves) and not isinstance(second, moves):
+            return False
+        if first.name in second.surface.apart_from or second.name in first.surface.apart_from:
             return False
         for body, other in ((first, second), (second, first)):
             if isinstance(body, SoftBody) and body.mount == other.name:

@@ -53,7 +53,7 @@ class GelScene:
     ) -> None:
         """
         Args:
-            source: The model.
+            source: The model; each of its worlds is an environment.
             gels: On which bodies.
             touched: Names or labels of the bodies that gels may touch.
             inside: Whether those that move freely are unknowns of the scene.
@@ -73,6 +73,7 @@ class GelScene:
         self.affine: list[int] = []
         """Newton's body of each affine body."""
         kinematic: list[KinematicBody] = []
+        starts = source.body_q.reshape(source.world_count, -1, 7)
         free = source.free_bodies() if inside else []
         others = [source.body_id(label) for label in touched]
         for item in gels:
@@ -89,7 +90,7 @@ class GelScene:
         for body in others:
             if body in free and not source.is_kinematic(body):
                 self.affine.append(body)
-                affine.append(affine_body(source, body, source.body_q[body]))
+                affine.append(affine_body(source, body, starts[:, body]))
                 continue
             rows = touching_shapes(source, body)
             for row, shape in zip(rows, collision_shapes(source, body), strict=True):
@@ -102,20 +103,21 @@ class GelScene:
         self.scene = Scene(
             [mount.gel for mount in self.mounts],
             kinematic,
+            source.world_count,
             affine_bodies=affine,
             planes=world_planes(source),
             time=TimeStepping(quasi_static=False, dt_s=dt_s, gravity_m_s2=(x, y, z)),
         )
 
     def carried(self) -> list[int]:
-        """Newton's body that each of our bodies is, or rides on, in the order of their ids;
-        -1 for planes."""
+        """Newton's body, of a world, that each of our bodies is, or rides on, in the order of their
+        ids; -1 for planes."""
         soft = [body for body, _ in self.frames[: len(self.mounts)]]
         kinematic = [body for body, _ in self.frames]
         return [*soft, *self.affine, *kinematic, *(-1 for _ in self.scene.planes)]
 
     def targets(self, body_q: np.ndarray) -> np.ndarray:
-        """Poses of the kinematic bodies, [1, body, 7], of newton's bodies [body, 7]."""
-        places = matrix_of(body_q[[body for body, _ in self.frames]])
+        """Poses of the kinematic bodies, [world, frame, 7], of newton's bodies [world, body, 7]."""
+        places = matrix_of(body_q[:, [body for body, _ in self.frames]])
         offsets = np.stack([offset for _, offset in self.frames])
-        return pose_of(places @ offsets)[None]
+        return pose_of(places @ offsets)

@@ -174,8 +174,27 @@ def _link(model: NewtonModel, body: int) -> Link:
 
 
 def world_planes(model: NewtonModel) -> list[Plane]:
-    """The endless planes of newton's world."""
-    return [_plane(model, i) for i in touching_shapes(model, -1) if is_plane(model, i)]
+    """The endless planes of newton's world.
+
+    Raises InputError where those of several worlds are not the same.
+    """
+    own = model.array("shape_world")
+    found = [i for i in touching_shapes(model, -1) if is_plane(model, i)]
+    planes = {int(i): _plane(model, i) for i in found}
+    first = [planes[i] for i in found if own[i] <= 0]
+    levels = {
+        world: [_level(planes[i]) for i in found if own[i] == world]
+        for world in range(model.world_count)
+    }
+    for world, level in levels.items():
+        if not np.allclose(level, levels[0], rtol=0, atol=1e-6):
+            raise InputError(f"planes of world {world} are not where those of world 0 are")
+    return first
+
+
+def _level(plane: Plane) -> np.ndarray:
+    """Normal, and distance from the origin [m], [4]."""
+    return np.array([*plane.normal, np.dot(plane.normal, plane.point_m)])
 
 
 def _plane(model: NewtonModel, shape: int) -> Plane:

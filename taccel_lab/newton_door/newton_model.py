@@ -25,8 +25,16 @@ def newton_module() -> Any:
 class NewtonModel:
     """What is read of a ``newton.Model``, or of a ``newton.ModelBuilder``, which is finalised."""
 
-    def __init__(self, source: Any) -> None:
-        """Raises InputError for several worlds, and for something that is neither."""
+    def __init__(self, source: Any, *, worlds: bool = False) -> None:
+        """
+        Args:
+            source: The model or its builder.
+            worlds: Whether there may be several, all alike: names and indices are then those of the
+                first one, and body b of world w is row ``w * body_count + b`` of newton's arrays.
+
+        Raises:
+            InputError: Several worlds, or some that differ; something that is neither.
+        """
         newton = newton_module()
         if isinstance(source, newton.ModelBuilder):
             try:
@@ -37,14 +45,19 @@ class NewtonModel:
             raise InputError(
                 f"a newton.ModelBuilder or newton.Model is needed, got {type(source).__name__}"
             )
-        if source.world_count > 1:
+        if source.world_count > 1 and not worlds:
             raise InputError(
                 f"the model has {source.world_count} worlds: import one and repeat it here, "
                 "Scene(env_count=...)"
             )
         self.newton = newton
         self.model = source
-        self.bodies = short_names(source.body_label)
+        self.world_count = max(int(source.world_count), 1)
+        self.body_count = int(source.body_count) // self.world_count
+        """Of a world."""
+        if self.world_count > 1:
+            self._check_worlds()
+        self.bodies = short_names(source.body_label[: self.body_count])
         """Names of the bodies."""
         self.joints = short_names(source.joint_label)
         """Names of the joints."""
@@ -86,7 +99,7 @@ class NewtonModel:
         free = int(self.newton.JointType.FREE)
         held = self.array("joint_child")[(kinds != free) | (parents >= 0)]
         busy = set(held.tolist()) | set(parents.tolist())
-        return [i for i in range(self.model.body_count) if i not in busy]
+        return [i for i in range(self.body_count) if i not in busy]
 
     def is_kinematic(self, body: int) -> bool:
         """Whether newton leaves the pose of a body to the user."""
@@ -94,10 +107,50 @@ class NewtonModel:
 
     def body_id(self, name: str) -> int:
         """Index of a body by its name or its newton label; InputError for one that is not there."""
-        for names in (self.bodies, self.model.body_label):
+        for names in (self.bodies, self.model.body_label[: self.body_count]):
             if name in names:
                 return list(names).index(name)
         raise InputError(f"there is no body {name!r}; there are {', '.join(self.bodies)}")
+
+    def _check_worlds(self) -> None:
+        """Refuse worlds that are not copies of the first one, but for where they stand."""
+        count = self.body_count
+        worlds = np.arange(self.world_count)
+        if not np.array_equal(self.array("body_world"), np.repeat(worlds, count)):
+            raise InputError(
+                "a model of several worlds needs the same bodies in each, and none outside them: "
+                "make it by ModelBuilder.replicate"
+            )
+        for what, (names, carriers) in _OF_WORLDS.items():
+            own = self.array(f"{what}_world").astype(int)
+            for name in (*names, *carriers):
+                array = self.array(name)
+                if name in carriers:
+                    array = np.where(array >= 0, array - count * np.maximum(own, 0), array)
+                if name == "shape_transform":
+                    # What stands in a world itself goes with the world.
+                    array = np.where(self.array("shape_body")[:, None] >= 0, array, 0.0)
+                for world in worlds:
+                    if not np.array_equal(array[own == world], array[own == 0]):
+                        raise InputError(
+                            f"world {world} differs from world 0 in its {name}: worlds must be "
+                            "copies, make them by ModelBuilder.replicate"
+                        )
+        gravity = self.array("gravity")
+        if (gravity != gravity[:1]).any():
+            raise InputError("all worlds must have the same gravity")
+
+
+_OF_WORLDS = {
+    "body": (("body_mass", "body_com", "body_inertia", "body_flags"), ()),
+    "joint": (("joint_type",), ("joint_parent", "joint_child")),
+    "shape": (
+        ("shape_type", "shape_scale", "shape_flags", "shape_material_mu", "shape_transform"),
+        ("shape_body",),
+    ),
+}
+"""Arrays of bodies, joints and shapes that are the same in all worlds, and those that hold indices
+of bodies."""
 
 
 def unit_poses(poses: np.ndarray) -> np.ndarray:

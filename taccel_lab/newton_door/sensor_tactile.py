@@ -32,6 +32,7 @@ class SensorTactile:
         solver: SolverGel,
         gel: str,
         *,
+        world: int = 0,
         profile: SensorProfile | None = None,
         size_px: tuple[int, int] = (80, 60),
         markers_mm: Any = None,
@@ -40,18 +41,24 @@ class SensorTactile:
         Args:
             solver: Whose gel it is.
             gel: Name of the gel.
+            world: Of newton's, which is looked at.
             profile: The sensor that the gel is of: its pixels, colours and untouched image.
             size_px: Width and height of a gel without a profile: pixels that fill its contact face.
             markers_mm: Places of markers on the face [mm], [marker, 2]; a grid of 8 x 6 over
                 the pixels when None.
 
         Raises:
-            InputError: A gel that is not there, a profile with another mesh, a marker beside it.
+            InputError: A gel or a world that is not there, a profile with another mesh, a marker
+                beside it.
         """
         names = [mount.gel.name for mount in solver.gel_scene.mounts]
         if gel not in names:
             raise InputError(f"there is no gel {gel!r}; there are {', '.join(map(repr, names))}")
-        self._solver = solver
+        if not 0 <= world < solver.gel_model.env_count:
+            raise InputError(
+                f"there is no world {world}; there are 0 to {solver.gel_model.env_count - 1}"
+            )
+        self._solver, self._world = solver, world
         self._index = names.index(gel)
         body = solver.gel_scene.mounts[self._index].gel
         mesh = body.nodal_mesh
@@ -70,7 +77,7 @@ class SensorTactile:
         if markers_mm is not None and not on_face.all():
             raise InputError(f"marker {np.argmin(on_face)} lies beside the face of gel {gel!r}")
         options: dict[str, Any] = {
-            "env_count": 1,
+            "env_count": solver.gel_model.env_count,
             "markers": layout,
             "first_node": first,
             "device": solver.gel_model.device,
@@ -92,44 +99,47 @@ class SensorTactile:
             raise InputError("the gels have no state yet: call SolverGel.reset or step before")
         self._signal.update(state.positions, state.poses[:, self._index])
         self._solver.outputs.update(state)
-        self._frame = matrix_of(state.poses.numpy()[0, self._index])
+        self._frame = matrix_of(state.poses.numpy()[self._world, self._index])
         return self
 
     @property
     def image(self) -> np.ndarray:
         """What the camera sees, RGB, uint8, [height_px, width_px, 3]; InputError for a gel without
         a profile that has colours."""
-        return self._signal.rgb.numpy()[0].copy()
+        return self._signal.rgb.numpy()[self._world].copy()
 
     @property
     def height_m(self) -> np.ndarray:
         """Height of the contact face [m], float32, [height_px, width_px], NaN beside it."""
-        return self._signal.height_m.numpy()[0].copy()
+        return self._signal.height_m.numpy()[self._world].copy()
 
     @property
     def markers_px(self) -> np.ndarray:
         """Columns and rows of the markers in the image [px], float32, [marker, 2]."""
-        return self._signal.markers_px.numpy()[0].copy()
+        return self._signal.markers_px.numpy()[self._world].copy()
 
     @property
     def points(self) -> np.ndarray:
         """Nodes of the contact face [m], float64, [node, 3]."""
         state = self._solver.gel_state
         assert state is not None
-        world = state.positions.numpy()[0, self._nodes][self.face_nodes]
+        world = state.positions.numpy()[self._world, self._nodes][self.face_nodes]
         return (world - self._frame[:3, 3]) @ self._frame[:3, :3]
 
     @property
     def forces(self) -> np.ndarray:
         """Contact and friction on the nodes of the contact face [N], float64, [node, 3]."""
         outputs = self._solver.outputs
-        world = outputs.normal_forces.numpy()[0] + outputs.friction_forces.numpy()[0]
+        world = (
+            outputs.normal_forces.numpy()[self._world]
+            + outputs.friction_forces.numpy()[self._world]
+        )
         return world[self._nodes][self.face_nodes] @ self._frame[:3, :3]
 
     @property
     def wrench(self) -> np.ndarray:
         """Force [N] and torque about the gel's origin [N m] on the gel, float64, [6]."""
-        return self._solver.outputs.soft_wrenches().numpy()[0, self._index].copy()
+        return self._solver.outputs.soft_wrenches().numpy()[self._world, self._index].copy()
 
 
 def _of_profile(profile: SensorProfile, mesh: Any, grid: Any, options: dict[str, Any]) -> Any:

@@ -102,10 +102,12 @@ class SceneView:
             target.particle_qd.assign(v[self._corners].astype(np.float32))
         rows, rates = [], []
         for k, solid in enumerate(self._model.affine.properties):
-            nodes = slice(self._model.affine.first_control + 4 * k, None)
-            pose, rate = rigid_motion(x[nodes][:4], v[nodes][:4], solid)
-            rows.append(pose)
-            rates.append(rate)
+            first = self._model.affine.first_control + 4 * k
+            poses, spins = rigid_motion(
+                x[None, first : first + 4], v[None, first : first + 4], solid
+            )
+            rows += list(poses)
+            rates += list(spins)
         rows += list(state.poses.numpy()[env].reshape(-1, 7))
         if rows:
             rates += [np.zeros(6)] * (len(rows) - len(rates))

@@ -56,18 +56,20 @@ class SolverGel(newton.solvers.SolverBase):
     ) -> None:
         """
         Args:
-            model: ``newton.Model`` of one world.
-            gels: On which bodies.
-            touched: Names or labels of the bodies that gels may touch.
+            model: ``newton.Model``; worlds are alike (``ModelBuilder.replicate``), and each is an
+                environment of ours.
+            gels: On which bodies of a world.
+            touched: Names or labels of the bodies of a world that gels may touch.
             rigid: Newton's solver of the bodies, of the same model. Without one bodies stay where
                 the state has them, and gels follow whatever moves them between steps.
             coupling: Of bodies that move freely and are touched.
             config: Of our solver.
 
         Raises:
-            InputError: A body that is not there, shapes that cannot be taken over, several worlds.
+            InputError: A body that is not there, shapes that cannot be taken over, worlds that
+                are not alike.
         """
-        source = NewtonModel(model)
+        source = NewtonModel(model, worlds=True)
         super().__init__(model)
         if coupling not in list(Coupling):
             raise InputError(f"coupling must be {' or '.join(Coupling)}, got {coupling!r}")
@@ -87,9 +89,13 @@ class SolverGel(newton.solvers.SolverBase):
         """Of our bodies; made from newton's state by the first step, or ``reset``."""
         self.report: StepReport | None = None
         """Of the latest step."""
+        self._worlds = source.world_count
         self._centers = source.array("body_com").reshape(-1, 3)
         self._written: tuple[np.ndarray, np.ndarray] | None = None
-        self._free_rows = [_free_joint(source, body) for body in self.gel_scene.affine]
+        self._free_rows = [
+            [_free_joint(source, w * source.body_count + body) for w in range(self._worlds)]
+            for body in self.gel_scene.affine
+        ]
 
     def step(
         self,
@@ -110,17 +116,17 @@ class SolverGel(newton.solvers.SolverBase):
             self.reset(state_in)
         assert self.gel_state is not None
         scene = self.gel_scene
-        loads = state_in.body_f.numpy().astype(np.float64)
+        loads = self._by_world(state_in.body_f.numpy().astype(np.float64))
         if self.rigid is None:
             _keep_bodies(state_in, state_out)
         else:
             self._step_rigid(state_in, state_out, control, contacts, dt, loads)
         if scene.affine:
             self._follow_bodies_inside(state_in)
-        body_q = unit_poses(state_out.body_q.numpy())
+        body_q = self._by_world(unit_poses(state_out.body_q.numpy()))
         wanted = Control(target_poses=scene.targets(body_q), dt_s=float(dt))
         if scene.affine:
-            wanted.wrenches = loads[scene.affine].reshape(1, -1, 2, 3)
+            wanted.wrenches = loads[:, scene.affine].reshape(self._worlds, -1, 2, 3)
         self.report = self.gel_solver.step(self.gel_state, wanted)
         if not self.report.converged.all():
             raise SimulationError(f"the gels' step failed: {self.report.describe()}")
@@ -129,71 +135,102 @@ class SolverGel(newton.solvers.SolverBase):
         self._harvest(unit_poses(state_out.body_q.numpy()))
 
     def reset(self, state: Any, world_mask: Any = None, flags: Any = None) -> None:
-        """Gels at rest on their bodies, bodies inside where ``state`` has them, no wrenches."""
-        targets = self.gel_scene.targets(unit_poses(state.body_q.numpy()))
-        self.gel_state = initial_state(self.gel_model, targets)
-        self.gel_solver.reset(self.gel_state, np.ones(1, dtype=bool), targets)
-        self.wrenches[:] = 0.0
-        self._written = None
+        """Gels at rest on their bodies, bodies inside where ``state`` has them, no wrenches.
+
+        ``world_mask``: newton's, bool, [world_count + 1]; all worlds when None.
+        """
+        targets = self.gel_scene.targets(self._by_world(unit_poses(state.body_q.numpy())))
+        if self.gel_state is None:
+            self.gel_state = initial_state(self.gel_model, targets)
+            world_mask = None
+        who = np.ones(self._worlds, dtype=bool)
+        if world_mask is not None:
+            who = np.array(world_mask.numpy(), dtype=bool)[: self._worlds]
+        self.gel_solver.reset(self.gel_state, who, targets)
+        self._by_world(self.wrenches)[who] = 0.0
         if self.gel_scene.affine:
-            self._follow_bodies_inside(state)
+            self._put_bodies_inside(state, who)
+
+    def _by_world(self, rows: np.ndarray) -> np.ndarray:
+        """Rows of newton's bodies, [body, k], as [world, body, k]: a view."""
+        return rows.reshape(self._worlds, -1, rows.shape[-1])
 
     def _step_rigid(
         self, state_in: Any, state_out: Any, control: Any, contacts: Any, dt: float, loads: Any
     ) -> None:
         """Newton's solver, with the wrenches of the last step on the bodies that it moves."""
-        pushed = loads + self.wrenches
-        pushed[self.gel_scene.affine] = loads[self.gel_scene.affine]
-        state_in.body_f.assign(pushed.astype(np.float32))
+        pushed = loads + self._by_world(self.wrenches)
+        pushed[:, self.gel_scene.affine] = loads[:, self.gel_scene.affine]
+        state_in.body_f.assign(pushed.reshape(-1, 6).astype(np.float32))
         self.rigid.step(state_in, state_out, control, contacts, dt)
-        state_in.body_f.assign(loads.astype(np.float32))
+        state_in.body_f.assign(loads.reshape(-1, 6).astype(np.float32))
 
     def _follow_bodies_inside(self, state: Any) -> None:
         """Put bodies inside where newton's state has them, if somebody else has moved them: what
         was written there in single precision is known here in double."""
+        moved = np.ones(self._worlds, dtype=bool)
+        if self._written is not None:
+            same = [
+                (now == before).all(axis=(1, 2))
+                for now, before in zip(self._inside(state), self._written, strict=True)
+            ]
+            moved = ~(same[0] & same[1])
+        if moved.any():
+            self._put_bodies_inside(state, moved)
+
+    def _inside(self, state: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Poses and rates of bodies inside in newton's state, [world, body, 7] and [.., 6]."""
         rows = self.gel_scene.affine
-        found = (state.body_q.numpy()[rows], state.body_qd.numpy()[rows])
-        if self._written is not None and all(
-            np.array_equal(a, b) for a, b in zip(found, self._written, strict=True)
-        ):
-            return
+        arrays = (state.body_q, state.body_qd)
+        poses, rates = (self._by_world(array.numpy())[:, rows] for array in arrays)
+        return poses, rates
+
+    def _put_bodies_inside(self, state: Any, who: np.ndarray) -> None:
+        """Bodies inside go where newton's state has them, in the worlds of ``who`` (bool)."""
         assert self.gel_state is not None
         positions = self.gel_state.positions.numpy()
         velocities = self.gel_state.velocities.numpy()
+        found = self._inside(state)
         poses, rates = unit_poses(found[0]), found[1].astype(np.float64)
         for k, solid in enumerate(self.gel_model.affine.properties):
             first = self.gel_model.affine.first_control + 4 * k
-            control = control_positions(solid, poses[k])
-            positions[0, first : first + 4] = control
-            velocities[0, first] = rates[k, :3]
-            velocities[0, first + 1 : first + 4] = np.cross(rates[k, 3:], control[1:])
+            for world in np.flatnonzero(who):
+                control = control_positions(solid, poses[world, k])
+                positions[world, first : first + 4] = control
+                velocities[world, first] = rates[world, k, :3]
+                turned = np.cross(rates[world, k, 3:], control[1:])
+                velocities[world, first + 1 : first + 4] = turned
         for array, value in (
             (self.gel_state.positions, positions),
             (self.gel_state.velocities, velocities),
         ):
             array.assign(value)
             embed_vertices(self.gel_model, array)
+        if self._written is not None:
+            for now, before in zip(found, self._written, strict=True):
+                before[who] = now[who]
 
     def _write_back(self, state_out: Any) -> None:
         """Poses and velocities of bodies inside into newton's state."""
         assert self.gel_state is not None
         body_q, body_qd = state_out.body_q.numpy(), state_out.body_qd.numpy()
         positions, velocities = self.gel_state.positions.numpy(), self.gel_state.velocities.numpy()
-        for k, (body, solid) in enumerate(
-            zip(self.gel_scene.affine, self.gel_model.affine.properties, strict=True)
-        ):
+        solids = self.gel_model.affine.properties
+        for k, (body, solid) in enumerate(zip(self.gel_scene.affine, solids, strict=True)):
             first = self.gel_model.affine.first_control + 4 * k
-            y, v = positions[0, first : first + 4], velocities[0, first : first + 4]
-            body_q[body], body_qd[body] = rigid_motion(y, v, solid)
+            y, v = positions[:, first : first + 4], velocities[:, first : first + 4]
+            motion = rigid_motion(y, v, solid)
+            self._by_world(body_q)[:, body], self._by_world(body_qd)[:, body] = motion
         state_out.body_q.assign(body_q)
         state_out.body_qd.assign(body_qd)
-        rows = self.gel_scene.affine
-        self._written = body_q[rows].copy(), body_qd[rows].copy()
+        self._written = self._inside(state_out)
         if state_out.joint_q is not None and state_out.joint_q.size:
             joint_q, joint_qd = state_out.joint_q.numpy(), state_out.joint_qd.numpy()
-            for body, row in zip(rows, self._free_rows, strict=True):
-                if row is not None:
-                    joint_q[row[0] :][:7], joint_qd[row[1] :][:6] = body_q[body], body_qd[body]
+            for body, rows in zip(self.gel_scene.affine, self._free_rows, strict=True):
+                for world, row in enumerate(rows):
+                    if row is not None:
+                        joint_q[row[0] :][:7] = self._by_world(body_q)[world, body]
+                        joint_qd[row[1] :][:6] = self._by_world(body_qd)[world, body]
             state_out.joint_q.assign(joint_q)
             state_out.joint_qd.assign(joint_qd)
 
@@ -201,12 +238,12 @@ class SolverGel(newton.solvers.SolverBase):
         """Sum the wrenches of contact and friction on what stands for each of newton's bodies."""
         assert self.gel_state is not None
         self.outputs.update(self.gel_state)
-        totals = self.outputs.contact_wrenches().totals().numpy()[0]
-        totals = totals + self.outputs.friction_wrenches().totals().numpy()[0]
+        totals = self.outputs.contact_wrenches().totals().numpy()
+        totals = totals + self.outputs.friction_wrenches().totals().numpy()
         self.wrenches[:] = 0.0
-        for body, wrench in zip(self.gel_scene.carried(), totals, strict=True):
+        for k, body in enumerate(self.gel_scene.carried()):
             if body >= 0:
-                self.wrenches[body] += wrench
+                self._by_world(self.wrenches)[:, body] += totals[:, k]
         turns = matrix_of(body_q)
         centers = np.einsum("bij,bj->bi", turns[:, :3, :3], self._centers) + turns[:, :3, 3]
         self.wrenches[:, 3:] -= np.cross(centers, self.wrenches[:, :3])
@@ -229,8 +266,8 @@ def _free_joint(source: NewtonModel, body: int) -> tuple[int, int] | None:
         for name in ("joint_X_p", "joint_X_c"):
             if not np.array_equal(source.array(name)[row], [0, 0, 0, 0, 0, 0, 1]):
                 raise InputError(
-                    f"the free joint of body {source.bodies[body]!r} has frames of its own: "
-                    "a body inside needs one without"
+                    f"the free joint of body {source.model.body_label[body]!r} has frames of its "
+                    "own: a body inside needs one without"
                 )
         return int(source.array("joint_q_start")[row]), int(source.array("joint_qd_start")[row])
     return None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -57,6 +58,21 @@ def _read_with_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
         loaded = pyvista.read(path)
     if not isinstance(loaded, pyvista.PolyData) or loaded.n_cells == 0 or loaded.n_points == 0:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    return _cleaned(path, loaded)
+
+
+def clean_triangles(
+    path: Path, points: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points [n, 3] and triangles [m, 3] that were read of a file as ``read_triangle_file`` gives
+    them."""
+    import pyvista
+
+    _check_count(path, len(faces))
+    return _cleaned(path, pyvista.PolyData.from_regular_faces(points, faces))
+
+
+def _cleaned(path: Path, loaded: Any) -> tuple[np.ndarray, np.ndarray]:
     # The filters follow an index wherever it points, and order points by coordinates.
     _check_numbers(path, loaded.points, loaded.GetPolys())
     surface = loaded.triangulate().clean()

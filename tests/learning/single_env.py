@@ -43,5 +43,5 @@ class SingleEnv(gymnasium.Env):
     ) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         seen, reward, terminated, truncated, info = self._vector.step(torch.as_tensor(action)[None])
         observation = {name: part[0] for name, part in as_numpy(seen).items()}
-        figures = {"depth_mm": float(info["depth_mm"][0])}
+        figures = {name: float(info[name][0]) for name in info if name.endswith("_mm")}
         return observation, float(reward[0]), bool(terminated[0]), bool(truncated[0]), figures

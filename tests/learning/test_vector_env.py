@@ -92,6 +92,16 @@ def test_gymnasiums_checkers_pass() -> None:
     check_environments_match(*pair, num_steps=12, seed=3)
 
 
+@pytest.mark.filterwarnings("ignore:.*infinity.*")
+def test_gymnasiums_checkers_pass_of_a_robot_s_joints() -> None:
+    """Three fingers of three joints."""
+    pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
+    check_env(SingleEnv("grasp-lift-hand", randomised=True), skip_render_check=True)
+    pair = [SingleEnv("grasp-lift-hand", randomised=True) for _ in range(2)]
+    assert pair[0].action_space.shape == (13,)
+    check_environments_match(*pair, num_steps=5, seed=3)
+
+
 def same(found: dict[str, torch.Tensor], wanted: dict[str, np.ndarray]) -> None:
     for name, part in as_numpy(found).items():
         np.testing.assert_allclose(part, wanted[name], rtol=2e-3, atol=2e-3, err_msg=name)
@@ -242,7 +252,8 @@ def test_bad_input_is_refused_in_a_sentence() -> None:
         make(observe=("smell",))
     with pytest.raises(InputError, match="autoreset_mode must be NEXT_STEP or DISABLED"):
         make(autoreset_mode=AutoresetMode.SAME_STEP)
-    assert names() == ["grasp-lift", "grasp-lift-ball", "grasp-lift-cylinder", "peg-insertion"]
+    lifts = ["grasp-lift", *(f"grasp-lift-{what}" for what in ("ball", "cylinder", "hand"))]
+    assert names() == [*lifts, "peg-insertion"]
     for task in ("juggle", named("ball-rolling")):
         with pytest.raises(InputError, match=r"can(not)? be learned.*peg-insertion"):
             make(task)

@@ -106,15 +106,20 @@ def monolithic(dt_s: float, end_s: float = END_S) -> Run:
     return Run(dt_s, *(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def cube_model() -> object:
-    """Two kinematic jaws and a free cube as newton's model."""
+def cube_builder(density: float = DENSITY) -> object:
+    """Two kinematic jaws and a free cube."""
     builder = newton.ModelBuilder()
     for side, pose in zip(("left", "right"), jaws(0.0), strict=True):
         builder.add_body(xform=wp.transform(*pose.tolist()), is_kinematic=True, label=side)
     cube = builder.add_body(label="cube")
-    cfg = newton.ModelBuilder.ShapeConfig(density=DENSITY, mu=FRICTION)
+    cfg = newton.ModelBuilder.ShapeConfig(density=density, mu=FRICTION)
     builder.add_shape_box(cube, hx=EDGE / 2, hy=EDGE / 2, hz=EDGE / 2, cfg=cfg)
-    return builder.finalize(device="cpu")
+    return builder
+
+
+def cube_model() -> object:
+    """They as newton's model."""
+    return cube_builder().finalize(device="cpu")  # type: ignore[attr-defined]
 
 
 def coupled(dt_s: float, coupling: Coupling, end_s: float = END_S) -> Run:

@@ -140,7 +140,7 @@ def test_what_cannot_be_taken_over_is_said(tmp_path: Path, change: str) -> None:
     [
         ("x.stl", r"mesh file 'x\.stl' is not there; looked in"),
         ("package://other/x.stl", "'package://other/x.stl' is not there"),
-        ("x.dae", r"collision mesh 'x\.dae' of link 'a' is of a kind that is not read; allowed"),
+        ("x.3ds", r"collision mesh 'x\.3ds' of link 'a' is of a kind that is not read; allowed"),
     ],
 )
 def test_mesh_files_that_cannot_be_used_are_said(tmp_path: Path, file: str, message: str) -> None:

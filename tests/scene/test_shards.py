@@ -47,7 +47,7 @@ SHARED = {
     "initial_velocity_m_s initial_spin_rad_s stated_mass",
     KinematicBody: "shape friction_coefficient name surface",
     Plane: "point_m normal friction_coefficient name surface",
-    Surface: "layer collides_with thickness_m environments",
+    Surface: "layer collides_with thickness_m apart_from environments",
     FixedJoint: "first second name bodies_touch",
     RevoluteJoint: "first second name bodies_touch limits_deg drive",
     PrismaticJoint: "first second name bodies_touch limits_mm drive",

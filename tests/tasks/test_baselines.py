@@ -32,6 +32,7 @@ def run(name: str, seeds: int) -> TaskResult:
         ("grasp-lift-cylinder", 64),
         ("grasp-lift-ball", 64),
         ("grasp-lift-driven", 64),
+        ("grasp-lift-hand", 64),
         ("soft-block", 63),
         ("soft-bear", 64),
     ],

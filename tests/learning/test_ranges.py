@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Episodes draw within the file's ranges, a sensor's measured spread, or ranges that are given."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.learning.catalogue import make_vec
+from taccel_lab.learning.vector_env import TactileVectorEnv
+from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
+from taccel_lab.sensors.profile import catalogue_profile
+from tests.learning.tasks import peg_parameters
+
+pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
+
+
+@pytest.fixture(scope="module")
+def assumed() -> SensorProfile:
+    """A sensor of the catalogue on a mesh of 72 nodes."""
+    mini = catalogue_profile("gelsight_mini")
+    mesh = block_mesh((5, 5, 1), (20.75e-3, 25.25e-3, 4e-3), 0.1)
+    gel = mini.gel.replace(node_count=mesh.node_count, tet_count=mesh.tet_count)
+    return replace(mini, gel=gel, mesh=mesh)
+
+
+@pytest.fixture(scope="module")
+def measured(assumed: SensorProfile) -> SensorProfile:
+    """It with a modulus of 80 to 120 kPa, a ratio of 0.44 to 0.46 and a friction of 0.6 to 1."""
+    evidence = {
+        "kind": "calibrated",
+        "method": "a test",
+        "source": "a test",
+        "inputs": {"file": "0" * 64},
+        "residuals": {"force_n": 0.1},
+        "valid_region": {"depth_mm": (0.0, 1.0)},
+    }
+    interval = {"young_modulus_pa": (8e4, 1.2e5), "poisson_ratio": (0.44, 0.46)}
+    material = assumed.material.replace(
+        young_modulus_pa=1e5,
+        poisson_ratio=0.45,
+        friction_coefficient=0.8,
+        provenance=Provenance(**evidence, interval=interval),
+    )
+    units = PerturbationBlock(friction_coefficient=0.1, provenance=Provenance(**evidence))
+    return assumed.with_block(material).with_block(units)
+
+
+def drawn(env: TactileVectorEnv, gels: list[str]) -> dict[str, np.ndarray]:
+    """What 32 environments have, [env, gel] or [env]."""
+    model = env.model
+    ids = [model.body_id(gel) for gel in gels]
+    held = model.body_id("object")
+    return {
+        "modulus": model.largest_moduli.numpy()[:, ids],
+        "friction": model.pair_friction.numpy()[:, ids, held],
+        "mass": model.masses.numpy()[:, model.affine.first_control],
+    }
+
+
+@pytest.mark.parametrize("task", ["grasp-lift", "grasp-lift-hand"])
+def test_a_sensor_s_own_spread_is_drawn(task: str, measured: SensorProfile) -> None:
+    env = make_vec(task, 32, sensor=measured, randomised=True, device="cpu")
+    env.reset(seed=3)
+    gels = [body.name for body in env.model.scene.soft_bodies]
+    found = drawn(env, gels)
+    # 2 a b / (a + b) of the gel's friction and the object's 0.2.
+    wanted = {
+        "modulus": (8e4, 1.2e5),
+        "friction": (2 * 0.6 * 0.2 / 0.8, 2 * 1.0 * 0.2 / 1.2),
+        "mass": (0.075, 0.125),
+    }
+    for name, (low, high) in wanted.items():
+        values = found[name]
+        assert low <= values.min() and values.max() <= high, name
+        assert values.min() < low + 0.2 * (high - low) and values.max() > high - 0.2 * (high - low)
+    assert (found["modulus"] == found["modulus"][:, :1]).all(), "gels of one episode are alike"
+    ranges = {item.what: item for item in env.task.ranges({})}
+    assert (ranges["poisson_ratio"].low, ranges["poisson_ratio"].high) == (0.44, 0.46)
+    assert ranges["poisson_ratio"].of == tuple((gel,) for gel in gels)
+    seen, _, _, truncated, _ = env.step(torch.zeros(env.action_space.shape))
+    assert not truncated.any() and torch.isfinite(seen["wrench"]).all()
+
+
+def test_ranges_that_are_given_stand_in_place(measured: SensorProfile) -> None:
+    given = {"young_modulus_pa": (2e5, 2.1e5), "friction": (0.5, 0.6), "mass_kg": (0.2, 0.2)}
+    for sensor in (None, measured):
+        env = make_vec("grasp-lift", 8, sensor=sensor, randomised=given, device="cpu")
+        env.reset(seed=0)
+        found = drawn(env, ["left pad", "right pad"])
+        assert (found["modulus"] >= 2e5).all() and (found["modulus"] <= 2.1e5).all()
+        assert (found["friction"] >= 0.5).all() and (found["friction"] <= 0.6).all()
+        np.testing.assert_allclose(found["mass"], 0.2)
+        poisson = [item for item in env.task.ranges(given) if item.what == "poisson_ratio"]
+        assert len(poisson) == (sensor is not None)
+
+
+def test_a_sensor_without_measured_spread_is_refused(assumed: SensorProfile) -> None:
+    def make(**options: object) -> TactileVectorEnv:
+        return make_vec("grasp-lift", 1, sensor=assumed, device="cpu", **options)
+
+    with pytest.raises(
+        InputError, match=r"'gelsight_mini' states no measured spread of (friction|young_modulus)"
+    ):
+        make(randomised=True)
+    with pytest.raises(InputError, match="no measured spread of friction: its material is"):
+        make(randomised={"young_modulus_pa": (1e5, 2e5)})
+    make(randomised={"young_modulus_pa": (1e5, 2e5), "friction": (0.3, 0.5)}).reset(seed=0)
+    make().reset(seed=0)
+
+
+def test_bad_ranges_are_refused(measured: SensorProfile) -> None:
+    for given, message in (
+        ({"colour": (0.0, 1.0)}, "range of 'colour'; episodes of this task draw friction, mass_kg"),
+        ({"mass_kg": (2.0, 1.0)}, "range of mass_kg must be low <= high, got 2 and 1"),
+    ):
+        for sensor in (None, measured):
+            with pytest.raises(InputError, match=message):
+                make_vec("grasp-lift", 1, sensor=sensor, randomised=given, device="cpu")
+    with pytest.raises(InputError, match="a sensor goes into grasp-lift"):
+        make_vec("peg-insertion", 1, sensor=measured, device="cpu")
+    layers = measured.with_block(
+        measured.material.replace(
+            layers=(
+                {
+                    "name": "skin",
+                    "young_modulus_pa": 1e5,
+                    "poisson_ratio": 0.4,
+                    "density_kg_m3": 1e3,
+                },
+            )
+        )
+    )
+    with pytest.raises(InputError, match="a gel of several layers"):
+        make_vec("grasp-lift", 1, sensor=layers, device="cpu")
+    # The file's ranges are as they were.
+    env = make_vec("peg-insertion", 1, device="cpu")
+    for item, listed in zip(env.task.ranges({}), peg_parameters().learning.randomise, strict=True):
+        assert (item.what, item.low, item.high) == (listed.what, listed.low, listed.high)
