@@ -56,6 +56,8 @@ class LinearSystem(LinearProblem):
         self.clusters = list(clusters or [])
         if method == "auto":
             method = _method(pattern, self.clusters, env_count, device)
+        self.method = method
+        """The one of ``METHODS`` that solves."""
         self._solver = METHODS[method](self)
 
     def describe(self) -> str:
