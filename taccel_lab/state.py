@@ -180,6 +180,23 @@ def poses_array(model: Model, poses: Any) -> wp.array:
     return given_array(poses, "poses", shape, wp.transformd, model.device)
 
 
+def check_state(state: State, model: Model) -> None:
+    """Refuse arrays of another device or shape, which a kernel would read as they are."""
+    nodes = (model.env_count, model.node_count)
+    for name, array, shape in (
+        ("positions", state.positions, nodes),
+        ("velocities", state.velocities, nodes),
+        ("poses", state.poses, (model.env_count, len(model.kinematic))),
+    ):
+        if array.device != model.device:
+            raise InputError(
+                f"{name} of the state are on {array.device}, the solver is on {model.device}: "
+                f"make the array with device={str(model.device)!r}"
+            )
+        if array.shape != shape:
+            raise InputError(f"{name} of the state have shape {array.shape}, expected {shape}")
+
+
 def initial_state(model: Model, poses: np.ndarray | None = None) -> State:
     """All bodies at their initial poses and velocities, gels in their rest shape.
 

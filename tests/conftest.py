@@ -12,6 +12,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 import pytest
+import warp as wp
 from hypothesis import HealthCheck, settings
 
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
@@ -33,6 +34,10 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("taccel")
+
+
+# Where there is a GPU, Warp would make arrays there whose device a test does not name.
+wp.set_device("cpu")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -31,7 +31,7 @@ from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.step_graph import StepGraphs
 from taccel_lab.solvers.step_launches import StepLaunches
-from taccel_lab.state import State, initial_state, poses_array
+from taccel_lab.state import State, check_state, initial_state, poses_array
 
 wp.set_module_options({"enable_backward": False})
 
@@ -186,6 +186,7 @@ class SolverIPC(SolverParts):
         """Check what is asked of a step, then copy it to where the step reads it, in the
         environments of ``mask`` (int32, [env_count]), in all when None; returns dt [s]."""
         model = self.model
+        check_state(state, model)
         if not isinstance(control, Control):
             control = Control(target_poses=control)
         poses = control.target_poses

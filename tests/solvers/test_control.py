@@ -180,3 +180,19 @@ def test_what_the_scene_does_not_have_is_refused() -> None:
         solver.step(state, Control(dt_s=1e-3))
     with pytest.raises(InputError, match="the scene has no joints"):
         solver.step(state, Control(joint_targets=np.zeros((1, 0))))
+
+
+def test_a_state_of_another_scene_is_refused() -> None:
+    solver, _ = arm()
+    _, other = arm(env_count=3)
+    with pytest.raises(InputError, match=r"positions of the state have shape \(3, .*expected \(2,"):
+        solver.step(other)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
+def test_a_state_on_another_device_is_refused() -> None:
+    solver, state = arm()
+    state.positions = wp.clone(state.positions, device="cuda:0")
+    with pytest.raises(InputError, match="positions of the state are on cuda:0, the solver is on"):
+        solver.step(state)
