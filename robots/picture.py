@@ -58,7 +58,8 @@ def draw_robot(
         )
         if gel is None:
             edges = surface.extract_feature_edges(feature_angle=30.0)
-            plotter.add_mesh(edges, color="#555555", line_width=1.2)
+            if edges.n_points:  # A ball has none, and nothing cannot be drawn.
+                plotter.add_mesh(edges, color="#555555", line_width=1.2)
     plotter.view_vector(direction, viewup=(0, 0, 1))  # type: ignore[arg-type]
     picture = np.asarray(plotter.screenshot(return_img=True))
     plotter.close()

@@ -262,6 +262,15 @@ def test_a_picture_shows_gels(tmp_path: Path) -> None:
         assert ((blue - red > 40).mean() > 0.005) == seen
 
 
+def test_a_ball_is_drawn(tmp_path: Path) -> None:
+    """Though it has no edges, as the tips of Allegro's fingers have none."""
+    robot = load_urdf(write(tmp_path, CHAIN)).touching(["slide"])
+    draw_robot(robot, np.clip(np.zeros(robot.dof), *robot.limits.T), tmp_path / "ball.png")
+    grey = np.asarray(Image.open(tmp_path / "ball.png")).std(axis=2) < 6
+    bright = np.asarray(Image.open(tmp_path / "ball.png")).mean(axis=2)
+    assert (grey & (bright < 200)).mean() > 0.05
+
+
 def test_a_step_takes_no_coordinates_out_of_the_limits() -> None:
     robot = gripper_with_pads()
     with pytest.raises(InputError, match=r"0.05 of joint 'slide_left' in row 1 is out of its lim"):
