@@ -45,17 +45,26 @@ def time_limit(seconds: float) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         raise RuntimeError("a case needs the main thread: its budget is kept by a signal")
 
+    over = False
+    said = f"{seconds:g} s of processor time are used up"
+
     def overrun(number: int, frame: FrameType | None) -> None:
+        nonlocal over
         if _is_compiling(frame):
             signal.setitimer(signal.ITIMER_PROF, seconds, 0.5)
             return
-        raise BudgetOverrun(f"{seconds:g} s of processor time are used up")
+        over = True
+        raise BudgetOverrun(said)
 
     earlier = signal.signal(signal.SIGPROF, overrun)
     # Again and again: an exception raised while Python tidies up an object is lost.
     signal.setitimer(signal.ITIMER_PROF, seconds, 0.5)
     try:
         yield
+    except Exception as error:
+        if over:  # What is interrupted may say so in its own words, as comparisons of numpy do.
+            raise BudgetOverrun(said) from error
+        raise
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.signal(signal.SIGPROF, earlier)

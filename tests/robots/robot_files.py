@@ -16,15 +16,11 @@ try:
     metadata.distribution("example-robot-data")
 except metadata.PackageNotFoundError:
     INSTALLED = False
-REAL = [
-    pytest.param(
-        name,
-        marks=pytest.mark.skipif(
-            not INSTALLED, reason="the extra robots (example-robot-data) is not installed"
-        ),
-    )
-    for name in ("panda", "panda_hand", "allegro_left", "allegro_right", "ur5_gripper")
-]
+needs_real_robots = pytest.mark.skipif(
+    not INSTALLED, reason="the extra robots (example-robot-data) is not installed"
+)
+REAL_NAMES = ("panda", "panda_hand", "allegro_left", "allegro_right", "ur5_gripper")
+REAL = [pytest.param(name, marks=needs_real_robots) for name in REAL_NAMES]
 
 CHAIN = """
 <robot name="chain">

@@ -11,6 +11,7 @@ from taccel_lab.robots.transforms import matrix_of
 from taccel_lab.tasks.catalogue import named
 from taccel_lab.tasks.grasp_matrix import GraspMatrixParameters
 from taccel_lab.tasks.hands import Finger, HandWithGels, Seat
+from tests.robots.robot_files import REAL_NAMES, needs_real_robots
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 
@@ -19,6 +20,12 @@ def parameters() -> GraspMatrixParameters:
     found = named("grasp-lift-matrix").parameters
     assert isinstance(found, GraspMatrixParameters)
     return found
+
+
+HANDS = [
+    pytest.param(name, marks=needs_real_robots) if name in REAL_NAMES else name
+    for name in parameters().hands
+]
 
 
 def made(name: str) -> HandWithGels:
@@ -33,7 +40,7 @@ def gel_frames(hand: HandWithGels, name: str, ways_m: np.ndarray) -> np.ndarray:
     return matrix_of(base[None])[0] @ links
 
 
-@pytest.mark.parametrize("name", list(parameters().hands))
+@pytest.mark.parametrize("name", HANDS)
 def test_gels_go_inwards_and_look_there(name: str) -> None:
     hand = made(name)
     parts = np.linspace(0, 1, 9)[:, None]
@@ -51,7 +58,7 @@ def test_gels_go_inwards_and_look_there(name: str) -> None:
     assert (places[0] * ways).sum(axis=1).max() < -0.03
 
 
-@pytest.mark.parametrize("name", list(parameters().hands))
+@pytest.mark.parametrize("name", HANDS)
 def test_a_way_is_that_of_the_gel(name: str) -> None:
     hand = made(name)
     ways = np.linspace(0, 1, 400)[:, None] * hand.lengths_m
@@ -62,6 +69,7 @@ def test_a_way_is_that_of_the_gel(name: str) -> None:
     np.testing.assert_allclose(gone, hand.lengths_m, rtol=0.06)
 
 
+@needs_real_robots
 def test_hands_stand_as_high_as_asked_but_not_lower_than_they_may() -> None:
     described = parameters().hands["allegro_right"]
     hand = made("allegro_right")

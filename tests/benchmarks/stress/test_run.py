@@ -58,6 +58,17 @@ def test_the_budget_ends_work_that_catches_exceptions() -> None:
                 raise RuntimeError("an error of the library's own") from error
 
 
+def test_the_budget_is_what_ends_work_that_says_so_in_other_words() -> None:
+    with pytest.raises(BudgetOverrun, match=r"0\.05 s of"), time_limit(0.05):
+        try:
+            while True:
+                pass
+        except BaseException:
+            raise TypeError("cannot compare") from None
+    with pytest.raises(TypeError, match="wrong"), time_limit(10.0):
+        raise TypeError("wrong")
+
+
 def test_the_budget_is_kept() -> None:
     started = time.perf_counter()
     with pytest.raises(BudgetOverrun), time_limit(0.05):
