@@ -13,6 +13,7 @@ from taccel_lab.tasks.peg_scene import dog_bone
 from taccel_lab.tasks.result import TaskResult, success_interval
 from taccel_lab.tasks.run import run_task
 from taccel_lab.tasks.twist import TwistParameters
+from tests.robots.robot_files import needs_real_robots
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 pytestmark = pytest.mark.slow
@@ -60,6 +61,7 @@ def test_grasp_lift(name: str, successes: int) -> None:
                 assert 9.0 < trial.figures["peak_stress_kpa"] < 16.0
 
 
+@needs_real_robots
 @pytest.mark.timeout(3000)
 def test_grasp_lift_matrix() -> None:
     """Four of the 24 starts of each cell; balls are held by all hands, bolts by none."""
