@@ -138,7 +138,7 @@ def drive(
     q = robot.rest_q if start_q is None else np.asarray(start_q, dtype=np.float64)
     if q.shape != (robot.dof,):
         raise InputError(f"start_q must have shape [{robot.dof}], got {q.shape}")
-    groups = _groups(robot)
+    groups = rigid_groups(robot.link_names, robot.joints)
     robot.targets(q)  # Refuses coordinates out of the limits.
     fixed = [name for name, top in groups.items() if top == robot.base]
     base = robot.touching(fixed)
@@ -228,10 +228,6 @@ def _of_base(base: Robot, q: np.ndarray) -> np.ndarray:
 
 def _own(drive: Drive, joint: RobotJoint) -> Drive:
     return replace(drive, max_effort=min(drive.max_effort, joint.max_effort))
-
-
-def _groups(robot: Robot) -> dict[str, str]:
-    return rigid_groups(robot.link_names, robot.joints)
 
 
 def _group_bodies(

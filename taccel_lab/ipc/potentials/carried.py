@@ -47,6 +47,14 @@ def _couple_kernel(
     values[env, block] = total
 
 
+@wp.func
+def _block_of(item: int) -> wp.vec3i:
+    """Body and block (i, j) of the lower triangle of its control nodes."""
+    k = item % _PAIRS
+    i = triangle_row(k)
+    return wp.vec3i(item / _PAIRS, i, k - i * (i + 1) / 2)
+
+
 @wp.kernel
 def _own_kernel(
     active: wp.array(dtype=wp.int32),
@@ -62,9 +70,10 @@ def _own_kernel(
     env, item, lane = wp.tid()
     if active[env] == 0:
         return
-    body = item / _PAIRS
-    i = triangle_row(item % _PAIRS)
-    j = item % _PAIRS - i * (i + 1) / 2
+    which = _block_of(item)
+    body = which[0]
+    i = which[1]
+    j = which[2]
     total = wp.mat33d()
     for s in range(starts[body] + lane, starts[body + 1], wp.block_dim()):
         part = parts[env, sources[s]]
@@ -97,9 +106,10 @@ def _inertia_kernel(
     env, item, lane = wp.tid()
     if active[env] == 0:
         return
-    body = item / _PAIRS
-    i = triangle_row(item % _PAIRS)
-    j = item % _PAIRS - i * (i + 1) / 2
+    which = _block_of(item)
+    body = which[0]
+    i = which[1]
+    j = which[2]
     mine = wp.float64(0.0)
     for s in range(starts[body] + lane, starts[body + 1], wp.block_dim()):
         node = carried[s]
