@@ -152,7 +152,8 @@ def write_film(film: Film, path: Path) -> np.ndarray:
     right.set_ylim(0, 1.05 * max(float(forces.max()), 1e-3))
     right.set_xlabel("time [s]")
     right.set_ylabel("force [N]")
-    right.legend(loc="lower right")
+    # Above the lines: beside them it would hide some, or jump about as they grow.
+    right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)
     writer, pixels = None, np.zeros(0)
     try:
         for i, (time_s, picture) in enumerate(zip(film.times_s, pictures, strict=True)):
