@@ -201,6 +201,12 @@ class SceneDescription:
         return next((other for other in self.affine_bodies if other.name == body.mount), None)
 
     @property
+    def carriers(self) -> list[int]:
+        """Index of the affine body that each soft body is mounted on, -1 for none."""
+        index = {body.name: i for i, body in enumerate(self.affine_bodies)}
+        return [index.get(str(body.mount), -1) for body in self.soft_bodies]
+
+    @property
     def bodies(self) -> list[Body]:
         """All bodies in the order of their ids: soft, affine, kinematic, planes."""
         return [*self.soft_bodies, *self.affine_bodies, *self.kinematic_bodies, *self.planes]

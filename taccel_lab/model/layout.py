@@ -32,11 +32,7 @@ class Layout:
     def __init__(self, scene: SceneDescription) -> None:
         self.scene = scene
         self.soft: list[SoftDiscretization] = [discretize(body) for body in scene.soft_bodies]
-        names = [body.name for body in scene.affine_bodies]
-        self.carriers = [
-            -1 if scene.carrier(body) is None else names.index(str(body.mount))
-            for body in scene.soft_bodies
-        ]
+        self.carriers = scene.carriers
         """Affine body that each soft body is mounted on, -1 for none."""
         self.rest_count = max([len(part.rest_m) for part in self.soft], default=1)
         parts = [

@@ -63,11 +63,10 @@ class GelFrames:
         self._model = model
         scene, device = model.scene, model.device
         kinematic = [body.name for body in scene.kinematic_bodies]
-        affine = [body.name for body in scene.affine_bodies]
         mounts = [body.mount for body in scene.soft_bodies]
         self.columns = [kinematic.index(m) if m in kinematic else -1 for m in mounts]
         """Column of ``State.poses`` of each gel's mount, -1 unless it is kinematic."""
-        self.carriers = [affine.index(m) if m in affine else -1 for m in mounts]
+        self.carriers = scene.carriers
         """Affine body that each gel is mounted on, -1 for none."""
         offsets = np.tile([0.0, 0, 0, 0, 0, 0, 1], (len(mounts), 1))
         for gel, carrier in enumerate(self.carriers):

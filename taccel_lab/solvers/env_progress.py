@@ -90,6 +90,8 @@ class EnvProgress:
     """Sum of the magnitudes of the force residual of each body [N], [env_count, body_count]."""
     body_forces: wp.array2d(dtype=wp.float64)
     """Sum of the magnitudes of the contact forces on the nodes of each body [N], the same shape."""
+    carriers: wp.array(dtype=wp.int32)
+    """Body that each soft body is mounted on, -1 for none, [soft_count]; empty where none is."""
     residual: wp.array(dtype=wp.float64)
     """Largest force residual of a body [N]."""
     excess: wp.array(dtype=wp.float64)
@@ -212,6 +214,7 @@ class EnvProgressArrays:
         self,
         env_count: int,
         body_count: int,
+        carriers: list[int],
         radii_m: np.ndarray,
         device: wp.Device,
     ) -> None:
@@ -222,7 +225,7 @@ class EnvProgressArrays:
         reported = {_REPORTED.get(name, name): a for name, a in self.report.arrays.items()}
         for name, array in reported.items():
             setattr(self.data, name, array)
-        given = (*reported, *_FOR_ALL)
+        given = (*reported, *_FOR_ALL, "carriers")
         for name, member in EnvProgress.vars.items():
             if name not in given and member.type.ndim == 1:
                 zeros = wp.zeros(env_count, dtype=member.type.dtype, device=device)
@@ -233,6 +236,7 @@ class EnvProgressArrays:
         for name in ("body_residuals", "body_forces"):
             sums = wp.zeros((env_count, body_count), dtype=wp.float64, device=device)
             setattr(self.data, name, sums)
+        self.data.carriers = wp.array(carriers, dtype=wp.int32, device=device)
         for name in _FOR_ALL:
             setattr(self.data, name, wp.zeros(1, dtype=wp.int32, device=device))
         self.data.most_rounds.fill_(NO_LIMIT)

@@ -45,7 +45,12 @@ def weigh(env: int, p: EnvProgress, r: Rules):
     excess = wp.float64(0.0)
     for body in range(p.body_forces.shape[1]):
         found = p.body_residuals[env, body]
-        force = wp.min(p.body_forces[env, body], total)
+        force = p.body_forces[env, body]
+        for gel in range(p.carriers.shape[0]):
+            # What presses on a gel presses on the body that carries it.
+            if p.carriers[gel] == body:
+                force += p.body_forces[env, gel]
+        force = wp.min(force, total)
         ratio = found / wp.max(rounding, r.relative_tolerance * force)
         # What is not a number is worse than anything, and stays.
         if not (found <= residual) and not wp.isnan(residual):

@@ -121,9 +121,12 @@ class SolverParts:
         ranges = [body.nodes for body in model.bodies]
         self.body_nodes = wp.array(ranges, dtype=wp.vec2i, device=device)
         """Range of each body in the nodes, vec2i, shape [body_count]."""
+        soft = len(scene.soft_bodies)
+        carriers = [soft + i if i >= 0 else -1 for i in scene.carriers]
         self.progress = EnvProgressArrays(
             model.env_count,
             len(model.bodies),
+            carriers if any(i >= 0 for i in carriers) else [],
             model.kinematic_radii_m,
             device,
         )
