@@ -17,8 +17,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import NoReturn, Protocol
 
 from taccel_lab.errors import InputError, SimulationError
@@ -26,7 +27,12 @@ from taccel_lab.errors import InputError, SimulationError
 DESCRIPTION = """Design and calibrate vision-based tactile sensors.
 
 From a parametric gel pad to simulated presses, a calibration to real captures block by block, and
-an exported sensor profile."""
+an exported sensor profile.
+
+taccel-lab COMMAND --help has the options of a command. With all of them: --quiet says nothing but
+errors and what is printed as a result; --device auto takes a GPU where there is one. taccel-lab
+--version says which version this is, --tyro-print-completion bash (or zsh, tcsh) writes the
+completion of a shell."""
 
 
 class Command(Protocol):
@@ -35,20 +41,18 @@ class Command(Protocol):
     def run(self) -> None: ...
 
 
-def parse(arguments: Sequence[str] | None = None) -> Command:
-    """Parse command-line arguments; usage errors and --help leave through SystemExit (2 and 0)."""
-    from taccel_lab.cli.bench import Bench, parse_bench
+@dataclass(frozen=True)
+class Group:
+    """Commands behind one word."""
 
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    if words[:1] == ["bench"]:
-        return parse_bench(words[1:])
+    help: str
+    commands: Mapping[str, type[Command]]
 
-    import tyro
-    from tyro.extras import SubcommandApp
 
-    from taccel_lab.cli.calibrate import HELP as CALIBRATE_HELP
+def command_tree() -> dict[str, type[Command] | Group]:
+    """The commands by name; imported here so that other imports of this module are light."""
+    from taccel_lab.cli.bench import Bench
     from taccel_lab.cli.calibrate import calibrate_commands
-    from taccel_lab.cli.capture import HELP as CAPTURE_HELP
     from taccel_lab.cli.capture import capture_commands
     from taccel_lab.cli.demo import Demo
     from taccel_lab.cli.depth import Depth
@@ -64,39 +68,70 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     from taccel_lab.cli.study import Study
     from taccel_lab.cli.task import TaskList, TaskRecord, TaskRun
 
-    profile = SubcommandApp()
-    profile.command(name="show")(ProfileShow)
-    profile.command(name="validate")(ProfileValidate)
-    profile.command(name="compare")(ProfileCompare)
-    profile.command(name="report")(ProfileReport)
-    sensors = SubcommandApp()
-    sensors.command(name="list")(SensorsList)
-    sensors.command(name="show")(SensorsShow)
-    robot = SubcommandApp()
-    robot.command(name="list")(RobotList)
-    robot.command(name="show")(RobotShow)
-    task = SubcommandApp()
-    task.command(name="list")(TaskList)
-    task.command(name="run")(TaskRun)
-    task.command(name="record")(TaskRecord)
+    return {
+        "demo": Demo,
+        "design": Design,
+        "import-step": ImportStep,
+        "preview": Preview,
+        "press": Press,
+        "capture": Group("Plan, import, check, review and rectify captures.", capture_commands()),
+        "depth": Depth,
+        "calibrate": Group("Fit the blocks of a profile to real captures.", calibrate_commands()),
+        "profile": Group(
+            "Show, check, compare or report on sensor profiles.",
+            {
+                "show": ProfileShow,
+                "validate": ProfileValidate,
+                "compare": ProfileCompare,
+                "report": ProfileReport,
+            },
+        ),
+        "export": Export,
+        "sensors": Group(
+            "List the sensors of the catalogue.", {"list": SensorsList, "show": SensorsShow}
+        ),
+        "robot": Group(
+            "Robots that can carry gels, by name or from URDF.",
+            {"list": RobotList, "show": RobotShow},
+        ),
+        "task": Group(
+            "Tasks with criterion, seeds and a baseline policy.",
+            {"list": TaskList, "run": TaskRun, "record": TaskRecord},
+        ),
+        "study": Study,
+        "bench": Bench,
+        "doctor": Doctor,
+    }
 
+
+def parse(arguments: Sequence[str] | None = None) -> Command:
+    """Parse command-line arguments; usage errors and --help leave through SystemExit (2 and 0)."""
+    from taccel_lab.cli.bench import parse_bench
+    from taccel_lab.cli.console import be_quiet
+    from taccel_lab.cli.words import checked_words, common_words
+
+    words, quiet = common_words(sys.argv[1:] if arguments is None else arguments)
+    be_quiet(quiet)
+    if words[:1] == ["bench"]:
+        return parse_bench(words[1:])
+
+    import tyro
+    from tyro.extras import SubcommandApp
+
+    tree = command_tree()
+    names = {
+        name: tuple(one.commands) if isinstance(one, Group) else () for name, one in tree.items()
+    }
+    words = checked_words(words, names)
     app = SubcommandApp()
-    app.command(name="demo")(Demo)
-    app.command(name="design")(Design)
-    app.command(name="import-step")(ImportStep)
-    app.command(name="preview")(Preview)
-    app.command(name="press")(Press)
-    app.command(capture_commands(), name="capture", help=CAPTURE_HELP)
-    app.command(name="depth")(Depth)
-    app.command(calibrate_commands(), name="calibrate", help=CALIBRATE_HELP)
-    app.command(profile, name="profile", help="Show, check, compare or report on sensor profiles.")
-    app.command(name="export")(Export)
-    app.command(sensors, name="sensors", help="List the sensors of the catalogue.")
-    app.command(robot, name="robot", help="Robots that can carry gels, by name or from URDF.")
-    app.command(task, name="task", help="Tasks with criterion, seeds and a baseline policy.")
-    app.command(name="study")(Study)
-    app.command(name="bench")(Bench)
-    app.command(name="doctor")(Doctor)
+    for name, one in tree.items():
+        if not isinstance(one, Group):
+            app.command(name=name)(one)
+            continue
+        group = SubcommandApp()
+        for inner, command in one.commands.items():
+            group.command(name=inner)(command)
+        app.command(group, name=name, help=one.help)
     return app.cli(
         prog="taccel-lab",
         description=DESCRIPTION,

@@ -36,25 +36,26 @@ class Demo:
     """Optimiser steps of the colour fit."""
     seed: int = 0
     """Seed of the colour fit."""
+    json: bool = False
+    """Print the figures of the report as JSON instead of a table."""
 
     def run(self) -> None:
-        import warp as wp
-        from rich.console import Console
-
         from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
         from taccel_lab.calibration.color.fit_options import ColorFitOptions
         from taccel_lab.calibration.demo import BATCH_PIXELS, DEMO_SENSOR, calibrate_demo
         from taccel_lab.calibration.demo_report import build_report
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.cli.press import Press
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.envs import PressPath
         from taccel_lab.envs.press import check_depth
+        from taccel_lab.model.devices import quiet_warp
         from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.report import write_report
         from taccel_lab.sensors.profile import load_sensor
 
-        wp.config.log_level = wp.LOG_WARNING
-        console = Console(stderr=True)
+        quiet_warp()
+        console = notes()
         require_replaceable(self.out)
         # What can be refused is refused before minutes of work.
         options = ColorFitOptions(steps=self.steps, batch_pixels=BATCH_PIXELS, seed=self.seed)
@@ -78,7 +79,10 @@ class Demo:
             mesh = results.design.mesh
             angles = dihedral_angles_deg(mesh.nodes_m, mesh.tets)
             values = write_report(build_report(results, outcome, image, angles, seconds), folder)
-        _print_summary(console, values, seconds)
+        if self.json:
+            print_json(values)
+        else:
+            _print_summary(console, values, seconds)
         console.print(f"report: {self.out / 'report.html'}", highlight=False)
 
 

@@ -49,15 +49,18 @@ class Design:
     )
     """Files for the workshop: pad as STEP, STL, 3MF and DXF; all parts in place; moulds for casting
     the gel; dimensioned drawings."""
+    json: bool = False
+    """Print quality of the mesh, files and notes as JSON instead of a table."""
 
     def run(self) -> None:
         from rich.console import Console
 
         from taccel_lab.cad.parameters import parse_overrides
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.sensors.design import design_sensor
         from taccel_lab.sensors.registry import sensor_family
 
-        console = Console()
+        console = notes()
         family, overrides = sensor_family(self.sensor), parse_overrides(self.set)
         with console.status("starting") as status:
             result = design_sensor(
@@ -69,7 +72,11 @@ class Design:
                 parts=self.parts,
                 progress=lambda stage, _, __: status.update(_STAGES[stage]),
             )
-        _print_result(console, result)
+        if self.json:
+            figures = {"quality": result.quality.to_json(), "files": result.files}
+            print_json({**figures, "seconds": result.seconds, "notes": result.warnings})
+        else:
+            _print_result(Console(), result)
 
 
 def _print_result(console: Console, result: DesignResult) -> None:

@@ -24,6 +24,7 @@ IMPORT_NAMES = {
     "pyyaml": "yaml",
 }
 DISTRIBUTION = "taccel-lab"
+SYSTEM_LIBRARIES = ("libGL.so.1",)
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -31,13 +32,15 @@ ROOT = Path(__file__).resolve().parents[1]
 class Doctor:
     """Check the installation: versions, libraries, devices, kernels. Exits with 1 when broken."""
 
+    full: bool = False
+    """Import every required package, which takes half a minute, and list those for developers."""
     json: bool = False
     """Print JSON instead of tables."""
 
     def run(self) -> None:
         from taccel_lab.cli.console import print_json
 
-        report = collect()
+        report = collect(self.full)
         if self.json:
             print_json(report)
         else:
@@ -46,14 +49,15 @@ class Doctor:
             raise SystemExit(1)
 
 
-def collect() -> dict[str, Any]:
+def collect(full: bool = False) -> dict[str, Any]:
     """Everything ``doctor`` looks at; ``problems`` lists what keeps the tool from working."""
-    packages = list(check_packages())
+    packages = list(check_packages(full))
     problems = [
         f"{package['name']}: {package['problem']}"
         for package in packages
         if package["problem"] and not package["extra"]
     ]
+    problems += [f"{name}: {problem}" for name, problem in check_libraries().items() if problem]
     report: dict[str, Any] = {"machine": describe_machine(), "packages": packages}
     if not any(package["name"] == "warp-lang" and package["problem"] for package in packages):
         report["warp"] = check_warp()
@@ -99,14 +103,17 @@ def requirements(root: Path = ROOT) -> Iterator[tuple[str, str]]:
         yield text.strip(), extra
 
 
-def check_packages() -> Iterator[dict[str, Any]]:
+def check_packages(full: bool = True) -> Iterator[dict[str, Any]]:
     """Installed version of each dependency and what is wrong with it, if anything.
 
-    Required packages are imported, since a missing system library shows only then.
+    ``full``: developers' packages too, and required ones are imported, which shows what else of the
+    system they miss.
     """
     from packaging.requirements import Requirement
 
     for line, extra in requirements():
+        if extra == "dev" and not full:
+            continue
         requirement = Requirement(line)
         version, problem = None, None
         try:
@@ -115,7 +122,7 @@ def check_packages() -> Iterator[dict[str, Any]]:
             problem = "not installed"
         if version is not None and not requirement.specifier.contains(version, prereleases=True):
             problem = f"version {version} is outside {requirement.specifier}"
-        if problem is None and not extra:
+        if problem is None and not extra and full:
             problem = import_problem(requirement.name)
         yield {
             "name": requirement.name,
@@ -124,6 +131,20 @@ def check_packages() -> Iterator[dict[str, Any]]:
             "extra": extra or None,
             "problem": problem,
         }
+
+
+def check_libraries() -> dict[str, str | None]:
+    """What is wrong with each library of the system that the CAD kernel and pictures load."""
+    import ctypes
+
+    found: dict[str, str | None] = {}
+    for name in SYSTEM_LIBRARIES if sys.platform == "linux" else ():
+        try:
+            ctypes.CDLL(name)
+            found[name] = None
+        except OSError as error:
+            found[name] = f"{error}; on Debian: apt install libgl1"
+    return found
 
 
 def import_problem(distribution: str) -> str | None:
@@ -141,7 +162,9 @@ def check_warp() -> dict[str, Any]:
     import numpy as np
     import warp as wp
 
-    wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: the report says so in its own words
+    from taccel_lab.model.devices import quiet_warp
+
+    quiet_warp()
     wp.init()
 
     @wp.kernel

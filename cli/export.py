@@ -52,19 +52,18 @@ class Export:
     def run(self) -> None:
         from rich.console import Console
 
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.model.devices import quiet_warp
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
 
         require_replaceable(self.out)
         profile = load_profile(self.profile)
 
-        import warp as wp
-
         from taccel_lab.interop.export import export_profile
 
-        wp.config.log_level = wp.LOG_WARNING
-        with Console(stderr=True).status(f"exporting {profile.sensor.name} to {self.to}"):
+        quiet_warp()
+        with notes().status(f"exporting {profile.sensor.name} to {self.to}"):
             document = export_profile(profile, self.to, self.out, table=self.table)
         if self.json:
             print_json(document)

@@ -62,16 +62,22 @@ class ImportStep:
     """Wanted edge length of the mesh [mm]."""
     parts: tuple[Literal["pad", "mould", "drawing"], ...] = ("pad", "mould", "drawing")
     """Files for the workshop."""
+    json: bool = False
+    """Print the faces, or the quality of the mesh and the files, as JSON instead of tables."""
 
     def run(self) -> None:
         from rich.console import Console
 
         from taccel_lab.cad.step_import import FaceSelection, list_faces, listing
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.sensors.imported import import_design
 
         console = Console()
         if self.out is None:
             table = list_faces(self.step, self.body)
+            if self.json:
+                print_json([vars(face) for face in table])
+                return
             text = listing(table, most=len(table))
             console.print(text, highlight=False, soft_wrap=True, markup=False)
             return
@@ -79,7 +85,7 @@ class ImportStep:
         stated = FaceSelection.from_toml(self.select).model_dump(exclude_unset=True)
         flags = {name: value for name, value in given.items() if value}
         selection = FaceSelection(**(stated | flags))
-        with console.status("starting") as status:
+        with notes().status("starting") as status:
             result = import_design(
                 self.step,
                 selection,
@@ -88,8 +94,13 @@ class ImportStep:
                 parts=self.parts,
                 progress=lambda stage, _, __: status.update(_STAGES[stage]),
             )
+        assumed = selection.assumed()
+        if self.json:
+            figures = {"quality": result.quality.to_json(), "files": result.files}
+            print_json({**figures, "seconds": result.seconds, "assumed": assumed})
+            return
         _print_result(console, result)
-        for name, text in selection.assumed().items():
+        for name, text in assumed.items():
             console.print(f"assumed {name}: {text}", highlight=False, markup=False)
 
 

@@ -67,16 +67,21 @@ class Press:
     mesh: Literal["focused", "profile"] = "focused"
     """focused: graded around the contact (sensors of the catalogue). profile: the stored mesh."""
     device: str = "cpu"
-    """Device of the solver: cpu or cuda:0."""
+    """Device of the solver: cpu, cuda:0 or auto."""
+    json: bool = False
+    """Print the figures as JSON instead of a table."""
 
     def run(self) -> None:
-        import warp as wp
-        from rich.console import Console
+        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.model.devices import quiet_warp
 
-        wp.config.log_level = wp.LOG_WARNING
-        console = Console(stderr=True)
+        quiet_warp()
+        console = notes()
         outcome, _ = self.execute(console)
-        _print_outcome(console, outcome)
+        if self.json:
+            print_json({"folder": str(self.out), **outcome.figures()})
+        else:
+            _print_outcome(console, outcome)
         console.print(f"wrote {self.out}", highlight=False)
 
     def execute(self, console: Console) -> tuple[PressOutcome, np.ndarray | None]:

@@ -38,25 +38,22 @@ class Preview:
     size_px: int = 640
     """Longest side of the pictures."""
     device: str = "cpu"
-    """Device of solver and renderer: cpu or cuda:0."""
+    """Device of solver and renderer: cpu, cuda:0 or auto."""
     json: bool = False
     """Print the figures as JSON instead of a table."""
 
     def run(self) -> None:
-        import warp as wp
-        from rich.console import Console
-
         from taccel_lab.cad.parameters import parse_overrides
-        from taccel_lab.cli.console import print_json
-        from taccel_lab.model.devices import require_device
+        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.model.devices import quiet_warp, require_device
         from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.sensors.registry import sensor_family
         from taccel_lab.studies.preview import preview_design, write_preview
 
-        wp.config.log_level = wp.LOG_WARNING
+        quiet_warp()
         require_replaceable(self.out)
         require_device(self.device)
-        console = Console(stderr=True)
+        console = notes()
         family, overrides = sensor_family(self.sensor), parse_overrides(self.set)
         with console.status("meshing and casting rays") as status:
             preview = preview_design(

@@ -100,11 +100,9 @@ class ProfileCompare:
     """Print the comparison as JSON instead of a table."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from taccel_lab.calibration.comparison import compare_profiles
         from taccel_lab.calibration.report import write_page
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
 
@@ -120,7 +118,7 @@ class ProfileCompare:
             _print_comparison(found)
         if self.out is not None:
             write_page(found.page(), self.out)
-            Console(stderr=True).print(f"wrote {self.out / 'report.html'}", highlight=False)
+            notes().print(f"wrote {self.out / 'report.html'}", highlight=False)
 
 
 @dataclass(frozen=True)
@@ -131,20 +129,25 @@ class ProfileReport:
     """Profile folder."""
     out: Path
     """Folder to write: report.html, report.json and the pictures."""
+    json: bool = False
+    """Print what report.json says."""
 
     def run(self) -> None:
-        from rich.console import Console
+        from json import loads
 
         from taccel_lab.calibration.report import write_page
         from taccel_lab.calibration.report.profile_page import profile_page
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
 
         require_replaceable(self.out)
         page = profile_page(load_profile(self.profile))
-        console = Console(stderr=True)
+        console = notes()
         with console.status("drawing the pictures"):
             write_page(page, self.out)
+        if self.json:
+            print_json(loads((self.out / "report.json").read_text("utf-8")))
         console.print(f"wrote {self.out / 'report.html'}", highlight=False)
 
 

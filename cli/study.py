@@ -63,15 +63,14 @@ class Study:
         self._run(self.study)
 
     def _run(self, file: Path) -> None:
-        import warp as wp
-        from rich.console import Console
-
+        from taccel_lab.cli.console import notes
+        from taccel_lab.model.devices import quiet_warp
         from taccel_lab.studies.report import write_study_report
         from taccel_lab.studies.runner import read_outcome
         from taccel_lab.studies.study import default_kit, read_study
 
-        wp.config.log_level = wp.LOG_WARNING
-        console = Console(stderr=True)
+        quiet_warp()
+        console = notes()
         study = read_study(file, default_kit())
         root = self.out or Path("out") / file.stem
         try:

@@ -67,11 +67,12 @@ class TaskRun:
     """Seeds that one solver steps together; as the task's file says when left out. A GPU is quicker
     with hundreds."""
     device: str = "cpu"
-    """Device of the solver: cpu or cuda:0."""
+    """Device of the solver: cpu, cuda:0 or auto."""
+    json: bool = False
+    """Print rate, interval and figures as JSON instead of lines."""
 
     def run(self) -> None:
-        from rich.console import Console
-
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.output_folder import atomic_directory
         from taccel_lab.tasks.run import run_task
@@ -84,13 +85,16 @@ class TaskRun:
         if self.environments is not None:
             parameters = task.parameters.replace(environments=self.environments)
             task = replace(task, parameters=parameters)
-        console = Console(stderr=True)
+        console = notes()
         with atomic_directory(self.output) as folder:
             with stage_progress(console) as progress:
                 seeds = range(self.seeds or task.parameters.seeds)
                 result = run_task(task, seeds, self.device, progress=progress)
             _write(task, result, self.device, folder)
-        _print(console, result, self.output)
+        if self.json:
+            print_json(result.table())
+        else:
+            _print(console, result, self.output)
         if len(result.trials) < result.asked:
             console.print(
                 f"interrupted; {len(result.trials)} of {result.asked} seeds are kept",
@@ -113,11 +117,12 @@ class TaskRecord:
     seed: int = 0
     """Which start."""
     device: str = "cpu"
-    """Device of the solver: cpu or cuda:0."""
+    """Device of the solver: cpu, cuda:0 or auto."""
+    json: bool = False
+    """Print what became of the seed as JSON."""
 
     def run(self) -> None:
-        from rich.console import Console
-
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.output import write_json
         from taccel_lab.output_folder import atomic_directory
@@ -126,14 +131,17 @@ class TaskRecord:
         if not 0 <= self.seed < MOST_SEEDS:
             raise InputError(f"seed must lie in 0..{MOST_SEEDS - 1}, got {self.seed}")
         task = _begin(self.task, self.device, self.output)
-        console = Console(stderr=True)
+        console = notes()
         with atomic_directory(self.output) as folder:
             with stage_progress(console) as progress:
                 film, trial = film_seed(task, self.seed, self.device, progress)
             with console.status("writing the film"):
                 write_film_files(film, folder)
             told = {name: value for name, value in vars(trial).items() if name != "felt"}
-            write_json(folder / "trial.json", {"task": task.name, **told})
+            told = {"task": task.name, **told}
+            write_json(folder / "trial.json", told)
+        if self.json:
+            print_json(told)
         done = "success" if trial.success else trial.cause
         console.print(f"seed {trial.seed}: {done}", highlight=False, markup=False)
         console.print(f"wrote {self.output / 'film.mp4'}", highlight=False, soft_wrap=True)
@@ -141,13 +149,11 @@ class TaskRecord:
 
 def _begin(name: str, device: str, output: Path) -> Task:
     """A task of the package, or of a file; refused with device and output folder before work."""
-    import warp as wp
-
-    from taccel_lab.model.devices import require_device
+    from taccel_lab.model.devices import quiet_warp, require_device
     from taccel_lab.output_folder import require_replaceable
     from taccel_lab.tasks.catalogue import named, read_task
 
-    wp.config.log_level = wp.LOG_WARNING
+    quiet_warp()
     task = read_task(Path(name)) if name.endswith(".toml") else named(name)
     require_device(device)
     require_replaceable(output)

@@ -141,10 +141,10 @@ class _Worker(Generic[Item, Result]):
 
 def _serve(pipe: Connection, work: Work) -> None:
     """Work off the items that come, for as long as the parent lives."""
-    import warp as wp
+    from taccel_lab.model.devices import quiet_warp
 
     # Warnings about the device were the parent's already.
-    wp.config.log_level = wp.LOG_ERROR
+    quiet_warp()
 
     def tell(what: str, done: int, total: int) -> None:
         try:

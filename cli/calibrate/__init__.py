@@ -5,13 +5,9 @@ from __future__ import annotations
 
 from typing import Any
 
-HELP = "Fit the blocks of a profile to real captures."
 
-
-def calibrate_commands() -> Any:
-    """The sub-commands; imported here so that help is fast."""
-    from tyro.extras import SubcommandApp
-
+def calibrate_commands() -> dict[str, Any]:
+    """The sub-commands by name; imported here so that help is fast."""
     from taccel_lab.cli.calibrate.all import CalibrateAll
     from taccel_lab.cli.calibrate.background import CalibrateBackground
     from taccel_lab.cli.calibrate.camera import CalibrateCamera
@@ -24,16 +20,16 @@ def calibrate_commands() -> Any:
     from taccel_lab.cli.calibrate.scale import CalibrateScale
     from taccel_lab.cli.calibrate.spread import CalibrateSpread
 
-    app = SubcommandApp()
-    app.command(name="all")(CalibrateAll)
-    app.command(name="background")(CalibrateBackground)
-    app.command(name="camera")(CalibrateCamera)
-    app.command(name="color")(CalibrateColor)
-    app.command(name="depth")(CalibrateDepth)
-    app.command(name="markers")(CalibrateMarkers)
-    app.command(name="material")(CalibrateMaterial)
-    app.command(name="normals")(CalibrateNormals)
-    app.command(name="scale")(CalibrateScale)
-    app.command(name="refit")(CalibrateRefit)
-    app.command(name="spread")(CalibrateSpread)
-    return app
+    return {
+        "all": CalibrateAll,
+        "background": CalibrateBackground,
+        "camera": CalibrateCamera,
+        "color": CalibrateColor,
+        "depth": CalibrateDepth,
+        "markers": CalibrateMarkers,
+        "material": CalibrateMaterial,
+        "normals": CalibrateNormals,
+        "scale": CalibrateScale,
+        "refit": CalibrateRefit,
+        "spread": CalibrateSpread,
+    }

@@ -33,16 +33,16 @@ class CalibrateAll(CalibrationFiles):
     """Blocks to fit, by name; all when left out."""
 
     def run(self) -> None:
-        import warp as wp
         from rich.console import Console
 
         from taccel_lab.calibration.calibrate import calibrate
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.cli.progress import stage_progress
+        from taccel_lab.model.devices import quiet_warp
         from taccel_lab.profile import save_profile
 
-        wp.config.log_level = wp.LOG_ERROR
-        console = Console(stderr=True)
+        quiet_warp()
+        console = notes()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
         with stage_progress(console) as progress:

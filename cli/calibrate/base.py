@@ -100,17 +100,17 @@ class BlockCommand(CalibrationFiles):
 
     def run(self) -> None:
         """Refuse unusable outputs, fit, and write profile, report and figures."""
-        import warp as wp
-        from rich.console import Console
 
         from taccel_lab.calibration.capture.load import load_capture_folder
+        from taccel_lab.cli.console import notes
         from taccel_lab.cli.progress import stage_progress
+        from taccel_lab.model.devices import quiet_warp
 
-        wp.config.log_level = wp.LOG_ERROR  # no driver, no GPU: none is needed here
+        quiet_warp()
         self.check()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
-        console = Console(stderr=True)
+        console = notes()
         folder = load_capture_folder(self.captures)
         with stage_progress(console) as progress:
             fitted = self.fit(folder, progress)

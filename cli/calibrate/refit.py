@@ -36,8 +36,6 @@ class CalibrateRefit:
     """Print the figures as JSON."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from taccel_lab.calibration.capture import load_capture_folder
         from taccel_lab.calibration.refit.fit import RefitOptions, calibrate_refit
         from taccel_lab.calibration.refit.report import refit_page
@@ -47,10 +45,11 @@ class CalibrateRefit:
             require_outputs,
             write_results,
         )
+        from taccel_lab.cli.console import notes
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.profile import load_profile
 
-        console = Console(stderr=True)
+        console = notes()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
         profile = load_profile(self.profile)

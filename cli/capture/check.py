@@ -41,11 +41,11 @@ class CaptureCheckCommand:
 
         from taccel_lab.calibration.check import check_captures, check_page
         from taccel_lab.calibration.report import write_page
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.output_folder import require_replaceable
 
-        console = Console(stderr=True)
+        console = notes()
         if self.report is not None:
             require_replaceable(self.report)
         checks = []

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from tyro.conf import Positional
@@ -23,25 +23,28 @@ class CaptureRectify:
     """Rectification maps (.npz) of `taccel-lab calibrate camera --maps`."""
     out: Positional[Path]
     """Capture folder to write."""
+    json: bool = False
+    """Print size, scale and notes as JSON."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from taccel_lab.calibration.camera.rectification import RectificationMaps
         from taccel_lab.calibration.camera.rectify_captures import rectify_captures
         from taccel_lab.calibration.capture import load_capture_folder
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.output_folder import require_replaceable
 
         require_replaceable(self.out)
-        console = Console(stderr=True)
+        console = notes()
         folder, maps = load_capture_folder(self.captures), RectificationMaps.load(self.maps)
         with console.status("rectifying the images"):
-            notes = rectify_captures(folder, maps, self.out)
-        for note in notes:
-            console.print(f"note: {note}", highlight=False)
+            remarks = rectify_captures(folder, maps, self.out)
+        for remark in remarks:
+            console.print(f"note: {remark}", highlight=False)
         grid = maps.require_grid()
         console.print(
             f"wrote {self.out}: {grid.width_px}x{grid.height_px} px at {grid.mm_per_px_x:.5g} x "
             f"{grid.mm_per_px_y:.5g} mm/px",
             highlight=False,
         )
+        if self.json:
+            print_json({"folder": str(self.out), **asdict(grid), "notes": remarks})

@@ -29,18 +29,16 @@ class CaptureReview:
     """Print the figures as JSON."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from taccel_lab.calibration.capture import load_captures
         from taccel_lab.calibration.capture.overrides import with_overrides
         from taccel_lab.calibration.contacts.report import write_review
         from taccel_lab.calibration.contacts.review import review_contacts
         from taccel_lab.calibration.result import Severity, judge
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.output_folder import require_replaceable
 
-        console = Console(stderr=True)
+        console = notes()
         require_replaceable(self.out)
         captures = load_captures(self.captures)
         if self.contacts is not None:

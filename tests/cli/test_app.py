@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import itertools
+import json
 import os
 import re
 import subprocess
@@ -17,8 +19,10 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.cli import app
+from taccel_lab.cli.words import common_words
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.output_folder import atomic_directory
+from taccel_lab.version import __version__
 
 ROOT = Path(__file__).parents[2]
 
@@ -80,13 +84,80 @@ def test_bugs_keep_their_traceback(monkeypatch: pytest.MonkeyPatch, error: Excep
         app.main([])
 
 
-@pytest.mark.parametrize(
-    "arguments", [[], ["nonsense"], ["profile", "show"], ["profile", "show", "x", "--wrong"]]
-)
+@pytest.mark.parametrize("arguments", [["profile", "show"], ["profile", "show", "x", "--wrong"]])
 def test_usage_errors_exit_with_2(arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         app.main(arguments)
     assert caught.value.code == 2
+
+
+@pytest.mark.parametrize("more", [[], ["--help"], ["--out", "x"]])
+@pytest.mark.parametrize(
+    ("words", "meant", "has"),
+    [
+        (["pres"], "taccel-lab press", "taccel-lab has: demo, design"),
+        (["capture", "chek"], "taccel-lab capture check", "taccel-lab capture has: check"),
+        (["zzz"], None, "taccel-lab has: demo, design"),
+    ],
+)
+def test_a_command_that_is_not_there(
+    capsys: pytest.CaptureFixture[str], words: list[str], meant: str | None, has: str, more: list
+) -> None:
+    assert app.main([*words, *more]) == 2
+    told = capsys.readouterr().err
+    assert f"there is no command {words[-1]!r}" in told and has in told
+    assert ("did you mean" in told) == (meant is not None)
+    assert meant is None or f"did you mean {meant}?" in told
+
+
+@pytest.mark.parametrize("words", [[], ["capture"], ["calibrate"]])
+def test_without_a_command_there_is_help(
+    capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        app.main(words)
+    assert caught.value.code == 0
+    assert " ".join(["usage: taccel-lab", *words]) in capsys.readouterr().out
+
+
+def test_the_version_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        app.main(["--version"])
+    assert caught.value.code == 0
+    assert capsys.readouterr().out == f"taccel-lab {__version__}\n"
+
+
+def test_auto_is_a_device_of_this_machine() -> None:
+    known = {"cpu", "cuda:0"}
+    for words in (["press", "--device", "auto"], ["press", "--device=auto"]):
+        found, quiet = common_words(words)
+        assert not quiet and set(" ".join(found).replace("=", " ").split()) & known
+    assert common_words(["capture", "auto", "--quiet"]) == (["capture", "auto"], True)
+
+
+def test_quiet_leaves_results_and_errors(tmp_path: Path) -> None:
+    """In a process of its own: Warp's library writes to the process' standard error itself."""
+
+    def told(*words: str) -> tuple[str, str]:
+        command = [sys.executable, "-m", "taccel_lab.cli.app", "design", "gelsight_mini", *words]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+        return done.stdout, done.stderr
+
+    out = ["--out", str(tmp_path / "out"), "--parts", "pad"]
+    said, noted = told(*out, "--quiet", "--json")
+    assert noted == ""
+    assert json.loads(said)["quality"]["node_count"] > 1000
+    said, noted = told(*out, "--quiet", "--set", "no_such=1")
+    assert said == "" and "no_such" in noted
+    assert "Warp" not in noted and "Module" not in noted
+
+
+def test_every_command_prints_json() -> None:
+    for name, found in app.command_tree().items():
+        inner = found.commands if isinstance(found, app.Group) else {"": found}
+        for word, command in inner.items():
+            names = {field.name for field in dataclasses.fields(command)}  # type: ignore[arg-type]
+            assert "json" in names or name == "bench", f"{name} {word}"
 
 
 COMMANDS = (

@@ -72,9 +72,25 @@ def test_a_missing_system_library_is_named(
     (package,) = broken([("numpy>=2", "")], monkeypatch)
     assert package["problem"] == "import numpy fails: libGL.so.1: cannot open shared object file"
     with pytest.raises(SystemExit) as caught:
-        doctor.Doctor().run()
+        doctor.Doctor(full=True).run()
     assert caught.value.code == 1
     assert "broken: numpy" in capsys.readouterr().out
+
+
+def test_a_library_of_the_system_is_looked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(doctor, "SYSTEM_LIBRARIES", ("libnowhere.so.7",))
+    broken([("numpy>=2", "")], monkeypatch)
+    with pytest.raises(SystemExit) as caught:
+        doctor.Doctor().run()
+    assert caught.value.code == 1
+    assert "broken: libnowhere.so.7" in capsys.readouterr().out
+
+
+def test_developers_packages_are_left_to_full() -> None:
+    extras = {package["extra"] for package in doctor.check_packages(full=False)}
+    assert "demo" in extras and "dev" not in extras
 
 
 def test_demo_captures_are_found_or_reported_absent(monkeypatch: pytest.MonkeyPatch) -> None:
