@@ -49,10 +49,10 @@ class Demo:
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.envs import PressPath
         from taccel_lab.envs.press import check_depth
-        from taccel_lab.model.devices import quiet_warp
         from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.report import write_report
         from taccel_lab.sensors.profile import load_sensor
+        from taccel_lab.warp_output import quiet_warp
 
         quiet_warp()
         console = notes()

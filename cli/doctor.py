@@ -162,7 +162,7 @@ def check_warp() -> dict[str, Any]:
     import numpy as np
     import warp as wp
 
-    from taccel_lab.model.devices import quiet_warp
+    from taccel_lab.warp_output import quiet_warp
 
     quiet_warp()
     wp.init()

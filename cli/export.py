@@ -53,9 +53,9 @@ class Export:
         from rich.console import Console
 
         from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.model.devices import quiet_warp
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
+        from taccel_lab.warp_output import quiet_warp
 
         require_replaceable(self.out)
         profile = load_profile(self.profile)

@@ -58,8 +58,13 @@ class ImportStep:
     """Name of the solid in a file with several."""
     unit: Literal["", "mm", "cm", "m", "um", "in"] = ""
     """Unit of the numbers, when the file declares a wrong one."""
-    edge_mm: float = 1.0
+    edge_mm: float = 2.0
     """Wanted edge length of the mesh [mm]."""
+    like: str = "flat_pad"
+    """Sensor of the catalogue whose camera, lights, coating and material the profile takes."""
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE")] = field(default=())
+    """Parameters of it other than the defaults, e.g. young_modulus_mpa=0.2 camera_distance_mm=25;
+    ``taccel-lab sensors show`` lists them. Not those of its gel, which the file gives."""
     parts: tuple[Literal["pad", "mould", "drawing"], ...] = ("pad", "mould", "drawing")
     """Files for the workshop."""
     json: bool = False
@@ -68,6 +73,7 @@ class ImportStep:
     def run(self) -> None:
         from rich.console import Console
 
+        from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cad.step_import import FaceSelection, list_faces, listing
         from taccel_lab.cli.console import notes, print_json
         from taccel_lab.sensors.imported import import_design
@@ -91,6 +97,8 @@ class ImportStep:
                 selection,
                 self.out,
                 self.edge_mm,
+                like=self.like,
+                overrides=parse_overrides(self.set),
                 parts=self.parts,
                 progress=lambda stage, _, __: status.update(_STAGES[stage]),
             )

@@ -73,7 +73,7 @@ class Press:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.model.devices import quiet_warp
+        from taccel_lab.warp_output import quiet_warp
 
         quiet_warp()
         console = notes()
@@ -163,16 +163,11 @@ class Press:
     def _mesh(self, profile: SensorProfile, indenter: Indenter, physics: PressPhysics) -> TetMesh:
         if self.mesh == "profile":
             return profile.mesh
-        from taccel_lab.sensors.press_mesh import press_mesh
+        from taccel_lab.sensors.press_mesh import profile_press_mesh
 
         try:
-            return press_mesh(
-                profile.sensor.family,
-                profile.sensor.parameters,
-                self.at_mm,
-                indenter.contact(self.depth_mm),
-                physics.mesh,
-            )
+            contact = indenter.contact(self.depth_mm)
+            return profile_press_mesh(profile, self.at_mm, contact, physics.mesh)
         except InputError as error:
             x, y = self.at_mm
             raise InputError(

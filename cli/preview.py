@@ -45,10 +45,11 @@ class Preview:
     def run(self) -> None:
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.model.devices import quiet_warp, require_device
+        from taccel_lab.model.devices import require_device
         from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.sensors.registry import sensor_family
         from taccel_lab.studies.preview import preview_design, write_preview
+        from taccel_lab.warp_output import quiet_warp
 
         quiet_warp()
         require_replaceable(self.out)

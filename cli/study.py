@@ -64,10 +64,10 @@ class Study:
 
     def _run(self, file: Path) -> None:
         from taccel_lab.cli.console import notes
-        from taccel_lab.model.devices import quiet_warp
         from taccel_lab.studies.report import write_study_report
         from taccel_lab.studies.runner import read_outcome
         from taccel_lab.studies.study import default_kit, read_study
+        from taccel_lab.warp_output import quiet_warp
 
         quiet_warp()
         console = notes()

@@ -149,9 +149,10 @@ class TaskRecord:
 
 def _begin(name: str, device: str, output: Path) -> Task:
     """A task of the package, or of a file; refused with device and output folder before work."""
-    from taccel_lab.model.devices import quiet_warp, require_device
+    from taccel_lab.model.devices import require_device
     from taccel_lab.output_folder import require_replaceable
     from taccel_lab.tasks.catalogue import named, read_task
+    from taccel_lab.warp_output import quiet_warp
 
     quiet_warp()
     task = read_task(Path(name)) if name.endswith(".toml") else named(name)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A user's own gel from a STEP file as the same files that a design gives, without a profile."""
+"""A user's own gel from a STEP file as the same files that a design gives."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,13 +13,17 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.output import write_json
 from taccel_lab.output_folder import atomic_directory, require_replaceable
+from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.design import StageClock, refused_folder
+from taccel_lab.sensors.imported_profile import imported_profile, like_parameters
 from taccel_lab.sensors.workshop import Workshop, check_parts
 
 if TYPE_CHECKING:
     from taccel_lab.cad.step_import import FaceSelection, ImportedGel
 
+LIKE = "flat_pad"
+"""Family that an imported gel is like where nothing else is said."""
 IMPORT_PARTS = ("pad", "mould", "drawing")
 """Files for the workshop that an imported gel can have."""
 
@@ -29,6 +33,7 @@ class ImportResult:
     """What ``import_design`` made."""
 
     gel: ImportedGel
+    profile: SensorProfile
     mesh: TetMesh
     quality: MeshQuality
     out_dir: Path
@@ -42,16 +47,20 @@ def import_design(
     path: Path | str,
     selection: FaceSelection,
     out_dir: Path | str,
-    edge_mm: float = 1.0,
+    edge_mm: float = 2.0,
     *,
+    like: str = LIKE,
+    overrides: Mapping[str, Any] | None = None,
     parts: Sequence[str] = IMPORT_PARTS,
     progress: Progress = silent,
 ) -> ImportResult:
     """Import the gel of a STEP file, mesh it with fTetWild and write everything to ``out_dir``.
 
-    Besides ``parts``: the labelled mesh, its quality, a picture, and gel.json, which says what was
-    selected and how the file's frame became the gel frame.
+    Besides ``parts``: the labelled mesh, its quality, a picture, gel.json, which says what was
+    selected and how the file's frame became the gel frame, and a profile with camera, lights and
+    material of the family ``like``, ``overrides`` in place of some of its parameters.
     """
+    like_parameters(like, overrides or {})
     check_parts(parts)
     if "assembly" in parts:
         raise InputError(
@@ -84,12 +93,15 @@ def import_design(
             workshop.write((kind,))
         tell("files")
         workshop.write_mesh(mesh, "tetwild")
+        profile = imported_profile(Path(path), gel, mesh, quality, like, overrides or {})
+        save_profile(profile, workshop.path("profile", "profile"))
         tell(None)
         workshop.write_quality(quality, passed, "tetwild", edge_mm, seconds)
         description = _description(Path(path), selection, gel, dimensions)
         write_json(workshop.path("gel", "gel.json"), description)
     return ImportResult(
         gel=gel,
+        profile=profile,
         mesh=mesh,
         quality=quality,
         out_dir=out_dir,

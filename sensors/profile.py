@@ -46,8 +46,12 @@ def designed_profile(
     quality: MeshQuality,
     *,
     mesher: str,
+    thickness_mm: float | None = None,
 ) -> SensorProfile:
-    """Profile with all blocks that the family describes; each states what it rests on."""
+    """Profile with all blocks that the family describes; each states what it rests on.
+
+    ``thickness_mm``: of a gel that is not the family's pad.
+    """
     origin = _Origin(family, parameters)
     pad, materials = parameters.pad(), parameters.layer_materials()
     gel = materials[0]
@@ -63,7 +67,7 @@ def designed_profile(
             ),
         ),
         gel=GelBlock(
-            thickness_mm=pad.thickness_mm,
+            thickness_mm=thickness_mm or pad.thickness_mm,
             node_count=mesh.node_count,
             tet_count=mesh.tet_count,
             min_dihedral_deg=quality.min_dihedral_deg,

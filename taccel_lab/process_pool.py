@@ -141,7 +141,7 @@ class _Worker(Generic[Item, Result]):
 
 def _serve(pipe: Connection, work: Work) -> None:
     """Work off the items that come, for as long as the parent lives."""
-    from taccel_lab.model.devices import quiet_warp
+    from taccel_lab.warp_output import quiet_warp
 
     # Warnings about the device were the parent's already.
     quiet_warp()

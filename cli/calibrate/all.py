@@ -38,8 +38,8 @@ class CalibrateAll(CalibrationFiles):
         from taccel_lab.calibration.calibrate import calibrate
         from taccel_lab.cli.console import notes, print_json
         from taccel_lab.cli.progress import stage_progress
-        from taccel_lab.model.devices import quiet_warp
         from taccel_lab.profile import save_profile
+        from taccel_lab.warp_output import quiet_warp
 
         quiet_warp()
         console = notes()

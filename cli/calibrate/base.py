@@ -104,7 +104,7 @@ class BlockCommand(CalibrationFiles):
         from taccel_lab.calibration.capture.load import load_capture_folder
         from taccel_lab.cli.console import notes
         from taccel_lab.cli.progress import stage_progress
-        from taccel_lab.model.devices import quiet_warp
+        from taccel_lab.warp_output import quiet_warp
 
         quiet_warp()
         self.check()

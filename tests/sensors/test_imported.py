@@ -11,8 +11,19 @@ import pytest
 from build123d import Plane, Solid, export_step
 
 from taccel_lab.cad.step_import import FaceSelection
+from taccel_lab.envs import (
+    PHYSICS,
+    Accuracy,
+    PressPath,
+    parse_indenter,
+    profile_material,
+    simulate_press,
+)
 from taccel_lab.errors import InputError
-from taccel_lab.sensors.imported import import_design
+from taccel_lab.profile import load_profile
+from taccel_lab.sensors.imported import ImportResult, import_design
+from taccel_lab.sensors.press_mesh import pad_press_mesh, profile_press_mesh
+from taccel_lab.sensors.registry import sensor_family
 from tests.geometry.vtu_files import read_mesh_vtu
 
 SELECTION = FaceSelection(contact=("plane:+z",), bond=("plane:-z",), window=("rect:5x4",))
@@ -34,7 +45,7 @@ def test_an_imported_block_is_meshed_and_all_files_are_written(
         step, SELECTION, tmp_path / "out", 1.5, progress=lambda *step: told.append(step)
     )
     assert set(result.files) == {
-        "mesh", "quality", "gel", "preview", "step", "stl", "3mf", "dxf",
+        "mesh", "quality", "gel", "preview", "profile", "step", "stl", "3mf", "dxf",
         "mould_cavity", "mould_lid", "mould_3mf", "mould_report", "drawing", "drawing_pdf",
     }  # fmt: skip
     for path in result.files.values():
@@ -55,6 +66,73 @@ def test_an_imported_block_is_meshed_and_all_files_are_written(
     assert areas["contact"] == pytest.approx(56, rel=0.02)
     assert result.quality.min_dihedral_deg >= 10
     assert result.quality.back_plane_error_mm < 1e-6
+
+
+@pytest.fixture(scope="module")
+def imported(tmp_path_factory: pytest.TempPathFactory) -> ImportResult:
+    folder = tmp_path_factory.mktemp("imported")
+    export_step(Solid.make_box(14, 12, 4), folder / "my gel.step")
+    values = {"young_modulus_mpa": 0.2, "width_px": 200}
+    return import_design(
+        folder / "my gel.step", SELECTION, folder / "out", like="gelsight_mini",
+        overrides=values, parts=(),
+    )  # fmt: skip
+
+
+def test_an_imported_gel_has_a_profile(imported: ImportResult) -> None:
+    profile = load_profile(imported.files["profile"])
+    assert profile.sensor.family == "imported" and profile.gel.thickness_mm == pytest.approx(4.0)
+    assert profile.material.young_modulus_pa == pytest.approx(2e5)
+    assert profile.grid().width_px == 200
+    assert profile.optics is not None and profile.window is not None
+    assert profile.window.size_mm == pytest.approx((14, 12), abs=1e-6)
+    for key, block in profile.blocks().items():
+        kind = "designed" if key in ("sensor", "gel") else "assumed"
+        assert block.provenance.kind == kind, key
+    assert "like gelsight_mini with young_modulus_mpa = 0.2" in profile.sensor.provenance.source
+    assert list(profile.sensor.provenance.inputs) == ["my gel.step"]
+
+
+def test_a_press_on_an_imported_gel_is_that_on_the_same_pad(imported: ImportResult) -> None:
+    """The catalogue's flat pad of the same size, edges sharp: a ball of 2 mm, 0.4 mm deep."""
+    values = {"length_x_mm": 14, "length_y_mm": 12, "thickness_mm": 4, "corner_radius_mm": 0.3}
+    parameters = sensor_family("flat_pad").parameters({**values, "width_px": 160, "height_px": 120})
+    physics, ball = PHYSICS[Accuracy.DEFAULT], parse_indenter("sphere:2")
+    material = profile_material(imported.profile.material, imported.mesh)
+    forces = []
+    for mesh in (
+        profile_press_mesh(imported.profile, (1.0, -0.5), ball.contact(0.4)),
+        pad_press_mesh(parameters.pad(), (1.0, -0.5), ball.contact(0.4)),
+    ):
+        outcome = simulate_press(
+            mesh, material, ball, (1.0, -0.5), PressPath(0.4), imported.profile.grid(),
+            friction_coefficient=0.5, physics=physics,
+        )  # fmt: skip
+        forces.append(outcome.figures()["force_n"])
+    assert forces[0] == pytest.approx(forces[1], rel=0.02)
+
+
+@pytest.mark.parametrize("tool", ["sphere:2", "cylinder:2", "edge:90x6x0.1"])
+def test_the_mesh_of_a_press_is_fine_at_the_tool_alone(imported: ImportResult, tool: str) -> None:
+    contact = parse_indenter(tool).contact(0.3)
+    mesh = profile_press_mesh(imported.profile, (0.0, 0.0), contact)
+    assert imported.mesh.tet_count < mesh.tet_count < 40_000
+    near = np.linalg.norm(mesh.nodes_m, axis=1)
+    spacing = np.cbrt(6 * np.sqrt(2) * mesh.volumes_m3())
+    at = near[mesh.tets].mean(axis=1)
+    assert np.median(spacing[at < 1e-3]) < 0.6 * np.median(spacing[at > 5e-3])
+
+
+def test_presses_beside_an_imported_gel_are_refused(imported: ImportResult) -> None:
+    with pytest.raises(InputError, match=r"ends .* mm away from"):
+        profile_press_mesh(imported.profile, (30.0, 0.0), 0.5)
+
+
+def test_what_the_file_says_cannot_be_set(step: Path, tmp_path: Path) -> None:
+    for name, words in (("thickness_mm", "gives the gel's shape"), ("no_such", "no_such")):
+        with pytest.raises(InputError, match=words):
+            import_design(step, SELECTION, tmp_path / "out", overrides={name: 3.0}, parts=())
+        assert not (tmp_path / "out").exists()
 
 
 def test_what_is_stated_is_not_assumed() -> None:
