@@ -22,14 +22,12 @@ from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.profile import Block, Provenance, SensorBlock, SensorProfile
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.profile import designed_profile
-from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.sensors.registry import IMPORTED, sensor_family
 
 if TYPE_CHECKING:
     from taccel_lab.cad.step_import import ImportedGel
 
 _Block = TypeVar("_Block", bound=Block)
-IMPORTED = "imported"
-"""Family of sensors whose gel no catalogue family describes: it is the mesh in the profile."""
 _SHAPES = ("gel", "housing")
 """Groups of parameters of no use here: the file says the gel's, and there is no housing."""
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,9 +33,10 @@ from taccel_lab.geometry.press_mesh_options import (
     PressMeshOptions,
 )
 from taccel_lab.geometry.tool_section import ToolSection
-from taccel_lab.profile import SensorProfile
-from taccel_lab.sensors.imported_profile import IMPORTED
-from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.sensors.registry import IMPORTED, sensor_family
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
 
 LARGEST_LAYER_RATIO = 4.0
 """Thickest layer over the one above it."""

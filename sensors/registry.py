@@ -19,6 +19,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.sensors.base import SensorFamily
 
 ENTRY_POINT_GROUP = "taccel_lab.sensors"
+IMPORTED = "imported"
+"""Family, in a profile, of a gel that no family describes: it is the profile's mesh."""
 
 _BUILT_IN = (
     "digit",
