@@ -23,6 +23,7 @@ from taccel_lab.model.env_rows import chosen_envs
 from taccel_lab.outputs.gel_frames import GelFrames
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS, ContactFields
+from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
 from taccel_lab.signals.pixel_maps import depth_kernel, height_kernel, normals_kernel, points_kernel
 from taccel_lab.signals.raster import grid_map
@@ -38,6 +39,7 @@ CHUNK_PIXELS = 2**24
 """Pixels computed at a time: 24 bytes of scratch each."""
 
 _IMAGES = ("rgb", "rgb_levels", "height_m", "depth_m", "normals", "points_m")
+_FINE = {"contact", "pressure_pa"}
 SIGNALS = (*_IMAGES, "markers_px", *CONTACT_SIGNALS)
 """Names that ``SignalTactile.read`` knows; docs/signals.md has their shapes and units."""
 
@@ -67,6 +69,7 @@ class SignalTactile:
         chunk_pixels: int = CHUNK_PIXELS,
         solver: SolverIPC | None = None,
         gel: int = 0,
+        fine: FineSurface | None = None,
     ) -> None:
         """
         Args:
@@ -87,6 +90,8 @@ class SignalTactile:
             solver: Whose forces ``contact``, ``pressure_pa``, ``traction_pa``, ``slip_m`` and
                 ``slipping`` are of; see ``from_solver``.
             gel: Index of this gel among the soft bodies of the solver's scene.
+            fine: Shows an object's surface where it touches, finer than the mesh, in images and
+                heights, contact and pressure; of the same solver, gel and grid.
         """
         if env_count < 1:
             raise InputError(f"env_count must be at least 1, got {env_count}")
@@ -105,12 +110,15 @@ class SignalTactile:
         face_count = int((mesh.face_regions == int(Region.CONTACT)).sum())
         pixels = grid.width_px * grid.height_px + 8 * face_count
         self.chunk_envs = min(env_count, max(1, chunk_pixels // pixels))
+        if fine is not None:
+            self.chunk_envs = fine.env_count
         """Environments computed at a time."""
         self._sampler: SurfaceSampler | None = None
         self._painter: DeviceColorModel | None = None
         self._projection: MarkerProjection | None = None
         self._solver, self._gel = solver, gel
         self._fields: ContactFields | None = None
+        self._fine = fine
         self._gel_frames = None if solver is None else GelFrames(solver.model)
         self._state: State | None = None
         self._arrays: dict[str, Any] = {}
@@ -121,6 +129,7 @@ class SignalTactile:
         self._frames: Any = self._no_frames
         self._all_envs = wp.empty(0, dtype=wp.int32, device=self.device)
         self._envs: Any = self._all_envs
+        self._numbers = wp.array(np.arange(env_count), dtype=wp.int32, device=self.device)
         self._count = env_count
         """Environments that are shown."""
 
@@ -250,14 +259,12 @@ class SignalTactile:
 
     @property
     def depth_m(self) -> wp.array:
-        """How far the contact surface has sunk since rest [m], float32, [env, height_px, width_px],
-        below zero where it rose, NaN outside."""
+        """How far the face has sunk since rest [m], float32, as ``height_m``."""
         return self.read("depth_m")[0]
 
     @property
     def points_m(self) -> wp.array:
-        """Points of the contact surface at the pixels, in the gel frame [m], vec3f, [env,
-        height_px, width_px], NaN outside."""
+        """Points of the face in the gel frame [m], vec3f, as ``height_m``."""
         return self.read("points_m")[0]
 
     @property
@@ -267,25 +274,22 @@ class SignalTactile:
 
     @property
     def pressure_pa(self) -> wp.array:
-        """Contact pressure [Pa], float32, [env, height_px, width_px], zero beside the contact."""
+        """Contact pressure [Pa], float32, as ``height_m``, zero beside the contact."""
         return self.read("pressure_pa")[0]
 
     @property
     def traction_pa(self) -> wp.array:
-        """Force of contact and friction on the gel by area of its surface, in the gel's axes [Pa],
-        vec3f, [env, height_px, width_px], zero where nothing touches."""
+        """Force on the gel by area of its face, in its axes [Pa], vec3f, as ``pressure_pa``."""
         return self.read("traction_pa")[0]
 
     @property
     def slip_m(self) -> wp.array:
-        """How far the gel slid over what it touches in the last step, in the gel's axes [m], vec3f,
-        [env, height_px, width_px], zero where nothing touches; see ``outputs.Sliding``."""
+        """Sliding in the last step [m], vec3f, as ``traction_pa``; see ``outputs.Sliding``."""
         return self.read("slip_m")[0]
 
     @property
     def slipping(self) -> wp.array:
-        """Where friction is at its limit, bool, [env, height_px, width_px]; the rest of ``contact``
-        sticks."""
+        """Where friction is at its limit, bool, as ``contact``, of which the rest sticks."""
         return self.read("slipping")[0]
 
     @property
@@ -307,10 +311,11 @@ class SignalTactile:
                 self._arrays[name] = self._make(name)
         if "markers_px" in stale and self._projection is not None:
             self._projection.update(self._positions, self._frames, self._envs, self._count)
-        images = [name for name in stale if name in _IMAGES]
+        of_surface = _IMAGES if self._fine is None else (*_IMAGES, *_FINE)
+        images = [name for name in stale if name in of_surface]
         if images:
             self._render(images)
-        fields = [name for name in stale if name in CONTACT_SIGNALS]
+        fields = [name for name in stale if name in CONTACT_SIGNALS and name not in images]
         if fields:
             self._render_contact(fields)
         self._fresh.update(stale)
@@ -341,6 +346,22 @@ class SignalTactile:
             return self._projection.markers_px
         if name in CONTACT_SIGNALS:
             return self._contact_fields(name).make(name, self.env_count)
+        shape = (self.env_count, self.grid.height_px, self.grid.width_px)
+        if name in ("rgb", "rgb_levels"):
+            if self._color is None:
+                raise InputError(f"{name} needs the color_model argument of SignalTactile")
+            if self._painter is None:
+                self._painter = DeviceColorModel(
+                    *self._color, self._rest_samples, self._still_levels
+                )
+            dtype = wp.uint8 if name == "rgb" else wp.float32
+            return wp.empty((*shape, 3), dtype=dtype, device=self.device)
+        dtype = wp.float32 if name in ("height_m", "depth_m") else wp.vec3f
+        return wp.empty(shape, dtype=dtype, device=self.device)
+
+    @property
+    def _sampled(self) -> SurfaceSampler:
+        """What samples the surface of the mesh; made when it is first needed."""
         if self._sampler is None:
             self._sampler = SurfaceSampler(
                 self._mesh,
@@ -350,18 +371,12 @@ class SignalTactile:
                 mode=self._mode,
                 device=self.device,
             )
-        shape = (self.env_count, self.grid.height_px, self.grid.width_px)
-        if name in ("rgb", "rgb_levels"):
-            if self._color is None:
-                raise InputError(f"{name} needs the color_model argument of SignalTactile")
-            if self._painter is None:
-                self._painter = DeviceColorModel(
-                    *self._color, self._sampler.rest_samples, self._still_levels
-                )
-            dtype = wp.uint8 if name == "rgb" else wp.float32
-            return wp.empty((*shape, 3), dtype=dtype, device=self.device)
-        dtype = wp.float32 if name in ("height_m", "depth_m") else wp.vec3f
-        return wp.empty(shape, dtype=dtype, device=self.device)
+        return self._sampler
+
+    @property
+    def _rest_samples(self) -> wp.array:
+        """Samples of the undeformed gel, vec3f, [height_px, width_px]."""
+        return (self._fine or self._sampled).rest_samples
 
     def _contact_fields(self, name: str) -> ContactFields:
         """What computes contact signals; InputError without a solver."""
@@ -374,8 +389,6 @@ class SignalTactile:
             self._fields = ContactFields(
                 self._solver, self._gel, self._mesh, self.grid, chunk_envs=self.chunk_envs
             )
-            numbers = np.arange(self.env_count)
-            self._numbers = wp.array(numbers, dtype=wp.int32, device=self.device)
         return self._fields
 
     def _render_contact(self, names: list[str]) -> None:
@@ -393,30 +406,44 @@ class SignalTactile:
 
     def _render(self, names: list[str]) -> None:
         """Bring images up to date, chunk by chunk."""
-        assert self._sampler is not None
         for first in range(0, self._count, self.chunk_envs):
             part = slice(first, min(first + self.chunk_envs, self._count))
             samples = self._samples
-            if samples is None and len(self._envs):
-                samples = self._sampler.sample(self._positions, self._frames, self._envs[part])
+            outputs = {name: self._arrays[name][part] for name in names}
+            if self._fine is not None:
+                samples = self._fine_samples(part, outputs)
+            elif samples is None and len(self._envs):
+                samples = self._sampled.sample(self._positions, self._frames, self._envs[part])
             elif samples is None:
                 frames = self._frames[part] if len(self._frames) else self._frames
-                samples = self._sampler.sample(self._positions[part], frames)
+                samples = self._sampled.sample(self._positions[part], frames)
             if self.chunk_envs == self.env_count:
                 # The only chunk: other images of this state may still read its samples.
                 self._samples = samples
-            outputs = {name: self._arrays[name][part] for name in names}
             if "height_m" in outputs:
                 self._map(height_kernel, [samples], outputs["height_m"])
             if "depth_m" in outputs:
-                rest = self._sampler.rest_samples
-                self._map(depth_kernel, [samples, rest], outputs["depth_m"])
+                self._map(depth_kernel, [samples, self._rest_samples], outputs["depth_m"])
             if "normals" in outputs:
                 self._map(normals_kernel, [samples], outputs["normals"])
             if "points_m" in outputs:
                 self._map(points_kernel, [samples, grid_map(self.grid)], outputs["points_m"])
             if self._painter is not None and ("rgb" in outputs or "rgb_levels" in outputs):
                 self._painter.render(samples, outputs.get("rgb"), outputs.get("rgb_levels"))
+
+    def _fine_samples(self, part: slice, outputs: dict[str, wp.array]) -> wp.array:
+        """Samples of the fine surface of a chunk; its contact and pressure go to ``outputs``."""
+        assert self._fine is not None
+        if self._state is None:
+            raise InputError("a fine surface needs the state of the solver: update(state)")
+        if self._samples is None:
+            self._fine.update(self._state)
+            envs = (self._envs if len(self._envs) else self._numbers)[part]
+            self._fine_arrays = self._fine.sample(self._state, self._frames, envs)
+        samples, pressure, touched = self._fine_arrays
+        for name in outputs.keys() & _FINE:
+            wp.copy(outputs[name], pressure if name == "pressure_pa" else touched)
+        return samples
 
     def _map(self, kernel: Any, inputs: list[Any], output: wp.array) -> None:
         wp.launch(kernel, dim=output.shape, inputs=inputs, outputs=[output], device=self.device)

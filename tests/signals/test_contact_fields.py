@@ -30,7 +30,7 @@ AT_MM = np.array([[0.0, 0.0], [0.5, 0.3], [-0.6, -0.2]])
 @lru_cache
 def dragged(device: str = "cpu") -> PressEnv:
     """A ball of 4 mm, 0.4 mm deep in three places, then dragged until its rim slips."""
-    mesh = block_mesh((16, 16, 3), (12e-3, 12e-3, 4e-3))
+    mesh = block_mesh((12, 12, 3), (9e-3, 9e-3, 4e-3))
     env = PressEnv(
         mesh,
         Material(1e5, 0.45),
