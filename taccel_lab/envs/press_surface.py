@@ -24,6 +24,10 @@ SAMPLE_MM = 0.02
 """Distance at most at which tools with edges are sampled, at least twice across a pixel. With 0.06
 mm, that of the pixels, the ridge of a prism was cut off by 20 um and its walls were ragged."""
 
+FAR_M = 1e-3
+"""What of a tool lies further above the gel is not looked at: the edge of a contact is where gaps
+begin, and those of a flange 10 mm behind a stamp seemed to begin all over it."""
+
 
 @dataclass(frozen=True)
 class PressSurface:
@@ -66,7 +70,8 @@ def press_surface(
         surface = SphereSurface(env.poses[0, 0, :3], shape.radius_m, seen.sample_grid)
     else:
         vertices = env.state.positions.numpy()[:, env.model.soft_count :].copy()
-        surface = HeightFieldSurface.from_mesh(vertices, shape.faces, seen.sample_grid)
+        whole = HeightFieldSurface.from_mesh(vertices, shape.faces, seen.sample_grid)
+        surface = whole.up_to(float(env.positions[..., 2].max()) + FAR_M)
     seen.update(env.positions, surface, pressures_pa)
     return PressSurface(
         height_m=seen.height_m[0],
