@@ -33,6 +33,7 @@ COMMANDS = {
     "captures": "capture_sets:Captures",
     "check_errors": "check_errors:CheckErrors",
     "images": "images:Images",
+    "fine_images": "fine_images:FineImages",
     "environments": "environments:Environments",
     "multi_gpu": "multi_gpu:MultiGpu",
     "quick": "quick:Quick",

@@ -55,7 +55,7 @@ class Environments(Suite):
     """Steps before, in which each environment is put into a phase of its own."""
     repeats: int = 3
     """Timed runs, one going on where the other ended; the median counts."""
-    observe: tuple[str, ...] = ("image", "markers", "wrench", "proprioception")
+    observe: tuple[str, ...] = ("rgb", "markers_px", "wrench", "proprioception")
     """Observations, see docs/environments.md."""
     size_px: tuple[int, ...] = (80, 60)
     """Width and height of images."""

@@ -42,6 +42,12 @@ class Press:
     degrees. A file is placed by its own origin and axes, in mm: its origin comes to --at-mm, its x
     points right and its y down in the image, and its -z side goes into the gel first, or what
     @AXIS says, such as mesh:part.stl@+z. Its height above its origin does not matter."""
+    texture: Path | None = None
+    """Image whose grey is the height of the indenter's surface, white standing out most: laid over
+    it along z, columns along x and rows along y, and repeated. It shows in the signals; the solver
+    presses the indenter's own shape as the mean of it. Depth counts from its highest points."""
+    texture_mm: tuple[float, float] = (0.05, 2.0)
+    """Height from black to white, and width of the image on the indenter [mm]."""
     at_mm: tuple[float, float] = (0.0, 0.0)
     """Gel x and y of the indenter's axis, of a file's origin [mm]."""
     shear_mm: tuple[float, float] = (0.0, 0.0)
@@ -97,11 +103,15 @@ class Press:
         from taccel_lab.sensors.profile import load_sensor
         from taccel_lab.signals.color_model import ColorModel
         from taccel_lab.signals.rest_surface import rest_surface
+        from taccel_lab.signals.texture import Texture
 
         require_replaceable(self.out)
         require_device(self.device)
         path = PressPath(self.depth_mm, self.shear_mm, self.twist_deg, self.step_mm, self.step_deg)
-        indenter = parse_indenter(self.indenter)
+        texture = None
+        if self.texture is not None:
+            texture = Texture.from_image(self.texture, *self.texture_mm)
+        indenter = parse_indenter(self.indenter, texture)
         physics = self._physics()
         profile = load_sensor(self.sensor)
         stated = profile.material.friction_coefficient
@@ -136,6 +146,8 @@ class Press:
             about = {
                 "sensor": self.sensor,
                 "indenter": self.indenter,
+                "texture": None if texture is None else str(self.texture),
+                "texture_mm": None if texture is None else self.texture_mm,
                 "at_mm": self.at_mm,
                 "friction_coefficient": friction,
                 "differs_from_calibration": note,
@@ -228,4 +240,6 @@ def _print_outcome(console: Console, outcome: PressOutcome) -> None:
         ("nodes, tets", f"{outcome.mesh.node_count}, {outcome.mesh.tet_count}", ""),
     ):
         table.add_row(name, value, unit)
+    if outcome.fine_force_n is not None:
+        table.add_row("force of the contact with the texture", f"{outcome.fine_force_n:.4f}", "N")
     console.print(table)

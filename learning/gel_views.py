@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the gels of a scene show and feel, by name, as torch tensors on the solver's device.
 
-A gel is a soft body that is bonded. Pixels and markers fill its contact face; depth and markers say
-how that differs from rest. Nothing here waits for the device.
+A gel is a soft body that is bonded. Names, units and frames are those of ``SignalTactile``; pixels
+and markers fill the contact face. Nothing here waits for the device.
 """
 
 from __future__ import annotations
@@ -12,26 +12,26 @@ from typing import Any
 
 import numpy as np
 import torch
-import warp as wp
 from gymnasium import spaces
 
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
-from taccel_lab.learning.poses import rotated
-from taccel_lab.outputs import GelFrames, Outputs, to_torch
+from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
+from taccel_lab.outputs import Outputs, to_torch
 from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
 from taccel_lab.signals.gel_faces import MARKERS, bonded_gels, face_grid, marker_points_mm
 from taccel_lab.signals.markers import MarkerLayout
-from taccel_lab.signals.tactile import SignalTactile
+from taccel_lab.signals.tactile import SIGNALS, SignalTactile
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import State
 
-VIEWS = ("image", "depth", "markers", "wrench", "traction")
+VIEWS = (*SIGNALS, "wrench")
 """What gels have to say."""
-FORCES = ("wrench", "traction")
+FORCES = (*CONTACT_SIGNALS, "wrench")
 """What is zero at a start, where nothing has been stepped."""
 Colors = Callable[[PixelGrid], tuple[ColorModel, np.ndarray]]
 """Of the pixels of a gel its colour network and its image untouched, levels [height, width, 3]."""
+_VECTORS = ("normals", "points_m", "traction_pa", "slip_m")
 
 
 class GelViews:
@@ -48,118 +48,68 @@ class GelViews:
         Args:
             solver: Of the scene.
             names: Of ``VIEWS``.
-            size_px: Width and height of images and depth.
-            colors: For images.
+            size_px: Width and height of images.
+            colors: For ``rgb`` and ``rgb_levels``.
 
         Raises:
-            InputError: No gel, gels that differ where these views have one shape, no colours.
+            InputError: No gel, no colours, sliding of a scene without friction.
         """
-        if "image" in names and colors is None:
+        if {"rgb", "rgb_levels"} & set(names) and colors is None:
             raise InputError(
-                "image needs colors: a function that gives the colour network and the untouched "
-                "image of a pixel grid; gels without a camera have depth and markers"
+                "rgb needs colors: a function that gives the colour network and the untouched "
+                "image of a pixel grid; gels without a camera have depth_m and markers_px"
             )
-        self._solver, self._model = solver, solver.model
+        if {"slip_m", "slipping"} & set(names) and solver.friction is None:
+            raise InputError("slip_m and slipping need a scene with friction")
         self._outputs = Outputs(solver)
         self.gels = bonded_gels(solver.model)
         """Indices of the gels among the soft bodies."""
-        self._frames = GelFrames(self._model)
-        bodies = [self._model.scene.soft_bodies[i] for i in self.gels]
-        meshes = [body.nodal_mesh for body in bodies]
-        grids = self.grids = [face_grid(mesh, size_px) for mesh in meshes]
+        bodies = [solver.model.scene.soft_bodies[i] for i in self.gels]
+        self.grids = [face_grid(body.nodal_mesh, size_px) for body in bodies]
         """Pixels of each gel."""
-        self._signals = [self._signal(k, mesh, colors) for k, mesh in enumerate(meshes)]
-        device = wp.device_to_torch(self._model.device)
-        self._face_nodes = [
-            torch.as_tensor(first + np.unique(mesh.region_faces(Region.CONTACT)), device=device)
-            for first, mesh in zip(self._first_nodes(), meshes, strict=True)
+        self._signals = [
+            _signal(solver, gel, body.nodal_mesh, grid, colors)
+            for gel, body, grid in zip(self.gels, bodies, self.grids, strict=True)
         ]
-        if "traction" in names and len({len(nodes) for nodes in self._face_nodes}) > 1:
-            raise InputError("traction needs gels whose contact faces have as many nodes each")
-        self._rest_mm: list[torch.Tensor] = []
-        """Height of each gel's face at rest, float32, [row, column]."""
-        if "depth" in names:
-            self._rest_mm = [self._rest_height(k, mesh) for k, mesh in enumerate(meshes)]
-        self._rest_px = [self._put(grid.pixel_from_gel(marker_points_mm(grid))) for grid in grids]
-        self._inverse = self._put([-1.0, -1.0, -1.0, 1.0])
-        """Times a quaternion, its inverse."""
-        self._pitch = [self._put([grid.mm_per_px_x, grid.mm_per_px_y]) for grid in grids]
         gels, (width, height) = len(self.gels), size_px
-        self._shapes = {
-            "image": (gels, height, width, 3),
-            "depth": (gels, height, width),
-            "markers": (gels, MARKERS[0] * MARKERS[1], 2),
-            "wrench": (gels, 6),
-            "traction": (gels, len(self._face_nodes[0]), 3),
-        }
+        image = (gels, height, width)
+        self._shapes: dict[str, tuple[int, ...]] = dict.fromkeys(SIGNALS, image)
+        self._shapes |= dict.fromkeys(("rgb", "rgb_levels", *_VECTORS), (*image, 3))
+        self._shapes["markers_px"] = (gels, MARKERS[0] * MARKERS[1], 2)
+        self._shapes["wrench"] = (gels, 6)
 
     def space(self, name: str) -> spaces.Box:
         """Of one environment."""
-        if name == "image":
-            return spaces.Box(0, 255, self._shapes[name], np.uint8)
-        return spaces.Box(-np.inf, np.inf, self._shapes[name], np.float32)
+        shape = self._shapes[name]
+        if name in ("contact", "slipping"):
+            return spaces.Box(0, 1, shape, bool)  # type: ignore[arg-type]
+        if name == "rgb":
+            return spaces.Box(0, 255, shape, np.uint8)
+        return spaces.Box(-np.inf, np.inf, shape, np.float32)
 
     def read(self, name: str, state: State) -> torch.Tensor:
-        """What the last step led to, on memory of its own, [env, gel, ...].
-
-        ``image``: uint8, [row, column, 3]. ``depth``: how far the face has sunk [mm], [row,
-        column]. ``markers``: how far markers have moved along the face [mm], [marker, 2].
-        ``wrench``: force [N] and torque [N m] of contact and friction in the gel's frame where it
-        has a mount, [6]. ``traction``: force by area at the nodes of the face [kPa], in that frame,
-        [node, 3]. All but images float32.
+        """What the last step led to, on memory of its own, [env, gel, ...]: a signal of
+        ``SignalTactile`` (docs/signals.md), zero where that is NaN, or ``wrench``: force [N] and
+        torque [N m] of contact and friction in the gel's frame where it has a mount, [6], float32.
         """
         if name == "wrench":
             return to_torch(self._outputs.update(state).soft_wrenches())[:, self.gels].float()
-        if name == "traction":
-            return self._tractions(state)
-        return torch.stack([self._see(name, k, state) for k in range(len(self.gels))], dim=1)
+        return torch.stack([self._see(name, signal, state) for signal in self._signals], dim=1)
 
-    def _see(self, name: str, gel: int, state: State) -> torch.Tensor:
-        signal = self._signals[gel]
-        signal.update(state.positions, self._frames.of(self.gels[gel], state))
-        if name == "image":
-            return to_torch(signal.rgb)
-        if name == "depth":
-            sunk = self._rest_mm[gel] - 1e3 * to_torch(signal.height_m)
-            return torch.nan_to_num(sunk, nan=0.0)
-        return (to_torch(signal.markers_px) - self._rest_px[gel]) * self._pitch[gel]
+    def _see(self, name: str, signal: SignalTactile, state: State) -> torch.Tensor:
+        signal.update(state)
+        seen = to_torch(signal.read(name)[0])
+        return torch.nan_to_num(seen) if seen.is_floating_point() else seen
 
-    def _tractions(self, state: State) -> torch.Tensor:
-        load = to_torch(self._outputs.update(state).surface_load.tractions)
-        found = []
-        for gel, nodes in zip(self.gels, self._face_nodes, strict=True):
-            traction = 1e-3 * load[:, nodes]
-            frames = self._frames.of(gel, state)
-            if frames is not None:
-                back = to_torch(frames)[:, None, 3:] * self._inverse
-                traction = rotated(back, traction)
-            found.append(traction)
-        return torch.stack(found, dim=1).float()
 
-    def _first_nodes(self) -> list[int]:
-        return [self._model.bodies[i].node_slice.start for i in self.gels]
-
-    def _signal(
-        self, k: int, mesh: TetMesh | QuadraticMesh, colors: Colors | None
-    ) -> SignalTactile:
-        model, background = colors(self.grids[k]) if colors else (None, None)
-        return SignalTactile(
-            mesh,
-            self.grids[k],
-            env_count=self._model.env_count,
-            color_model=model,
-            background_rgb=background,
-            markers=MarkerLayout.from_points(mesh, marker_points_mm(self.grids[k])),
-            first_node=self._first_nodes()[k],
-            device=self._model.device,
-        )
-
-    def _rest_height(self, k: int, mesh: TetMesh | QuadraticMesh) -> torch.Tensor:
-        device = self._model.device
-        rest = SignalTactile(mesh, self.grids[k], env_count=1, device=device)
-        rest.update(wp.array(mesh.nodes_m[None], dtype=wp.vec3d, device=device))
-        return 1e3 * to_torch(rest.height_m)[0]
-
-    def _put(self, values: Any) -> torch.Tensor:
-        device = wp.device_to_torch(self._model.device)
-        return torch.tensor(values, dtype=torch.float32, device=device)
+def _signal(
+    solver: SolverIPC,
+    gel: int,
+    mesh: TetMesh | QuadraticMesh,
+    grid: PixelGrid,
+    colors: Colors | None,
+) -> SignalTactile:
+    options: dict[str, Any] = {"markers": MarkerLayout.from_points(mesh, marker_points_mm(grid))}
+    if colors is not None:
+        options["color_model"], options["background_rgb"] = colors(grid)
+    return SignalTactile.from_solver(solver, grid, gel=gel, **options)

@@ -204,7 +204,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
                 continue
             seen = self.views.read(name, self.state)
             if name in FORCES:
-                seen = torch.where(self._still.view(-1, *[1] * (seen.ndim - 1)), 0.0, seen)
+                seen = seen.masked_fill(self._still.view(-1, *[1] * (seen.ndim - 1)), 0)
             found[name] = seen
         return found
 

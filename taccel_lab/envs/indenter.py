@@ -22,6 +22,7 @@ from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.reading.triangle_file import read_triangle_file
 from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh
+from taccel_lab.signals.texture import Texture
 
 ALLOWED = (
     "sphere:RADIUS, cylinder:RADIUS (flat end), box:XxY (flat end), roller:RADIUSxLENGTH (lies "
@@ -55,6 +56,9 @@ class Indenter:
     name: str
     """As given on the command line."""
     shape: Ball | TriangleMesh
+    texture: Texture | None = None
+    """What stands out of the shape, whose surface is its mean; depths count from first touch of its
+    highest points. Images show it, the solver presses the shape."""
 
     def contact(self, depth_mm: float) -> float | ToolSection:
         """About what of a gel a press touches, by the shape's section at half of the depth: a
@@ -66,18 +70,19 @@ class Indenter:
         return 1e3 * (math.sqrt(half * (2 * radius - half)) if half < radius else radius)
 
 
-def parse_indenter(text: str) -> Indenter:
-    """Read an indenter description; raises InputError that lists what is allowed."""
+def parse_indenter(text: str, texture: Texture | None = None) -> Indenter:
+    """Read an indenter description; raises InputError that lists what is allowed. ``texture``: laid
+    over its surface."""
     kind, _, value = text.partition(":")
     if kind == "mesh":
-        return Indenter(text, _read_mesh(value))
+        return Indenter(text, _read_mesh(value), texture)
     if kind not in _SHAPES:
         raise InputError(f"indenter {text!r} is not understood; allowed: {ALLOWED}")
     counts, build = _SHAPES[kind]
     words = value.split("x", max(counts) - 1)
     if len(words) not in counts:
         raise InputError(f"indenter {text!r} is not understood; allowed: {ALLOWED}")
-    return Indenter(text, build(text, *words))
+    return Indenter(text, build(text, *words), texture)
 
 
 def _sphere(text: str, radius: str) -> Ball:

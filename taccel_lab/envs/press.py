@@ -147,6 +147,8 @@ class PressEnv:
             ]
         )
         """z of the indenter's origin in the press frame at first touch [m], shape [env_count]."""
+        if indenter.texture is not None:
+            self.touch_m += indenter.texture.mean_depth_m
         if not np.isfinite(self.touch_m).all():
             env = int(np.flatnonzero(~np.isfinite(self.touch_m))[0])
             x, y = self.at_m[env] * 1e3

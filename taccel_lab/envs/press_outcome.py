@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,15 +13,12 @@ from taccel_lab.envs.indenter import Indenter
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.envs.press import PressEnv
 from taccel_lab.envs.press_path import PressPath
+from taccel_lab.envs.press_surface import press_surface
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.geometry.tet_mesh import tet_volumes
 from taccel_lab.outputs import Outputs
-from taccel_lab.scene import Ball, Material, MaterialField
-from taccel_lab.signals import (
-    HeightFieldSurface,
-    SignalFusedSurface,
-    SphereSurface,
-)
+from taccel_lab.scene import Material, MaterialField
 from taccel_lab.signals.rest_surface import RestSurface
 from taccel_lab.signals.tactile_image import tactile_image
 from taccel_lab.solvers import SolverConfig, StepReport
@@ -78,6 +74,9 @@ class PressOutcome:
     """Radius of the disc of the contact's area [m]."""
     smallest_volume_ratio: float
     """Smallest det F of any tet: above 0 when no tet is inverted."""
+    fine_force_n: float | None = None
+    """Force against the press of the contact with a texture, of which the solver's force knows the
+    mean surface only [N]; None without a texture."""
 
     @property
     def last(self) -> StepReport:
@@ -106,6 +105,7 @@ class PressOutcome:
             "min_distance_m": float(min(r.min_distance_m[0] for r in steps)),
             "setback_m": self.setback_m,
             "contact_radius_mm": self.contact_radius_m * 1e3,
+            "fine_force_n": self.fine_force_n,
             "smallest_volume_ratio": self.smallest_volume_ratio,
             "steps": [
                 {
@@ -126,16 +126,6 @@ class PressOutcome:
         }
 
 
-SAMPLE_MM = 0.02
-"""Distance at most at which tools with edges are sampled, at least twice across a pixel. With 0.06
-mm, that of the pixels, the ridge of a prism was cut off by 20 um and its walls were ragged."""
-
-
-def points_across_pixel(grid: PixelGrid) -> int:
-    """Samples along each side of a pixel of the image of a tool with edges."""
-    return max(2, math.ceil(max(grid.mm_per_px_x, grid.mm_per_px_y) / SAMPLE_MM))
-
-
 def simulate_press(
     mesh: TetMesh,
     material: Material | MaterialField,
@@ -151,7 +141,8 @@ def simulate_press(
     device: str = "cpu",
     progress: Callable[[int, int, PressStep], None] | None = None,
 ) -> PressOutcome:
-    """Press once, read everything. Errors as of ``PressEnv``; see there for the arguments.
+    """Press once, read everything. Errors as of ``PressEnv``; see there for the arguments. An
+    indenter with a texture must go deeper than that is on the mean.
 
     ``designed_rest`` is the pad's contact face on ``grid`` where ``mesh`` draws it more coarsely,
     see ``RestCorrection``. ``progress`` is told step, step count and what the step gave.
@@ -166,6 +157,12 @@ def simulate_press(
         config=config,
         device=device,
     )
+    texture = indenter.texture
+    if texture is not None and not path.depth_mm * 1e-3 > texture.mean_depth_m:
+        raise InputError(
+            f"depth {path.depth_mm:g} mm ends above the mean surface of the texture, which lies "
+            f"{1e3 * texture.mean_depth_m:.3g} mm below its highest points: press deeper"
+        )
     waypoints = path.waypoints()
     steps: list[PressStep] = []
 
@@ -178,17 +175,7 @@ def simulate_press(
     load = Outputs(env.solver).update(env.state).surface_load
     pressures = load.pressures.numpy()[:, : env.model.soft_count].copy()
     pose = env.poses[0, 0]
-    shape = indenter.shape
-    points = 1 if isinstance(shape, Ball) else points_across_pixel(grid)
-    seen = SignalFusedSurface(
-        env.mesh, grid, designed_rest=designed_rest, points=points, device=device
-    )
-    if isinstance(shape, Ball):
-        surface = SphereSurface(pose[:3], shape.radius_m, seen.sample_grid)
-    else:
-        vertices = env.state.positions.numpy()[:, env.model.soft_count :].copy()
-        surface = HeightFieldSurface.from_mesh(vertices, shape.faces, seen.sample_grid)
-    seen.update(env.positions, surface, pressures)
+    seen = press_surface(env, indenter, grid, pressures, designed_rest)
     error = env.error_estimate()
     volumes = tet_volumes(env.positions[0], mesh.tets)
     return PressOutcome(
@@ -203,11 +190,12 @@ def simulate_press(
         contact_pressures_pa=pressures[0],
         indenter_pose=pose,
         setback_m=float(env.setback_m[0]),
-        height_m=seen.height_m[0],
+        height_m=seen.height_m,
         rest_height_m=seen.rest_height_m,
-        normals=seen.normals[0],
+        normals=seen.normals,
         rest_normals=seen.rest_normals,
-        contact_mask=seen.contact_mask[0],
-        contact_radius_m=float(seen.contact_radius_m[0]),
+        contact_mask=seen.contact_mask,
+        contact_radius_m=seen.contact_radius_m,
         smallest_volume_ratio=float((volumes / mesh.volumes_m3()).min()),
+        fine_force_n=seen.fine_force_n,
     )

@@ -19,9 +19,9 @@ def _negate_kernel(values: wp.array2d(dtype=wp.vec3d), result: wp.array2d(dtype=
     result[i, j] = -values[i, j]
 
 
-def negated(values: wp.array) -> wp.array:
-    """Minus the vectors, vec3d, two axes."""
-    result = wp.empty_like(values)
+def negated(values: wp.array, into: wp.array | None = None) -> wp.array:
+    """Minus the vectors, vec3d, two axes; written to ``into`` if that is given."""
+    result = wp.empty_like(values) if into is None else into
     wp.launch(
         _negate_kernel,
         dim=values.shape,

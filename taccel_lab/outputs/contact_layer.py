@@ -68,3 +68,61 @@ def gap_work(collisions: Collisions, positions: wp.array) -> wp.array:
         device=device,
     )
     return work
+
+
+@wp.kernel
+def _add_gaps_kernel(
+    lanes: int,
+    lists: CollisionLists,
+    geometry: ContactGeometry,
+    positions: wp.array2d(dtype=wp.vec3d),
+    first: int,
+    end: int,
+    work: wp.array(dtype=wp.float64),
+    forces: wp.array(dtype=wp.float64),
+):
+    env, lane = wp.tid()
+    for at in range(lists.room.starts[env] + lane, list_end(env, lists.room), lanes):
+        nodes = lists.stencils[at]
+        one = nodes[0] >= first and nodes[0] < end
+        other = nodes[3] >= first and nodes[3] < end
+        if one != other:
+            pair = closest_pair(env, lists.kinds[at], nodes, positions, geometry)
+            gap = collision_gap(pair, nodes, lists.insets[at], geometry)
+            force = -contact_potential_d1(gap, lists.ranges[at], lists.stiffnesses[at])
+            force *= mollifier(env, nodes, lists.thresholds[at], positions)
+            wp.atomic_add(work, env, force * gap)
+            wp.atomic_add(forces, env, force)
+
+
+@wp.kernel
+def _mean_gap_kernel(
+    work: wp.array(dtype=wp.float64),
+    forces: wp.array(dtype=wp.float64),
+    gaps: wp.array(dtype=wp.float64),
+):
+    env = wp.tid()
+    gaps[env] = wp.float64(0.0)
+    if forces[env] > wp.float64(0.0):
+        gaps[env] = work[env] / forces[env]
+
+
+def mean_gaps(collisions: Collisions, positions: wp.array, nodes: tuple[int, int]) -> wp.array:
+    """Mean gap of the contacts of one body with others, weighted with their forces [m], float64,
+    [env_count]; 0 without a contact. Does not wait for the device.
+
+    ``nodes``: first node of the body and the one after its last. ``positions``: see ``gap_work``.
+    """
+    env_count, device = len(collisions.counts), collisions.device
+    lanes = lane_count(device, env_count, collisions.largest_room)
+    work, forces, gaps = (wp.zeros(env_count, dtype=wp.float64, device=device) for _ in range(3))
+    wp.launch(
+        _add_gaps_kernel,
+        dim=(env_count, lanes),
+        inputs=[lanes, collisions.lists, collisions.geometry, positions, *nodes],
+        outputs=[work, forces],
+        device=device,
+    )
+    inputs = [work, forces]
+    wp.launch(_mean_gap_kernel, env_count, inputs=inputs, outputs=[gaps], device=device)
+    return gaps

@@ -16,6 +16,7 @@ from taccel_lab.outputs.contact_wrenches import (
     friction_wrenches,
 )
 from taccel_lab.outputs.momentum import Momentum, MomentumReader
+from taccel_lab.outputs.sliding import Sliding, read_sliding
 from taccel_lab.outputs.soft_wrenches import SoftWrenchReader
 from taccel_lab.outputs.stress import StressReader, peak_at, von_mises
 from taccel_lab.outputs.surface_load import SurfaceLoad, SurfaceLoadReader
@@ -86,6 +87,12 @@ class Outputs:
         """Tractions of contact and friction, and contact pressure, on the surface as it is now."""
         x = self.state.positions
         return self._surface_load.read(x, self.normal_forces, self.friction_forces)
+
+    @cached_property
+    def sliding(self) -> Sliding:
+        """How far surfaces slid over each other in the step, and where friction is at its limit;
+        InputError in a scene without friction."""
+        return read_sliding(self._solver, self.state)
 
     def contact_wrenches(self, center_m: tuple[float, float, float] = (0, 0, 0)) -> PairWrenches:
         """Normal forces between bodies, torques about ``center_m``, and gaps."""

@@ -161,55 +161,69 @@ class SurfaceLoad:
     pressures: wp.array
     """Contact pressure [Pa], float64: the part of the traction along the contact force."""
 
+    @classmethod
+    def empty(cls, model: Model) -> SurfaceLoad:
+        """Memory of a model's size."""
+        shape, device = (model.env_count, model.node_count), model.device
+        return cls(
+            areas=wp.empty(shape, dtype=wp.float64, device=device),
+            normals=wp.empty(shape, dtype=wp.vec3d, device=device),
+            tractions=wp.empty(shape, dtype=wp.vec3d, device=device),
+            pressures=wp.empty(shape, dtype=wp.float64, device=device),
+        )
+
 
 class SurfaceLoadReader:
     """Reads surface loads of a model's states."""
 
     def __init__(self, model: Model) -> None:
         self.model = model
-        self._middles = _middles(model)
+        self.middles = middles_of(model)
+        self._sums: list[wp.array] = []
 
     def read(
-        self, positions: wp.array, normal_forces: wp.array, friction_forces: wp.array
+        self,
+        positions: wp.array,
+        normal_forces: wp.array,
+        friction_forces: wp.array,
+        into: SurfaceLoad | None = None,
     ) -> SurfaceLoad:
-        """Tractions of contact forces [N] at ``positions`` [m], all vec3d, [env_count, node_count].
+        """Tractions of contact forces [N] at ``positions`` [m], all vec3d, [env_count, node_count];
+        written to ``into`` if that is given.
 
         Forces on nodes that show no area in their direction have no traction.
         """
         s, shape, device = self.model.surface, positions.shape, self.model.device
-        load = SurfaceLoad(
-            areas=wp.zeros(shape, dtype=wp.float64, device=device),
-            normals=wp.zeros(shape, dtype=wp.vec3d, device=device),
-            tractions=wp.zeros(shape, dtype=wp.vec3d, device=device),
-            pressures=wp.zeros(shape, dtype=wp.float64, device=device),
-        )
-        sums = [wp.zeros(shape, dtype=wp.vec3d, device=device) for _ in range(2)]
+        load = SurfaceLoad.empty(self.model) if into is None else into
+        if not self._sums:
+            self._sums = [wp.empty(shape, dtype=wp.vec3d, device=device) for _ in range(2)]
+        sums = self._sums
         for values, result in zip((normal_forces, friction_forces), sums, strict=True):
             wp.launch(
                 _gather_kernel,
                 dim=shape,
-                inputs=[self._middles, values],
+                inputs=[self.middles, values],
                 outputs=[result],
                 device=device,
             )
         wp.launch(
             _area_kernel,
             dim=shape,
-            inputs=[s.node_face_starts, s.node_faces, s.faces, self._middles, positions, sums[0]],
+            inputs=[s.node_face_starts, s.node_faces, s.faces, self.middles, positions, sums[0]],
             outputs=[load.areas, load.normals],
             device=device,
         )
         wp.launch(
             _traction_kernel,
             dim=shape,
-            inputs=[self._middles, *sums, load.areas],
+            inputs=[self.middles, *sums, load.areas],
             outputs=[load.tractions, load.pressures],
             device=device,
         )
         return load
 
 
-def _middles(model: Model) -> Middles:
+def middles_of(model: Model) -> Middles:
     """Ends of the middles on the surfaces of all quadratic bodies, and the middles of corners."""
     ends = np.full((model.node_count, 2), -1, dtype=np.int32)
     for body, placed in zip(model.scene.bodies, model.bodies, strict=True):

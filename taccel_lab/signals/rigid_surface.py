@@ -167,6 +167,12 @@ class HeightFieldSurface:
         ])  # fmt: skip
         return cls(np.where(np.isfinite(height), height, np.nan), grid, slope)
 
+    def up_to(self, height_m: float) -> HeightFieldSurface:
+        """The same without the parts that lie above ``height_m`` [m]: a flange far over it ends
+        a tool as its silhouette does."""
+        near = np.where(self.height_m <= height_m, self.height_m, np.nan)
+        return HeightFieldSurface(near, self._grid, self._slope)
+
     def gap(self, points: np.ndarray) -> np.ndarray:
         return self._sample(points) - points[..., 2]
 

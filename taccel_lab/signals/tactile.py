@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``SignalTactile``: what many sensors see, from device arrays to device arrays.
+"""``SignalTactile``: what many sensors see and feel, from device arrays to device arrays.
 
 The surface of ``SurfaceSampler`` and the colours of ``DeviceColorModel``, for a thousand
 environments without a host round trip: nothing here waits for the device or looks at its values,
@@ -7,10 +7,8 @@ so that reads can be captured in a CUDA graph. Only what is read is computed, in
 environments of fixed size.
 """
 
-# Warp compiles the kernels from their source; its type stubs describe neither vectors' operators
-# nor FP64 overloads.
-# pyright: reportArgumentType=false, reportAssignmentType=false, reportCallIssue=false
-# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false
+# Warp's type stubs describe neither arrays of vectors nor what kernels take.
+# pyright: reportArgumentType=false
 
 from __future__ import annotations
 
@@ -22,50 +20,34 @@ import warp as wp
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.model.env_rows import chosen_envs
+from taccel_lab.outputs.gel_frames import GelFrames
 from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.contact_fields import CONTACT_SIGNALS, ContactFields
+from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
+from taccel_lab.signals.pixel_maps import depth_kernel, height_kernel, normals_kernel, points_kernel
+from taccel_lab.signals.raster import grid_map
 from taccel_lab.signals.surface_sampler import SurfaceMode, SurfaceSampler
 from taccel_lab.signals.tactile_image import DeviceColorModel
+from taccel_lab.state import State
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
-
-wp.set_module_options({"enable_backward": False})
+    from taccel_lab.solvers.solver_ipc import SolverIPC
 
 CHUNK_PIXELS = 2**24
 """Pixels computed at a time: 24 bytes of scratch each."""
 
-_IMAGES = ("rgb", "rgb_levels", "height_m", "normals")
-SIGNALS = (*_IMAGES, "markers_px")
-"""Names that ``SignalTactile.read`` knows."""
-
-
-@wp.kernel
-def _height_kernel(
-    samples: wp.array3d(dtype=wp.vec3f),
-    # Out
-    height_m: wp.array3d(dtype=wp.float32),
-):
-    env, v, u = wp.tid()
-    height_m[env, v, u] = samples[env, v, u][2]
-
-
-@wp.kernel
-def _normals_kernel(
-    samples: wp.array3d(dtype=wp.vec3f),
-    # Out
-    normals: wp.array3d(dtype=wp.vec3f),
-):
-    env, v, u = wp.tid()
-    s = samples[env, v, u]
-    inverse = wp.float32(1.0) / wp.sqrt(wp.float32(1.0) + s[0] * s[0] + s[1] * s[1])
-    normals[env, v, u] = wp.vec3f(-s[0] * inverse, -s[1] * inverse, inverse)
+_IMAGES = ("rgb", "rgb_levels", "height_m", "depth_m", "normals", "points_m")
+_FINE = {"contact", "pressure_pa"}
+SIGNALS = (*_IMAGES, "markers_px", *CONTACT_SIGNALS)
+"""Names that ``SignalTactile.read`` knows; docs/signals.md has their shapes and units."""
 
 
 class SignalTactile:
-    """Tactile images, height maps, normals and markers of one sensor in many environments.
+    """What one sensor sees and feels in many environments: images, heights, markers, contact.
 
-    Construct, call ``update(positions)`` after each step, read the signals you want. A signal that
+    Construct, call ``update(...)`` after each step, read the signals you want. A signal that
     is not read is not computed and takes no memory. Arrays are Warp arrays on the device of the
     positions, the same ones at each read, or their first rows where only some environments are
     shown; ``wp.to_torch(signal.rgb)`` shares their memory.
@@ -85,6 +67,9 @@ class SignalTactile:
         device: Any = "cpu",
         still_levels: float = 0.0,
         chunk_pixels: int = CHUNK_PIXELS,
+        solver: SolverIPC | None = None,
+        gel: int = 0,
+        fine: FineSurface | None = None,
     ) -> None:
         """
         Args:
@@ -102,6 +87,11 @@ class SignalTactile:
                 show the background; zero to compute all that moved. A press moves the whole gel a
                 little, so this saves most of the image where 0.1 levels do not matter.
             chunk_pixels: Most pixels computed at a time; at least one image.
+            solver: Whose forces ``contact``, ``pressure_pa``, ``traction_pa``, ``slip_m`` and
+                ``slipping`` are of; see ``from_solver``.
+            gel: Index of this gel among the soft bodies of the solver's scene.
+            fine: Shows an object's surface where it touches, finer than the mesh, in images and
+                heights, contact and pressure; of the same solver, gel and grid.
         """
         if env_count < 1:
             raise InputError(f"env_count must be at least 1, got {env_count}")
@@ -120,10 +110,17 @@ class SignalTactile:
         face_count = int((mesh.face_regions == int(Region.CONTACT)).sum())
         pixels = grid.width_px * grid.height_px + 8 * face_count
         self.chunk_envs = min(env_count, max(1, chunk_pixels // pixels))
+        if fine is not None:
+            self.chunk_envs = fine.env_count
         """Environments computed at a time."""
         self._sampler: SurfaceSampler | None = None
         self._painter: DeviceColorModel | None = None
         self._projection: MarkerProjection | None = None
+        self._solver, self._gel = solver, gel
+        self._fields: ContactFields | None = None
+        self._fine = fine
+        self._gel_frames = None if solver is None else GelFrames(solver.model)
+        self._state: State | None = None
         self._arrays: dict[str, Any] = {}
         self._fresh: set[str] = set()
         self._samples: Any = None
@@ -132,8 +129,42 @@ class SignalTactile:
         self._frames: Any = self._no_frames
         self._all_envs = wp.empty(0, dtype=wp.int32, device=self.device)
         self._envs: Any = self._all_envs
+        self._numbers = wp.array(np.arange(env_count), dtype=wp.int32, device=self.device)
         self._count = env_count
         """Environments that are shown."""
+
+    @classmethod
+    def from_solver(
+        cls, solver: SolverIPC, grid: PixelGrid, *, gel: int = 0, **options: Any
+    ) -> SignalTactile:
+        """The signals of a gel of a solver's scene, those of its contact too.
+
+        ``update(state)`` is all that it takes after a step: a gel that moves with a mount is looked
+        at in its own frame.
+
+        Args:
+            solver: It keeps the forces of its last step.
+            grid: Pixels of the image.
+            gel: Index of the gel among the soft bodies of the scene.
+            options: Further arguments of ``SignalTactile``, such as ``color_model``.
+
+        Raises:
+            InputError: No such soft body.
+        """
+        model = solver.model
+        bodies = model.scene.soft_bodies
+        if not 0 <= gel < len(bodies):
+            raise InputError(f"there is no soft body {gel}; the scene has {len(bodies)}")
+        return cls(
+            bodies[gel].nodal_mesh,
+            grid,
+            env_count=model.env_count,
+            first_node=model.bodies[gel].node_slice.start,
+            device=model.device,
+            solver=solver,
+            gel=gel,
+            **options,
+        )
 
     @classmethod
     def from_profile(
@@ -155,39 +186,49 @@ class SignalTactile:
 
     def update(
         self,
-        positions: wp.array,
+        positions: wp.array | State,
         world_from_gel: wp.array | None = None,
         who: np.ndarray | None = None,
     ) -> None:
-        """Point the signals at a state; launches nothing.
+        """Point the signals at a state; launches nothing but what finds the frame of a gel on an
+        affine body.
 
         Args:
             positions: Node positions [m], vec3d, shape [env_count, node_count], on the device of
-                the signal. They are read when a signal is, so read before they change, and call
-                ``update`` again after they did.
+                the signal, or the state that has them, which signals of contact need. They are read
+                when a signal is, so read before they change, and call ``update`` again after.
             world_from_gel: Pose of the gel in each environment, transformd, shape [env_count], for
-                instance ``state.poses[:, mount]``; None when positions are in the gel frame.
+                instance ``state.poses[:, mount]``; None when positions are in the gel frame, and
+                when the solver of ``from_solver`` is to say.
             who: Environments to show, bool, [env_count], of the host; all when None. Signals then
                 have a row for each of these, in their order. Their list goes to the device at once,
                 which a CUDA graph does not repeat.
         """
+        self._state = None
+        if isinstance(positions, State):
+            self._state = positions
+            if world_from_gel is None and self._gel_frames is not None:
+                world_from_gel = self._gel_frames.of(self._gel, positions)
+            where: Any = positions.positions
+        else:
+            where = positions
         least = self._first_node + self._mesh.node_count
-        if positions.dtype != wp.vec3d or positions.ndim != 2:
+        if where.dtype != wp.vec3d or where.ndim != 2:
             raise InputError("positions must be a Warp array of vec3d, shape [env_count, node]")
-        if positions.shape[0] != self.env_count or positions.shape[1] < least:
+        if where.shape[0] != self.env_count or where.shape[1] < least:
             raise InputError(
-                f"positions has shape {positions.shape}; {self.env_count} environments of at "
+                f"positions has shape {where.shape}; {self.env_count} environments of at "
                 f"least {least} nodes are needed"
             )
-        if positions.device != self.device:
-            raise InputError(f"positions are on {positions.device}, the signal on {self.device}")
+        if where.device != self.device:
+            raise InputError(f"positions are on {where.device}, the signal on {self.device}")
         if world_from_gel is not None and (
             world_from_gel.dtype != wp.transformd or world_from_gel.shape != (self.env_count,)
         ):
             raise InputError(
                 f"world_from_gel must be a Warp array of transformd, shape [{self.env_count}]"
             )
-        self._positions = positions
+        self._positions = where
         self._frames = self._no_frames if world_from_gel is None else world_from_gel
         self._envs, self._count = self._all_envs, self.env_count
         if who is not None:
@@ -217,6 +258,41 @@ class SignalTactile:
         return self.read("normals")[0]
 
     @property
+    def depth_m(self) -> wp.array:
+        """How far the face has sunk since rest [m], float32, as ``height_m``."""
+        return self.read("depth_m")[0]
+
+    @property
+    def points_m(self) -> wp.array:
+        """Points of the face in the gel frame [m], vec3f, as ``height_m``."""
+        return self.read("points_m")[0]
+
+    @property
+    def contact(self) -> wp.array:
+        """Where the gel is touched, bool, [env, height_px, width_px]."""
+        return self.read("contact")[0]
+
+    @property
+    def pressure_pa(self) -> wp.array:
+        """Contact pressure [Pa], float32, as ``height_m``, zero beside the contact."""
+        return self.read("pressure_pa")[0]
+
+    @property
+    def traction_pa(self) -> wp.array:
+        """Force on the gel by area of its face, in its axes [Pa], vec3f, as ``pressure_pa``."""
+        return self.read("traction_pa")[0]
+
+    @property
+    def slip_m(self) -> wp.array:
+        """Sliding in the last step [m], vec3f, as ``traction_pa``; see ``outputs.Sliding``."""
+        return self.read("slip_m")[0]
+
+    @property
+    def slipping(self) -> wp.array:
+        """Where friction is at its limit, bool, as ``contact``, of which the rest sticks."""
+        return self.read("slipping")[0]
+
+    @property
     def markers_px(self) -> wp.array:
         """Columns and rows (u, v) of the markers [px], vec2f, shape [env, marker]."""
         return self.read("markers_px")[0]
@@ -235,9 +311,13 @@ class SignalTactile:
                 self._arrays[name] = self._make(name)
         if "markers_px" in stale and self._projection is not None:
             self._projection.update(self._positions, self._frames, self._envs, self._count)
-        images = [name for name in stale if name in _IMAGES]
+        of_surface = _IMAGES if self._fine is None else (*_IMAGES, *_FINE)
+        images = [name for name in stale if name in of_surface]
         if images:
             self._render(images)
+        fields = [name for name in stale if name in CONTACT_SIGNALS and name not in images]
+        if fields:
+            self._render_contact(fields)
         self._fresh.update(stale)
         arrays = [self._arrays[name] for name in names]
         if self._count < self.env_count:
@@ -264,6 +344,24 @@ class SignalTactile:
                 device=self.device,
             )
             return self._projection.markers_px
+        if name in CONTACT_SIGNALS:
+            return self._contact_fields(name).make(name, self.env_count)
+        shape = (self.env_count, self.grid.height_px, self.grid.width_px)
+        if name in ("rgb", "rgb_levels"):
+            if self._color is None:
+                raise InputError(f"{name} needs the color_model argument of SignalTactile")
+            if self._painter is None:
+                self._painter = DeviceColorModel(
+                    *self._color, self._rest_samples, self._still_levels
+                )
+            dtype = wp.uint8 if name == "rgb" else wp.float32
+            return wp.empty((*shape, 3), dtype=dtype, device=self.device)
+        dtype = wp.float32 if name in ("height_m", "depth_m") else wp.vec3f
+        return wp.empty(shape, dtype=dtype, device=self.device)
+
+    @property
+    def _sampled(self) -> SurfaceSampler:
+        """What samples the surface of the mesh; made when it is first needed."""
         if self._sampler is None:
             self._sampler = SurfaceSampler(
                 self._mesh,
@@ -273,40 +371,79 @@ class SignalTactile:
                 mode=self._mode,
                 device=self.device,
             )
-        shape = (self.env_count, self.grid.height_px, self.grid.width_px)
-        if name in ("rgb", "rgb_levels"):
-            if self._color is None:
-                raise InputError(f"{name} needs the color_model argument of SignalTactile")
-            if self._painter is None:
-                self._painter = DeviceColorModel(
-                    *self._color, self._sampler.rest_samples, self._still_levels
+        return self._sampler
+
+    @property
+    def _rest_samples(self) -> wp.array:
+        """Samples of the undeformed gel, vec3f, [height_px, width_px]."""
+        return (self._fine or self._sampled).rest_samples
+
+    def _contact_fields(self, name: str) -> ContactFields:
+        """What computes contact signals; InputError without a solver."""
+        if self._fields is None:
+            if self._solver is None:
+                raise InputError(
+                    f"{name} needs the forces of a solver: make the signals with "
+                    "SignalTactile.from_solver"
                 )
-            dtype = wp.uint8 if name == "rgb" else wp.float32
-            return wp.empty((*shape, 3), dtype=dtype, device=self.device)
-        dtype = wp.float32 if name == "height_m" else wp.vec3f
-        return wp.empty(shape, dtype=dtype, device=self.device)
+            self._fields = ContactFields(
+                self._solver, self._gel, self._mesh, self.grid, chunk_envs=self.chunk_envs
+            )
+        return self._fields
+
+    def _render_contact(self, names: list[str]) -> None:
+        """Bring signals of contact up to date, chunk by chunk."""
+        fields = self._contact_fields(names[0])
+        if self._state is None:
+            raise InputError(f"{names[0]} needs the state of the solver: update(state)")
+        if self._count:
+            fields.read_nodes(self._state, set(names))
+        for first in range(0, self._count, self.chunk_envs):
+            part = slice(first, min(first + self.chunk_envs, self._count))
+            envs = (self._envs if len(self._envs) else self._numbers)[part]
+            outputs = {name: self._arrays[name][part] for name in names}
+            fields.render(self._state, self._frames, envs, outputs)
 
     def _render(self, names: list[str]) -> None:
         """Bring images up to date, chunk by chunk."""
-        assert self._sampler is not None
         for first in range(0, self._count, self.chunk_envs):
             part = slice(first, min(first + self.chunk_envs, self._count))
             samples = self._samples
-            if samples is None and len(self._envs):
-                samples = self._sampler.sample(self._positions, self._frames, self._envs[part])
+            outputs = {name: self._arrays[name][part] for name in names}
+            if self._fine is not None:
+                samples = self._fine_samples(part, outputs)
+            elif samples is None and len(self._envs):
+                samples = self._sampled.sample(self._positions, self._frames, self._envs[part])
             elif samples is None:
                 frames = self._frames[part] if len(self._frames) else self._frames
-                samples = self._sampler.sample(self._positions[part], frames)
+                samples = self._sampled.sample(self._positions[part], frames)
             if self.chunk_envs == self.env_count:
                 # The only chunk: other images of this state may still read its samples.
                 self._samples = samples
-            outputs = {name: self._arrays[name][part] for name in names}
             if "height_m" in outputs:
-                self._map(_height_kernel, samples, outputs["height_m"])
+                self._map(height_kernel, [samples], outputs["height_m"])
+            if "depth_m" in outputs:
+                self._map(depth_kernel, [samples, self._rest_samples], outputs["depth_m"])
             if "normals" in outputs:
-                self._map(_normals_kernel, samples, outputs["normals"])
+                self._map(normals_kernel, [samples], outputs["normals"])
+            if "points_m" in outputs:
+                self._map(points_kernel, [samples, grid_map(self.grid)], outputs["points_m"])
             if self._painter is not None and ("rgb" in outputs or "rgb_levels" in outputs):
                 self._painter.render(samples, outputs.get("rgb"), outputs.get("rgb_levels"))
 
-    def _map(self, kernel: Any, samples: wp.array, output: wp.array) -> None:
-        wp.launch(kernel, dim=samples.shape, inputs=[samples], outputs=[output], device=self.device)
+    def _fine_samples(self, part: slice, outputs: dict[str, wp.array]) -> wp.array:
+        """Samples of the fine surface of a chunk; its contact and pressure go to ``outputs``."""
+        assert self._fine is not None
+        if self._state is None:
+            raise InputError("a fine surface needs the state of the solver: update(state)")
+        if self._samples is None:
+            self._fine.update(self._state)
+            envs = (self._envs if len(self._envs) else self._numbers)[part]
+            self._fine_arrays = self._fine.sample(self._state, self._frames, envs)
+        samples, pressure, touched = self._fine_arrays
+        for name in outputs.keys() & _FINE:
+            wp.copy(outputs[name], pressure if name == "pressure_pa" else touched)
+        return samples
+
+    def _map(self, kernel: Any, inputs: list[Any], output: wp.array) -> None:
+        wp.launch(kernel, dim=output.shape, inputs=inputs, outputs=[output], device=self.device)

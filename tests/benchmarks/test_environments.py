@@ -25,7 +25,7 @@ def test_rows_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str])
             1e3 * row["envs"] / row["ms_per_step"]["median"], rel=0.2
         )
         parts = row["parts_ms_per_step"]
-        assert {"step", "image", "markers", "wrench", "other"} <= set(parts)
+        assert {"step", "rgb", "markers_px", "wrench", "other"} <= set(parts)
         assert all(ms > 0 for ms in parts.values())
         assert row["residual"]["unconverged"] == 0 and row["gels"] == 2
         assert row["residual"]["worst_over_allowed"] <= 1

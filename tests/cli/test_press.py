@@ -148,6 +148,37 @@ def test_profile_without_colour_gives_a_predicted_image(unit: Path, tmp_path: Pa
     assert values["indenter"] == "sphere:3"
 
 
+def test_a_texture_shows_in_the_heights(
+    unit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same press with and without ridges along y, 0.5 mm apart."""
+    ridges = np.tile(np.array([0, 0, 255, 255], dtype=np.uint8), (4, 1))
+    cv2.imwrite(str(tmp_path / "ridges.png"), ridges)
+    common = ["--depth-mm", "0.3", "--indenter", "sphere:4", *QUICK]
+    texture = ["--texture", str(tmp_path / "ridges.png"), "--texture-mm", "0.02", "0.5"]
+    assert press(unit, tmp_path / "smooth", *common) == 0
+    assert press(unit, tmp_path / "ridged", *common, *texture) == 0
+    smooth, ridged = read(tmp_path / "smooth"), read(tmp_path / "ridged")
+    assert smooth["texture"] is None and smooth["press"]["fine_force_n"] is None
+    assert ridged["texture_mm"] == [0.02, 0.5]
+    # The mean surface is 10 um higher.
+    assert 0.85 < ridged["press"]["force_n"] / smooth["press"]["force_n"] < 0.99
+    assert 0.7 < ridged["press"]["fine_force_n"] / ridged["press"]["force_n"] < 1.2
+    bends = []
+    for name in ("smooth", "ridged"):
+        with np.load(tmp_path / name / "signals.npz") as signals:
+            height, mask = signals["height_m"], signals["contact_mask"]
+        bends.append(np.abs(np.diff(height, 2, axis=1))[mask[:, 1:-1]].mean())
+    assert bends[1] > 1.5 * bends[0]
+    missing = ["--texture", str(tmp_path / "none.png")]
+    assert press(unit, tmp_path / "bad", *common, *missing) == 2
+    assert "none.png" in capsys.readouterr().err
+    shallow = ["--depth-mm", "0.005", "--indenter", "sphere:4", *QUICK, *texture]
+    assert press(unit, tmp_path / "bad", *shallow) == 2
+    assert "press deeper" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "bad").exists()
+
+
 def test_options_reach_the_solver(unit: Path, tmp_path: Path) -> None:
     common = ["--depth-mm", "0.3", "--friction", "0", "--step-mm", "0.1", "--accuracy", "fast"]
     assert press(unit, tmp_path / "a", *common) == 0

@@ -11,6 +11,7 @@ import pytest
 import pyvista
 
 from taccel_lab.envs import (
+    Indenter,
     PressMeshOptions,
     PressOutcome,
     PressPath,
@@ -22,7 +23,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.output import to_jsonable
-from taccel_lab.scene import Ball
+from taccel_lab.scene import Ball, TriangleMesh
 from taccel_lab.signals.forces import resultant_wrench
 from tests.envs.pads import COARSE, FINER, GEL, pad
 
@@ -165,6 +166,25 @@ def test_flat_indenter_leaves_a_flat_floor() -> None:
     assert floor.max() == pytest.approx(end, abs=2.5e-5)
     assert outcome.contact_mask[away < 0.8e-3].mean() > 0.9
     assert not outcome.contact_mask[away > 1.2e-3].any()
+
+
+def test_a_flange_far_above_the_gel_does_not_show() -> None:
+    """A stamp on a plate, 10 mm above its face, is the stamp alone."""
+    corners = 0.5e-3 * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    sizes = ((3, 0.0), (3, 10e-3), (16, 10e-3), (16, 12e-3))
+    rings = [np.column_stack([size * corners, np.full(4, z)]) for size, z in sizes]
+    faces = [[0, 2, 1], [0, 3, 2], [12, 13, 14], [12, 14, 15]]
+    for low in (0, 4, 8):
+        for k in range(4):
+            a, b = low + k, low + (k + 1) % 4
+            faces += [[a, b, b + 4], [a, b + 4, a + 4]]
+    plate = Indenter("plate", TriangleMesh(np.concatenate(rings), np.array(faces)))
+    found = [
+        simulate_press(pad(AT_MM, 1.5, COARSE), GEL, tool, AT_MM, PressPath(0.2), GRID)
+        for tool in (plate, parse_indenter("box:3x3"))
+    ]
+    assert found[0].contact_mask.sum() == found[1].contact_mask.sum() > 500
+    np.testing.assert_allclose(found[0].height_m, found[1].height_m, atol=1e-6)
 
 
 def test_a_depth_past_the_gel_is_refused_before_anything_is_read() -> None:

@@ -38,8 +38,8 @@ def test_observations_are_of_their_spaces() -> None:
     )
     assert isinstance(env, gymnasium.vector.VectorEnv)
     first, _ = env.reset(seed=0)
-    assert first["image"].shape == (2, 2, 30, 40, 3) and first["depth"].shape == (2, 2, 30, 40)
-    assert first["markers"].shape == (2, 2, 48, 2) and first["wrench"].shape == (2, 2, 6)
+    assert first["rgb"].shape == (2, 2, 30, 40, 3) and first["depth_m"].shape == (2, 2, 30, 40)
+    assert first["markers_px"].shape == (2, 2, 48, 2) and first["wrench"].shape == (2, 2, 6)
     for action in (DOWN, [0.3, -0.2, 0.1, 0.5]):
         seen, reward, terminated, truncated, info = env.step(torch.tensor([action] * 2))
         assert as_numpy(seen) in env.observation_space
@@ -50,8 +50,9 @@ def test_observations_are_of_their_spaces() -> None:
             assert found.shape == (2,) and found.dtype is dtype
         assert truncated.dtype is torch.bool and info["success"].dtype is torch.bool
     assert seen["wrench"].abs().max() > 1 and not first["wrench"].any()
-    assert seen["depth"].max() > 0.1 and seen["traction"].abs().max() > 1
-    assert (seen["image"].int() - first["image"].int()).abs().max() > 3
+    assert seen["depth_m"].max() > 1e-4 and seen["traction_pa"].abs().max() > 1e3
+    assert seen["contact"].any() and not first["contact"].any()
+    assert (seen["rgb"].int() - first["rgb"].int()).abs().max() > 3
     assert env.action_space.shape == (2, 4)
     assert np.zeros((2, 4), np.float32) in env.action_space
 
@@ -73,7 +74,7 @@ def test_files_leave_nothing_to_defaults(name: str) -> None:
 @pytest.mark.parametrize("name", names())
 def test_every_task_draws_what_its_file_names_and_steps(name: str) -> None:
     pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
-    env = make(name, randomised=True, observe=("wrench", "depth", "proprioception"))
+    env = make(name, randomised=True, observe=("wrench", "depth_m", "proprioception"))
     first, _ = env.reset(seed=1)
     assert as_numpy(first) in env.observation_space
     for _ in range(3):
@@ -86,7 +87,7 @@ def test_every_task_draws_what_its_file_names_and_steps(name: str) -> None:
 
 @pytest.mark.filterwarnings("ignore:.*infinity.*")
 def test_gymnasiums_checkers_pass() -> None:
-    with_markers = {"observe": ("wrench", "markers", "proprioception"), "randomised": True}
+    with_markers = {"observe": ("wrench", "markers_px", "proprioception"), "randomised": True}
     check_env(SingleEnv("peg-insertion", **with_markers), skip_render_check=True)
     pair = [SingleEnv(short_task(), **with_markers) for _ in range(2)]
     check_environments_match(*pair, num_steps=12, seed=3)
@@ -246,9 +247,9 @@ def test_bad_input_is_refused_in_a_sentence() -> None:
     env.reset()
     with pytest.raises(InputError, match=r"actions must have shape \[2, 4\], got \[2, 3\]"):
         env.step(torch.zeros(2, 3))
-    with pytest.raises(InputError, match="image needs colors"):
-        make(observe=("image",))
-    with pytest.raises(InputError, match=r"observe names some of image, .*; got smell"):
+    with pytest.raises(InputError, match="rgb needs colors"):
+        make(observe=("rgb",))
+    with pytest.raises(InputError, match=r"observe names some of rgb, .*; got smell"):
         make(observe=("smell",))
     with pytest.raises(InputError, match="autoreset_mode must be NEXT_STEP or DISABLED"):
         make(autoreset_mode=AutoresetMode.SAME_STEP)

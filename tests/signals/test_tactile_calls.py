@@ -79,7 +79,7 @@ def test_only_what_is_read_is_launched(launched):
         return sorted([*SURFACE, *own])
 
     signal.read("height_m")
-    assert sorted(launched) == surface_and("_height_kernel")
+    assert sorted(launched) == surface_and("height_kernel")
     launched.clear()
     signal.read("rgb")
     signal.read("rgb_levels")

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Heights of the underside of a rigid body over a gel, at the pixels, in many environments.
+
+A mesh is rasterised where its vertices are, a ball is its lower half. A texture stands out of
+either along the gel's z, by its relief at the point of the body that is there.
+"""
+
+# Warp compiles the kernels from their source; its type stubs describe neither vectors' operators
+# nor FP64 overloads.
+# pyright: reportArgumentType=false, reportAssignmentType=false, reportCallIssue=false
+# pyright: reportGeneralTypeIssues=false, reportIndexIssue=false, reportOperatorIssue=false
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.bodies.bodies import KinematicBody
+from taccel_lab.bodies.primitives import Ball, TriangleMesh
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.model import Model
+from taccel_lab.model.env_rows import chosen_env
+from taccel_lab.signals.markers import in_gel_frame
+from taccel_lab.signals.raster import GridMap, grid_map, pixel_xy, rasterize
+from taccel_lab.signals.texture import Texture
+from taccel_lab.state import State
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def _gather_vertices_kernel(
+    positions: wp.array2d(dtype=wp.vec3d),
+    frames: wp.array(dtype=wp.transformd),
+    envs: wp.array(dtype=wp.int32),
+    first: int,
+    # Out
+    vertices: wp.array2d(dtype=wp.vec3d),
+):
+    row, i = wp.tid()
+    env = chosen_env(envs, row)
+    vertices[row, i] = in_gel_frame(frames, env, positions[env, first + i])
+
+
+@wp.kernel
+def _ball_kernel(
+    center: wp.array2d(dtype=wp.vec3d),
+    radius: wp.float64,
+    grid: GridMap,
+    # Out
+    heights: wp.array3d(dtype=wp.float64),
+):
+    env, v, u = wp.tid()
+    c = center[env, 0]
+    xy = pixel_xy(grid, u, v)
+    dx = xy[0] - c[0]
+    dy = xy[1] - c[1]
+    below = radius * radius - dx * dx - dy * dy
+    height = wp.float64(wp.inf)
+    if below > wp.float64(0.0):
+        height = c[2] - wp.sqrt(below)
+    heights[env, v, u] = height
+
+
+@wp.func
+def _between(relief: wp.array2d(dtype=wp.float32), x: wp.float64, y: wp.float64) -> wp.float64:
+    """Bilinear between the centres of pixels of a map that is repeated."""
+    rows = relief.shape[0]
+    columns = relief.shape[1]
+    i = int(wp.floor(x))
+    j = int(wp.floor(y))
+    s = x - wp.float64(i)
+    t = y - wp.float64(j)
+    one = wp.float64(1.0)
+    left = ((i % columns) + columns) % columns
+    upper = ((j % rows) + rows) % rows
+    right = (left + 1) % columns
+    lower = (upper + 1) % rows
+    return (one - t) * (
+        (one - s) * wp.float64(relief[upper, left]) + s * wp.float64(relief[upper, right])
+    ) + t * ((one - s) * wp.float64(relief[lower, left]) + s * wp.float64(relief[lower, right]))
+
+
+@wp.kernel
+def _texture_kernel(
+    relief: wp.array2d(dtype=wp.float32),
+    px_per_m: wp.float64,
+    poses: wp.array2d(dtype=wp.transformd),
+    body: int,
+    frames: wp.array(dtype=wp.transformd),
+    envs: wp.array(dtype=wp.int32),
+    grid: GridMap,
+    # In and out
+    heights: wp.array3d(dtype=wp.float64),
+):
+    row, v, u = wp.tid()
+    env = chosen_env(envs, row)
+    z = heights[row, v, u]
+    if wp.isinf(z):
+        return
+    xy = pixel_xy(grid, u, v)
+    point = wp.vec3d(xy[0], xy[1], z)
+    if frames.shape[0] > 0:
+        point = wp.transform_point(frames[env], point)
+    own = wp.transform_point(wp.transform_inverse(poses[env, body]), point)
+    half = wp.float64(0.5)
+    x = own[0] * px_per_m + half * wp.float64(relief.shape[1] - 1)
+    y = own[1] * px_per_m + half * wp.float64(relief.shape[0] - 1)
+    heights[row, v, u] = z - _between(relief, x, y)
+
+
+class ObjectHeights:
+    """Underside of one rigid body of a model's scene."""
+
+    def __init__(
+        self,
+        model: Model,
+        body: str,
+        grid: PixelGrid,
+        *,
+        rows: int,
+        texture: Texture | None = None,
+    ) -> None:
+        """
+        Args:
+            model: Of the scene.
+            body: Name of a kinematic or affine body, a ball or a mesh of triangles.
+            grid: Pixels.
+            rows: Most environments of one call.
+            texture: Of a kinematic body, whose own shape is its mean surface.
+
+        Raises:
+            InputError: No such body, a plane, a texture of an affine body.
+        """
+        scene, device = model.scene, model.device
+        rigid = [*scene.affine_bodies, *scene.kinematic_bodies]
+        names = [one.name for one in rigid]
+        if body not in names:
+            raise InputError(
+                f"there is no rigid body {body!r}; there are {', '.join(map(repr, names))}"
+            )
+        index = names.index(body)
+        found = rigid[index]
+        if not isinstance(found.shape, Ball | TriangleMesh):
+            raise InputError(f"{body!r} must be a ball or a mesh of triangles")
+        if texture is not None and not isinstance(found, KinematicBody):
+            raise InputError(f"{body!r} has a texture, which needs a kinematic body")
+        self._shape, self._grid, self._map = found.shape, grid, grid_map(grid)
+        placed = model.bodies[len(scene.soft_bodies) + index]
+        self._first = placed.nodes[0]
+        self._kinematic = index - len(scene.affine_bodies)
+        count = placed.nodes[1] - placed.nodes[0]
+        self._vertices = wp.empty((rows, count), dtype=wp.vec3d, device=device)
+        shape = (rows, grid.height_px, grid.width_px)
+        self._heights = wp.empty(shape, dtype=wp.float64, device=device)
+        self._device = device
+        self._faces: Any = None
+        if isinstance(found.shape, TriangleMesh):
+            self._faces = wp.array(np.ascontiguousarray(found.shape.faces), dtype=wp.int32,
+                                   device=device)  # fmt: skip
+            self._face_at_pixel = wp.empty(shape, dtype=wp.int32, device=device)
+            self._everyone = wp.full(rows, 1, dtype=wp.int32, device=device)
+        self._relief: Any = None
+        if texture is not None:
+            relief = texture.relief_m().astype(np.float32)
+            self._relief = wp.array(relief, dtype=wp.float32, device=device)
+            self._px_per_m = relief.shape[1] / texture.width_m
+
+    def read(self, state: State, frames: wp.array, envs: wp.array) -> wp.array:
+        """z of the lowest point of the body over each pixel in the gel's frame [m], infinite where
+        there is none; float64, [row, height_px, width_px], valid until the next call.
+
+        Args:
+            state: Where everything is.
+            frames: world_from_gel, transformd, [env_count]; of length 0 where the gel's frame is
+                the world's.
+            envs: The environments of the rows, int32.
+        """
+        count = len(envs)
+        vertices, heights = self._vertices[:count], self._heights[:count]
+        self._launch(
+            _gather_vertices_kernel,
+            vertices.shape,
+            [state.positions, frames, envs, self._first],
+            [vertices],
+        )
+        if isinstance(self._shape, Ball):
+            inputs = [vertices, self._shape.radius_m, self._map]
+            self._launch(_ball_kernel, heights.shape, inputs, [heights])
+        else:
+            at = self._face_at_pixel[:count]
+            heights.fill_(np.inf)
+            at.fill_(-1)
+            rasterize(
+                vertices, self._faces, self._grid, self._everyone, heights, at, faces_up=False
+            )
+        if self._relief is not None:
+            inputs = [self._relief, self._px_per_m, state.poses, self._kinematic, frames, envs]
+            self._launch(_texture_kernel, heights.shape, [*inputs, self._map], [heights])
+        return heights
+
+    def _launch(self, kernel: Any, dim: Any, inputs: list[Any], outputs: list[Any]) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device)

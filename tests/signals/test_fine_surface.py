@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fine surfaces of coarse gels: what touches is the object's surface, textured or not."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.envs import PressEnv, PressPath, parse_indenter, simulate_press
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.scene import KinematicBody, Material, Scene, SoftBody, TriangleMesh, box_mesh
+from taccel_lab.signals import SignalTactile
+from taccel_lab.signals.fine_surface import FineSurface
+from taccel_lab.signals.object_heights import ObjectHeights
+from taccel_lab.signals.texture import Texture
+from taccel_lab.state import initial_state
+
+GRID = PixelGrid(64, 56, 0.06, 0.06)
+PIXEL_M2 = 0.06e-3**2
+WAVES = Texture(
+    0.5 + 0.5 * np.cos(2 * np.pi * np.arange(32) / 16)[None].repeat(8, axis=0), 4e-6, 1.2e-3
+)
+"""Ridges along y, 0.6 mm apart."""
+
+
+@lru_cache
+def pressed(textured: bool) -> PressEnv:
+    """A ball of 4 mm, 0.3 mm deep in three places of elements of 0.75 mm; the last
+    is not touched."""
+    env = PressEnv(
+        block_mesh((12, 12, 3), (9e-3, 9e-3, 4e-3)),
+        Material(1e5, 0.45),
+        parse_indenter("sphere:4", WAVES if textured else None),
+        np.array([[0.0, 0.0], [0.3, 0.2], [0.0, 0.0]]),
+    )
+    env.move_to(np.array([0.3, 0.3, -0.5]))
+    return env
+
+
+def shown(env: PressEnv, texture: Texture | None = None, **options: int) -> SignalTactile:
+    fine = FineSurface(env.solver, "sphere:4", GRID, texture=texture, **options)
+    signal = SignalTactile.from_solver(env.solver, GRID, fine=fine)
+    signal.update(env.state)
+    return signal
+
+
+def test_a_smooth_ball_is_a_ball_where_it_touches() -> None:
+    env = pressed(False)
+    signal = shown(env)
+    height, contact, pressure, normals = (
+        array.numpy() for array in signal.read("height_m", "contact", "pressure_pa", "normals")
+    )
+    x, y = np.meshgrid(1e-3 * GRID.x_mm(), 1e-3 * GRID.y_mm())
+    for i in range(2):
+        # Where it would be without the gap that the barrier keeps.
+        center = env.poses[i, 0, :3] - [0, 0, env.setback_m[i]]
+        ball = center[2] - np.sqrt(16e-6 - (x - center[0]) ** 2 - (y - center[1]) ** 2)
+        inside = contact[i] & (np.hypot(x - center[0], y - center[1]) < 0.9e-3)
+        assert inside.sum() > 500
+        np.testing.assert_allclose(height[i][inside], ball[inside], atol=1e-6)
+        np.testing.assert_allclose(
+            normals[i][inside][:, 0], -(center[0] - x[inside]) / -4e-3, atol=0.01
+        )
+        # Hertz's area for this force; a pad of 3.6 radii is near a half-space. Elements of 0.7 of
+        # the radius are too stiff, and their nodes hang below faces that touch.
+        force = pressure[i].sum() * PIXEL_M2
+        assert force == pytest.approx(env.press_force[i, 2], rel=0.2)
+        area = np.pi * (3 * env.press_force[i, 2] * 4e-3 * (1 - 0.45**2) / 4e5) ** (2 / 3)
+        assert 0.95 < contact[i].sum() * PIXEL_M2 / area < 1.15
+    assert not contact[2].any() and not pressure[2].any()
+    np.testing.assert_allclose(height[2], 0.0, atol=1e-8)
+
+
+def test_the_texture_shows_where_it_touches_and_nowhere_else() -> None:
+    env = pressed(True)
+    height, contact = (a.numpy() for a in shown(env, WAVES).read("height_m", "contact"))
+    x, y = np.meshgrid(1e-3 * GRID.x_mm(), 1e-3 * GRID.y_mm())
+    for i in range(2):
+        at = env.poses[i, 0]
+        center = at[:3] - [0, 0, env.setback_m[i]]
+        relief = 2e-6 * np.cos(2 * np.pi * (x - center[0] - 0.5 * 1.2e-3 / 32) / 0.6e-3)
+        ball = center[2] - np.sqrt(16e-6 - (x - center[0]) ** 2 - (y - center[1]) ** 2)
+        inside = contact[i] & (np.hypot(x - center[0], y - center[1]) < 0.7e-3)
+        rest = (height[i] - ball)[inside]
+        # A pixel is the mean of its samples, which takes 2 % of the amplitude.
+        assert np.corrcoef(rest, -relief[inside])[0, 1] > 0.99
+        assert np.std(rest) == pytest.approx(np.std(relief[inside]), rel=0.1)
+    beside = np.hypot(x, y) > 1.7e-3
+    plain = shown(env).height_m.numpy()
+    np.testing.assert_allclose(height[0][beside], plain[0][beside], atol=4e-7)
+
+
+def test_a_texture_turns_and_goes_with_its_body() -> None:
+    texture = Texture(np.random.default_rng(0).random((16, 24)), 1e-4, 1.2e-3)
+    gel = SoftBody(block_mesh((4, 4, 2), (8e-3, 8e-3, 3e-3)), Material(1e5, 0.4))
+    plate = KinematicBody(box_mesh((6e-3, 6e-3, 1e-3)), name="plate")
+    model = Scene(gel, plate, 3).finalize("cpu")
+    poses = np.zeros((3, 1, 7))
+    poses[:, 0, 2], poses[:, 0, 6] = 1e-3, 1.0
+    poses[1, 0, :2] = 0.12e-3, -0.18e-3
+    poses[2, 0, 5] = poses[2, 0, 6] = np.sqrt(0.5)
+    state = initial_state(model, poses)
+    grid = PixelGrid(41, 41, 0.03, 0.03)
+    seen = ObjectHeights(model, "plate", grid, rows=3, texture=texture)
+    none = wp.empty(0, dtype=wp.transformd, device="cpu")
+    envs = wp.array([0, 1, 2], dtype=wp.int32, device="cpu")
+    height = seen.read(state, none, envs).numpy()
+    flat = height - 0.5e-3
+    assert np.abs(flat.mean()) < 3e-6 and np.ptp(flat) < 1.01e-4
+    # 4 pixels along x and -6 along y.
+    np.testing.assert_allclose(height[1, :-6, 4:], height[0, 6:, :-4], atol=1e-12)
+    # x goes to y: what was at (x, y) is at (-y, x).
+    np.testing.assert_allclose(height[2], height[0].T[:, ::-1], atol=1e-12)
+
+
+def test_images_of_many_environments_are_those_of_each() -> None:
+    env = pressed(True)
+    whole = [a.numpy().copy() for a in shown(env, WAVES).read("height_m", "depth_m", "contact")]
+    parts = shown(env, WAVES, env_count=1)
+    assert parts.chunk_envs == 1
+    for array, expected in zip(parts.read("height_m", "depth_m", "contact"), whole, strict=True):
+        np.testing.assert_allclose(array.numpy(), expected, atol=2e-8)
+    signal = shown(env, WAVES)
+    who = np.array([False, True, True])
+    signal.update(env.state, who=who)
+    np.testing.assert_allclose(signal.height_m.numpy(), whole[0][who], atol=2e-8)
+    np.testing.assert_allclose(whole[1], -whole[0], atol=1e-9)
+    # The pressure that is read alone is the same.
+    signal.update(env.state)
+    assert (signal.contact.numpy() == whole[2]).all()
+
+
+def test_a_press_with_a_texture() -> None:
+    mesh = block_mesh((12, 12, 3), (9e-3, 9e-3, 4e-3))
+    texture = Texture(WAVES.heights, 2e-5, WAVES.width_m)
+    outcomes = [
+        simulate_press(
+            mesh,
+            Material(1e5, 0.45),
+            parse_indenter("sphere:4", found),
+            (0.0, 0.0),
+            PressPath(0.3, step_mm=0.3),
+            GRID,
+        )
+        for found in (texture, None)
+    ]
+    textured, smooth = outcomes
+    # The mean surface is 10 um behind its highest points.
+    assert textured.indenter_pose[2] - smooth.indenter_pose[2] == pytest.approx(1e-5, abs=1e-6)
+    assert smooth.fine_force_n is None and textured.fine_force_n is not None
+    assert textured.fine_force_n == pytest.approx(textured.steps[-1].wrench[2], rel=0.15)
+    assert 0.7 < textured.contact_mask.sum() / smooth.contact_mask.sum() < 1.3
+    row = GRID.height_px // 2
+    ripple = [np.std(np.diff(o.height_m[row, 22:43], 2)) for o in outcomes]
+    assert ripple[0] > 3 * ripple[1]
+    np.testing.assert_allclose(textured.rest_height_m, 0.0, atol=1e-9)
+    assert textured.figures()["fine_force_n"] == textured.fine_force_n
+    with pytest.raises(InputError, match="ends above the mean surface of the texture"):
+        simulate_press(
+            mesh,
+            Material(1e5, 0.45),
+            parse_indenter("sphere:4", texture),
+            (0.0, 0.0),
+            PressPath(0.009),
+            GRID,
+        )
+
+
+def test_textures_are_checked(tmp_path: Path) -> None:
+    import cv2
+
+    levels = np.tile(np.arange(0, 256, 8, dtype=np.uint8), (16, 1))
+    cv2.imwrite(str(tmp_path / "ramp.png"), levels)
+    ramp = Texture.from_image(tmp_path / "ramp.png", 0.1, 3.2)
+    assert ramp.heights.shape == (16, 32) and ramp.depth_m == 1e-4 and ramp.width_m == 3.2e-3
+    assert ramp.relief_m().mean() == pytest.approx(0.0, abs=1e-12)
+    assert ramp.mean_depth_m == pytest.approx(1e-4 * 124 / 255)
+    cv2.imwrite(str(tmp_path / "grey.png"), np.full((16, 16), 90, dtype=np.uint8))
+    with pytest.raises(InputError, match="has one level everywhere"):
+        Texture.from_image(tmp_path / "grey.png", 0.1, 3.2)
+    with pytest.raises(InputError, match=r"depth_m of a texture must be a positive length, got -1"):
+        Texture(np.eye(4), -1.0, 1e-3)
+    with pytest.raises(InputError, match="lie between 0 and 1"):
+        Texture(2 * np.eye(4), 1e-4, 1e-3)
+    with pytest.raises(InputError, match="a map of finite heights"):
+        Texture(np.full((4, 4), np.nan), 1e-4, 1e-3)
+    env = pressed(False)
+    with pytest.raises(InputError, match=r"there is no rigid body 'tool'; there are 'sphere:4'"):
+        FineSurface(env.solver, "tool", GRID)
+    with pytest.raises(InputError, match="there is no soft body 3"):
+        FineSurface(env.solver, "sphere:4", GRID, gel=3)
+    signal = shown(env)
+    signal.update(env.state.positions)
+    with pytest.raises(InputError, match="a fine surface needs the state of the solver"):
+        signal.read("height_m")
+    assert isinstance(box_mesh((1e-3, 1e-3, 1e-3)), TriangleMesh)
