@@ -34,6 +34,7 @@ COMMANDS = {
     "check_errors": "check_errors:CheckErrors",
     "images": "images:Images",
     "environments": "environments:Environments",
+    "dataset": "dataset:DatasetSpeed",
     "multi_gpu": "multi_gpu:MultiGpu",
     "quick": "quick:Quick",
     "compare": "compare:Compare",
