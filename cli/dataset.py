@@ -209,6 +209,7 @@ class DatasetExport:
     """Write a data set for other projects: as LeRobotDataset v3.0, or with UniVTAC's HDF5 names."""
 
     format: Positional[Literal["lerobot", "univtac"]]
+    """Whose layout."""
     folders: Positional[tuple[Path, ...]]
     """Folders of data sets."""
     out: Path
