@@ -35,6 +35,7 @@ COMMANDS = {
     "images": "images:Images",
     "fine_images": "fine_images:FineImages",
     "environments": "environments:Environments",
+    "dataset": "dataset:DatasetSpeed",
     "multi_gpu": "multi_gpu:MultiGpu",
     "quick": "quick:Quick",
     "compare": "compare:Compare",

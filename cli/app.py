@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """``taccel-lab``: gathers the sub-commands and turns errors into messages and exit codes.
 
-Exit codes: 0 done, 1 ``doctor``, ``bench quick`` or ``capture check`` found something broken, a
-stage of ``calibrate all`` had unfit captures or no design of a ``study`` keeps its constraints,
-2 unusable input or usage, or files that cannot be read or written, as on a full disk, 3 a
-simulation that did not converge, 130 interrupted, 143 asked to end (SIGTERM). Anything else that
-goes wrong is a bug and keeps its traceback. Command modules import heavy libraries inside
+Exit codes: 0 done, 1 ``doctor``, ``bench quick``, ``capture check`` or ``dataset check`` found
+something broken, a stage of ``calibrate all`` had unfit captures or no design of a ``study`` keeps
+its constraints, 2 unusable input or usage, or files that cannot be read or written, as on a full
+disk, 3 a simulation that did not converge, 130 interrupted, 143 asked to end (SIGTERM). Anything
+else that goes wrong is a bug and keeps its traceback. Command modules import heavy libraries inside
 ``run()`` only, so that help is fast.
 """
 
@@ -54,6 +54,8 @@ def command_tree() -> dict[str, type[Command] | Group]:
     from taccel_lab.cli.bench import Bench
     from taccel_lab.cli.calibrate import calibrate_commands
     from taccel_lab.cli.capture import capture_commands
+    from taccel_lab.cli.dataset import COMMANDS as DATASET_COMMANDS
+    from taccel_lab.cli.dataset import HELP as DATASET_HELP
     from taccel_lab.cli.demo import Demo
     from taccel_lab.cli.depth import Depth
     from taccel_lab.cli.design import Design
@@ -99,6 +101,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
             {"list": TaskList, "run": TaskRun, "record": TaskRecord},
         ),
         "study": Study,
+        "dataset": Group(DATASET_HELP, DATASET_COMMANDS),
         "bench": Bench,
         "doctor": Doctor,
     }
@@ -108,9 +111,11 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     """Parse command-line arguments; usage errors and --help leave through SystemExit (2 and 0)."""
     from taccel_lab.cli.bench import parse_bench
     from taccel_lab.cli.console import be_quiet
+    from taccel_lab.cli.dataset import with_make
     from taccel_lab.cli.words import checked_words, common_words
 
     words, quiet = common_words(sys.argv[1:] if arguments is None else arguments)
+    words = with_make(words)
     be_quiet(quiet)
     if words[:1] == ["bench"]:
         return parse_bench(words[1:])

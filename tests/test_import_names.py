@@ -45,6 +45,7 @@ def run_beside_the_users_own_modules(folder: Path, root: Path) -> str:
 
 def test_every_room_is_a_part_of_the_package() -> None:
     assert ROOMS == ["benchmarks", "cad", "calibration", "cli"] + [
+        "datasets",
         "learning",
         "robots",
         "sensors",

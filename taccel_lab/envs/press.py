@@ -11,7 +11,9 @@ that gap (``outputs.contact_layer``): forces and heights depend on dhat to secon
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -234,11 +236,14 @@ class PressEnv:
         self,
         depth_mm: np.ndarray | float,
         shear_mm: np.ndarray | tuple[float, float] = (0.0, 0.0),
-        twist_deg: float = 0.0,
+        twist_deg: np.ndarray | float = 0.0,
         stay: np.ndarray | None = None,
     ) -> StepReport:
         """As ``move_to``, but an environment that does not converge is left where it was, for the
-        caller to see in the report. Those of ``stay`` (bool, [env_count]) are not stepped."""
+        caller to see in the report. Those of ``stay`` (bool, [env_count]) are not stepped.
+
+        ``twist_deg`` may be one angle an environment, or rotation vectors of the press frame,
+        [env_count, 3], about the indenter's origin."""
         shear_m = np.asarray(shear_mm, dtype=np.float64) * 1e-3
         twist_rad = np.radians(twist_deg)
         return self._step(
@@ -342,21 +347,29 @@ class PressEnv:
         """Force of the gel on the indenter [N] in the press frame, shape [env_count, 3]."""
         return self._frames.vectors_in_press(self.wrench[:, :3])
 
-    def error_estimate(self) -> PressError:
+    def error_estimate(self, who: np.ndarray | None = None) -> PressError:
         """How far force and heights are from those of a converged mesh, see ``outputs.
-        recovery_error``: the truth lies within it in nine of ten cases (docs/verification.md)."""
+        recovery_error``: the truth lies within it in nine of ten cases (docs/verification.md).
+
+        ``who``: environments to look at, bool, [env_count]; the others are told 0.
+        """
         material = self.model.scene.soft_bodies[0].material
         rest = self.model.rest_positions.numpy()[:, : self.model.soft_count]
-        share = np.array([
-            relative_energy_error(
+        positions = self.positions
+
+        def share_of(i: int) -> float:
+            return relative_energy_error(
                 self.mesh,
                 rest[i % len(rest)],
-                x,
+                positions[i],
                 material.shear_modulus_pa,
                 material.lame_lambda_pa,
             )
-            for i, x in enumerate(self.positions)
-        ])  # fmt: skip
+
+        share = np.zeros(len(positions))
+        chosen = np.arange(len(positions)) if who is None else np.flatnonzero(who)
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+            share[chosen] = list(pool.map(share_of, chosen.tolist()))
         depth = np.maximum(self.depth_m, 0.0)
         return PressError(
             FORCE_ERROR_SHARE[type(self._shape)] * share * np.abs(self.press_force[:, 2]),

@@ -65,13 +65,19 @@ class PressFrames:
             return vectors_in_gel
         return rotate(self._poses[:, 3:] * [-1, -1, -1, 1], vectors_in_gel)
 
-    def poses_in_gel(self, position: np.ndarray, twist_rad: np.ndarray | float) -> np.ndarray:
+    def poses_in_gel(self, position: np.ndarray, turn_rad: np.ndarray | float) -> np.ndarray:
         """Poses of bodies at ``position`` [env, 3] of their press frames and turned about its z by
-        one angle or one an environment, as gel_from_indenter, [env, 7]."""
+        one angle or one an environment, or by rotation vectors [env, 3], as gel_from_indenter,
+        [env, 7]."""
         poses = np.zeros((len(position), 7))
         poses[:, :3] = position
-        half = 0.5 * np.asarray(twist_rad)
-        poses[:, 5], poses[:, 6] = np.sin(half), np.cos(half)
+        half = 0.5 * np.asarray(turn_rad, dtype=np.float64)
+        if half.ndim == 2:
+            angle = np.linalg.norm(half, axis=1)
+            poses[:, 3:6] = half * np.sinc(angle / np.pi)[:, None]
+            poses[:, 6] = np.cos(angle)
+        else:
+            poses[:, 5], poses[:, 6] = np.sin(half), np.cos(half)
         if self._poses is None:
             return poses
         frame, turn = self._poses[:, 3:], poses[:, 3:].copy()

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Self
+from types import UnionType
+from typing import Annotated, Any, Self, Union, get_args, get_origin
 
 import numpy as np
 from pydantic import (
@@ -75,7 +76,9 @@ def describe_errors(error: ValidationError, model: type[BaseModel]) -> str:
         message = item["msg"].removeprefix("Value error, ")
         message = message[:1].lower() + message[1:]
         if item["type"] == "extra_forbidden":
-            keys = sorted(model.model_fields) if len(item["loc"]) == 1 else []
+            owner = _model_at(model, item["loc"][:-1])
+            keys = [] if owner is None else list(owner.model_fields)
+            keys = sorted(keys) if len(item["loc"]) == 1 else keys
             message = "unknown key" + (f"; allowed: {', '.join(keys)}" if keys else "")
         elif item["type"] != "missing" and not isinstance(item["input"], (dict, BaseModel)):
             message += f" (found {shown(item['input'])})"
@@ -83,3 +86,21 @@ def describe_errors(error: ValidationError, model: type[BaseModel]) -> str:
     if faults[MAX_FAULTS:]:
         lines.append(f"{model.__name__}: and {len(faults) - MAX_FAULTS} more faults")
     return "\n".join(lines)
+
+
+def _model_at(model: type[BaseModel], path: tuple[int | str, ...]) -> type[BaseModel] | None:
+    """The model of a table inside another one, by keys and places in lists; None where that is not
+    known, as of one of several."""
+    kind: Any = model
+    for step in path:
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            field = kind.model_fields.get(str(step))
+            kind = None if field is None else field.annotation
+        elif get_origin(kind) in (list, tuple, dict):
+            kind = get_args(kind)[-1 if get_origin(kind) is dict else 0]
+        else:
+            return None
+        models = [part for part in get_args(kind) if part is not type(None)]
+        if get_origin(kind) in (Union, UnionType) and len(models) == 1:
+            kind = models[0]
+    return kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None

@@ -161,11 +161,16 @@ class HeightFieldSurface:
         raster = FaceRaster(triangles, grid, faces_up=False, device=device)
         raster.update(wp.array(vertices, dtype=wp.vec3d, device=device))
         height = raster.lowest_z.numpy()
+        found = raster.face_at_pixel.numpy()
         slope = np.stack([
-            _shaded_slope(shape, triangles, found, grid)
-            for shape, found in zip(vertices, raster.face_at_pixel.numpy(), strict=True)
+            _shaded_slope(shape, triangles, faces, grid)
+            for shape, faces in zip(vertices, found, strict=True)
         ])  # fmt: skip
-        return cls(np.where(np.isfinite(height), height, np.nan), grid, slope)
+        # Of a tool that leans by a degree a pixel shows millimetres of a wall.
+        walls = np.stack([_are_walls(shape, triangles) for shape in vertices])
+        on_wall = np.take_along_axis(walls, np.maximum(found, 0).reshape(len(vertices), -1), axis=1)
+        there = np.isfinite(height) & ~on_wall.reshape(height.shape)
+        return cls(np.where(there, height, np.nan), grid, slope)
 
     def up_to(self, height_m: float) -> HeightFieldSurface:
         """The same without the parts that lie above ``height_m`` [m]: a flange far over it ends
@@ -223,6 +228,14 @@ def _shaded_slope(
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     slope[row, column] = -normal[:, :2] / np.minimum(normal[:, 2:], -_LEAST_DOWN)
     return slope
+
+
+def _are_walls(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Triangles that are too steep to be followed, bool, [triangle]."""
+    a, b, c = (vertices[np.asarray(triangles)[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1)
+    return np.abs(normal[:, 2]) < math.cos(math.radians(_SEEN_DEG[1])) * length
 
 
 def _twice_area(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from taccel_lab.envs import PressEnv, PressPath, normal_frame, parse_indenter
+from taccel_lab.envs.press_frame import PressFrames
 from taccel_lab.envs.touch import gel_below_m
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
@@ -166,3 +167,33 @@ def test_gel_without_bond_below_goes_by_the_nearest() -> None:
     # Straight down near the rim the axis misses the inner sphere.
     found = gel_below_m(nodes, outer, inner, np.array([12e-3, 0.0]))
     assert 2.4e-3 < found < 2.7e-3
+
+
+def test_turns_by_rotation_vectors() -> None:
+    """A turn about z as an angle and as a vector is the same; a roll turns the body about its
+    origin, which stays."""
+    frames = PressFrames(None, 2)
+    place = np.array([[1e-3, 2e-3, 3e-3], [0.0, 0.0, 1e-3]])
+    angles = np.array([0.3, -1.2])
+    vectors = np.column_stack([np.zeros(2), np.zeros(2), angles])
+    assert frames.poses_in_gel(place, vectors) == pytest.approx(frames.poses_in_gel(place, angles))
+    rolled = frames.poses_in_gel(place, np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0]]))
+    assert rolled[:, :3].tolist() == place.tolist()
+    top = rotate(rolled[:, 3:], np.array([0.0, 0.0, 1.0]))
+    assert top[0] == pytest.approx([math.sin(0.5), 0.0, math.cos(0.5)])
+    assert top[1].tolist() == [0.0, 0.0, 1.0]
+
+
+def test_a_ball_that_rolls_keeps_its_force() -> None:
+    """Rolling on by radius times angle drags the gel along far less than sliding as far."""
+    env = PressEnv(
+        pad(), GEL, parse_indenter("sphere:2"), np.zeros((2, 2)), friction_coefficient=0.8,
+        physics=LINEAR,
+    )  # fmt: skip
+    env.move_to(0.2)
+    on_mm = 2.0 * math.radians(6.0)
+    turn = np.array([[0.0, 6.0, 0.0], [0.0, 0.0, 0.0]])
+    report = env.try_to(0.2, np.array([[on_mm, 0.0], [on_mm, 0.0]]), turn)
+    assert report.converged.all()
+    across = np.hypot(*env.press_force[:, :2].T)
+    assert across[0] < 0.2 * across[1]

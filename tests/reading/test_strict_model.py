@@ -49,6 +49,15 @@ def test_keys_that_python_has_other_uses_for(tmp_path: Path, key: str) -> None:
         Box.read(path)
 
 
+def test_an_unknown_key_of_an_inner_table_says_what_is_allowed_there(tmp_path: Path) -> None:
+    path = tmp_path / "box.toml"
+    path.write_text("[[balls]]\nradius_mm = 2\nradios_mm = 2\n")
+    with pytest.raises(
+        InputError, match=r"balls\.0\.radios_mm: unknown key; allowed: radius_mm, count, hollow$"
+    ):
+        Box.read(path)
+
+
 def test_long_lists_of_faults_are_cut(tmp_path: Path) -> None:
     path = tmp_path / "box.toml"
     path.write_text("balls = [" + "'" + "x" * 5000 + "'," + "1," * 9999 + "]")

@@ -235,6 +235,24 @@ def test_a_sphere_mesh_gives_the_sphere():
     assert np.sqrt((angle_deg(signal.normals[0], true)[r < 1.0e-3] ** 2).mean()) < 2.0
 
 
+def test_the_walls_of_a_leaning_stamp_are_not_followed():
+    """A box that leans by four degrees shows its walls in the image: they are no part of what
+    touches, however high they go."""
+    half, lean = np.array([1.5e-3, 1.5e-3]), np.radians(4.0)
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (0.0, 1.0)])
+    corners = corners * [*half, 4e-3]
+    turn = np.array([[np.cos(lean), 0, np.sin(lean)], [0, 1, 0], [-np.sin(lean), 0, np.cos(lean)]])
+    vertices = corners @ turn.T - [0, 0, 0.3e-3]
+    quads = [(0, 2, 6, 4), (1, 5, 7, 3), (0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6)]
+    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    surface = HeightFieldSurface.from_mesh(vertices, triangles, GRID)
+    x, _ = pixel_xy(GRID)
+    seen = np.isfinite(surface.height_m[0])
+    floor = -0.3e-3 - np.tan(lean) * x
+    assert seen.sum() > 100
+    assert np.abs(surface.height_m[0] - floor)[seen].max() < 1e-6
+
+
 def test_environments_do_not_mix():
     spheres = [PressedSphere(1.0e-3), PressedSphere(1.6e-3, center_xy_m=(0.5e-3, 0.2e-3))]
     mesh = flat_pad(0.3, PAD_HALF_MM)

@@ -1,0 +1,352 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab dataset``: make labelled data sets of simulated touches, check, cut and export."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from taccel_lab.errors import InputError, SimulationError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from taccel_lab.datasets.plan import Plan
+    from taccel_lab.datasets.runner import Outcome
+
+HELP = "Make data sets of simulated touches; check them, cut them down, export and show them."
+
+
+@dataclass(frozen=True)
+class DatasetMake:
+    """Simulate the touches of a file and write images, markers, forces and what else it asks for.
+
+    The file says which sensors, objects and motions, what varies and which channels are kept
+    (docs/datasets.md). The same command goes on with what was stopped or killed. Shards are made
+    by any number of processes or machines, in one folder or in one each: --shard 3/8, or from
+    SLURM --shard $SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT (--array=1-8), one process a GPU.
+    Files that are written do not depend on shards or processes; on the CPU they are equal to the
+    byte whenever they are made.
+
+    Example: taccel-lab dataset datasets/examples/mini_touches.toml --out out/mini
+    """
+
+    spec: Positional[Path]
+    """File of the data set (TOML)."""
+    out: Path | None = None
+    """Folder of the data set, new or begun; out/NAME-OF-THE-FILE when left out."""
+    shard: str = "1/1"
+    """Which part of the work, i/n from 1."""
+    device: str = "cpu"
+    """Device of the solver: cpu or cuda:0."""
+    processes: int | None = None
+    """Processes that work side by side, 0 for this one alone; one a core when left out, this one
+    for a GPU."""
+    limit: int | None = None
+    """Stop after so many parts; a later run goes on."""
+    check_only: bool = False
+    """Read and check everything, say what would be made, and stop."""
+    write: bool = True
+    """--no-write simulates and draws, but writes no data: to time it. Needs no zarr."""
+    json: bool = False
+    """Print images a second and what else was measured as JSON."""
+
+    def run(self) -> None:
+        from taccel_lab.cli.console import notes
+        from taccel_lab.datasets.plan import Plan
+        from taccel_lab.datasets.spec import load_spec
+        from taccel_lab.model.devices import quiet_warp, require_device
+
+        quiet_warp()
+        console = notes()
+        shard = _shard(self.shard)
+        for name in ("limit", "processes"):
+            value, least = getattr(self, name), 1 if name == "limit" else 0
+            if value is not None and not least <= value <= 1024**2:
+                raise InputError(f"{name} must be at least {least}, got {value}")
+        require_device(self.device)
+        if self.write and not self.check_only:
+            _require_zarr()
+        with console.status("reading sensors and objects"):
+            plan = Plan(load_spec(self.spec), self.spec.resolve().parent)
+        _describe(console, plan, shard)
+        if self.check_only:
+            return
+        root = self.out or Path("out") / self.spec.stem
+        try:
+            outcome = self._make(plan, root if self.write else None, shard, console)
+        except KeyboardInterrupt:
+            console.print(
+                f"interrupted; finished parts are kept. Go on with:\n  {self._again(root)}",
+                highlight=False,
+                soft_wrap=True,
+            )
+            raise SystemExit(130) from None
+        self._conclude(console, outcome, root)
+
+    def _make(
+        self, plan: Plan, root: Path | None, shard: tuple[int, int], console: Console
+    ) -> Outcome:
+        from taccel_lab.cli.progress import stage_progress
+        from taccel_lab.datasets.runner import make_dataset
+        from taccel_lab.reading.text_file import read_text
+        from taccel_lab.reading.toml_file import TOML_LIMIT_BYTES
+
+        with stage_progress(console) as progress:
+            return make_dataset(
+                plan,
+                root,
+                source=read_text(self.spec, TOML_LIMIT_BYTES, "the file of a data set"),
+                shard=shard,
+                device=self.device,
+                processes=self.processes,
+                limit=self.limit,
+                listener=lambda done, total, steps, seconds: progress(
+                    f"parts ({steps / seconds:.2f} images/s)" if steps else "parts", done, total
+                ),
+            )
+
+    def _conclude(self, console: Console, outcome: Outcome, root: Path) -> None:
+        from taccel_lab.cli.console import print_json
+
+        record = outcome.record()
+        if self.json:
+            print_json(record)
+        text = (
+            f"{record['images']} images of {record['episodes']} touches in "
+            f"{record['seconds']:.1f} s: {record['images_per_s']:.2f} images/s on {self.device}"
+        )
+        if record["written"]:
+            text += f", {record['bytes'] / 1e6:.1f} MB"
+        if record["episodes_stopped"]:
+            text += (
+                f"; {record['episodes_stopped']} touches stopped early, causes in episodes.parquet"
+            )
+        console.print(text, highlight=False, soft_wrap=True)
+        if outcome.root is not None:
+            console.print(f"data set: {root}", highlight=False, soft_wrap=True)
+            if not outcome.complete:
+                console.print(
+                    f"not finished; go on with:\n  {self._again(root)}",
+                    highlight=False,
+                    soft_wrap=True,
+                )
+        if outcome.done and outcome.steps <= record["episodes"]:
+            raise SimulationError("no touch has a converged step; see cause in episodes.parquet")
+
+    def _again(self, root: Path) -> str:
+        words = ["taccel-lab", "dataset", str(self.spec), "--out", str(root)]
+        words += ["--shard", self.shard] if self.shard != "1/1" else []
+        words += ["--device", self.device] if self.device != "cpu" else []
+        words += [] if self.processes is None else ["--processes", str(self.processes)]
+        return shlex.join(words)
+
+
+@dataclass(frozen=True)
+class DatasetCheck:
+    """Check files against their digests, and find empty, constant and NaN columns.
+
+    Exit code 1 where something is broken; warnings alone leave 0. Several folders are checked as
+    the one data set that they are shards of.
+    """
+
+    folders: Positional[tuple[Path, ...]]
+    """Folders of data sets."""
+    json: bool = False
+    """Print the findings as JSON."""
+
+    def run(self) -> None:
+        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.progress import stage_progress
+        from taccel_lab.datasets.check import check_dataset
+
+        console = notes()
+        with stage_progress(console) as progress:
+            findings = check_dataset(_some(self.folders), progress)
+        if self.json:
+            print_json([vars(finding) for finding in findings])
+        for finding in () if self.json else findings:
+            console.print(str(finding), highlight=False, markup=False, soft_wrap=True)
+        errors = sum(finding.severity == "error" for finding in findings)
+        console.print(f"{errors} errors, {len(findings) - errors} warnings", highlight=False)
+        if errors:
+            raise SystemExit(1)
+
+
+@dataclass(frozen=True)
+class DatasetLite:
+    """Copy whole parts of a data set until a size is reached: sensors and objects take turns."""
+
+    folders: Positional[tuple[Path, ...]]
+    """Folders of one data set."""
+    out: Path
+    """Folder to write; an earlier one is replaced when everything is done."""
+    megabytes: float = 100.0
+    """Largest size, of 1,000,000 bytes."""
+    json: bool = False
+    """Print what was written as JSON."""
+
+    def run(self) -> None:
+        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.datasets.lite import make_lite
+
+        if not 0 < self.megabytes < 1e9:
+            raise InputError(f"megabytes must be above 0, got {self.megabytes:g}")
+        size = make_lite(_some(self.folders), self.out, int(self.megabytes * 1e6))
+        if self.json:
+            print_json({"out": self.out, "bytes": size})
+        notes().print(f"wrote {self.out}: {size / 1e6:.1f} MB", highlight=False)
+
+
+@dataclass(frozen=True)
+class DatasetExport:
+    """Write a data set for other projects: as LeRobotDataset v3.0, or with UniVTAC's HDF5 names."""
+
+    format: Positional[Literal["lerobot", "univtac"]]
+    """Whose layout."""
+    folders: Positional[tuple[Path, ...]]
+    """Folders of data sets."""
+    out: Path
+    """Folder to write; an earlier one is replaced when everything is done."""
+    fps: int = 10
+    """Of lerobot: frames a second that steps are called; touches have no time of their own."""
+    json: bool = False
+    """Print what was written as JSON."""
+
+    def run(self) -> None:
+        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.datasets import lerobot, univtac
+
+        folders = _some(self.folders)
+        if not 1 <= self.fps <= 1000:
+            raise InputError(f"fps must lie in 1..1000, got {self.fps}")
+        if self.format == "lerobot":
+            info = lerobot.export_lerobot(folders, self.out, self.fps)
+            count, left_out = info["total_episodes"], lerobot.LEFT_OUT
+        else:
+            count, left_out = univtac.export_univtac(folders, self.out), univtac.LEFT_OUT
+        if self.json:
+            print_json({"out": self.out, "episodes": count, "left_out": left_out})
+        console = notes()
+        console.print(f"wrote {count} episodes to {self.out}", highlight=False, soft_wrap=True)
+        console.print(f"not exported: {left_out}", highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class DatasetPage:
+    """Write one HTML page that shows a data set: sampled touches, force curves, histograms."""
+
+    folders: Positional[tuple[Path, ...]]
+    """Folders of data sets."""
+    out: Path
+    """File to write."""
+    touches: int = 12
+    """How many are shown, of all sensors, objects and motions in turn."""
+    json: bool = False
+    """Print what was written as JSON."""
+
+    def run(self) -> None:
+        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.datasets.page import write_page
+
+        if not 1 <= self.touches <= 200:
+            raise InputError(f"touches must lie in 1..200, got {self.touches}")
+        write_page(_some(self.folders), self.out, self.touches)
+        if self.json:
+            print_json({"out": self.out})
+        notes().print(f"wrote {self.out}", highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class DatasetChannels:
+    """List the channels: what is always kept, and what output.channels of a file may name."""
+
+    json: bool = False
+    """Print JSON instead of tables."""
+
+    def run(self) -> None:
+        from rich.console import Console
+        from rich.table import Table
+        from rich.text import Text
+
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.datasets.channels import ALWAYS, channels_of, known_channels
+
+        console = Console()
+        asked = channels_of(tuple(known_channels()))[len(ALWAYS) :]
+        if self.json:
+            names = ("name", "dtype", "shape", "unit", "what")
+            print_json({
+                title: [{name: getattr(c, name) for name in names} for c in channels]
+                for title, channels in (("always", ALWAYS), ("output.channels", asked))
+            })  # fmt: skip
+            return
+        for title, channels in (("always kept", ALWAYS), ("output.channels", asked)):
+            table = Table("channel", "of a step", "unit", "what", title=title)
+            for c in channels:
+                kind = f"{c.dtype} [{c.shape}]" if c.shape else c.dtype
+                table.add_row(Text(c.name, style="cyan"), Text(kind), Text(c.unit), Text(c.what))
+            table.columns[0].no_wrap = True
+            console.print(table)
+
+
+COMMANDS = {
+    "make": DatasetMake,
+    "check": DatasetCheck,
+    "lite": DatasetLite,
+    "export": DatasetExport,
+    "page": DatasetPage,
+    "channels": DatasetChannels,
+}
+
+
+def with_make(words: Sequence[str]) -> list[str]:
+    """``dataset FILE ...`` is short for ``dataset make FILE ...``."""
+    named = words[1:2] and (words[1] in COMMANDS or words[1] in ("-h", "--help"))
+    if words[:1] == ["dataset"] and len(words) > 1 and not named:
+        return ["dataset", "make", *words[1:]]
+    return list(words)
+
+
+def _shard(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,7})/(\d{1,7})", text)
+    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+        raise InputError(f"shard {text!r} is not understood; i/n with 1 <= i <= n, such as 3/8")
+    return int(found[1]), int(found[2])
+
+
+def _some(folders: tuple[Path, ...]) -> tuple[Path, ...]:
+    if not folders:
+        raise InputError("name at least one folder of a data set")
+    return folders
+
+
+def _require_zarr() -> None:
+    from importlib.util import find_spec
+
+    missing = [name for name in ("zarr", "pyarrow") if find_spec(name) is None]
+    if missing:
+        raise InputError(
+            f"{' and '.join(missing)} must be installed to write data: "
+            "pip install 'taccel-lab[datasets]'; --no-write times it without"
+        )
+
+
+def _describe(console: Console, plan: Plan, shard: tuple[int, int]) -> None:
+    parts = plan.shard(*shard)
+    touches = sum(len(part.episodes) for part in parts)
+    steps = sum(plan.episodes[i].path.step_count + 1 for part in parts for i in part.episodes)
+    grid = plan.sensors[0].grid
+    console.print(
+        f"{plan.spec.dataset.name}: {touches} touches, {steps} steps in {len(parts)} parts, shard "
+        f"{shard[0]} of {shard[1]}; {len(plan.sensors)} sensors, {len(plan.indenters)} objects, "
+        f"images of {grid.width_px}x{grid.height_px} px",
+        highlight=False,
+        soft_wrap=True,
+    )

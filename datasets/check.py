@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a data set is what was written, and whether its columns say anything."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from taccel_lab.datasets.folder import DatasetFolder
+from taccel_lab.datasets.reading import Dataset
+from taccel_lab.errors import InputError
+from taccel_lab.output_folder import OUTPUT_MARKER
+from taccel_lab.progress import Progress, silent
+from taccel_lab.reading.json_file import read_json
+
+FORCE_TOLERANCE = 1e-5
+"""Of the sum of patch forces beside the force, as a part of the largest force."""
+READ_ROWS = 256
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was noticed."""
+
+    severity: Literal["error", "warning"]
+    where: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.severity}: {self.where}: {self.message}"
+
+
+def check_dataset(folders: Sequence[Path | str], progress: Progress = silent) -> list[Finding]:
+    """Everything wrong (errors) or odd (warnings): files against their digests, empty, constant and
+    NaN columns, forces that do not add up, episodes that are missing or stopped.
+
+    Raises InputError where there is no data set.
+    """
+    found: list[Finding] = []
+    for folder in map(DatasetFolder, folders):
+        folder.about()
+        found += _check_files(folder, progress)
+    if any(finding.severity == "error" for finding in found):
+        return found
+    data = Dataset(list(folders))
+    return found + _check_episodes(data) + _check_columns(data, progress)
+
+
+def _check_files(folder: DatasetFolder, progress: Progress) -> list[Finding]:
+    found: list[Finding] = []
+    parts = folder.part_folders()
+    for done, part in enumerate(parts):
+        progress("digests", done, len(parts))
+        where = f"{folder.root.name}/parts/{part.name}"
+        try:
+            marker = read_json(part / OUTPUT_MARKER)
+            files = dict(marker["files"])
+        except (InputError, OSError, KeyError, TypeError) as error:
+            found.append(Finding("error", where, f"its list of files cannot be read: {error}"))
+            continue
+        there = {
+            path.relative_to(part).as_posix()
+            for path in part.rglob("*")
+            if path.is_file() and path.name != OUTPUT_MARKER
+        }
+        for name in sorted(set(files) - there):
+            found.append(Finding("error", f"{where}/{name}", "is missing"))
+        for name in sorted(there - set(files)):
+            found.append(Finding("warning", f"{where}/{name}", "was not written with the part"))
+        for name in sorted(there & set(files)):
+            with open(part / name, "rb") as file:
+                if hashlib.file_digest(file, "sha256").hexdigest() != files[name]:
+                    found.append(
+                        Finding("error", f"{where}/{name}", "is not what was written (SHA-256)")
+                    )
+    return found
+
+
+def _check_episodes(data: Dataset) -> list[Finding]:
+    found = []
+    table = data.episode_table
+    wanted = {about["plan"]: int(about["episodes"]) for about in data.about}
+    for plan, count in wanted.items():
+        those = [k for k, about in enumerate(data.about) if about["plan"] == plan]
+        there = table["episode"][np.isin(table["folder"], those)]
+        name = data.about[those[0]]["name"]
+        if len(set(there.tolist())) < len(there):
+            repeated = len(there) - len(set(there.tolist()))
+            found.append(Finding("error", name, f"{repeated} episodes are there twice"))
+        if len(set(there.tolist())) < count:
+            missing = count - len(set(there.tolist()))
+            found.append(
+                Finding("warning", name, f"{missing} of {count} episodes are not made yet")
+            )
+    for status in ("stopped", "failed"):
+        which = np.flatnonzero(table["status"] == status)
+        if len(which):
+            one = data.episodes[int(which[0])]
+            message = f"{len(which)} of {len(table['episode'])} episodes {status}"
+            found.append(
+                Finding("warning", f"episode {one['episode']}", f"{message}; here: {one['cause']}")
+            )
+    return found
+
+
+def _check_columns(data: Dataset, progress: Progress) -> list[Finding]:
+    found: list[Finding] = []
+    if len(data) == 0:
+        return [Finding("error", "steps", "there is no step in the whole data set")]
+    pressed = data.steps["step"] > 0
+    for done, (name, about) in enumerate(data.channels.items()):
+        progress("columns", done, len(data.channels))
+        summary = _summary(data, name)
+        if summary.nan and not about["may_be_nan"]:
+            found.append(Finding("error", name, f"NaN or infinite in {summary.nan} steps"))
+        if summary.size == 0 or summary.nan == len(data):
+            found.append(Finding("error", name, "is empty: no value in any step"))
+        elif summary.low == summary.high and name != "status" and len(data) > 1:
+            text = f"is constant: {summary.low:g} everywhere"
+            found.append(Finding("warning", name, text))
+    if "patch_forces_n" in data.channels and pressed.any():
+        total = data.read("wrench", slice(None))[:, :3]
+        patches = np.concatenate([
+            data.read("patch_forces_n", rows).sum(axis=(1, 2)) for rows in _blocks(len(data))
+        ])  # fmt: skip
+        off = np.abs(patches - total).max()
+        if off > FORCE_TOLERANCE * np.abs(total).max():
+            found.append(Finding("error", "patch_forces_n", f"do not add up: {off:.2g} N off"))
+    return found
+
+
+@dataclass(frozen=True)
+class _Summary:
+    low: float
+    high: float
+    nan: int
+    """Steps with a value that is not finite."""
+    size: int
+
+
+def _blocks(count: int) -> list[np.ndarray]:
+    return [np.arange(k, min(k + READ_ROWS, count)) for k in range(0, count, READ_ROWS)]
+
+
+def _summary(data: Dataset, name: str) -> _Summary:
+    low, high, nan, size = np.inf, -np.inf, 0, 0
+    table = data.steps
+    parts = np.stack([table["folder"], table["part"]], axis=1)
+    for folder, part in np.unique(parts, axis=0).tolist():
+        array = data.group(folder, part)[name]
+        for first in range(0, array.shape[0], READ_ROWS):
+            values = np.asarray(array[first : first + READ_ROWS])
+            size += values.size
+            finite = np.isfinite(values)
+            nan += int((~finite.reshape(len(values), -1).all(axis=1)).sum())
+            if finite.any():
+                low = min(low, float(values[finite].min()))
+                high = max(high, float(values[finite].max()))
+    return _Summary(low, high, nan, size)

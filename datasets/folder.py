@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of a data set: grown part by part, by any number of processes.
+
+::
+
+    dataset.json          what it holds, which parts there will be, and what made it
+    spec.toml             the file as it was run
+    profiles/N/           the sensors' profiles
+    objects/              meshes that the file names
+    parts/NNNNNN/         episodes that are written together (``part``)
+    episodes.parquet      the index: all episodes of all parts there are
+    steps.parquet         and all of their steps
+    runs/                 how long runs took
+
+Every file and part appears whole or not at all: a run may be killed at any time and goes on with
+the same command. Shards write different parts and may share the folder, or have one each.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taccel_lab.datasets.part import EPISODES, STEPS
+from taccel_lab.errors import InputError
+from taccel_lab.output import atomic_file, write_json
+from taccel_lab.reading.json_file import read_json
+
+if TYPE_CHECKING:
+    from taccel_lab.datasets.plan import Part, Plan
+
+ABOUT = "dataset.json"
+PARTS = "parts"
+LOCK = ".lock-"
+
+
+class DatasetFolder:
+    """A data set on disk."""
+
+    def __init__(self, root: Path | str) -> None:
+        self.root = Path(os.path.abspath(root))
+
+    def require_usable(self, plan: Plan) -> None:
+        """Refuse a folder of somebody else, or of another data set than ``plan``."""
+        for path in (self.root, *self.root.parents):
+            if path.exists() and not path.is_dir():
+                raise InputError(f"{path} is a file; an output folder is needed")
+        if not self.root.is_dir() or all(p.name.startswith(LOCK) for p in self.root.iterdir()):
+            return
+        if not (self.root / ABOUT).is_file():
+            raise InputError(
+                f"{self.root} holds files and no data set; name a new folder, an empty one, or "
+                "that of this data set to go on with it"
+            )
+        about = self.about()
+        if about.get("plan") != plan.digest:
+            differs = _differences(about.get("recipe", {}), plan.recipe)
+            raise InputError(
+                f"{self.root} holds another data set: {differs}. Name another folder; several are "
+                "read as one"
+            )
+
+    def about(self) -> dict[str, Any]:
+        """``dataset.json``; InputError where there is none."""
+        path = self.root / ABOUT
+        if not path.is_file():
+            raise InputError(f"{self.root} holds no data set: it has no {ABOUT}")
+        return read_json(path)
+
+    def begin(self, plan: Plan, source: str) -> None:
+        """Write what does not depend on any part, unless it is there. ``source``: the file."""
+        from taccel_lab.datasets.plan import tool_file
+        from taccel_lab.profile import save_profile
+
+        self.require_usable(plan)
+        # First: what is begun is known by it.
+        if not (self.root / ABOUT).is_file():
+            write_json(self.root / ABOUT, _about(plan))
+        (self.root / PARTS).mkdir(parents=True, exist_ok=True)
+        for number, profile in enumerate(plan.profiles):
+            target = self.root / "profiles" / str(number)
+            if not target.exists():
+                save_profile(profile, target)
+        for number, tool in enumerate(plan.tools):
+            path = tool_file(tool)
+            if path is not None:
+                kept = self.root / "objects" / f"{number}_{path.name}"
+                if not kept.exists():
+                    with atomic_file(kept) as staging:
+                        shutil.copyfile(path, staging)
+        self._write_text("spec.toml", source)
+
+    def _write_text(self, name: str, text: str) -> None:
+        if not (self.root / name).exists():
+            with atomic_file(self.root / name) as staging:
+                staging.write_text(text, encoding="utf-8")
+
+    @contextmanager
+    def locked(self, shard: str) -> Iterator[None]:
+        """Hold a shard; raises InputError while another run does. Goes with the process."""
+        self.root.mkdir(parents=True, exist_ok=True)
+        with open(self.root / f"{LOCK}{shard.replace('/', '-of-')}", "a+") as marker:
+            try:
+                fcntl.flock(marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(
+                    f"another run makes shard {shard} in {self.root}; wait for its end or choose "
+                    "another shard"
+                ) from None
+            yield
+
+    def part(self, part: Part) -> Path:
+        """Folder of a part."""
+        return self.root / PARTS / part.name
+
+    def part_folders(self) -> list[Path]:
+        """Of all parts that are there, in order."""
+        return sorted(path for path in (self.root / PARTS).glob("[0-9]*") if path.is_dir())
+
+    def write_index(self) -> None:
+        """Gather the tables of all parts; Parquet, a row an episode and a row a step."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        folders = self.part_folders()
+        for name in (EPISODES, STEPS):
+            tables = [pq.read_table(folder / name) for folder in folders]
+            if name == STEPS:
+                tables = [
+                    table.add_column(
+                        0, "part", pa.array([int(folder.name)] * len(table), pa.int64())
+                    )
+                    for folder, table in zip(folders, tables, strict=True)
+                ]
+            if tables:
+                with atomic_file(self.root / name) as staging:
+                    joined = pa.concat_tables(tables, promote_options="default")
+                    pq.write_table(joined, staging, compression="zstd")
+
+
+def _about(plan: Plan) -> dict[str, Any]:
+    from taccel_lab.datasets.channels import channels_of, grid_record
+
+    spec = plan.spec
+    return {
+        "kind": "taccel-lab data set",
+        "format": plan.recipe["format"],
+        "name": spec.dataset.name,
+        "plan": plan.digest,
+        "episodes": spec.dataset.episodes,
+        "parts": len(plan.parts),
+        "channels": {
+            channel.name: {
+                "dtype": channel.dtype,
+                "row": channel.shape,
+                "unit": channel.unit,
+                "what": channel.what,
+                "may_be_nan": channel.may_be_nan,
+            }
+            for channel in channels_of(spec.output.channels)
+        },
+        "sensors": [
+            {
+                "name": sensor.name,
+                "profile": f"profiles/{number}",
+                "profile_digest": sensor.digest,
+                "grid": grid_record(sensor.grid),
+                "image_from": "colour model" if sensor.color else "optical model",
+                "markers_mm": sensor.marker_places_mm().tolist(),
+                "units": [
+                    {
+                        "young_modulus_factor": unit.young_modulus_factor,
+                        "poisson_ratio": unit.poisson_ratio,
+                        "friction_coefficient": unit.friction_coefficient,
+                        "grid": grid_record(sensor.unit_grid(index)),
+                    }
+                    for index, unit in enumerate(sensor.units)
+                ],
+            }
+            for number, sensor in enumerate(plan.sensors)
+        ],
+        "recipe": plan.recipe,
+    }
+
+
+def _differences(earlier: dict[str, Any], now: dict[str, Any]) -> str:
+    """Which entries of two recipes differ, in words."""
+    found = []
+    for key in sorted({*earlier, *now}):
+        a, b = earlier.get(key), now.get(key)
+        if a == b:
+            continue
+        if isinstance(a, dict) and isinstance(b, dict):
+            found += [f"{key}.{k}" for k in sorted({*a, *b}) if a.get(k) != b.get(k)]
+        else:
+            found.append(key)
+    return "its " + ", ".join(found) + " differ from what is asked for" if found else "it differs"

@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a data set will hold: every episode as it is drawn, and the parts they are written in.
+
+Everything follows from the file and its seed. Episode i is drawn from (seed, i) alone; parts are
+episodes of one sensor and object, by their length, so that nobody waits for a longer one. Nothing
+depends on who simulates which part, or when.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.datasets.channels import check_channels
+from taccel_lab.datasets.motion import Motion
+from taccel_lab.datasets.placing import Placing, view_range_mm
+from taccel_lab.datasets.sensor import UNITS_KEY, Sensor, sensor_of
+from taccel_lab.envs import PHYSICS, Accuracy, Indenter, PressPhysics, parse_indenter
+from taccel_lab.envs.press import check_depth
+from taccel_lab.errors import InputError, naming
+from taccel_lab.file_cache import content_key
+from taccel_lab.signals.perturbation import Perturbation, draw_perturbation
+from taccel_lab.version import __version__
+
+if TYPE_CHECKING:
+    from taccel_lab.datasets.spec import DatasetSpec, MotionEntry
+    from taccel_lab.profile import SensorProfile
+
+FORMAT = 1
+"""Of the folder; a reader refuses others."""
+EPISODE_KEY, LIGHT_KEY, NOISE_KEY = 2, 3, 4
+"""Of the seeds of what they name, beside the data set's own."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One touch as it was drawn."""
+
+    index: int
+    sensor: int
+    unit: int
+    object: int
+    motion: int
+    """Entries of the file, from 0."""
+    placing: Placing
+    path: Motion
+    friction: float
+    young_modulus_factor: float
+    split: str
+
+
+@dataclass(frozen=True)
+class Part:
+    """Episodes that are written together, of one sensor and object."""
+
+    index: int
+    sensor: int
+    object: int
+    episodes: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        return f"{self.index:06d}"
+
+
+class Plan:
+    """A checked file with what it names, ready to be simulated."""
+
+    def __init__(self, spec: DatasetSpec, base: Path, physics: PressPhysics | None = None) -> None:
+        """Read profiles and objects, whose paths are relative to ``base``; simulates nothing.
+        ``physics`` is that of the file's accuracy when None.
+
+        Raises InputError for what cannot be: missing files, depths beyond the gel, channels that a
+        sensor has not, places where the gel cannot be meshed.
+        """
+        self.spec, self.base = spec, base
+        self.physics = physics or PHYSICS[Accuracy(spec.dataset.accuracy)]
+        self.profiles: list[SensorProfile] = []
+        self.sensors: list[Sensor] = []
+        for number, entry in enumerate(spec.sensors):
+            with naming(f"sensors[{number}]"):
+                profile = _load_profile(entry.profile, base)
+                seed = (spec.dataset.seed, UNITS_KEY, number)
+                self.profiles.append(profile)
+                self.sensors.append(sensor_of(profile, spec.output.size_px, entry.units, seed))
+        self.tools = [_tool(entry.tool, base) for entry in spec.objects]
+        self.indenters: list[Indenter] = []
+        for number, tool in enumerate(self.tools):
+            with naming(f"objects[{number}]"):
+                self.indenters.append(parse_indenter(tool))
+        self._check()
+
+    # What is checked -------------------------------------------------------------------------
+
+    def _check(self) -> None:
+        for number, motion in enumerate(self.spec.motions):
+            for profile in self.profiles:
+                with naming(f"motions[{number}] on {profile.sensor.name}"):
+                    check_depth(motion.depth_mm[1], profile)
+        for number, sensor in enumerate(self.sensors):
+            with naming(f"sensors[{number}] ({sensor.name})"):
+                check_channels(self.spec.output, sensor)
+                self._check_places(sensor)
+
+    def _check_places(self, sensor: Sensor) -> None:
+        """Refuse ranges of places in whose corners the gel cannot be meshed for some object."""
+        low, high = self.place_range_mm(sensor)
+        depth = max(motion.depth_mm[1] for motion in self.spec.motions)
+        corners = [(x, y) for x in {low[0], high[0]} for y in {low[1], high[1]}]
+        for entry, indenter in zip(self.spec.objects, self.indenters, strict=True):
+            for x, y in corners:
+                placing = Placing(float(x), float(y), entry.yaw_deg[0], entry.tilt_deg[1])
+                try:
+                    placing.frame(sensor.pad, indenter)
+                    if self.spec.dataset.mesh == "focused":
+                        placing.mesh(sensor.pad, indenter, depth, self.physics.mesh)
+                except InputError as error:
+                    raise InputError(
+                        f"object {entry.label!r} cannot be placed at ({x:.3g}, {y:.3g}) mm: "
+                        f"{error}; choose a smaller view, or x_mm and y_mm, in [dataset]"
+                    ) from None
+
+    def place_range_mm(self, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
+        """Low and high gel xy of touches [mm], [2] each."""
+        block = self.spec.dataset
+        if block.x_mm is not None and block.y_mm is not None:
+            ends = np.array([block.x_mm, block.y_mm])
+            return ends[:, 0], ends[:, 1]
+        return view_range_mm(sensor.grid, block.view)
+
+    # What is drawn ---------------------------------------------------------------------------
+
+    @functools.cached_property
+    def episodes(self) -> list[Episode]:
+        """All of them, by index."""
+        return [self._draw(index) for index in range(self.spec.dataset.episodes)]
+
+    def _draw(self, index: int) -> Episode:
+        spec = self.spec
+        rng = np.random.default_rng([spec.dataset.seed, EPISODE_KEY, index])
+        sensor = _weighted(rng, [entry.weight for entry in spec.sensors])
+        touched = _weighted(rng, [entry.weight for entry in spec.objects])
+        motion = _weighted(rng, [entry.weight for entry in spec.motions])
+        by, thing = spec.sensors[sensor], spec.objects[touched]
+        unit = int(rng.integers(by.units))
+        low, high = self.place_range_mm(self.sensors[sensor])
+        x, y = rng.uniform(low, high)
+        placing = Placing(
+            float(x),
+            float(y),
+            float(rng.uniform(*thing.yaw_deg)),
+            float(rng.uniform(*thing.tilt_deg)),
+            float(rng.uniform(0, 360)),
+        )
+        path = _drawn_motion(rng, spec.motions[motion])
+        drawn = self.sensors[sensor].units[unit]
+        friction = drawn.friction_coefficient
+        if friction is None:
+            friction = self.sensors[sensor].friction_coefficient
+        if spec.randomise.friction is not None:
+            friction = float(rng.uniform(*spec.randomise.friction))
+        factor = drawn.young_modulus_factor
+        if spec.randomise.young_modulus_factor is not None:
+            factor *= float(rng.uniform(*spec.randomise.young_modulus_factor))
+        test = by.split == "test" or thing.split == "test" or unit >= by.units - by.test_units
+        return Episode(
+            index, sensor, unit, touched, motion, placing, path, friction, factor,
+            "test" if test else "train",
+        )  # fmt: skip
+
+    def light(self, episode: Episode) -> Perturbation | None:
+        """What [randomise] does to the light of an episode; one row."""
+        from taccel_lab.profile import PerturbationBlock, Provenance
+
+        wanted = self.spec.randomise
+        gain, offset = wanted.light_gain, wanted.light_offset_levels
+        gradient = wanted.light_gradient_levels
+        if not (gain or offset or gradient):
+            return None
+        color = self.sensors[episode.sensor].color
+        pivot = np.full(3, 128.0) if color is None else color[1].reshape(-1, 3).mean(axis=0)
+        block = PerturbationBlock(
+            gain_rgb=(gain, gain, gain),
+            pivot_rgb=(float(pivot[0]), float(pivot[1]), float(pivot[2])),
+            offset_rgb=(offset, offset, offset),
+            gradient_rgb=(gradient, gradient, gradient),
+            provenance=Provenance(kind="assumed", method="[randomise]", source="the file"),
+        )
+        rng = np.random.default_rng([self.spec.dataset.seed, LIGHT_KEY, episode.index])
+        return draw_perturbation(block, 1, rng)
+
+    @functools.cached_property
+    def parts(self) -> list[Part]:
+        """All episodes, grouped as they are written."""
+        groups: dict[tuple[int, int], list[Episode]] = {}
+        for episode in self.episodes:
+            groups.setdefault((episode.sensor, episode.object), []).append(episode)
+        size = self.spec.output.episodes_per_part
+        parts: list[Part] = []
+        for (sensor, thing), group in sorted(groups.items(), key=lambda item: item[0]):
+            group.sort(key=lambda episode: (episode.path.step_count, episode.index))
+            for first in range(0, len(group), size):
+                chosen = tuple(episode.index for episode in group[first : first + size])
+                parts.append(Part(len(parts), sensor, thing, chosen))
+        return parts
+
+    def shard(self, number: int, count: int) -> list[Part]:
+        """The parts of shard ``number`` of ``count``, from 1."""
+        return self.parts[number - 1 :: count]
+
+    # What it is known by ---------------------------------------------------------------------
+
+    @functools.cached_property
+    def recipe(self) -> dict[str, Any]:
+        """All that the data depend on, as JSON."""
+        spec = self.spec.model_dump(mode="json")
+        return {
+            "format": FORMAT,
+            "tool_version": __version__,
+            "spec": spec,
+            "profiles": [sensor.digest for sensor in self.sensors],
+            "objects": [_file_digest(tool) for tool in self.tools],
+            "physics": self.physics.record(),
+        }
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """SHA-256 of ``recipe``."""
+        return content_key(self.recipe)
+
+
+def _load_profile(name: str, base: Path) -> SensorProfile:
+    from taccel_lab.sensors.profile import load_sensor
+
+    beside = base / name
+    return load_sensor(str(beside) if beside.is_dir() else name)
+
+
+def _tool(text: str, base: Path) -> str:
+    """A tool whose file is found from anywhere."""
+    kind, _, value = text.partition(":")
+    if kind != "mesh" or Path(value).is_absolute():
+        return text
+    return f"mesh:{base / value}"
+
+
+def tool_file(tool: str) -> Path | None:
+    """The file of an object, if it is one."""
+    kind, _, value = tool.partition(":")
+    if kind != "mesh":
+        return None
+    name, at, axis = value.rpartition("@")
+    return Path(name) if at and len(axis) == 2 and axis[0] in "+-" else Path(value)
+
+
+def _file_digest(tool: str) -> str:
+    path = tool_file(tool)
+    return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _weighted(rng: np.random.Generator, weights: Sequence[float]) -> int:
+    edges = np.cumsum(weights)
+    return min(int(np.searchsorted(edges, rng.random() * edges[-1], side="right")), len(edges) - 1)
+
+
+def _drawn_motion(rng: np.random.Generator, entry: MotionEntry) -> Motion:
+    def drawn(ends: tuple[float, float] | None) -> float:
+        value = rng.uniform(*(ends or (0.0, 0.0)))
+        return float(value) if ends is not None else 0.0
+
+    values = {
+        "depth_mm": drawn(entry.depth_mm),
+        "shear_mm": drawn(entry.shear_mm),
+        "direction_deg": drawn(entry.direction_deg),
+        "twist_deg": drawn(entry.twist_deg),
+        "roll_deg": drawn(entry.roll_deg),
+    }
+    assert all(math.isfinite(value) for value in values.values())
+    return Motion(entry.kind, **values, step_mm=entry.step_mm, step_deg=entry.step_deg)

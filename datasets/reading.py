@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Data sets read: one folder or several as one, without copying anything.
+
+>>> data = Dataset(["out/a", "out/b"])                                    # doctest: +SKIP
+>>> data.episodes[0]["object"], data.read("wrench", data.rows_of(0))      # doctest: +SKIP
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.datasets.folder import PARTS, DatasetFolder
+from taccel_lab.datasets.part import ARRAYS, EPISODES, STEPS
+from taccel_lab.errors import InputError
+
+FORMATS = (1,)
+"""Formats of folders that this reads."""
+
+
+class Dataset:
+    """Episodes and steps of one or several folders.
+
+    Steps are numbered through all of them, ``0 .. len(data) - 1``; episodes too, by their place in
+    ``episodes``. Columns of the tables are numpy arrays.
+    """
+
+    def __init__(
+        self, folders: str | Path | Sequence[str | Path], *, split: str | None = None
+    ) -> None:
+        """``folders``: of data sets or of shards of one. ``split``: train or test alone.
+
+        Raises InputError: no data set, another format, or channels that differ.
+        """
+        chosen = [folders] if isinstance(folders, (str, Path)) else list(folders)
+        if not chosen:
+            raise InputError("name at least one folder of a data set")
+        self.folders = [DatasetFolder(folder) for folder in chosen]
+        self.about = [folder.about() for folder in self.folders]
+        for folder, about in zip(self.folders, self.about, strict=True):
+            if about.get("format") not in FORMATS:
+                raise InputError(
+                    f"{folder.root} has format {about.get('format')}, this version reads "
+                    f"{', '.join(map(str, FORMATS))}"
+                )
+        self.channels: dict[str, dict[str, Any]] = self.about[0]["channels"]
+        for folder, about in zip(self.folders, self.about, strict=True):
+            if set(about["channels"]) != set(self.channels):
+                raise InputError(
+                    f"{folder.root} has other channels than {self.folders[0].root}: "
+                    f"{', '.join(sorted(set(about['channels']) ^ set(self.channels)))}"
+                )
+        self.split = split
+        self._groups: dict[tuple[int, int], Any] = {}
+
+    # Tables ----------------------------------------------------------------------------------
+
+    @cached_property
+    def episode_table(self) -> dict[str, np.ndarray]:
+        """Columns of all episodes, with ``folder``, their place in ``folders``; [episode]."""
+        tables = [self._table(k, EPISODES) for k in range(len(self.folders))]
+        found = _stacked(tables)
+        if self.split is not None:
+            keep = found["split"] == self.split
+            found = {name: column[keep] for name, column in found.items()}
+        return found
+
+    @cached_property
+    def episodes(self) -> list[dict[str, Any]]:
+        """The same as rows."""
+        table = self.episode_table
+        return [
+            {name: column[i].item() if isinstance(column[i], np.generic) else column[i]
+             for name, column in table.items()}
+            for i in range(len(table["episode"]))
+        ]  # fmt: skip
+
+    @cached_property
+    def steps(self) -> dict[str, np.ndarray]:
+        """Columns of all steps, in the order of ``episodes``: folder, part, row in the part and the
+        small channels, vectors by component; [step]."""
+        found = _stacked([self._table(k, STEPS) for k in range(len(self.folders))])
+        key = (found["folder"].astype(np.int64) << 40) + found["episode"]
+        table = self.episode_table
+        wanted = (table["folder"].astype(np.int64) << 40) + table["episode"]
+        place = {int(value): i for i, value in enumerate(wanted)}
+        order = np.array([place.get(int(value), -1) for value in key], dtype=np.int64)
+        chosen = np.flatnonzero(order >= 0)
+        chosen = chosen[np.lexsort((found["step"][chosen], order[chosen]))]
+        steps = {name: column[chosen] for name, column in found.items()}
+        steps["place"] = order[chosen]
+        return steps
+
+    def __len__(self) -> int:
+        return len(self.steps["row"])
+
+    def rows_of(self, episode: int) -> np.ndarray:
+        """Steps of an episode by its place in ``episodes``."""
+        return np.flatnonzero(self.steps["place"] == episode)
+
+    def _table(self, number: int, name: str) -> dict[str, np.ndarray]:
+        """A table of a folder: its index where that is up to date, else those of its parts."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        folder = self.folders[number]
+        there = folder.part_folders()
+        path = folder.root / name
+        table = pq.read_table(path) if path.is_file() else None
+        if table is None or set(table["part"].to_pylist()) != {int(p.name) for p in there}:
+            tables = []
+            for part in there:
+                one = pq.read_table(part / name)
+                if name == STEPS:
+                    one = one.add_column(0, "part", pa.array([int(part.name)] * len(one)))
+                tables.append(one)
+            if not tables:
+                raise InputError(f"{folder.root} has no finished part yet")
+            table = pa.concat_tables(tables, promote_options="default")
+        columns = {
+            field: np.asarray(table[field].to_numpy(zero_copy_only=False))
+            for field in table.column_names
+        }
+        return {"folder": np.full(len(table), number), **columns}
+
+    # Arrays ----------------------------------------------------------------------------------
+
+    def group(self, folder: int, part: int) -> Any:
+        """The zarr group of a part."""
+        if (folder, part) not in self._groups:
+            import zarr
+
+            path = self.folders[folder].root / PARTS / f"{part:06d}" / ARRAYS
+            self._groups[folder, part] = zarr.open_group(path, mode="r")
+        return self._groups[folder, part]
+
+    def read(self, channel: str, steps: Sequence[int] | np.ndarray | slice) -> np.ndarray:
+        """A channel at some steps, [step, ...]. Neighbours are read together.
+
+        Raises InputError: no such channel, or rows of different size (nodes of different meshes),
+        which are read an episode at a time.
+        """
+        if channel not in self.channels:
+            raise InputError(f"no channel {channel!r}; there are {', '.join(self.channels)}")
+        chosen = (
+            np.arange(len(self))[steps]
+            if isinstance(steps, slice)
+            else np.asarray(steps, dtype=np.int64)
+        )
+        table = self.steps
+        found: list[np.ndarray | None] = [None] * len(chosen)
+        keys = np.stack([table["folder"][chosen], table["part"][chosen]], axis=1)
+        for folder, part in np.unique(keys, axis=0).tolist():
+            places = np.flatnonzero((keys == [folder, part]).all(axis=1))
+            rows = table["row"][chosen[places]]
+            low, high = int(rows.min()), int(rows.max()) + 1
+            array = self.group(folder, part)[channel]
+            if high - low <= 4 * len(rows):
+                values = array[low:high][rows - low]
+            else:
+                values = np.stack([array[int(row)] for row in rows])
+            for place, value in zip(places.tolist(), values, strict=True):
+                found[place] = value
+        if len({value.shape for value in found if value is not None}) > 1:
+            raise InputError(
+                f"{channel} has rows of different size in these steps; read an episode at a time"
+            )
+        return np.stack(found) if found else np.zeros(0)  # type: ignore[arg-type]
+
+    def mesh(self, episode: int) -> tuple[np.ndarray, np.ndarray]:
+        """Contact face of an episode at rest: nodes [m], [node, 3], and triangles, [face, 3]; rows
+        of nodal channels belong to these nodes."""
+        row = self.episodes[episode]
+        meshes = self.group(row["folder"], row["part"])["meshes"]
+        nodes, faces = meshes["nodes_m"][row["place"]], meshes["faces"][row["place"]]
+        return nodes[np.isfinite(nodes[:, 0])], faces[faces[:, 0] >= 0]
+
+    def profile(self, episode: int) -> Any:
+        """The ``SensorProfile`` that an episode was made with."""
+        from taccel_lab.profile import load_profile
+
+        row = self.episodes[episode]
+        return load_profile(
+            self.folders[row["folder"]].root / "profiles" / str(row["sensor_index"])
+        )
+
+
+def _stacked(tables: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}

@@ -1,0 +1,337 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Makes a data set, or a shard of it: simulates the parts that are not there yet."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taccel_lab.datasets.folder import DatasetFolder
+from taccel_lab.datasets.part import PartData, part_data, write_part
+from taccel_lab.datasets.plan import NOISE_KEY, Part, Plan
+from taccel_lab.datasets.simulate import Bench, simulate_touches
+from taccel_lab.datasets.touch import Touch, TouchRecord, failed_touch
+from taccel_lab.envs import PressPhysics
+from taccel_lab.errors import InputError
+from taccel_lab.output import write_json
+from taccel_lab.process_pool import Died, Finished, ProcessPool
+from taccel_lab.progress import Progress
+from taccel_lab.report.machine import describe_run
+
+if TYPE_CHECKING:
+    from taccel_lab.datasets.spec import DatasetSpec
+
+GPU_TOUCHES = {"gel": 256, "fused": 32}
+"""Environments side by side on a GPU, by ``output.surface``: fused surfaces are made on the host
+and take memory there."""
+WRITERS = 4
+"""Threads that compress and write while a GPU simulates."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """What became of one part."""
+
+    part: int
+    episodes: int
+    failed: int
+    """Episodes without a converged step, or that stopped early."""
+    steps: int
+    """Rows, one image each where images are kept."""
+    size_bytes: int
+    """On disk; 0 where nothing was written."""
+
+
+@dataclass
+class Outcome:
+    """A run."""
+
+    root: Path | None
+    parts_total: int
+    """Of the shard."""
+    parts_there: int
+    """Before the run."""
+    done: list[Done]
+    seconds: float
+    device: str
+    processes: int
+
+    @property
+    def steps(self) -> int:
+        return sum(part.steps for part in self.done)
+
+    @property
+    def complete(self) -> bool:
+        return self.parts_there + len(self.done) == self.parts_total
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        seconds = max(self.seconds, 1e-9)
+        return {
+            "images_per_s": self.steps / seconds,
+            "episodes_per_s": sum(part.episodes for part in self.done) / seconds,
+            "images": self.steps,
+            "episodes": sum(part.episodes for part in self.done),
+            "episodes_stopped": sum(part.failed for part in self.done),
+            "bytes": sum(part.size_bytes for part in self.done),
+            "written": self.root is not None,
+            "seconds": self.seconds,
+            "device": self.device,
+            "processes": self.processes,
+            "machine": describe_run(self.device),
+        }
+
+
+Listener = Callable[[int, int, int, float], None]
+"""Told parts done and in all, steps so far and seconds."""
+
+
+def default_processes(device: str) -> int:
+    """One a core this process may use; a GPU is served by this process itself."""
+    return 0 if device.startswith("cuda") else len(os.sched_getaffinity(0))
+
+
+def batches(plan: Plan, parts: list[Part], device: str) -> list[tuple[Part, ...]]:
+    """Parts that are simulated together: one on the CPU, which gains nothing by more; on a GPU
+    neighbours of one sensor and object."""
+    if not device.startswith("cuda"):
+        return [(part,) for part in parts]
+    most = GPU_TOUCHES[plan.spec.output.surface]
+    found: list[list[Part]] = []
+    for part in parts:
+        last = found[-1] if found else []
+        room = most - sum(len(p.episodes) for p in last)
+        same = last and (last[0].sensor, last[0].object) == (part.sensor, part.object)
+        if same and len(part.episodes) <= room:
+            last.append(part)
+        else:
+            found.append([part])
+    return [tuple(group) for group in found]
+
+
+def touches_of(plan: Plan, part: Part) -> list[Touch | TouchRecord]:
+    """Episodes of a part, meshed; those that cannot be are records that say why."""
+    sensor, indenter = plan.sensors[part.sensor], plan.indenters[part.object]
+    wanted = plan.spec.randomise
+    found: list[Touch | TouchRecord] = []
+    for number in part.episodes:
+        episode = plan.episodes[number]
+        commands = episode.path.commands()
+        try:
+            mesh = sensor.mesh
+            if plan.spec.dataset.mesh == "focused":
+                depth = episode.path.depth_mm
+                mesh = episode.placing.mesh(sensor.pad, indenter, depth, plan.physics.mesh)
+            frame = episode.placing.frame(sensor.pad, indenter)
+        except InputError as error:
+            found.append(failed_touch(number, len(commands), str(error)))
+            continue
+        found.append(
+            Touch(
+                episode=number,
+                mesh=mesh,
+                frame=frame,
+                commands=commands,
+                friction=episode.friction,
+                unit=episode.unit,
+                young_modulus_factor=episode.young_modulus_factor,
+                light=plan.light(episode),
+                noise_levels=math.hypot(wanted.image_noise_levels, sensor.noise_levels),
+                marker_noise_px=wanted.marker_noise_px,
+                seed=(plan.spec.dataset.seed, NOISE_KEY),
+            )
+        )
+    return found
+
+
+def simulate_parts(
+    plan: Plan, parts: tuple[Part, ...], device: str, told: Progress
+) -> list[PartData]:
+    """Simulate parts of one sensor and object side by side."""
+    from taccel_lab.datasets.channels import channels_of
+
+    output = plan.spec.output
+    first = parts[0]
+    prepared = [touches_of(plan, part) for part in parts]
+    ready = [touch for group in prepared for touch in group if isinstance(touch, Touch)]
+    what = f"part {first.index}, {len(ready)} touches"
+    bench = Bench(
+        plan.sensors[first.sensor],
+        plan.indenters[first.object],
+        plan.physics,
+        channels_of(output.channels),
+        output.surface,
+        output.patches,
+        device,
+        lambda done, total: told(what, done, total),
+    )
+    records = iter(simulate_touches(ready, bench))
+    return [
+        part_data(
+            plan,
+            part,
+            [next(records) if isinstance(touch, Touch) else touch for touch in group],
+        )
+        for part, group in zip(parts, prepared, strict=True)
+    ]
+
+
+def make_dataset(
+    plan: Plan,
+    root: Path | str | None,
+    *,
+    source: str = "",
+    shard: tuple[int, int] = (1, 1),
+    device: str = "cpu",
+    processes: int | None = None,
+    limit: int | None = None,
+    listener: Listener = lambda done, total, steps, seconds: None,
+) -> Outcome:
+    """Make the parts of a shard that are not there yet.
+
+    Args:
+        plan: What to make.
+        root: Folder, new or begun; None to simulate and encode nothing, for timing.
+        source: Text of the file, kept beside the data.
+        shard: Number and count, from 1.
+        device: Warp device.
+        processes: How many; 0 works in this process. One a core, or this one for a GPU, when None.
+        limit: Parts at most.
+        listener: Told how it goes.
+
+    Raises:
+        InputError: A folder with other files or of another data set, or a shard that is being made.
+        OSError: A full disk and the like; parts that are there stay.
+    """
+    number, count = shard
+    processes = default_processes(device) if processes is None else processes
+    folder = None if root is None else DatasetFolder(root)
+    parts = plan.shard(number, count)
+    begun = time.perf_counter()
+    if folder is None:
+        wanted = parts[:limit]
+        done = list(_run(plan, wanted, None, device, processes, len(parts), 0, listener, begun))
+        seconds = time.perf_counter() - begun
+        return Outcome(None, len(wanted), 0, done, seconds, device, processes)
+    folder.require_usable(plan)
+    with folder.locked(f"{number}/{count}"):
+        folder.begin(plan, source)
+        missing = [part for part in parts if not folder.part(part).is_dir()]
+        there = len(parts) - len(missing)
+        outcome = Outcome(folder.root, len(parts), there, [], 0.0, device, processes)
+        try:
+            for done in _run(
+                plan, missing[:limit], folder, device, processes, len(parts), there, listener, begun
+            ):
+                outcome.done.append(done)
+        finally:
+            outcome.seconds = time.perf_counter() - begun
+            if outcome.done or there:
+                folder.write_index()
+        if outcome.done:
+            stamp = time.strftime("%Y%m%d-%H%M%S")
+            name = f"{stamp}-{number}-of-{count}-{os.getpid()}.json"
+            write_json(folder.root / "runs" / name, outcome.record())
+        return outcome
+
+
+def _run(
+    plan: Plan,
+    parts: list[Part],
+    folder: DatasetFolder | None,
+    device: str,
+    processes: int,
+    total: int,
+    there: int,
+    listener: Listener,
+    begun: float,
+) -> Iterator[Done]:
+    steps = 0
+
+    def told(done: Done) -> Done:
+        nonlocal steps, there
+        steps, there = steps + done.steps, there + 1
+        listener(there, total, steps, time.perf_counter() - begun)
+        return done
+
+    listener(there, total, 0, 0.0)
+    groups = batches(plan, parts, device)
+    if processes == 0:
+        yield from map(told, _here(plan, groups, folder, device))
+        return
+    root = None if folder is None else folder.root
+    work = functools.partial(_in_process, plan.spec, plan.base, plan.physics, root, device)
+    items = [tuple(part.index for part in group) for group in groups]
+    with ProcessPool(work, min(processes, max(1, len(items)))) as pool:
+        lost = []
+        for event in pool.run(items):
+            if isinstance(event, Finished):
+                if isinstance(event.result, OSError):
+                    raise event.result
+                yield from map(told, event.result)
+            elif isinstance(event, Died):
+                lost.append(event)
+        if lost:
+            raise InputError(
+                f"{len(lost)} of {len(items)} parts were not made, the first one as "
+                f"{lost[0].cause}; the others are kept, and the same command tries again"
+            )
+
+
+def _here(
+    plan: Plan, groups: list[tuple[Part, ...]], folder: DatasetFolder | None, device: str
+) -> Iterator[Done]:
+    """In this process; threads write while the next batch is simulated."""
+    with ThreadPoolExecutor(WRITERS) as pool:
+        waiting: list[Future[Done]] = []
+        for group in groups:
+            made = simulate_parts(plan, group, device, lambda what, done, total: None)
+            for future in waiting:
+                yield future.result()
+            waiting = [pool.submit(_finish, plan, data, folder) for data in made]
+        for future in waiting:
+            yield future.result()
+
+
+def _finish(plan: Plan, data: PartData, folder: DatasetFolder | None) -> Done:
+    size = 0
+    if folder is not None:
+        path = folder.part(data.part)
+        write_part(path, data, plan)
+        size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    stopped = sum(status != "done" for status in data.episodes["status"])
+    return Done(data.part.index, len(data.part.episodes), stopped, data.step_count, size)
+
+
+_plans: dict[str, Plan] = {}
+"""Of a process, by what made them."""
+
+
+def _in_process(
+    spec: DatasetSpec,
+    base: Path,
+    physics: PressPhysics,
+    root: Path | None,
+    device: str,
+    item: tuple[int, ...],
+    told: Progress,
+) -> list[Done] | OSError:
+    """Make parts in a process of a pool. An error of the disk is handed back, for the caller."""
+    key = f"{base}\n{spec.model_dump_json()}"
+    if key not in _plans:
+        _plans[key] = Plan(spec, base, physics)
+    plan = _plans[key]
+    folder = None if root is None else DatasetFolder(root)
+    parts = tuple(plan.parts[index] for index in item)
+    made = simulate_parts(plan, parts, device, told)
+    try:
+        return [_finish(plan, data, folder) for data in made]
+    except OSError as error:
+        return error

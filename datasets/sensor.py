@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A touched sensor as the simulation needs it, and the units that could have been built of it.
+
+Nothing here is a profile: what a data set needs of one is taken out once (``sensor_of``), so that
+simulating and reading need neither its schema nor CAD kernels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.envs import profile_material
+from taccel_lab.envs.measured_ranges import measured_ranges
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.scene import Material, MaterialField
+from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.gel_faces import marker_points_mm
+from taccel_lab.signals.markers import MarkerLayout
+from taccel_lab.signals.perturbation import Perturbation, draw_perturbation
+from taccel_lab.signals.rest_surface import RestSurface, rest_surface
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
+    from taccel_lab.profile.optical_design import MarkerGrid, OpticalDesign
+
+UNITS_KEY = 1
+"""Of the seeds of units, beside the data set's own."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One of the sensors that could have been built; the nominal one where all are as below."""
+
+    young_modulus_factor: float = 1.0
+    poisson_ratio: float | None = None
+    """In place of the sensor's own."""
+    friction_coefficient: float | None = None
+    light: Perturbation | None = None
+    """Of its images, one row; its scale and centre are in ``Sensor.unit_grid``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """What touches need of a sensor."""
+
+    name: str
+    digest: str
+    """Of everything that its profile says; dates do not count."""
+    pad: Pad
+    mesh: TetMesh
+    """As designed."""
+    material_of: Callable[[TetMesh], Material | MaterialField]
+    friction_coefficient: float
+    grid: PixelGrid
+    """Pixels of the images."""
+    color: tuple[ColorModel, np.ndarray] | None = None
+    """Colour model and image of the untouched gel, levels, both on ``grid``."""
+    optics: OpticalDesign | None = None
+    """Predicts images where there is no colour model."""
+    painted: MarkerGrid | None = None
+    """Markers on the gel; 8 x 6 imagined ones when None."""
+    units: tuple[Unit, ...] = (Unit(),)
+    noise_levels: float = 0.0
+    """Measured standard deviation of a pixel."""
+    _rests: dict[PixelGrid, RestSurface] = field(default_factory=dict)
+
+    def marker_places_mm(self) -> np.ndarray:
+        """Gel xy of the markers that the camera sees [mm], [marker, 2]."""
+        points = marker_points_mm(self.grid) if self.painted is None else self.painted.points_mm()
+        u, v = self.grid.pixel_from_gel(points).T
+        seen = (u > -0.5) & (u < self.grid.width_px - 0.5)
+        seen &= (v > -0.5) & (v < self.grid.height_px - 0.5)
+        return points[seen & MarkerLayout.where_on(self.mesh, points)[1]]
+
+    def unit_grid(self, unit: int) -> PixelGrid:
+        """Pixels of a unit."""
+        light = self.units[unit].light
+        return self.grid if light is None else light.grid(self.grid, 0)
+
+    def rest(self, unit: int) -> RestSurface:
+        """The untouched face under the pixels of a unit."""
+        grid = self.unit_grid(unit)
+        if grid not in self._rests:
+            self._rests[grid] = rest_surface(self.mesh, grid)
+        return self._rests[grid]
+
+
+def sensor_of(
+    profile: SensorProfile, size_px: tuple[int, int] | None, units: int, seed: tuple[int, ...]
+) -> Sensor:
+    """The sensor of a profile, with images of a size and with units drawn from its spread.
+
+    Raises:
+        InputError: The profile states no measured spread, but units are to differ.
+    """
+    from taccel_lab.sensors.registry import sensor_family
+
+    width, height = size_px or (profile.camera.width_px, profile.camera.height_px)
+    grid = resized_grid(profile.grid(), width, height)
+    color, model = None, ColorModel.from_profile(profile)
+    if model is not None and profile.background_rgb is not None:
+        color = resized_color(model, profile.background_rgb, width, height)
+    noise = 0.0
+    if units > 1 and profile.perturbation is not None:
+        noise = profile.perturbation.noise_levels
+    return Sensor(
+        name=profile.sensor.name,
+        digest=profile_digest(profile),
+        pad=sensor_family(profile.sensor.family).parameters(profile.sensor.parameters).pad(),
+        mesh=profile.mesh,
+        material_of=lambda mesh: profile_material(profile.material, mesh),
+        friction_coefficient=profile.material.friction_coefficient,
+        grid=grid,
+        color=color,
+        optics=None if color else profile.optical_design(),
+        painted=None if profile.markers is None else profile.markers.grid(),
+        units=drawn_units(profile, units, seed),
+        noise_levels=noise,
+    )
+
+
+def drawn_units(profile: SensorProfile, count: int, seed: tuple[int, ...]) -> tuple[Unit, ...]:
+    """The sensor itself, then others: modulus, Poisson's ratio and friction evenly from the ranges
+    that hold 95 % of them, light, scale and centre from the spread between units."""
+    if count == 1:
+        return (Unit(),)
+    ranges = measured_ranges(profile)
+    if not ranges and profile.perturbation is None:
+        raise InputError(
+            f"sensor {profile.sensor.name!r} states no measured spread, so that its units cannot "
+            "be drawn: set units = 1 and say what varies in [randomise], or measure it with "
+            "taccel-lab calibrate material or calibrate spread"
+        )
+    units = [Unit()]
+    for number in range(1, count):
+        rng = np.random.default_rng([*seed, number])
+        drawn = {name: float(rng.uniform(r.low, r.high)) for name, r in sorted(ranges.items())}
+        light = None
+        if profile.perturbation is not None:
+            light = replace(draw_perturbation(profile.perturbation, 1, rng), noise_levels=0.0)
+        nominal = profile.material.young_modulus_pa
+        units.append(
+            Unit(
+                drawn.get("young_modulus_pa", nominal) / nominal,
+                drawn.get("poisson_ratio"),
+                drawn.get("friction_coefficient"),
+                light,
+            )
+        )
+    return tuple(units)
+
+
+def resized_grid(grid: PixelGrid, width: int, height: int) -> PixelGrid:
+    """The same view in other pixels."""
+    x, y = grid.width_px / width, grid.height_px / height
+    return PixelGrid(
+        width,
+        height,
+        grid.mm_per_px_x * x,
+        grid.mm_per_px_y * y,
+        (grid.center_u_px + 0.5) / x - 0.5,
+        (grid.center_v_px + 0.5) / y - 0.5,
+    )
+
+
+def resized_color(
+    model: ColorModel, background: np.ndarray, width: int, height: int
+) -> tuple[ColorModel, np.ndarray]:
+    """Colour model and background for images of another size: the model goes by places from -1 to 1
+    over the image, the background is averaged over the new pixels."""
+    image = np.asarray(background, dtype=np.float32)
+    if (model.config.width_px, model.config.height_px) == (width, height):
+        return model, image
+    import cv2
+
+    config = replace(model.config, width_px=width, height_px=height)
+    shrinks = width <= image.shape[1] and height <= image.shape[0]
+    how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return ColorModel(config, model.weights, model.cone_deg), cv2.resize(
+        image, (width, height), interpolation=how
+    )
+
+
+def profile_digest(profile: SensorProfile) -> str:
+    """SHA-256 of all that a profile says, but for the dates of its blocks."""
+    from taccel_lab.file_cache import content_key
+    from taccel_lab.profile.sensor_profile import ARRAY_FIELDS
+
+    blocks = {key: block.model_dump(mode="json") for key, block in profile.blocks().items()}
+    for block in blocks.values():
+        del block["provenance"]["created"]
+    arrays: dict[str, np.ndarray] = {}
+    for key in ARRAY_FIELDS:
+        value = getattr(profile, ARRAY_FIELDS[key])
+        if isinstance(value, TetMesh):
+            for name in ("nodes_m", "tets", "tet_layers", "faces", "face_regions"):
+                arrays[f"{key}.{name}"] = getattr(value, name)
+        elif isinstance(value, np.ndarray):
+            arrays[key] = value
+        elif value is not None:
+            arrays |= {f"{key}.{name}": array for name, array in value.items()}
+    return content_key({"blocks": blocks, **arrays})

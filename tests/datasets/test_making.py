@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Data sets are the same whoever makes them, and lose nothing when they are killed."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from taccel_lab.datasets import runner
+from taccel_lab.datasets.check import check_dataset
+from taccel_lab.datasets.folder import DatasetFolder
+from taccel_lab.datasets.reading import Dataset
+from taccel_lab.errors import InputError
+from tests.datasets.small import make, parts_of, plan
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_equal_bytes_by_shards_and_folders(profile: Path, made: Path, tmp_path: Path) -> None:
+    """Two shards in folders of their own, one of them by another process, give what one run gave;
+    together they are read as one."""
+    command = [sys.executable, "-m", "tests.datasets.small", str(profile), str(tmp_path / "b")]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    other = subprocess.Popen([*command, "2/2", "1"], cwd=ROOT, env=environment)
+    first = make(profile, tmp_path / "a", (1, 2))
+    assert other.wait() == 0 and first.complete
+    one, two = parts_of(tmp_path / "a"), parts_of(tmp_path / "b")
+    assert one and two and not set(one) & set(two)
+    assert {**one, **two} == parts_of(made)
+    both, whole = Dataset([tmp_path / "a", tmp_path / "b"]), Dataset(made)
+    assert len(both) == len(whole)
+    assert sorted(row["episode"] for row in both.episodes) == list(range(6))
+    assert not check_dataset([tmp_path / "a", tmp_path / "b"])
+
+
+def test_a_killed_run_goes_on_and_ends_the_same(profile: Path, made: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tests.datasets.small", str(profile), str(tmp_path / "k")]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    folder = DatasetFolder(tmp_path / "k")
+    process = subprocess.Popen([*command, "1/1", "0"], cwd=ROOT, env=environment)
+    try:
+        deadline = time.monotonic() + 120
+        while not folder.part_folders():
+            assert time.monotonic() < deadline and process.poll() is None
+            time.sleep(0.005)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    before = parts_of(folder.root)
+    assert before and set(before) < set(parts_of(made))
+    outcome = make(profile, folder.root)
+    assert outcome.complete and outcome.parts_there == len(folder.part_folders()) - len(
+        outcome.done
+    )
+    assert parts_of(folder.root) == parts_of(made)
+    hidden = [path for path in (folder.root / "parts").iterdir() if path.name.startswith(".")]
+    assert not hidden
+    assert make(profile, folder.root).done == []
+
+
+def test_a_full_disk_loses_nothing(
+    profile: Path, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, calls = runner.write_part, []
+
+    def full(*arguments: Any) -> None:
+        calls.append(arguments)
+        if len(calls) > 1:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(tmp_path))
+        write(*arguments)
+
+    monkeypatch.setattr(runner, "write_part", full)
+    with pytest.raises(OSError, match="No space left"):
+        make(profile, tmp_path / "d")
+    assert len(DatasetFolder(tmp_path / "d").part_folders()) == 1
+    monkeypatch.undo()
+    assert make(profile, tmp_path / "d").complete
+    assert parts_of(tmp_path / "d") == parts_of(made)
+
+
+def test_other_data_sets_and_files_are_left_alone(profile: Path, tmp_path: Path) -> None:
+    begun = tmp_path / "begun"
+    make_plan = plan(profile)
+    DatasetFolder(begun).begin(make_plan, "small")
+    with pytest.raises(InputError, match=r"another data set: its spec.dataset differ.*several are"):
+        DatasetFolder(begun).require_usable(plan(profile, dataset={"seed": 9}))
+    DatasetFolder(begun).require_usable(make_plan)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="holds files and no data set"):
+        make(profile, tmp_path / "mine")
+    with (
+        DatasetFolder(begun).locked("1/2"),
+        pytest.raises(InputError, match="another run makes shard 1/2"),
+        DatasetFolder(begun).locked("1/2"),
+    ):
+        pass
+
+
+def test_timing_writes_nothing(profile: Path, tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    outcome = runner.make_dataset(plan(profile), None, processes=0, limit=1)
+    record = outcome.record()
+    assert record["images"] > 2 and not record["written"] and record["bytes"] == 0
+    assert list(tmp_path.iterdir()) == []

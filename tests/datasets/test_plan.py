@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is drawn depends on the file and the seed alone."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taccel_lab.datasets.motion import Motion, rolled_mm
+from taccel_lab.datasets.placing import Placing
+from taccel_lab.datasets.plan import Plan
+from taccel_lab.envs import parse_indenter
+from taccel_lab.model.embedding import rotate
+from tests.datasets.small import plan
+
+NO_IMAGES = {"output": {"channels": ["depth_mm"]}}
+
+
+def test_episodes_follow_from_seed_and_number() -> None:
+    few = plan("flat_pad", dataset={"episodes": 5}, **NO_IMAGES)
+    many = plan("flat_pad", dataset={"episodes": 50}, **NO_IMAGES)
+    other = plan("flat_pad", dataset={"episodes": 5, "seed": 5}, **NO_IMAGES)
+    assert many.episodes[:5] == few.episodes
+    assert other.episodes != few.episodes
+    assert len({few.digest, many.digest, other.digest}) == 3
+
+
+def test_draws_keep_their_ranges() -> None:
+    made = plan(
+        "flat_pad", dataset={"episodes": 300}, randomise={"friction": [0.2, 0.4]}, **NO_IMAGES
+    )
+    low, high = made.place_range_mm(made.sensors[0])
+    places = np.array([episode.placing.at_mm for episode in made.episodes])
+    assert (places >= low).all() and (places <= high).all()
+    assert all(0.2 <= episode.friction <= 0.4 for episode in made.episodes)
+    for episode in made.episodes:
+        wanted = made.spec.motions[episode.motion]
+        assert wanted.depth_mm[0] <= episode.path.depth_mm <= wanted.depth_mm[1]
+        assert (episode.split == "test") == (episode.object == 1)
+    shares = np.bincount([episode.motion for episode in made.episodes]) / 300
+    assert shares == pytest.approx([0.5, 0.5], abs=0.1)
+
+
+@given(count=st.integers(1, 7))
+def test_shards_share_all_parts(count: int) -> None:
+    made = _cached_plan()
+    shards = [made.shard(number, count) for number in range(1, count + 1)]
+    indices = sorted(part.index for shard in shards for part in shard)
+    assert indices == [part.index for part in made.parts]
+    told = sorted(episode for part in made.parts for episode in part.episodes)
+    assert told == list(range(40))
+    assert max(map(len, shards)) - min(map(len, shards)) <= 1
+
+
+@functools.cache
+def _cached_plan() -> Plan:
+    return plan("flat_pad", dataset={"episodes": 40}, **NO_IMAGES)
+
+
+def test_units_differ_as_measured_and_the_first_is_the_profile(profile: Path) -> None:
+    made = plan(
+        profile,
+        dataset={"episodes": 60},
+        sensors=[{"profile": str(profile), "units": 6, "test_units": 2}],
+    )
+    units = made.sensors[0].units
+    assert units[0].young_modulus_factor == 1 and units[0].light is None
+    factors = np.array([unit.young_modulus_factor for unit in units[1:]])
+    assert (np.abs(factors - 1) <= 0.2 + 1e-12).all() and np.ptp(factors) > 0.01
+    assert made.sensors[0].unit_grid(1) != made.sensors[0].grid
+    held_out = {e.unit for e in made.episodes if e.split == "test" and e.object == 0}
+    assert held_out == {4, 5}
+
+
+def test_motions_end_where_they_should() -> None:
+    motion = Motion("shear", 0.5, shear_mm=0.7, direction_deg=30.0)
+    commands = motion.commands()
+    assert len(commands) == motion.step_count == 3 + 4
+    assert commands[2].tolist() == [0.5, 0, 0, 0, 0, 0]
+    assert commands[-1, :3] == pytest.approx([0.5, 0.7 * np.cos(np.pi / 6), 0.35])
+    roll = Motion("roll", 0.2, roll_deg=10.0, direction_deg=90.0).commands()
+    # Towards y it turns about -x, and moves on by height times angle.
+    assert roll[-1, 3:5] == pytest.approx([-10.0, 0.0])
+    assert rolled_mm(roll[-1:], np.array([3.0]))[0] == pytest.approx([0, 3 * np.radians(10)])
+
+
+def test_a_tilted_tool_touches_where_it_is_placed() -> None:
+    pad = _cached_plan().sensors[0].pad
+    ball = parse_indenter("sphere:3")
+    placing = Placing(1.0, -2.0, yaw_deg=40.0, tilt_deg=12.0, lean_deg=70.0)
+    frame = placing.frame(pad, ball)
+    axis = rotate(frame[3:], np.array([0.0, 0.0, 1.0]))
+    assert np.degrees(np.arccos(axis[2])) == pytest.approx(12.0)
+    # Along the axis the ball's centre is its radius above the face right over the place.
+    centre = frame[:3] + axis * (3e-3 / axis[2])
+    assert 1e3 * centre[:2] == pytest.approx([1.0, -2.0])

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is read is what was simulated, alone, together and through torch."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taccel_lab.datasets.channels import OPTIONAL
+from taccel_lab.datasets.check import check_dataset
+from taccel_lab.datasets.lite import make_lite
+from taccel_lab.datasets.page import write_page
+from taccel_lab.datasets.reading import Dataset
+from taccel_lab.datasets.torch_dataset import TouchDataset
+from taccel_lab.errors import InputError
+from tests.datasets.small import SIZE, make
+
+
+def test_labels_agree_with_one_another(made: Path) -> None:
+    data = Dataset(made)
+    wrench, patches = data.read("wrench", slice(None)), data.read("patch_forces_n", slice(None))
+    assert patches.shape[1:] == (6, 8, 3)
+    assert patches.sum(axis=(1, 2)) == pytest.approx(wrench[:, :3], abs=1e-6)
+    untouched = data.steps["step"] == 0
+    assert (wrench[untouched] == 0).all() and (wrench[~untouched, 2] > 0).all()
+    assert data.steps["force_z_n"] == pytest.approx(wrench[:, 2])
+    area = data.read("contact_area_mm2", slice(None))
+    mask = data.read("contact_mask", slice(None))
+    pixel_mm2 = np.prod([data.about[0]["sensors"][0]["grid"][f"mm_per_px_{a}"] for a in "xy"])
+    assert (area[untouched] == 0).all() and (area[~untouched] > 0).all()
+    assert mask.sum(axis=(1, 2)) * pixel_mm2 == pytest.approx(area, abs=3 * pixel_mm2)
+    depth = data.read("depth_mm", slice(None))
+    assert depth[untouched].max() == 0
+    for step in np.flatnonzero(~untouched):
+        sunk = data.steps["depth_mm"][step]
+        assert depth[step].max() == pytest.approx(sunk, abs=0.05)
+    # A profile's image where nothing touches; another one where something does.
+    rgb = data.read("rgb", slice(None))
+    background = data.profile(0).background_rgb
+    assert background is not None
+    assert (rgb[untouched] == np.rint(background)).all()
+    assert (np.abs(rgb[~untouched].astype(int) - rgb[0]).max(axis=(1, 2, 3)) > 0).all()
+    # What slides uses all of its friction, what is pressed next to nothing.
+    use = data.steps["friction_use"]
+    assert use.max() <= 1 + 2e-3
+    slid = [data.rows_of(k)[-1] for k, row in enumerate(data.episodes) if row["motion"] == "slip"]
+    assert len(slid) and (use[slid] > 0.2).all()
+
+
+def test_rows_in_any_order(made: Path) -> None:
+    data = Dataset(made)
+    whole = data.read("rgb", slice(None))
+    order = np.random.default_rng(0).permutation(len(data))
+    assert (data.read("rgb", order) == whole[order]).all()
+    assert (data.read("rgb", [3]) == whole[3:4]).all()
+    steps = data.steps
+    for place, row in enumerate(data.episodes):
+        rows = data.rows_of(place)
+        assert len(rows) == row["rows"] == row["steps_wanted"] + 1
+        assert steps["step"][rows].tolist() == list(range(len(rows)))
+        assert set(data.read("episode", rows).tolist()) == {row["episode"]}
+    with pytest.raises(InputError, match="no channel 'heat'"):
+        data.read("heat", [0])
+    with pytest.raises(InputError, match="holds no data set"):
+        Dataset(made.parent)
+
+
+def test_splits_are_held_apart(made: Path) -> None:
+    train, test = Dataset(made, split="train"), Dataset(made, split="test")
+    assert {row["object"] for row in train.episodes} == {"sphere:2"}
+    assert {row["object"] for row in test.episodes} == {"sphere:3"}
+    assert len(train) + len(test) == len(Dataset(made))
+
+
+def test_every_channel_can_be_asked_for(profile: Path, tmp_path: Path) -> None:
+    """All of the table and all signals of the gel's surface, with both kinds of surface and drawn
+    units; nodal channels add up to the wrench."""
+    names = [*OPTIONAL, "rgb_levels", "height_m"]
+    varied = {
+        "dataset": {"episodes": 2},
+        "sensors": [{"profile": str(profile), "units": 3}],
+        "randomise": {
+            "friction": [0.2, 0.6], "young_modulus_factor": [0.8, 1.2], "light_gain": 0.1,
+            "image_noise_levels": 1.0, "marker_noise_px": 0.1,
+        },
+        "motions": [{"kind": "twist", "depth_mm": [0.1, 0.2], "twist_deg": [2, 4]},
+                    {"kind": "roll", "depth_mm": [0.1, 0.2], "roll_deg": [2, 4]}],
+        "objects": [{"tool": "sphere:3", "tilt_deg": [3, 6]}],
+    }  # fmt: skip
+    for surface in ("fused", "gel"):
+        output = {"channels": names, "surface": surface, "size_px": [40, 30]}
+        make(profile, tmp_path / surface, **varied, output=output)
+        data = Dataset(tmp_path / surface)
+        assert data.read("rgb", [0, 1]).shape == (2, 30, 40, 3)
+        for place in range(2):
+            rows = data.rows_of(place)
+            nodes, faces = data.mesh(place)
+            assert faces.max() == len(nodes) - 1
+            forces = data.read("node_forces_n", rows)
+            total = data.read("wrench", rows)[:, :3]
+            assert forces.sum(axis=1) == pytest.approx(total, abs=1e-5)
+        errors = [f for f in check_dataset([tmp_path / surface]) if f.severity == "error"]
+        assert not errors
+    fused, gel = (Dataset(tmp_path / s) for s in ("fused", "gel"))
+    assert (fused.read("wrench", slice(None)) == gel.read("wrench", slice(None))).all()
+
+
+def test_torch_batches(made: Path) -> None:
+    from torch.utils.data import DataLoader
+
+    touches = TouchDataset(made, inputs=("rgb", "markers_px"), background=True, split="train")
+    assert len(touches) == len(Dataset(made, split="train"))
+    item = touches[1]
+    assert item["rgb"].shape == (3, SIZE[1], SIZE[0]) and float(item["rgb"].max()) <= 1
+    assert item["wrench"].shape == (6,) and item["patch_forces_n"].shape == (6, 8, 3)
+    batches = list(DataLoader(touches, 4, shuffle=True))
+    assert sum(len(batch["wrench"]) for batch in batches) == len(touches)
+    first = touches[0]
+    assert (first["rgb"] == first["rest_rgb"]).all()
+    with pytest.raises(InputError, match="no channel heat"):
+        TouchDataset(made, inputs=("heat",))
+
+
+def test_check_finds_what_was_changed(made: Path, tmp_path: Path) -> None:
+    assert check_dataset([made]) == []
+    broken = tmp_path / "broken"
+    shutil.copytree(made, broken)
+    part = sorted((broken / "parts").iterdir())[0]
+    image = next(
+        path
+        for path in (part / "data.zarr" / "rgb").rglob("*")
+        if path.is_file() and path.name == "0"
+    )
+    data = bytearray(image.read_bytes())
+    data[10] ^= 1
+    image.write_bytes(bytes(data))
+    (part / "episodes.parquet").unlink()
+    told = [str(finding) for finding in check_dataset([broken])]
+    assert any("rgb" in line and "is not what was written" in line for line in told)
+    assert any("episodes.parquet: is missing" in line for line in told)
+
+
+def test_check_finds_empty_constant_and_nan_columns(made: Path, tmp_path: Path) -> None:
+    import zarr
+
+    from taccel_lab.output_folder import OUTPUT_MARKER, _write_marker
+
+    for name, values, message in (
+        ("wrench", np.nan, "error: wrench: NaN or infinite"),
+        ("rgb", 7, "warning: rgb: is constant: 7 everywhere"),
+    ):
+        broken = tmp_path / name
+        shutil.copytree(made, broken)
+        for part in (broken / "parts").iterdir():
+            zarr.open_group(part / "data.zarr", mode="r+")[name][:] = values
+            (part / OUTPUT_MARKER).unlink()
+            _write_marker(part)
+        told = [str(finding) for finding in check_dataset([broken])]
+        assert any(line.startswith(message) for line in told), told
+
+
+def test_missing_parts_are_named(made: Path, tmp_path: Path) -> None:
+    fewer = tmp_path / "fewer"
+    shutil.copytree(made, fewer)
+    shutil.rmtree(sorted((fewer / "parts").iterdir())[-1])
+    told = [str(finding) for finding in check_dataset([fewer])]
+    assert any("2 of 6 episodes are not made yet" in line for line in told)
+    assert len(Dataset(fewer).episodes) == 4
+
+
+def test_lite_keeps_every_object(made: Path, tmp_path: Path) -> None:
+    size = make_lite([made], tmp_path / "lite", 1_600_000)
+    assert size < 1_600_000
+    lite = Dataset(tmp_path / "lite")
+    assert {row["object"] for row in lite.episodes} == {"sphere:2", "sphere:3"}
+    assert not [f for f in check_dataset([tmp_path / "lite"]) if f.severity == "error"]
+    assert lite.about[0]["lite_of"] == 6
+    with pytest.raises(InputError, match="the smallest part takes"):
+        make_lite([made], tmp_path / "none", 1_000_100)
+
+
+def test_the_page_shows_all_motions(made: Path, tmp_path: Path) -> None:
+    write_page([made], tmp_path / "page.html", 4)
+    page = (tmp_path / "page.html").read_text()
+    assert "<script" not in page and "http" not in page.replace("http-equiv", "")
+    assert page.count('<article class="touch">') == 4
+    for row in Dataset(made).episodes[:1]:
+        assert f"{row['motion']} of {row['object']} on flat_pad" in page
+    assert "patch_forces_n" in page
+
+
+def test_what_made_it_is_inside(made: Path) -> None:
+    about = json.loads((made / "dataset.json").read_text())
+    sensor = about["sensors"][0]
+    profile = Dataset(made).profile(0)
+    from taccel_lab.datasets.sensor import profile_digest
+
+    assert profile_digest(profile) == sensor["profile_digest"]
+    assert (made / "spec.toml").read_text() == "small"
+    assert about["channels"]["wrench"]["unit"] == "N, N m"
