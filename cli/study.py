@@ -6,7 +6,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
@@ -39,6 +39,8 @@ class Study:
     """Processes that work side by side; one a core when left out, one on a GPU."""
     device: str | None = None
     """Device of the solver: cpu or cuda:0; the study file's when left out."""
+    accuracy: Literal["fast", "default", "reference"] | None = None
+    """Of the presses, as of taccel-lab press; the study file's when left out."""
     limit: int | None = None
     """Stop after so many new designs; a later run goes on."""
     report_only: bool = False
@@ -71,7 +73,7 @@ class Study:
 
         quiet_warp()
         console = notes()
-        study = read_study(file, default_kit())
+        study = read_study(file, default_kit(), self.accuracy)
         root = self.out or Path("out") / file.stem
         try:
             if self.report_only:
@@ -91,7 +93,7 @@ class Study:
 
     def _again(self, file: Path, root: Path) -> str:
         words = ["taccel-lab", "study", str(file), "--out", str(root)]
-        for name in ("processes", "device"):
+        for name in ("processes", "device", "accuracy"):
             if getattr(self, name) is not None:
                 words += [f"--{name}", str(getattr(self, name))]
         return shlex.join(words)
@@ -149,6 +151,7 @@ class Study:
 def _print_lists(options: Study) -> None:
     from taccel_lab.cli.console import print_json
     from taccel_lab.studies.describe import press_in_words
+    from taccel_lab.studies.readings import described
     from taccel_lab.studies.study import default_kit
 
     kit = default_kit()
@@ -156,8 +159,8 @@ def _print_lists(options: Study) -> None:
         name: {
             "unit": metric.unit,
             "better": metric.better,
-            "presses": list(metric.presses),
-            "description": metric.description,
+            "presses": [*metric.presses, *metric.also],
+            "description": described(metric).description,
         }
         for name, metric in kit.metrics.items()
     }
