@@ -154,10 +154,10 @@ class Sweep(StrictModel):
     """Designs of a random sweep, or the most that an optimiser may try."""
     sampler: Literal["latin-hypercube", "sobol"] = "latin-hypercube"
     """Of a random sweep."""
-    method: StrictStr = "LN_COBYLA"
-    """Algorithm of NLopt of an optimiser-driven sweep."""
+    method: Literal["LN_COBYLA", "GP", "TPE", "NSGA2"] = "LN_COBYLA"
+    """Optimiser: NLopt's COBYLA, or one of Optuna's."""
     tolerance: Number = Field(default=1e-3, gt=0, lt=1)
-    """Step, as a part of each parameter's range, at which an optimiser is done."""
+    """Step, as a part of each parameter's range, at which COBYLA is done."""
 
     @model_validator(mode="after")
     def _check_kind(self) -> Sweep:
@@ -173,6 +173,8 @@ class Sweep(StrictModel):
         ):
             if name in given and self.kind != kind:
                 raise ValueError(f"{name} belongs to kind = {kind!r}, not {self.kind!r}")
+        if "tolerance" in given and self.method != "LN_COBYLA":
+            raise ValueError(f"tolerance belongs to method = 'LN_COBYLA', not {self.method!r}")
         return self
 
 
@@ -272,6 +274,8 @@ class StudySpec(StrictModel):
     tied: dict[PlainName, Tie] = Field(default_factory=dict)
     sweep: Sweep
     objective: Objective | None = None
+    objectives: list[Objective] = Field(default_factory=list)
+    """Several of them for an optimiser; the first one ranks designs."""
     constraints: list[Constraint] = Field(default_factory=list)
     press: dict[PlainName, dict[PlainName, Any]] = Field(default_factory=dict)
     """Settings of single presses other than the standard ones."""
@@ -299,9 +303,22 @@ class StudySpec(StrictModel):
             raise ValueError("two constraints name one metric; give its min and max together")
         if not self.metrics():
             raise ValueError("no metrics: name at least one in study.metrics")
-        if self.sweep.kind == "optimize" and self.objective is None:
+        if self.objective is not None and self.objectives:
+            raise ValueError("give either [objective] or [[objectives]], not both")
+        if self.sweep.kind == "optimize" and not self.goals:
             raise ValueError("kind = 'optimize' needs [objective] minimize or maximize = a metric")
+        if len({goal.metric for goal in self.goals}) < len(self.goals):
+            raise ValueError("two objectives name one metric")
+        if len(self.goals) > 1 and self.sweep.method == "LN_COBYLA":
+            raise ValueError(
+                "several objectives need kind = 'optimize' and method GP, TPE or NSGA2"
+            )
         return self
+
+    @property
+    def goals(self) -> list[Objective]:
+        """All objectives, the one that ranks designs first."""
+        return [self.objective] if self.objective is not None else list(self.objectives)
 
     def _check_ranges(self) -> None:
         kind = self.sweep.kind
@@ -319,9 +336,7 @@ class StudySpec(StrictModel):
 
     def metrics(self) -> tuple[str, ...]:
         """Names of all metrics that the study reads, the listed ones first."""
-        names = [*self.study.metrics]
-        if self.objective is not None:
-            names.append(self.objective.metric)
+        names = [*self.study.metrics, *(goal.metric for goal in self.goals)]
         names += [constraint.metric for constraint in self.constraints]
         return tuple(dict.fromkeys(names))
 
@@ -332,6 +347,7 @@ _TABLES: dict[str, type[StrictModel]] = {
     "tied": Tie,
     "sweep": Sweep,
     "objective": Objective,
+    "objectives": Objective,
     "constraints": Constraint,
     "measured": Measured,
     "output": Output,

@@ -179,11 +179,7 @@ def make_study(spec: StudySpec, kit: Kit) -> Study:
     spec, metrics = _readings(spec, kit, presses)
     study = Study(spec, family, tuple(axes), presses, metrics, kit)
     designs: list[DesignPoint] = []
-    if spec.sweep.kind == "optimize":
-        from taccel_lab.studies.optimise import require_method
-
-        require_method(spec.sweep.method, len(axes))
-    else:
+    if spec.sweep.kind != "optimize":
         designs = study.points()
     names = [*(axis.name for axis in axes), *spec.fixed]
     require_measured(
@@ -257,15 +253,16 @@ def _readings(
             )
         return found[name][0]
 
-    objective = spec.objective
-    if objective is not None:
-        side = "minimize" if objective.minimize is not None else "maximize"
-        objective = Objective(**{side: only(objective.metric, "[objective]")})
+    goals = []
+    for goal in spec.goals:
+        side = "minimize" if goal.minimize is not None else "maximize"
+        goals.append(Objective(**{side: only(goal.metric, "[objective]")}))
     constraints = [
         item.model_copy(update={"metric": only(item.metric, "[[constraints]]")})
         for item in spec.constraints
     ]
-    return spec.model_copy(update={"objective": objective, "constraints": constraints}), metrics
+    named = {"objective": None, "objectives": goals, "constraints": constraints}
+    return spec.model_copy(update=named), metrics
 
 
 def _setting(what: str, value: Any, standard: Any) -> Any:

@@ -70,9 +70,11 @@ def draw_tools(outcome: Outcome, contact: bool) -> Figure:
         panel.grid(True)
         panel.set_axisbelow(True)
         for row, curve in made:
-            force = np.concatenate([[0.0], [f[2] for f in curve["force_n"]]])
+            # Flat tools touch all at once: their contact has no point of size 0.
+            start = [] if contact and not tool.startswith("sphere") else [0.0]
+            force = np.concatenate([start, [f[2] for f in curve["force_n"]]])
             other = curve["contact_diameter_mm"] if contact else curve["depth_mm"]
-            other = np.concatenate([[0.0], other])
+            other = np.concatenate([start, other])
             color = BLUE
             if norm is not None:
                 color = shades(norm(row.parameters[axes[0].name]))

@@ -34,7 +34,7 @@ def report_values(outcome: Outcome) -> dict[str, Any]:
     study, rows = outcome.study, outcome.rows
     spec = study.spec
     done = outcome.done
-    goal = next(iter(directed(spec.objective, study.metrics)), None)
+    goal = next(iter(directed(spec.goals, study.metrics)), None)
     order = ranked(rows, goal, spec.constraints) if goal else []
     nearest = None
     if spec.constraints and not any(is_feasible(row, spec.constraints) for row in rows):
@@ -127,7 +127,7 @@ def compared(outcome: Outcome) -> dict[str, float]:
     better, -1 where more is."""
     return {
         goal.metric: goal.sign
-        for goal in directed(outcome.study.spec.objective, outcome.study.metrics)
+        for goal in directed(outcome.study.spec.goals, outcome.study.metrics)
         if len({row.figures.get(goal.metric) for row in outcome.done} - {None}) > 1
     }
 
