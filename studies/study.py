@@ -15,7 +15,7 @@ from taccel_lab.envs import PHYSICS, Accuracy
 from taccel_lab.errors import InputError, naming
 from taccel_lab.progress import Progress, silent
 from taccel_lab.reading.text_file import shown
-from taccel_lab.sensors.base import SensorFamily
+from taccel_lab.sensors.base import STIFFNESS, SensorFamily
 from taccel_lab.sensors.registry import sensor_families
 from taccel_lab.studies.axis import Axis, axis_of, significant
 from taccel_lab.studies.design_point import DesignPoint, DesignResult, content_id
@@ -159,7 +159,15 @@ def make_study(spec: StudySpec, kit: Kit) -> Study:
     known = family.parameters_type.parameters()
     for table in ("parameters", "fixed", "tied"):
         for name in getattr(spec, table):
+            if "hardness" in name or "durometer" in name:
+                raise InputError(
+                    f"no parameter {name!r} in [{table}]; a hardness is shore_00 = 55 or "
+                    "shore_a = 10, the number alone"
+                )
             require_known(f"parameter of {family.name} in [{table}]", name, known)
+    stiff = [n for n in STIFFNESS if n in {*spec.parameters, *spec.fixed, *spec.tied}]
+    if len(stiff) > 1:
+        raise InputError(f"{' and '.join(stiff)} are given; the gel has one stiffness")
     axes = []
     for name, wanted in spec.parameters.items():
         try:
