@@ -81,9 +81,8 @@ class Study:
             self._run(self.study)
 
     def _submit(self, file: Path, where: Where) -> None:
-        from rich.console import Console
-
         from taccel_lab.cad.parameters import parse_overrides
+        from taccel_lab.cli.console import notes
         from taccel_lab.studies.cluster import JOBS, submit_shards
         from taccel_lab.studies.study_folder import MOST_SHARDS
 
@@ -98,7 +97,7 @@ class Study:
             file, root, self.shards, where, device=self.device, processes=self.processes,
             accuracy=self.accuracy, settings=settings,
         )  # fmt: skip
-        Console(stderr=True).print(
+        notes().print(
             f"{len(jobs)} jobs submitted ({jobs[0].job_id} ...), logs in {root / JOBS}; when they "
             f"are through:\n  {self._again(file, root)}",
             highlight=False,
