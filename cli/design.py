@@ -39,8 +39,8 @@ class Design:
     """Parameters other than the defaults, e.g. thickness_mm=4 crown_radius_mm=0."""
     mesher: Literal["structured", "tetwild"] = "structured"
     """structured: exact, repeatable, at once. tetwild: follows free-form edges, takes longer."""
-    edge_mm: float = 1.0
-    """Wanted edge length of the mesh [mm]."""
+    edge_mm: float | None = None
+    """Wanted edge length of the mesh [mm]; 1, or the thickness of a thinner gel, when left out."""
     parts: tuple[Literal["pad", "assembly", "mould", "drawing"], ...] = (
         "pad",
         "assembly",

@@ -6,8 +6,9 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
+import tyro
 from tyro.conf import Positional
 
 from taccel_lab.errors import InputError, SimulationError
@@ -15,6 +16,7 @@ from taccel_lab.errors import InputError, SimulationError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from taccel_lab.studies.cluster import Where
     from taccel_lab.studies.runner import Outcome
     from taccel_lab.studies.study import Study as StudyToRun
 
@@ -39,8 +41,19 @@ class Study:
     """Processes that work side by side; one a core when left out, one on a GPU."""
     device: str | None = None
     """Device of the solver: cpu or cuda:0; the study file's when left out."""
+    accuracy: Literal["fast", "default", "reference"] | None = None
+    """Of the presses, as of taccel-lab press; the study file's when left out."""
     limit: int | None = None
     """Stop after so many new designs; a later run goes on."""
+    shard: str | None = None
+    """Part i of n, as 2/8: several runs, here or elsewhere, share the folder. Without --shard
+    afterwards, the same command does what is left and writes table and report."""
+    submit: Literal["slurm", "local"] | None = None
+    """Submit --shards jobs by submitit, to SLURM or as processes of this machine, and stop."""
+    shards: int = 8
+    """Jobs of --submit."""
+    job: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE")] = ()
+    """Settings of submitit's jobs, e.g. slurm_partition=cpu timeout_min=240 cpus_per_task=8."""
     report_only: bool = False
     """Write table and report from the designs that are there; evaluate nothing."""
     list_metrics: bool = False
@@ -58,9 +71,38 @@ class Study:
             raise InputError("name a study file; docs/studies.md shows how to write one")
         if self.limit is not None and self.limit < 1:
             raise InputError(f"limit must be at least 1, got {self.limit}")
+        if self.shard is not None and (self.submit or self.report_only):
+            raise InputError("--shard goes with neither --submit nor --report-only")
         if self.processes is not None and not 1 <= self.processes <= 1024:
             raise InputError(f"processes must lie in 1..1024, got {self.processes}")
-        self._run(self.study)
+        if self.submit:
+            self._submit(self.study, self.submit)
+        else:
+            self._run(self.study)
+
+    def _submit(self, file: Path, where: Where) -> None:
+        from taccel_lab.cad.parameters import parse_overrides
+        from taccel_lab.cli.console import notes
+        from taccel_lab.studies.cluster import JOBS, submit_shards
+        from taccel_lab.studies.study_folder import MOST_SHARDS
+
+        if not 1 <= self.shards <= MOST_SHARDS:
+            raise InputError(f"shards must lie in 1..{MOST_SHARDS}, got {self.shards}")
+        root = self.out or Path("out") / file.stem
+        settings = {
+            name: int(value) if isinstance(value, float) and value % 1 == 0 else value
+            for name, value in parse_overrides(self.job).items()
+        }
+        jobs = submit_shards(
+            file, root, self.shards, where, device=self.device, processes=self.processes,
+            accuracy=self.accuracy, settings=settings,
+        )  # fmt: skip
+        notes().print(
+            f"{len(jobs)} jobs submitted ({jobs[0].job_id} ...), logs in {root / JOBS}; when they "
+            f"are through:\n  {self._again(file, root)}",
+            highlight=False,
+            soft_wrap=True,
+        )
 
     def _run(self, file: Path) -> None:
         from taccel_lab.cli.console import notes
@@ -71,13 +113,21 @@ class Study:
 
         quiet_warp()
         console = notes()
-        study = read_study(file, default_kit())
+        study = read_study(file, default_kit(), self.accuracy)
         root = self.out or Path("out") / file.stem
         try:
             if self.report_only:
                 outcome = read_outcome(study, root)
             else:
                 outcome = self._evaluate(study, root, file, console)
+            if self.shard is not None:
+                console.print(
+                    f"shard {self.shard}: {len(outcome.rows)} designs have rows, {outcome.new} of "
+                    f"them new; when all shards are through:\n  {self._again(file, root)}",
+                    highlight=False,
+                    soft_wrap=True,
+                )
+                return
             with console.status("writing the report"):
                 values = write_study_report(outcome)
         except KeyboardInterrupt:
@@ -91,7 +141,7 @@ class Study:
 
     def _again(self, file: Path, root: Path) -> str:
         words = ["taccel-lab", "study", str(file), "--out", str(root)]
-        for name in ("processes", "device"):
+        for name in ("processes", "device", "accuracy"):
             if getattr(self, name) is not None:
                 words += [f"--{name}", str(getattr(self, name))]
         return shlex.join(words)
@@ -102,6 +152,7 @@ class Study:
         from taccel_lab.reading.text_file import read_text
         from taccel_lab.reading.toml_file import TOML_LIMIT_BYTES
         from taccel_lab.studies.runner import run_study
+        from taccel_lab.studies.study_folder import Shard
 
         require_device(self.device or study.spec.run.device)
         presses = ", ".join(study.presses) or "none"
@@ -118,6 +169,7 @@ class Study:
                 device=self.device,
                 processes=self.processes,
                 limit=self.limit,
+                shard=None if self.shard is None else Shard.parse(self.shard),
                 source=read_text(file, TOML_LIMIT_BYTES, "a study file"),
                 listener=progress,
             )
@@ -149,6 +201,7 @@ class Study:
 def _print_lists(options: Study) -> None:
     from taccel_lab.cli.console import print_json
     from taccel_lab.studies.describe import press_in_words
+    from taccel_lab.studies.readings import described
     from taccel_lab.studies.study import default_kit
 
     kit = default_kit()
@@ -156,8 +209,8 @@ def _print_lists(options: Study) -> None:
         name: {
             "unit": metric.unit,
             "better": metric.better,
-            "presses": list(metric.presses),
-            "description": metric.description,
+            "presses": [*metric.presses, *metric.also],
+            "description": described(metric).description,
         }
         for name, metric in kit.metrics.items()
     }

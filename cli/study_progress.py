@@ -133,5 +133,7 @@ def print_summary(outcome: Outcome, values: dict[str, Any]) -> None:
         for name, item in values[kind].items():
             cells = [{**row.parameters, **row.figures}[name] for row in best]
             unit = "" if item["unit"] == "1" else item["unit"]
-            table.add_row(name, unit, *map(format_number, cells), end_section=name == last[kind])
+            table.add_row(
+                Text(name), unit, *map(format_number, cells), end_section=name == last[kind]
+            )
     console.print(table)

@@ -15,6 +15,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile.optical_design import MarkerGrid, OpticalDesign
 
+STIFFNESS = ("young_modulus_mpa", "shore_00", "shore_a")
+"""Parameters of which one says how stiff the gel is."""
 NO_FIGURE = "assumption: no source states it for this sensor"
 """The source of a default that no source states."""
 
@@ -29,6 +31,8 @@ class GelMaterial:
     density_kg_m3: float
     friction_coefficient: float
     """Coulomb friction coefficient."""
+    young_interval_pa: tuple[float, float] | None = None
+    """Between which the modulus lies, where it stands for a Shore hardness; None otherwise."""
 
 
 class FamilyParameters(ParameterSet, ABC):
@@ -82,6 +86,9 @@ class SensorFamily:
         contradict each other are refused here.
         """
         try:
+            given = [name for name in STIFFNESS if (overrides or {}).get(name)]
+            if len(given) > 1:
+                raise InputError(f"{' and '.join(given)} are given; the gel has one stiffness")
             found = self.parameters_type().with_values(overrides or {})
             for part in ("pad", "grid", "layer_materials", "optics", "markers", "housing"):
                 getattr(found, part)()

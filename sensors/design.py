@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh, usual_edge_mm
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
@@ -56,15 +56,16 @@ def design_sensor(
     overrides: Mapping[str, Any] | None = None,
     out_dir: Path | str = "design",
     mesher: str = DEFAULT_MESHER,
-    edge_mm: float = 1.0,
+    edge_mm: float | None = None,
     *,
     parts: Sequence[str] = WORKSHOP_PARTS,
     progress: Progress = silent,
 ) -> DesignResult:
     """Build a sensor of ``family`` and write everything to ``out_dir``, whole or not at all.
 
-    ``edge_mm`` is the target edge length of the mesh [mm], ``parts`` the files for the workshop
-    (``WORKSHOP_PARTS``); mesh, quality, parameters, preview and profile are always written.
+    ``edge_mm`` is the target edge length of the mesh [mm], that of ``usual_edge_mm`` when None,
+    ``parts`` the files for the workshop (``WORKSHOP_PARTS``); mesh, quality, parameters, preview
+    and profile are always written.
     ``progress`` is told when each stage begins and ends. A mesh that fails its gate raises
     InputError and leaves a picture of where in ``refused_folder(out_dir)``.
     """
@@ -74,6 +75,7 @@ def design_sensor(
     require_replaceable(out_dir)
     parameters = family.parameters(overrides)
     pad = parameters.pad()
+    edge_mm = usual_edge_mm(pad) if edge_mm is None else edge_mm
     seconds: dict[str, float] = {}
     tell = StageClock(seconds, progress)
 

@@ -21,7 +21,7 @@ class RectangleSensorParameters(CameraSensorParameters):
     length_x_mm: float = restated(24.0, of=GelPad, minimum=10, maximum=60, source=NO_FIGURE)
     length_y_mm: float = restated(20.0, of=GelPad, minimum=10, maximum=60, source=NO_FIGURE)
     corner_radius_mm: float = restated(2.0, of=GelPad, maximum=10, source=NO_FIGURE)
-    thickness_mm: float = restated(4.0, of=GelPad, minimum=1.5, maximum=12, source=NO_FIGURE)
+    thickness_mm: float = restated(4.0, of=GelPad, minimum=0.8, maximum=12, source=NO_FIGURE)
 
     def pad(self) -> GelPad:
         """The flat gel pad."""

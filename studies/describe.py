@@ -11,7 +11,9 @@ import sys
 from pathlib import Path
 
 from taccel_lab.report.markdown import markdown_table, with_parts
+from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.presses import StandardPress
+from taccel_lab.studies.readings import described
 
 
 def press_in_words(press: StandardPress) -> str:
@@ -35,6 +37,12 @@ def press_in_words(press: StandardPress) -> str:
     return "; ".join([*parts, f"{len(press.waypoints())} steps"])
 
 
+def read_from(metric: Metric) -> str:
+    """Presses that a metric is read from, in words."""
+    own = ", ".join(metric.presses) or "no press"
+    return " or ".join([own, *metric.also])
+
+
 def metrics_table() -> str:
     """All metrics as a Markdown table."""
     from taccel_lab.studies.metrics import METRICS
@@ -45,8 +53,8 @@ def metrics_table() -> str:
             f"`{name}`",
             metric.unit if metric.unit != "1" else "–",
             metric.better if metric.better != "none" else "–",
-            ", ".join(metric.presses) or "no press",
-            metric.description,
+            read_from(metric),
+            described(metric).description,
         ]
         for name, metric in METRICS.items()
     ]

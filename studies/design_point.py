@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     from taccel_lab.studies.press_record import PressRecord
 
 
+LOAD_N = 0.5
+"""Load at which figures are read, where they are read at a load and a study names none."""
+
+
 @dataclass(frozen=True)
 class DesignPoint:
     """A sensor of the catalogue with other values for some of its parameters."""
@@ -32,7 +36,7 @@ class DesignResult:
 
     point: DesignPoint
     figures: dict[str, float | None] = field(default_factory=dict)
-    """By the names of ``METRICS``, in their units."""
+    """By the names of the metrics, in their units."""
     causes: dict[str, str] = field(default_factory=dict)
     """Why a figure is None, by metric; under ``press NAME`` why a press failed, and under
     ``design`` why the design could not be built at all."""
@@ -44,6 +48,17 @@ class DesignResult:
     """Steps of each press, ready for JSON: depth [mm], force [N] and so on, by press."""
     records: dict[str, list[PressRecord]] = field(default_factory=dict, repr=False)
     """What the presses left behind, by press, one for each place and indenter."""
+    intervals: dict[str, tuple[float | None, float | None]] = field(default_factory=dict)
+    """Ends of what is known of a figure, see ``unknowns``; None where an end cannot be had."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A figure that was fitted."""
+
+    value: float
+    half: float
+    """Half of the fit's own 95 % interval."""
 
 
 class NoFigure(Exception):

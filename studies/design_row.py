@@ -49,6 +49,8 @@ class DesignRow:
     tool_version: str = ""
     finished: str = ""
     """UTC."""
+    intervals: dict[str, list[float | None]] = field(default_factory=dict)
+    """By metric: ends of what is known of the figure, None for an open one."""
 
     @property
     def cause(self) -> str:
@@ -85,6 +87,7 @@ class DesignRow:
             newer,
             status="done" if known and newer.status != "broken" else newer.status,
             figures=figures,
+            intervals={**self.intervals, **newer.intervals},
             causes={**causes, **newer.causes},
             seconds=self.seconds + newer.seconds,
             simulations=self.simulations + newer.simulations,
@@ -103,6 +106,7 @@ def read_row(path: Path) -> DesignRow:
     values = read_json(path)
     try:
         known = {item.name for item in fields(DesignRow)}
+        values = {"intervals": {}, **values}  # Rows of earlier versions have none.
         if set(values) != known:
             raise ValueError(f"keys {sorted(set(values) ^ known)} are missing or unknown")
         if values["status"] not in ("done", "failed", "broken"):
@@ -117,15 +121,20 @@ def _check_kinds(values: dict[str, Any]) -> None:
     """ValueError for a value of another kind than the row's."""
     text_by_name = ("causes", "figure_keys", "press_keys", "files")
     kinds: dict[str, tuple[type, ...]] = dict.fromkeys(values, (str,))
-    kinds |= dict.fromkeys(("parameters", "figures", "curves", *text_by_name), (dict,))
+    kinds |= dict.fromkeys(("parameters", "figures", "intervals", "curves", *text_by_name), (dict,))
     kinds |= {"seconds": (int, float), "simulations": (int,)}
     found = {name: (value, kinds[name]) for name, value in values.items()}
     for table in text_by_name:
         if type(values[table]) is dict:
             found |= {f"{table}.{name}": (text, (str,)) for name, text in values[table].items()}
+    allowed = (int, float, type(None))
     if type(values["figures"]) is dict:
-        allowed = (int, float, type(None))
         found |= {f"figures.{name}": (v, allowed) for name, v in values["figures"].items()}
+    if type(values["intervals"]) is dict:
+        for name, ends in values["intervals"].items():
+            if type(ends) is not list or len(ends) != 2:
+                raise ValueError(f"intervals.{name} is {shown(ends)}")
+            found |= {f"intervals.{name}.{i}": (end, allowed) for i, end in enumerate(ends)}
     for name, (value, allowed) in found.items():
         if type(value) not in allowed:
             raise ValueError(f"{name} is {shown(value)}")
@@ -154,6 +163,7 @@ def row_of(
         parameters=to_jsonable(result.point.parameters),
         status="done" if any(value is not None for value in figures.values()) else "failed",
         figures=to_jsonable(figures),
+        intervals=to_jsonable({n: result.intervals[n] for n in figures if n in result.intervals}),
         causes=causes,
         seconds=result.seconds,
         simulations=result.simulations,

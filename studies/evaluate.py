@@ -7,9 +7,10 @@ Two designs share a simulation when the result is the same: those that differ in
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from taccel_lab.errors import InputError
@@ -17,12 +18,13 @@ from taccel_lab.output import write_json
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.studies.design_point import DesignPoint, DesignResult, NoFigure
-from taccel_lab.studies.evidence import LOAD_N, Evidence
+from taccel_lab.studies.design_point import DesignPoint, DesignResult, Fitted, NoFigure
+from taccel_lab.studies.evidence import Evidence
 from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.press_batch import REFERENCE_PA, Simulated, batch_size, simulate
 from taccel_lab.studies.press_job import PressJob, press_jobs
 from taccel_lab.studies.presses import StandardPress
+from taccel_lab.studies.unknowns import Unknowns
 
 
 @dataclass
@@ -43,7 +45,7 @@ def evaluate_designs(
     device: str = "cpu",
     progress: Progress = silent,
     folder: Path | None = None,
-    load_n: float = LOAD_N,
+    unit_spread: float = 0.0,
 ) -> list[DesignResult]:
     """Press every design and compute its figures.
 
@@ -57,7 +59,7 @@ def evaluate_designs(
         device: Warp device of the solver.
         progress: Told before the first and after each batch how many simulations are done.
         folder: Where the steps of presses are saved, in a subfolder of each design's id.
-        load_n: Load at which figures are read, where they are read at a load.
+        unit_spread: Standard deviation of the stiffness from unit to unit, as a part of it.
 
     Returns:
         One result for each design, in order.
@@ -87,7 +89,7 @@ def evaluate_designs(
         progress(f"press {batch[0].press.name}", len(done), len(jobs))
     for design in prepared:
         started = time.perf_counter()
-        _conclude(design, done, metrics, load_n, device)
+        _conclude(design, done, metrics, unit_spread, device)
         if folder is not None:
             _save_presses(design.result, folder / design.result.point.id)
         design.result.seconds += time.perf_counter() - started
@@ -132,7 +134,7 @@ def _conclude(
     design: _Design,
     done: dict[str, Simulated],
     metrics: Sequence[Metric],
-    load_n: float,
+    unit_spread: float,
     device: str,
 ) -> None:
     """Figures and curves of a design from its simulations."""
@@ -159,13 +161,54 @@ def _conclude(
         for name, cause in result.causes.items()
         if name.removeprefix("press ") not in records
     }
-    evidence = Evidence(parameters, records, unmade, load_n, device)
+    evidence = Evidence(parameters, records, unmade, device=device)
+    unknowns = Unknowns(parameters, result.point.parameters, unit_spread)
+    factors = {n: [unknowns.force_factors(r) for r in made] for n, made in records.items()}
+    ends = [
+        replace(
+            evidence,
+            records={
+                name: [r.scaled(f[end]) for r, f in zip(made, factors[name], strict=True)]
+                for name, made in records.items()
+            },
+        )
+        for end in (0, 1)
+    ]
     for metric in metrics:
         try:
-            result.figures[metric.name] = float(metric.compute(evidence))
+            found = metric.read(evidence)
         except (NoFigure, InputError) as error:
             result.figures[metric.name] = None
             result.causes[metric.name] = str(error)
+            continue
+        result.figures[metric.name] = found.value
+        if metric.presses:
+            result.intervals[metric.name] = _interval(metric, found, ends)
+
+
+def _interval(
+    metric: Metric, found: Fitted, ends: Sequence[Evidence]
+) -> tuple[float | None, float | None]:
+    """Where the figure lies between the softest and the stiffest gel that this may be; None for an
+    end that cannot be had, such as a depth at a load which a press of the softest does not reach.
+
+    The interval of a fit comes on top, as independent.
+    """
+    values: list[float | None] = []
+    for evidence in ends:
+        try:
+            values.append(metric.read(evidence).value)
+        except (NoFigure, InputError):
+            values.append(None)
+    soft, stiff = values
+    rising = (soft is not None and soft < found.value) or (
+        stiff is not None and stiff > found.value
+    )
+    low, high = (soft, stiff) if rising else (stiff, soft)
+    return (
+        None if low is None else found.value - math.hypot(found.value - low, found.half),
+        None if high is None else found.value + math.hypot(high - found.value, found.half),
+    )
 
 
 def _save_presses(result: DesignResult, folder: Path) -> None:

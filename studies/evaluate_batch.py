@@ -39,7 +39,7 @@ def evaluate_batch(
             device=device,
             progress=progress,
             folder=folder.designs if study.spec.output.records else None,
-            load_n=study.spec.study.load_n,
+            unit_spread=0.01 * study.spec.study.unit_spread_percent,
         )
         found = {result.point.id: result for result in results}
         if missing := [design.id for design in batch.designs if design.id not in found]:

@@ -5,39 +5,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from taccel_lab.envs import parse_indenter
-from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.scene import Ball
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.signals import (
     MarkerLayout,
-    SignalFusedSurface,
     SignalTactile,
-    SphereSurface,
     SurfaceMode,
 )
 from taccel_lab.studies.camera_view import photometry, picture_change, view_model
-from taccel_lab.studies.design_point import NoFigure
+from taccel_lab.studies.design_point import LOAD_N, NoFigure
 from taccel_lab.studies.press_record import PressRecord
 
 if TYPE_CHECKING:
     from taccel_lab.optics.photometry import Photometry
     from taccel_lab.tasks.result import TaskResult
 
-LOAD_N = 0.5
-"""Load at which figures are read, where they are read at a load."""
 VIRTUAL_PITCH_MM = 1.0
 """Pitch of the points that stand for markers on a gel without."""
 _PROFILE_PX = 401
-_CONTACT_PX = 161
 
 
 @dataclass
@@ -52,6 +44,14 @@ class Evidence:
     load_n: float = LOAD_N
     device: str = "cpu"
     """Warp device of the pictures."""
+    indenter: str = ""
+    """The one that figures are read of; empty for a press's first."""
+    press: str = ""
+    """That of figures which can be read from several."""
+
+    def of(self, press: str, indenter: str, load_n: float) -> Evidence:
+        """The same design as one tool shows it at one load."""
+        return replace(self, press=press, indenter=indenter, load_n=load_n)
 
     def all(self, press: str) -> list[PressRecord]:
         """Records of a press; raises NoFigure when one did not get to its end."""
@@ -59,10 +59,11 @@ class Evidence:
             raise NoFigure(f"press {press}: {self.causes[press]}")
         if press not in self.records:
             raise NoFigure(f"the press {press!r} was not asked for")
-        for record in self.records[press]:
+        found = [r for r in self.records[press] if self.indenter in ("", r.indenter)]
+        for record in found:
             if record.cause:
                 raise NoFigure(f"press {press}: {record.cause}")
-        return self.records[press]
+        return found
 
     def one(self, press: str) -> PressRecord:
         """The first record of a press; raises NoFigure as ``all``."""
@@ -130,7 +131,8 @@ def at_load(record: PressRecord, values: np.ndarray, load_n: float) -> float:
         raise NoFigure(f"press {record.press}: the force does not rise from step to step")
     if load_n > force[-1] * (1 + 1e-9):
         raise NoFigure(
-            f"press {record.press} ends at {force[-1]:.3g} N, below the load of {load_n:g} N"
+            f"press {record.press} ends at {force[-1]:.3g} N, below the load of {load_n:g} N; a "
+            f"greater depth_fraction or depth_mm in [press.{record.press}] goes on"
         )
     if load_n < force[0] / 10:
         raise NoFigure(
@@ -157,21 +159,13 @@ def dent_mm(record: PressRecord) -> np.ndarray:
 
 
 def contact_radius_mm(record: PressRecord) -> np.ndarray:
-    """Radius of the disc of a ball's contact area at each step straight down [mm].
+    """Radius of the disc of the contact's area at each step straight down [mm].
 
-    Found on the surface fused from gel and ball (``SignalFusedSurface``), seen along the press.
+    Raises NoFigure for tools whose contact is not measured.
     """
-    ball = parse_indenter(record.indenter).shape
-    if not isinstance(ball, Ball):
-        raise InputError(f"the contact of {record.indenter} is not measured, only that of balls")
-    count = record.down.stop
-    half = 1.3 * ball.radius_m * 1e3
-    grid = PixelGrid(*2 * [_CONTACT_PX], *2 * [2 * half / (_CONTACT_PX - 1)])
-    points = np.stack([record.in_press(record.positions_m(step)) for step in range(count)])
-    centers = np.stack([record.in_press(pose[:3]) for pose in record.indenter_poses[:count]])
-    fused = SignalFusedSurface(record.mesh, grid, device=record.device)
-    fused.update(points, SphereSurface(centers, ball.radius_m, grid), record.pressures_pa[:count])
-    return fused.contact_radius_m * 1e3
+    if record.contact_radius_mm is None:
+        raise NoFigure(f"the contact of {record.indenter} is not measured")
+    return record.contact_radius_mm[record.down]
 
 
 def section_mm(

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optimiser-driven sweeps with NLopt: every design that it tries is a row, none is tried twice.
+"""Optimiser-driven sweeps with NLopt's COBYLA: every design tried is a row, none is tried twice.
 
 The variables are the axes mapped to [0, 1]. Objective and constraints are divided by the size of
 their first value, so that algorithms which weigh them against each other are not misled by units.
-NLopt is deterministic for a given seed: a resumed study replays its stored designs and goes on
-where it stopped. Algorithms without nonlinear constraints run inside an augmented Lagrangian
-(Conn, Gould and Toint 1991; Birgin and Martinez 2008).
+COBYLA draws nothing: a resumed study replays its stored designs and goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -15,19 +13,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from taccel_lab.errors import InputError
 from taccel_lab.studies.axis import Axis
 from taccel_lab.studies.ranking import TOLERANCE
-from taccel_lab.studies.spec import Constraint, Objective, Sweep, nearest
+from taccel_lab.studies.spec import Constraint, Objective, Sweep
 
-CONSTRAINED = ("LN_COBYLA", "GN_ISRES", "GN_ORIG_DIRECT", "GN_ORIG_DIRECT_L")
-"""Methods that take nonlinear constraints themselves."""
-UNCONSTRAINED = (
-    "LN_SBPLX", "LN_NELDERMEAD", "LN_BOBYQA", "LN_PRAXIS", "GN_DIRECT", "GN_DIRECT_L",
-    "GN_DIRECT_L_RAND", "GN_CRS2_LM", "GN_ESCH",
-)  # fmt: skip
-METHODS = CONSTRAINED + UNCONSTRAINED
-"""Methods without gradients, which simulated metrics do not have."""
+COBYLA = "LN_COBYLA"
+"""NLopt's, the one method here without Optuna: local, takes constraints itself."""
 CONSTRAINT_TOLERANCE = 1e-6
 """Violation, as a part of the bound, that is none to NLopt."""
 
@@ -46,35 +37,21 @@ class OptimiserState:
     """Why it ended, in words."""
 
 
-def require_method(method: str, dimensions: int) -> None:
-    """Refuse an unknown method, or one that cannot do it."""
-    if method not in METHODS:
-        hint = " needs gradients" if method.startswith(("LD_", "GD_")) else " is not allowed"
-        raise InputError(
-            f"[sweep] method {method!r}{hint}{nearest(method, METHODS)}; use one of "
-            f"{', '.join(METHODS)}"
-        )
-    if method in ("LN_BOBYQA", "LN_PRAXIS") and dimensions < 2:
-        raise InputError(f"[sweep] method {method!r} needs two parameters or more")
-
-
 def optimise(
     axes: Sequence[Axis],
     objective: Objective,
     constraints: Sequence[Constraint],
     sweep: Sweep,
-    seed: int,
     attempt: Try,
 ) -> OptimiserState:
-    """Try designs until the method is content or ``sweep.count`` different ones are tried."""
+    """Try designs until COBYLA is content or ``sweep.count`` different ones are tried."""
     import nlopt
 
     problem = _Problem(axes, objective, constraints, sweep.count or 1, attempt)
-    nlopt.srand(seed)
     start = [_start(axis) for axis in axes]
     stopped = _search(nlopt, problem, sweep, start)
     if constraints and not problem.found_feasible and not problem.used_up:
-        # Methods that weigh cost against constraints may give up early on unkept constraints: the
+        # COBYLA weighs cost against constraints and may give up early on unkept ones: the
         # violation alone is minimised then, and the search goes on from a design that keeps them.
         where = _restore(nlopt, problem, sweep)
         if problem.found_feasible:
@@ -86,22 +63,17 @@ def optimise(
 
 
 def _search(nlopt: Any, problem: _Problem, sweep: Sweep, start: list[float]) -> str:
-    """Run the study's method; returns why it stopped."""
-    dimensions = len(start)
-    outer = nlopt.opt(getattr(nlopt, sweep.method), dimensions)
-    _limit(outer, sweep)
-    if problem.sides and sweep.method in UNCONSTRAINED:
-        inner, outer = outer, nlopt.opt(nlopt.AUGLAG, dimensions)
-        inner.set_maxeval(max(20 * dimensions, 20))
-        outer.set_local_optimizer(inner)
-        _limit(outer, sweep)
-    guard = _Guard(outer.force_stop)
-    outer.set_min_objective(lambda x, gradient: guard(problem.cost, x))
+    """Run COBYLA; returns why it stopped."""
+    optimizer = nlopt.opt(nlopt.LN_COBYLA, len(start))
+    optimizer.set_xtol_abs(sweep.tolerance)
+    optimizer.set_initial_step(0.25)
+    guard = _Guard(optimizer.force_stop)
+    optimizer.set_min_objective(lambda x, gradient: guard(problem.cost, x))
     for place in range(len(problem.sides)):
-        outer.add_inequality_constraint(
+        optimizer.add_inequality_constraint(
             lambda x, gradient, place=place: guard(problem.excess, x, place), CONSTRAINT_TOLERANCE
         )
-    return _drive(nlopt, outer, guard, sweep, start)
+    return _drive(nlopt, optimizer, guard, sweep, start)
 
 
 def _restore(nlopt: Any, problem: _Problem, sweep: Sweep) -> list[float]:
@@ -163,12 +135,6 @@ _RESULTS = {
     4: "steps fell below the tolerance",
     5: "designs repeated themselves",
 }
-
-
-def _limit(optimizer: Any, sweep: Sweep) -> None:
-    optimizer.set_xtol_abs(sweep.tolerance)
-    if sweep.method.startswith("LN_"):
-        optimizer.set_initial_step(0.25)
 
 
 def _start(axis: Axis) -> float:

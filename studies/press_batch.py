@@ -7,6 +7,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Material
 from taccel_lab.signals import ContactSurface
+from taccel_lab.studies.contact_size import measured_contact_mm
 from taccel_lab.studies.press_job import PressJob
 from taccel_lab.studies.press_record import PressRecord
 
@@ -70,6 +72,7 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
         friction_coefficient=first.friction,
         rest_positions_m=np.stack([job.mesh.nodes_m for job in jobs]),
         gel_from_press=np.stack([job.gel_from_press for job in jobs]),
+        physics=first.press.physics,
         device=device,
     )
     press = first.press
@@ -114,7 +117,7 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
                 "residual_n": report.residual_n[i],
                 "newton_iterations": report.newton_iterations[i],
             })  # fmt: skip
-    return [
+    records = [
         PressRecord(
             press=job.press.name,
             indenter=job.indenter,
@@ -130,6 +133,7 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
         )
         for i, job in enumerate(jobs)
     ]
+    return [replace(r, contact_radius_mm=measured_contact_mm(r)) for r in records]
 
 
 _SHAPES: dict[str, tuple[int, ...]] = {

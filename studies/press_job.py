@@ -25,6 +25,9 @@ from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.press_mesh import pad_press_mesh
 from taccel_lab.studies.presses import StandardPress
 
+DEEPEST = 0.8
+"""Deepest press as a part of the gel's thickness; ``depth_fraction`` ends there, too."""
+
 
 @dataclass(frozen=True, eq=False)
 class PressJob:
@@ -48,7 +51,8 @@ class PressJob:
         p = self.press
         path = [dataclasses.astuple(point) for point in p.waypoints()]
         rule = [p.depth_fraction, p.depth_mm, min(p.depth_limit_mm, 1e3), p.shear_fraction]
-        return json.dumps([self.indenter, path, rule, p.twist_deg, self.friction])
+        physics = p.physics.record()
+        return json.dumps([self.indenter, path, rule, p.twist_deg, self.friction, physics])
 
     @cached_property
     def batch_key(self) -> str:
@@ -72,13 +76,20 @@ class PressJob:
 def press_jobs(press: StandardPress, parameters: FamilyParameters) -> list[PressJob]:
     """The simulations of a standard press on a design: each indenter in each place.
 
-    Raises InputError for a place beside the pad or too near to its edge to be meshed.
+    Raises InputError for a place beside the pad or too near to its edge to be meshed, and for a
+    depth of which the gel would leave nothing.
     """
     pad, grid = parameters.pad(), parameters.grid()
     layers = parameters.layer_materials()
     jobs = []
+    depth_mm, deepest_mm = press.full_depth_mm(pad.thickness_mm), DEEPEST * pad.thickness_mm
+    if depth_mm > deepest_mm:
+        raise InputError(
+            f"{depth_mm:.3g} mm is too deep for a gel of {pad.thickness_mm:.3g} mm; at most "
+            f"{deepest_mm:.3g} mm, or depth_fraction in place of depth_mm"
+        )
     for text in press.indenters:
-        contact = parse_indenter(text).contact(press.full_depth_mm(pad.thickness_mm))
+        contact = parse_indenter(text).contact(depth_mm)
         for place in press.places:
             at = place_mm(grid, place)
             jobs.append(
@@ -86,7 +97,7 @@ def press_jobs(press: StandardPress, parameters: FamilyParameters) -> list[Press
                     press=press,
                     indenter=text,
                     place=place,
-                    mesh=pad_press_mesh(pad, at, contact, press.mesh),
+                    mesh=pad_press_mesh(pad, at, contact, press.physics.mesh),
                     gel_from_press=_frame(pad, at),
                     modulus_ratios=tuple(
                         m.young_modulus_pa / layers[0].young_modulus_pa for m in layers

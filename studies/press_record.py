@@ -56,6 +56,9 @@ class PressRecord:
     """Steps that were wanted."""
     cause: str = ""
     """Why there are fewer steps; empty when all converged."""
+    contact_radius_mm: np.ndarray | None = None
+    """Of the disc of the contact's area, shape [step]; None of tools whose contact is not
+    measured."""
     device: str = "cpu"
     """Warp device that simulated it, and on which its surfaces are rebuilt and rendered."""
 
@@ -92,6 +95,11 @@ class PressRecord:
         loads = ("force_n", "torque_nm", "pressures_pa", "bond_peak_pa", "residual_n")
         return dataclasses.replace(self, **{name: getattr(self, name) * factor for name in loads})
 
+    @property
+    def contact_diameter_mm(self) -> np.ndarray | None:
+        """See ``contact_radius_mm``."""
+        return None if self.contact_radius_mm is None else 2 * self.contact_radius_mm
+
     def curve(self) -> dict[str, Any]:
         """Steps, ready for JSON."""
         return {
@@ -103,6 +111,7 @@ class PressRecord:
             "twist_deg": self.twist_deg,
             "force_n": self.force_n,
             "torque_nmm": self.torque_nm * 1e3,
+            "contact_diameter_mm": self.contact_diameter_mm,
             "bond_peak_kpa": self.bond_peak_pa * 1e-3,
             "residual_n": self.residual_n,
             "newton_iterations": self.newton_iterations,

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.envs import PHYSICS, Accuracy, parse_indenter
+from taccel_lab.envs import PHYSICS, Accuracy, PressPhysics, parse_indenter
 from taccel_lab.errors import InputError
-from taccel_lab.geometry.press_mesh_options import PressMeshOptions
 
 CENTRE = (0.0, 0.0)
 
@@ -58,8 +57,8 @@ class StandardPress:
     """Whether the indenter goes up again, by the steps it came down."""
     places: tuple[tuple[float, float], ...] = (CENTRE,)
     """Where, in parts of half of the camera's view along x and y: (0, 0) is its centre."""
-    mesh: PressMeshOptions = PHYSICS[Accuracy.DEFAULT].mesh
-    """How finely the gel is meshed around it."""
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT]
+    """Element, mesh, contact range and tolerance: how accurate it is."""
 
     def __post_init__(self) -> None:
         if not self.name or not self.name.isidentifier():
@@ -68,6 +67,8 @@ class StandardPress:
             raise InputError(f"press {self.name}: needs at least one indenter and one place")
         for text in self.indenters:
             parse_indenter(text)
+        if len(set(self.indenters)) < len(self.indenters):
+            raise InputError(f"press {self.name}: an indenter is named twice")
         if (self.depth_fraction > 0) == (self.depth_mm > 0):
             raise InputError(
                 f"press {self.name}: give either depth_fraction or depth_mm, got "
@@ -120,6 +121,12 @@ class StandardPress:
             twist = path[-1].twist
             path += [Waypoint(i / self.steps, shear, twist) for i in range(self.steps - 1, -1, -1)]
         return path
+
+    @property
+    def straight(self) -> bool:
+        """Whether it goes straight down in one place and stays there."""
+        moves = self.shear_fraction or self.twist_deg or self.release
+        return not moves and len(self.places) == 1
 
 
 _CORNERS = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))

@@ -15,11 +15,12 @@ from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.style import BLUE, in_report_style, new_figure, save_figure
 from taccel_lab.studies.camera_view import photometry, view_model
-from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.design_point import LOAD_N, DesignPoint, DesignResult
 from taccel_lab.studies.evaluate import evaluate_designs
 from taccel_lab.studies.metrics import METRICS, Metric
 from taccel_lab.studies.press_record import PressRecord
 from taccel_lab.studies.presses import standard_presses
+from taccel_lab.studies.readings import readings
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -99,7 +100,13 @@ def preview_design(
     parameters = family.parameters(overrides)
     look = partial(view_model, parameters, size_px=size_px, enlarged=True, device=device)
     model = look()
-    metrics = tuple(m for m in METRICS.values() if set(m.presses) <= set(presses))
+    by_name = {press.name: press for press in chosen}
+    metrics = tuple(
+        reading
+        for metric in METRICS.values()
+        if not metric.presses or {*metric.presses, *metric.also} & set(by_name)
+        for reading in readings(metric, (), by_name, (LOAD_N,))
+    )
     point = DesignPoint("design", family.name, dict(overrides or {}))
     (result,) = evaluate_designs([point], chosen, metrics, device=device, progress=progress)
     record = next((r for made in result.records.values() for r in made if r.down.stop), None)

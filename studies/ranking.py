@@ -78,9 +78,9 @@ class Goal:
         return ("least " if self.sign > 0 else "greatest ") + self.metric
 
 
-def directed(objective: Objective | None, metrics: Mapping[str, Metric]) -> list[Goal]:
-    """What designs could be ranked by: the objective, then the metrics that have a better side."""
-    goals = [] if objective is None else [Goal(objective.metric, objective.sign)]
+def directed(objectives: Sequence[Objective], metrics: Mapping[str, Metric]) -> list[Goal]:
+    """What designs could be ranked by: the objectives, then the metrics that have a better side."""
+    goals = [Goal(objective.metric, objective.sign) for objective in objectives]
     for name, metric in metrics.items():
         if metric.better != "none" and name not in [goal.metric for goal in goals]:
             goals.append(Goal(name, 1.0 if metric.better == "lower" else -1.0))

@@ -12,13 +12,14 @@ from typing import Any
 
 from taccel_lab.errors import InputError
 from taccel_lab.process_pool import Died, Finished, ProcessPool, Underway
-from taccel_lab.studies.design_batch import DesignBatch, gather_batches
+from taccel_lab.studies.design_batch import DesignBatch, gather_batches, sharing_key
 from taccel_lab.studies.design_point import DesignPoint
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.evaluate_batch import broken_row, evaluate_batch
 from taccel_lab.studies.optimise import OptimiserState, optimise
+from taccel_lab.studies.optimise_optuna import JOURNAL, METHODS, optimise_with_optuna
 from taccel_lab.studies.study import Study
-from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.studies.study_folder import Shard, StudyFolder
 from taccel_lab.studies.table import write_table
 
 TABLE_EVERY_S = 2.0
@@ -91,6 +92,7 @@ def run_study(
     device: str | None = None,
     processes: int | None = None,
     limit: int | None = None,
+    shard: Shard | None = None,
     source: str = "",
     listener: Listener | None = None,
 ) -> Outcome:
@@ -102,6 +104,9 @@ def run_study(
         device: Warp device; the study file's when None.
         processes: How many; 0 works in this process. The study file's, or one a core, when None.
         limit: New designs at most.
+        shard: Which part of the designs, of several runs that share the folder; each takes designs
+            that share simulations together, and none writes the table. Shards of an optimiser ask
+            one journal what to try next.
         source: Text of the study file, kept beside the results.
         listener: Told how it goes.
 
@@ -114,11 +119,13 @@ def run_study(
     folder = StudyFolder(root)
     folder.require_usable()
     begun = time.perf_counter()
-    with folder.locked():
+    if shard is not None and study.spec.sweep.kind == "optimize" and not _by_optuna(study):
+        raise InputError("COBYLA tries one design after the other; shards need GP, TPE or NSGA2")
+    with folder.locked(shard):
         _require_same_sensor(study, folder)
         if source:
             folder.write_text("study.toml", source)
-        run = _Run(study, folder, device, processes, limit, listener or Listener())
+        run = _Run(study, folder, device, processes, limit, listener or Listener(), shard)
         outcome = run.go()
         outcome.seconds = time.perf_counter() - begun
         return outcome
@@ -133,6 +140,10 @@ def read_outcome(study: Study, root: Path | str) -> Outcome:
     return _Run(study, folder, study.spec.run.device, 0, 0, Listener()).go()
 
 
+def _by_optuna(study: Study) -> bool:
+    return study.spec.sweep.method in METHODS
+
+
 def _require_same_sensor(study: Study, folder: StudyFolder) -> None:
     for design_id in folder.ids()[:1]:
         found = folder.read(design_id)
@@ -141,6 +152,17 @@ def _require_same_sensor(study: Study, folder: StudyFolder) -> None:
                 f"{folder.root} holds a study of the sensor {found.family!r}, not of "
                 f"{study.family.name!r}; name another folder"
             )
+
+
+def _part(study: Study, points: list[DesignPoint], shard: Shard) -> list[DesignPoint]:
+    """Designs of a shard: every n-th group of those that share simulations, whatever has a row."""
+    groups: dict[str, int] = {}
+    return [
+        point
+        for point in points
+        if groups.setdefault(sharing_key(study.family, point), len(groups)) % shard.count
+        == shard.number - 1
+    ]
 
 
 class _Run:
@@ -154,8 +176,10 @@ class _Run:
         processes: int,
         limit: int | None,
         listener: Listener,
+        shard: Shard | None = None,
     ) -> None:
         self._study, self._folder, self._listener = study, folder, listener
+        self._shard = shard
         self._device, self._processes, self._limit = device, processes, limit
         self._rows: dict[str, DesignRow] = {}
         self._order: list[str] = []
@@ -188,6 +212,8 @@ class _Run:
 
     def _sweep(self, pool: Pool) -> int:
         points = self._study.points()
+        if self._shard is not None:
+            points = _part(self._study, points, self._shard)
         self._order = [point.id for point in points]
         to_do = [self._wanted(point) for point in points if not self._take_row(point)]
         to_do = to_do[: self._limit]
@@ -197,7 +223,6 @@ class _Run:
 
     def _optimise(self, pool: Pool) -> tuple[int, OptimiserState | None]:
         spec = self._study.spec
-        assert spec.objective is not None
         count = spec.sweep.count or 1
         self._listener.begins(count, 0, count)
 
@@ -214,17 +239,47 @@ class _Run:
             return self._rows[point.id].figures
 
         try:
-            state = optimise(
-                self._study.axes,
-                spec.objective,
-                spec.constraints,
-                spec.sweep,
-                spec.study.seed,
-                attempt,
-            )
+            if _by_optuna(self._study):
+                state = optimise_with_optuna(
+                    self._study.axes,
+                    spec.goals,
+                    spec.constraints,
+                    spec.sweep,
+                    spec.study.seed + (self._shard.number if self._shard else 0),
+                    attempt,
+                    journal=self._folder.root / JOURNAL,
+                    known=self._known,
+                )
+                self._take_tried(state)
+            else:
+                state = optimise(
+                    self._study.axes, spec.goals[0], spec.constraints, spec.sweep, attempt
+                )
         except _LimitReached:
+            if _by_optuna(self._study):
+                self._take_tried(OptimiserState([swept for swept, _ in self._known()]))
             return count, None
         return len(self._order), state
+
+    def _known(self) -> list[tuple[dict[str, Any], dict[str, float | None]]]:
+        """Rows of the folder that serve this study."""
+        names = [axis.name for axis in self._study.axes]
+        found = []
+        for design_id in self._folder.ids():
+            row = self._folder.read(design_id)
+            if row is None or row.status == "broken" or any(self._missing(row)):
+                continue
+            swept = {name: row.parameters.get(name) for name in names}
+            if None not in swept.values() and self._study.point(swept).id == row.id:
+                found.append((swept, row.figures))
+        return found
+
+    def _take_tried(self, state: OptimiserState) -> None:
+        """Take over designs that other processes tried."""
+        for swept in state.tried:
+            point = self._study.point(swept)
+            if point.id not in self._order and self._take_row(point):
+                self._order.append(point.id)
 
     def _take_row(self, point: DesignPoint) -> bool:
         """Whether the design has a row that serves; takes it over."""
@@ -296,6 +351,6 @@ class _Run:
         return found
 
     def _write_table(self) -> None:
-        if rows := self._in_order():
+        if self._shard is None and (rows := self._in_order()):
             write_table(self._folder.root, self._study, rows)
         self._table_at = time.monotonic()

@@ -23,16 +23,23 @@ from pydantic import (
     model_validator,
 )
 
+from taccel_lab.envs import Accuracy
 from taccel_lab.errors import InputError
 from taccel_lab.profile.schema import Name
 from taccel_lab.reading.plain_values import first_repeated
 from taccel_lab.reading.strict_model import Flag, Number, StrictModel, Whole, describe_errors
 from taccel_lab.reading.text_file import shown
 from taccel_lab.reading.toml_file import read_toml
+from taccel_lab.studies.design_point import LOAD_N
 
 MAX_DESIGNS = 10_000
 """Largest study: more is a slip of the keyboard rather than a plan."""
 PlainName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=80)]
+MetricName = Annotated[
+    str,
+    StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*(\[[^\[\]]+\])?$", max_length=160),
+]
+"""A metric, with the indenter and the load behind it where a study has several."""
 
 
 def _check_value(value: Any) -> int | float | str:
@@ -47,28 +54,52 @@ Value = Annotated[Any, AfterValidator(_check_value)]
 """A parameter's value: a finite number or a text."""
 
 
+Load = Annotated[Number, Field(gt=0, le=1000)]
+"""A force [N]."""
+UNIT_SPREAD_PERCENT = 13.0
+"""Two pairs of nominally equal gels differed by 12 and 24 % in stiffness: a standard deviation of
+sqrt((12^2 + 24^2) / 2) / sqrt(2) percent of one unit."""
+
+
 class StudyBlock(StrictModel):
     """What the study is about."""
 
     name: Name
     sensor: Name
     """Family of the catalogue."""
-    metrics: list[PlainName] = Field(default_factory=list)
+    metrics: list[MetricName] = Field(default_factory=list)
     """Columns of the table; the objective's and the constraints' are added."""
     presses: list[PlainName] = Field(default_factory=list)
     """Standard presses; those that the metrics read when left out."""
-    load_n: Number = Field(default=0.5, gt=0, le=1000)
+    load_n: Load = LOAD_N
     """Normal load at which figures are read, where they are read at a load."""
+    loads_n: list[Load] = Field(default_factory=list)
+    """Several of them in place of one."""
+    accuracy: Accuracy = Accuracy.DEFAULT
+    """Of the presses, as of ``taccel-lab press``."""
+    unit_spread_percent: Number = Field(default=UNIT_SPREAD_PERCENT, ge=0, le=100)
+    """Standard deviation of the stiffness from unit to unit, for the intervals."""
     seed: Whole = Field(default=0, ge=0, lt=2**31)
     """Of random draws and of the optimiser."""
 
-    @field_validator("metrics", "presses")
+    @field_validator("metrics", "presses", "loads_n")
     @classmethod
-    def _check_repeats(cls, names: list[str]) -> list[str]:
+    def _check_repeats(cls, names: list[Any]) -> list[Any]:
         repeated = first_repeated(names)
         if repeated is not None:
             raise ValueError(f"named twice: {repeated}")
         return names
+
+    @model_validator(mode="after")
+    def _check_loads(self) -> StudyBlock:
+        if self.loads_n and "load_n" in self.model_fields_set:
+            raise ValueError("give either load_n or loads_n, not both")
+        return self
+
+    @property
+    def loads(self) -> tuple[float, ...]:
+        """Loads at which figures are read [N]."""
+        return tuple(self.loads_n) or (self.load_n,)
 
 
 class ParameterRange(StrictModel):
@@ -123,10 +154,10 @@ class Sweep(StrictModel):
     """Designs of a random sweep, or the most that an optimiser may try."""
     sampler: Literal["latin-hypercube", "sobol"] = "latin-hypercube"
     """Of a random sweep."""
-    method: StrictStr = "LN_COBYLA"
-    """Algorithm of NLopt of an optimiser-driven sweep."""
+    method: Literal["LN_COBYLA", "GP", "TPE", "NSGA2"] = "LN_COBYLA"
+    """Optimiser: NLopt's COBYLA, or one of Optuna's."""
     tolerance: Number = Field(default=1e-3, gt=0, lt=1)
-    """Step, as a part of each parameter's range, at which an optimiser is done."""
+    """Step, as a part of each parameter's range, at which COBYLA is done."""
 
     @model_validator(mode="after")
     def _check_kind(self) -> Sweep:
@@ -142,14 +173,16 @@ class Sweep(StrictModel):
         ):
             if name in given and self.kind != kind:
                 raise ValueError(f"{name} belongs to kind = {kind!r}, not {self.kind!r}")
+        if "tolerance" in given and self.method != "LN_COBYLA":
+            raise ValueError(f"tolerance belongs to method = 'LN_COBYLA', not {self.method!r}")
         return self
 
 
 class Objective(StrictModel):
     """What makes a design better."""
 
-    minimize: PlainName | None = None
-    maximize: PlainName | None = None
+    minimize: MetricName | None = None
+    maximize: MetricName | None = None
 
     @model_validator(mode="after")
     def _check_one(self) -> Objective:
@@ -170,7 +203,7 @@ class Objective(StrictModel):
 class Constraint(StrictModel):
     """Bounds that a design has to keep."""
 
-    metric: PlainName
+    metric: MetricName
     min: Number | None = None
     max: Number | None = None
 
@@ -195,6 +228,19 @@ class Constraint(StrictModel):
         if self.max is None:
             return f"{self.metric} at least {self.min:g}"
         return f"{self.metric} from {self.min:g} to {self.max:g}"
+
+
+class Measured(StrictModel):
+    """A measured curve of force over depth, laid over the designs that it belongs to."""
+
+    file: Annotated[StrictStr, StringConstraints(min_length=1, max_length=1000)]
+    """CSV, beside the study file unless the path is absolute."""
+    indenter: StrictStr
+    """One of the study's, such as ``sphere:2``."""
+    design: dict[PlainName, Value] = Field(default_factory=dict)
+    """Values of swept parameters of the gel that was measured; all designs when left out."""
+    unit: Annotated[str, StringConstraints(max_length=80)] = ""
+    """Which of several gels of this design; curves of one gel share their modulus."""
 
 
 class Output(StrictModel):
@@ -228,9 +274,12 @@ class StudySpec(StrictModel):
     tied: dict[PlainName, Tie] = Field(default_factory=dict)
     sweep: Sweep
     objective: Objective | None = None
+    objectives: list[Objective] = Field(default_factory=list)
+    """Several of them for an optimiser; the first one ranks designs."""
     constraints: list[Constraint] = Field(default_factory=list)
     press: dict[PlainName, dict[PlainName, Any]] = Field(default_factory=dict)
     """Settings of single presses other than the standard ones."""
+    measured: list[Measured] = Field(default_factory=list)
     output: Output = Output()
     run: Run = Run()
 
@@ -254,9 +303,22 @@ class StudySpec(StrictModel):
             raise ValueError("two constraints name one metric; give its min and max together")
         if not self.metrics():
             raise ValueError("no metrics: name at least one in study.metrics")
-        if self.sweep.kind == "optimize" and self.objective is None:
+        if self.objective is not None and self.objectives:
+            raise ValueError("give either [objective] or [[objectives]], not both")
+        if self.sweep.kind == "optimize" and not self.goals:
             raise ValueError("kind = 'optimize' needs [objective] minimize or maximize = a metric")
+        if len({goal.metric for goal in self.goals}) < len(self.goals):
+            raise ValueError("two objectives name one metric")
+        if len(self.goals) > 1 and self.sweep.method == "LN_COBYLA":
+            raise ValueError(
+                "several objectives need kind = 'optimize' and method GP, TPE or NSGA2"
+            )
         return self
+
+    @property
+    def goals(self) -> list[Objective]:
+        """All objectives, the one that ranks designs first."""
+        return [self.objective] if self.objective is not None else list(self.objectives)
 
     def _check_ranges(self) -> None:
         kind = self.sweep.kind
@@ -274,9 +336,7 @@ class StudySpec(StrictModel):
 
     def metrics(self) -> tuple[str, ...]:
         """Names of all metrics that the study reads, the listed ones first."""
-        names = [*self.study.metrics]
-        if self.objective is not None:
-            names.append(self.objective.metric)
+        names = [*self.study.metrics, *(goal.metric for goal in self.goals)]
         names += [constraint.metric for constraint in self.constraints]
         return tuple(dict.fromkeys(names))
 
@@ -287,7 +347,9 @@ _TABLES: dict[str, type[StrictModel]] = {
     "tied": Tie,
     "sweep": Sweep,
     "objective": Objective,
+    "objectives": Objective,
     "constraints": Constraint,
+    "measured": Measured,
     "output": Output,
     "run": Run,
 }
@@ -296,7 +358,9 @@ _TABLES: dict[str, type[StrictModel]] = {
 def load_spec(path: Path | str) -> StudySpec:
     """Read a study file. Raises InputError with every wrong key: what is there, what is allowed."""
     path = Path(path)
-    return spec_of(read_toml(path), str(path))
+    spec = spec_of(read_toml(path), str(path))
+    beside = [m.model_copy(update={"file": str(path.parent / m.file)}) for m in spec.measured]
+    return spec.model_copy(update={"measured": beside})
 
 
 def spec_of(table: dict[str, Any], source: str = "study") -> StudySpec:

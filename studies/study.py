@@ -4,24 +4,28 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 from taccel_lab.cad.parameters import Parameter
+from taccel_lab.envs import PHYSICS, Accuracy
 from taccel_lab.errors import InputError, naming
 from taccel_lab.progress import Progress, silent
 from taccel_lab.reading.text_file import shown
-from taccel_lab.sensors.base import SensorFamily
+from taccel_lab.sensors.base import STIFFNESS, SensorFamily
 from taccel_lab.sensors.registry import sensor_families
 from taccel_lab.studies.axis import Axis, axis_of, significant
 from taccel_lab.studies.design_point import DesignPoint, DesignResult, content_id
+from taccel_lab.studies.measured_curve import require_measured
 from taccel_lab.studies.metrics.base import Metric
-from taccel_lab.studies.spec import StudySpec, Tie, load_spec, require_known
+from taccel_lab.studies.readings import press_of, readings, split_name
+from taccel_lab.studies.spec import Objective, StudySpec, Tie, load_spec, require_known
 from taccel_lab.studies.sweep import grid_points, random_points
 
-EVALUATION_VERSION = 2
+EVALUATION_VERSION = 3
 """Raised when presses or metrics give other figures for the same design: stored ones are not taken
 over then."""
 
@@ -39,7 +43,7 @@ class Evaluate(Protocol):
         device: str = "cpu",
         progress: Progress = silent,
         folder: Path | None = None,
-        load_n: float = 0.5,
+        unit_spread: float = 0.0,
     ) -> list[DesignResult]: ...
 
 
@@ -95,10 +99,12 @@ class Study:
 
     @property
     def figure_keys(self) -> dict[str, str]:
-        """Stands for the settings of the presses that each metric is read from, and the load."""
-        keys, load_n = self.press_keys, self.spec.study.load_n
+        """Stands for the settings of the presses that each metric is read from, tool and load."""
+        keys, spread = self.press_keys, self.spec.study.unit_spread_percent
         return {
-            name: content_id([*(keys[press] for press in metric.presses), load_n])
+            name: content_id(
+                [*(keys[press] for press in metric.presses), metric.indenter, metric.load_n, spread]
+            )
             if metric.presses
             else content_id([])
             for name, metric in self.metrics.items()
@@ -130,10 +136,15 @@ def default_kit() -> Kit:
     return Kit(STANDARD_PRESSES, METRICS, evaluate_designs)
 
 
-def read_study(path: Path, kit: Kit) -> Study:
-    """The study of a file; InputError names the file and what is wrong in it."""
+def read_study(path: Path, kit: Kit, accuracy: str | None = None) -> Study:
+    """The study of a file, with another accuracy than its own where one is given; InputError names
+    the file and what is wrong in it."""
     with naming(path):
-        return make_study(load_spec(path), kit)
+        spec = load_spec(path)
+        if accuracy is not None:
+            block = spec.study.model_copy(update={"accuracy": Accuracy(accuracy)})
+            spec = spec.model_copy(update={"study": block})
+        return make_study(spec, kit)
 
 
 def make_study(spec: StudySpec, kit: Kit) -> Study:
@@ -148,7 +159,15 @@ def make_study(spec: StudySpec, kit: Kit) -> Study:
     known = family.parameters_type.parameters()
     for table in ("parameters", "fixed", "tied"):
         for name in getattr(spec, table):
+            if "hardness" in name or "durometer" in name:
+                raise InputError(
+                    f"no parameter {name!r} in [{table}]; a hardness is shore_00 = 55 or "
+                    "shore_a = 10, the number alone"
+                )
             require_known(f"parameter of {family.name} in [{table}]", name, known)
+    stiff = [n for n in STIFFNESS if n in {*spec.parameters, *spec.fixed, *spec.tied}]
+    if len(stiff) > 1:
+        raise InputError(f"{' and '.join(stiff)} are given; the gel has one stiffness")
     axes = []
     for name, wanted in spec.parameters.items():
         try:
@@ -164,46 +183,94 @@ def make_study(spec: StudySpec, kit: Kit) -> Study:
         for other in (name, tie.to):
             if known[other].choices:
                 raise InputError(f"[tied.{name}] {other} is a choice; only numbers can be tied")
-    metrics = {}
-    for name in spec.metrics():
-        require_known("metric", name, kit.metrics)
-        metrics[name] = kit.metrics[name]
-    study = Study(spec, family, tuple(axes), _presses(spec, kit, metrics), metrics, kit)
-    if spec.sweep.kind == "optimize":
-        from taccel_lab.studies.optimise import require_method
-
-        require_method(spec.sweep.method, len(axes))
-    else:
-        study.points()
+    presses = _presses(spec, kit)
+    spec, metrics = _readings(spec, kit, presses)
+    study = Study(spec, family, tuple(axes), presses, metrics, kit)
+    designs: list[DesignPoint] = []
+    if spec.sweep.kind != "optimize":
+        designs = study.points()
+    names = [*(axis.name for axis in axes), *spec.fixed]
+    require_measured(
+        spec.measured, presses.values(), names, [design.parameters for design in designs]
+    )
     return study
 
 
-def _presses(spec: StudySpec, kit: Kit, metrics: Mapping[str, Metric]) -> dict[str, Any]:
+def _presses(spec: StudySpec, kit: Kit) -> dict[str, Any]:
     """The study's presses with their settings, in the kit's order."""
-    needed = {press: name for name, found in metrics.items() for press in found.presses}
     for name in spec.study.presses:
         require_known("press", name, kit.presses)
-    chosen = set(spec.study.presses) or set(needed)
-    for press, name in needed.items():
-        if press not in chosen:
+    for name in spec.press:
+        require_known("press in [press]", name, kit.presses)
+    chosen = set(spec.study.presses or spec.press)
+    for name in spec.metrics():
+        base, labels = split_name(name)
+        require_known("metric", base, kit.metrics)
+        metric = kit.metrics[base]
+        if not metric.presses or chosen & {*metric.presses, *metric.also}:
+            continue
+        needed = press_of(metric, labels, kit.presses)
+        if spec.study.presses:
             raise InputError(
-                f"metric {name!r} is read from the press {press!r}, which study.presses leaves out"
+                f"metric {base!r} is read from the press {needed!r}, which study.presses leaves out"
             )
+        chosen.add(str(needed))
     presses = {name: press for name, press in kit.presses.items() if name in chosen}
+    for name, press in presses.items():
+        if hasattr(press, "physics"):
+            presses[name] = dataclasses.replace(press, physics=PHYSICS[spec.study.accuracy])
     for name, settings in spec.press.items():
         require_known("press of this study in [press]", name, presses)
-        allowed = [item.name for item in dataclasses.fields(presses[name]) if item.name != "name"]
+        fixed = ("name", "physics")
+        allowed = [f.name for f in dataclasses.fields(presses[name]) if f.name not in fixed]
         for key in settings:
             require_known(f"setting in [press.{name}]", key, allowed)
         values = {
             key: _setting(f"[press.{name}] {key}", value, getattr(presses[name], key))
             for key, value in settings.items()
         }
+        # A depth of one kind takes the place of the standard one of the other.
+        for given, other in (("depth_mm", "depth_fraction"), ("depth_fraction", "depth_mm")):
+            if given in values and other in allowed and other not in values:
+                values[other] = 0.0
+        if "depth_mm" in values and "depth_limit_mm" in allowed:
+            values.setdefault("depth_limit_mm", math.inf)
         try:
             presses[name] = dataclasses.replace(presses[name], **values)
         except (InputError, TypeError) as error:
             raise InputError(f"[press.{name}] {error}") from error
     return presses
+
+
+def _readings(
+    spec: StudySpec, kit: Kit, presses: Mapping[str, Any]
+) -> tuple[StudySpec, dict[str, Metric]]:
+    """The study's metrics of each indenter and load, and the study file with their full names."""
+    found: dict[str, list[str]] = {}
+    metrics: dict[str, Metric] = {}
+    for name in spec.metrics():
+        base, labels = split_name(name)
+        made = readings(kit.metrics[base], labels, presses, spec.study.loads)
+        metrics |= {metric.name: metric for metric in made}
+        found[name] = [metric.name for metric in made]
+
+    def only(name: str, where: str) -> str:
+        if len(found[name]) > 1:
+            raise InputError(
+                f"{where}: {name!r} is {' and '.join(map(repr, found[name]))}; name one"
+            )
+        return found[name][0]
+
+    goals = []
+    for goal in spec.goals:
+        side = "minimize" if goal.minimize is not None else "maximize"
+        goals.append(Objective(**{side: only(goal.metric, "[objective]")}))
+    constraints = [
+        item.model_copy(update={"metric": only(item.metric, "[[constraints]]")})
+        for item in spec.constraints
+    ]
+    named = {"objective": None, "objectives": goals, "constraints": constraints}
+    return spec.model_copy(update=named), metrics
 
 
 def _setting(what: str, value: Any, standard: Any) -> Any:

@@ -19,15 +19,38 @@ import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file, write_json
+from taccel_lab.reading.text_file import shown
 from taccel_lab.studies.design_row import DesignRow, read_row
 
 STUDY_MARKER = ".taccel_lab_study"
 """A marker of its own: no other command takes the folder for an output that it may replace."""
 RESULT = "result.json"
+MOST_SHARDS = 10_000
+
+
+@dataclass(frozen=True)
+class Shard:
+    """One of several runs that share a study."""
+
+    number: int
+    """From 1."""
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """Of ``2/8``; raises InputError."""
+        number, slash, count = text.partition("/")
+        if not (slash and number.isascii() and number.isdigit() and count.isdigit()):
+            raise InputError(f"a shard is written i/n, such as 2/8, got {shown(text)}")
+        if not 1 <= int(number) <= int(count) <= MOST_SHARDS:
+            raise InputError(f"of n shards, 1 to {MOST_SHARDS:,}, i is one from 1 to n, got {text}")
+        return cls(int(number), int(count))
 
 
 class StudyFolder:
@@ -60,28 +83,39 @@ class StudyFolder:
         return (self.root / STUDY_MARKER).is_file()
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
-        """Hold the folder; raises InputError while another run does.
+    def locked(self, shard: Shard | None = None) -> Iterator[None]:
+        """Hold the folder, or a shard's part of it; raises InputError while another run does.
 
-        The lock goes with the process, so that a killed run leaves none behind.
+        Shards of one study share the folder. The lock goes with the process, so that a killed run
+        leaves none behind.
         """
         self.require_usable()
         self.root.mkdir(parents=True, exist_ok=True)
         with open(self.root / STUDY_MARKER, "a+", encoding="utf-8") as marker:
-            try:
-                fcntl.flock(marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                marker.seek(0)
-                raise InputError(
-                    f"another run works in {self.root} (process {marker.read().strip() or '?'}); "
-                    "wait for its end or name another folder"
-                ) from None
+            self._hold(marker, fcntl.LOCK_EX if shard is None else fcntl.LOCK_SH)
+            if shard is None:
+                self._sweep_up()
+                yield
+                return
+            self.designs.mkdir(exist_ok=True)
+            own = self.root / f".shard_{shard.number}_of_{shard.count}"
+            with open(own, "a+", encoding="utf-8") as mine:
+                self._hold(mine, fcntl.LOCK_EX)
+                yield
+
+    def _hold(self, marker: IO[str], kind: int) -> None:
+        try:
+            fcntl.flock(marker, kind | fcntl.LOCK_NB)
+        except BlockingIOError:
             marker.seek(0)
-            marker.truncate()
-            marker.write(f"{os.getpid()}\n")
-            marker.flush()
-            self._sweep_up()
-            yield
+            raise InputError(
+                f"another run works in {self.root} (process {marker.read().strip() or '?'}); "
+                "wait for its end or name another folder"
+            ) from None
+        marker.seek(0)
+        marker.truncate()
+        marker.write(f"{os.getpid()}\n")
+        marker.flush()
 
     def _sweep_up(self) -> None:
         """Remove temporary files of a run that was killed while it wrote."""

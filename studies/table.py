@@ -23,9 +23,16 @@ PARQUET_NAME = "designs.parquet"
 def columns(study: Study) -> list[str]:
     """Names of the columns: design, its parameters, metrics, and how it went."""
     swept = [axis.name for axis in study.axes]
-    names = ["design", *swept, *study.spec.tied, *study.metrics]
+    names = ["design", *swept, *study.spec.tied]
+    for name, metric in study.metrics.items():
+        names += [name, *interval_columns(name)] if metric.presses else [name]
     names += ["feasible"] if study.spec.constraints else []
     return [*names, "status", "cause", "simulations", "seconds"]
+
+
+def interval_columns(name: str) -> tuple[str, str]:
+    """Names of the columns of both ends of a figure's interval."""
+    return f"{name} low", f"{name} high"
 
 
 def table_rows(study: Study, designs: Sequence[DesignRow]) -> list[dict[str, Any]]:
@@ -36,6 +43,8 @@ def table_rows(study: Study, designs: Sequence[DesignRow]) -> list[dict[str, Any
     rows = []
     for design in designs:
         row: dict[str, Any] = {"design": design.id, **design.parameters, **design.figures}
+        for name, ends in design.intervals.items():
+            row |= dict(zip(interval_columns(name), ends, strict=True))
         row["feasible"] = is_feasible(design, study.spec.constraints)
         row |= {"status": design.status, "cause": design.cause}
         row |= {"simulations": design.simulations, "seconds": round(design.seconds, 3)}

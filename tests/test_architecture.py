@@ -34,6 +34,7 @@ HEAVY = (
     "kornia",
     "matplotlib",
     "nlopt",
+    "optuna",
     "pymeshlab",
     "pytetwild",
     "pyvista",

@@ -23,16 +23,22 @@ DOME_RINGS = 4
 """Rings that a dome needs beyond those of a pad: from the apex to its edge it is twice as far."""
 
 
-def gel_mesh(
-    pad: Pad, edge_mm: float = DEFAULT_EDGE_MM, *, counts_of: Pad | None = None
-) -> TetMesh:
-    """Structured mesh of ``pad`` whose elements are about ``edge_mm`` long.
+def usual_edge_mm(pad: Pad) -> float:
+    """Edge length of a mesh where nobody asks for another [mm]: 1 mm, or the thickness of a thinner
+    gel."""
+    return min(DEFAULT_EDGE_MM, pad.thickness_mm)
+
+
+def gel_mesh(pad: Pad, edge_mm: float | None = None, *, counts_of: Pad | None = None) -> TetMesh:
+    """Structured mesh of ``pad`` whose elements are about ``edge_mm`` long, ``usual_edge_mm`` when
+    None.
 
     ``counts_of`` names the pad whose dimensions choose how many cells there are: with the same one
     every pad of a sweep has the same connectivity. So far for pads with a flat back.
 
     Raises InputError for an edge out of bounds, or when cells fold over.
     """
+    edge_mm = usual_edge_mm(pad) if edge_mm is None else edge_mm
     if isinstance(pad, HeightPad) and (counts_of is None or isinstance(counts_of, HeightPad)):
         return even_pad_mesh(pad, edge_mm, counts_of)
     if counts_of is not None:

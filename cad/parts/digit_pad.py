@@ -50,6 +50,15 @@ def _sag_mm(radius_mm: float, half_mm: float) -> float:
     return radius_mm - float(np.sqrt(radius_mm**2 - half_mm**2))
 
 
+def flatter_radius(radius_mm: float, half_mm: float, part: float) -> float:
+    """Radius of the arc over a half width that drops by ``part`` of what ``radius_mm`` does; 0, of
+    a flat one, stays [mm]."""
+    if not radius_mm or part == 1:
+        return radius_mm
+    sag = part * _sag_mm(radius_mm, half_mm)
+    return (half_mm**2 + sag**2) / (2 * sag)
+
+
 @dataclass(frozen=True)
 class DigitPad(HeightPad):
     """Dimensions of a DIGIT's gel [mm]."""
@@ -67,7 +76,7 @@ class DigitPad(HeightPad):
         description="radius of the outline's corners at the base",
     )  # fmt: skip
     thickness_mm: float = parameter(
-        4.07, minimum=2, maximum=20, unit="mm", source=f"{_GEL}: 4.07 mm",
+        4.07, minimum=0.5, maximum=20, unit="mm", source=f"{_GEL}: 4.07 mm",
         description="gel thickness at the apex",
     )  # fmt: skip
     mid_radius_mm: float = parameter(

@@ -16,10 +16,10 @@ from typing import cast
 import numpy as np
 from scipy.optimize import brentq
 
-from taccel_lab.calibration.material.bonded_layer import layer_force_n
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.press_plans import GelBench, simulate_each
 from taccel_lab.calibration.material.tangential_table import FULL_SLIP_DEPTHS, GRID, motion_plan
+from taccel_lab.envs.bonded_layer import layer_force_n
 from taccel_lab.progress import Progress, silent
 
 STEPS = 6

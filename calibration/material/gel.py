@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.capture.schema import ToolEntry
-from taccel_lab.calibration.material.bonded_layer import ToolKind
 from taccel_lab.envs import Indenter, parse_indenter
+from taccel_lab.envs.bonded_layer import ToolKind
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh

@@ -14,10 +14,10 @@ import numpy as np
 from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
 from taccel_lab.calibration.capture.record_checks import FORCE_UNITS
 from taccel_lab.calibration.capture.schema import ToolEntry
-from taccel_lab.calibration.material.bonded_layer import layer_young_modulus_pa
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.remarks import UNUSUAL_MODULUS
 from taccel_lab.calibration.result import Remark
+from taccel_lab.envs.bonded_layer import layer_young_modulus_pa
 from taccel_lab.errors import InputError
 
 PLAUSIBLE_PA = (1e4, 1e7)

@@ -7,8 +7,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from taccel_lab.cad.parameters import restated
-from taccel_lab.cad.parts.digit_pad import DigitPad
+from taccel_lab.cad.parameters import parameter, restated
+from taccel_lab.cad.parts.digit_pad import DigitPad, flatter_radius
+from taccel_lab.cad.parts.height_pad import MIN_WALL_MM
 from taccel_lab.profile.optical_design import Light, Window
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
@@ -19,6 +20,9 @@ _LIGHT_FIT = (
     "fit: best of a search against six ball presses of FOTS, labelled by eye (colour cosine 0.70, "
     "contrast 0.73 of the captured)"
 )
+_RIM_FROM = 0.8
+"""Part of the crown's drop from which the edge is filleted: a flatter one has a low wall, on which
+a fillet meshes badly (4 to 9 deg), and is sharp (12 deg and more)."""
 _CANFNET = "camera calibration of CANFNet, 240 x 320 px"
 
 
@@ -28,11 +32,19 @@ class DigitParameters(CameraSensorParameters):
 
     width_mm: float = restated(of=DigitPad, minimum=12, maximum=26)
     length_mm: float = restated(of=DigitPad, minimum=20, maximum=45)
-    thickness_mm: float = restated(of=DigitPad, minimum=3, maximum=12)
-    mid_radius_mm: float = restated(of=DigitPad, minimum=17, maximum=400, zero_means="")
+    thickness_mm: float = restated(of=DigitPad, minimum=0.8, maximum=12)
+    mid_radius_mm: float = restated(of=DigitPad, minimum=17, maximum=400)
     base_corner_mm: float = restated(of=DigitPad, minimum=1.3, maximum=4)
     roll_off: float = restated(of=DigitPad, maximum=1.5)
     rim_mm: float = restated(of=DigitPad, maximum=1.15, zero_means="")
+    thin_crown: str = parameter(
+        "flattened", choices=("flattened", "kept"),
+        source="assumption: thin gels of this outline are cast flatter; no drawing of one is "
+        "published",
+        description="crown and rim of a gel thinner than 4.07 mm: flattened with the thickness, "
+        "so that a wall stays, below 3.3 mm with a sharp edge, or kept; mid_radius_mm=0 roll_off=0 "
+        "are flat at any thickness",
+    )  # fmt: skip
     young_modulus_mpa: float = restated(
         0.3,
         source="assumption: Smooth-On Solaris with Slacker, Shore A 10 to 15 by the build guide "
@@ -76,17 +88,24 @@ class DigitParameters(CameraSensorParameters):
     def pad(self) -> DigitPad:
         """The gel pad."""
         window_x, window_y = self._seen_inside_tip_mm()
+        part = 1.0 if self.thin_crown == "kept" else self._crown_part()
         return DigitPad(
             width_mm=self.width_mm,
             length_mm=self.length_mm,
             base_corner_mm=self.base_corner_mm,
             thickness_mm=self.thickness_mm,
-            mid_radius_mm=self.mid_radius_mm,
-            roll_off=self.roll_off,
-            rim_mm=self.rim_mm,
+            mid_radius_mm=flatter_radius(self.mid_radius_mm, self.width_mm / 2, part),
+            roll_off=self.roll_off * part,
+            rim_mm=self.rim_mm if part > _RIM_FROM else 0.0,
             window_x_mm=window_x,
             window_y_mm=window_y,
         )
+
+    def _crown_part(self) -> float:
+        """Drops of the crown as parts of those of the DIGIT's own gel: 1 at its thickness, 0 where
+        nothing but the least wall would be left."""
+        own = DigitPad.parameters()["thickness_mm"].default
+        return min((self.thickness_mm - MIN_WALL_MM) / (own - MIN_WALL_MM), 1.0)
 
     def _seen_inside_tip_mm(self) -> tuple[float, float]:
         """What the image shows, cut so that its corners stay inside the round tip."""

@@ -32,7 +32,7 @@ class NineDTactParameters(RectangleSensorParameters):
         1.8, minimum=1.2, maximum=6, source=f"{_MOULD}: outside of the skin R 1.8, core R 1.0"
     )
     thickness_mm: float = restated(
-        2.8, minimum=1.2, maximum=8, source=f"{_MOULD}: mould of 2.8 mm, core of 2.5 mm",
+        2.8, minimum=0.8, maximum=8, source=f"{_MOULD}: mould of 2.8 mm, core of 2.5 mm",
         description="gel thickness with the skin",
     )  # fmt: skip
     skin_top_mm: float = restated(
@@ -46,7 +46,7 @@ class NineDTactParameters(RectangleSensorParameters):
     young_modulus_mpa: float = restated(
         0.2, source="assumption: soft translucent silicone; no modulus of this gel is published"
     )
-    skin_young_modulus_mpa: float = restated(0.2, source=_SAME_SILICONE)
+    skin_young_modulus_mpa: float = restated(0.0, source=_SAME_SILICONE)
     skin_density_kg_m3: float = restated(1000.0, source=_SAME_SILICONE)
     width_px: int = restated(460, source=f"{_CALIBRATION}: crop of 460 x 345 px")
     height_px: int = restated(345, source=f"{_CALIBRATION}: crop of 460 x 345 px")
@@ -98,7 +98,7 @@ class NineDTactParameters(RectangleSensorParameters):
         """Translucent core, black skin."""
         return (
             self.material(),
-            self.group(SkinParameters).skin_material(self.material().friction_coefficient),
+            self.group(SkinParameters).skin_material(self.material()),
         )
 
     def lights(self) -> tuple[Light, ...]:

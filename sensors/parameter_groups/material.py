@@ -3,11 +3,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from taccel_lab.cad.parameters import ParameterSet, parameter
 from taccel_lab.sensors.base import NO_FIGURE, GelMaterial
+from taccel_lab.sensors.parameter_groups.shore import READINGS, Scale, modulus_of_shore
+
+_NO_READING = (
+    "none: a reading is converted by Gent's formula (A) or Hertz's ball (00), see docs/sensors.md"
+)
 
 
 @dataclass(frozen=True)
@@ -22,6 +27,16 @@ class MaterialParameters(ParameterSet):
         "0.54). Simulators of GelSight gels use 0.01 to 1 MPa, 55 Shore 00 means about 0.4 by "
         "Gent's formula; forces scale with it, shapes do not",
         description="Young's modulus of the gel at small strain",
+    )  # fmt: skip
+    shore_00: float = parameter(
+        0.0, minimum=READINGS["00"][0], maximum=READINGS["00"][1], unit="Shore 00",
+        source=_NO_READING, zero_means="not given",
+        description="durometer reading of type OO in place of young_modulus_mpa",
+    )  # fmt: skip
+    shore_a: float = parameter(
+        0.0, minimum=READINGS["A"][0], maximum=READINGS["A"][1], unit="Shore A",
+        source=_NO_READING, zero_means="not given",
+        description="durometer reading of type A in place of young_modulus_mpa",
     )  # fmt: skip
     poisson_ratio: float = parameter(
         0.46, minimum=0.0, maximum=0.499,
@@ -40,9 +55,16 @@ class MaterialParameters(ParameterSet):
     )  # fmt: skip
 
     def material(self) -> GelMaterial:
-        """The gel's material."""
+        """The gel's material: a hardness, where one is given, goes before the modulus."""
+        pa, interval = self.young_modulus_mpa * 1e6, None
+        readings: tuple[tuple[Scale, float], ...] = (("00", self.shore_00), ("A", self.shore_a))
+        for scale, reading in readings:
+            if reading:
+                found = modulus_of_shore(scale, reading)
+                pa, interval = found.pa, (found.low_pa, found.high_pa)
         return GelMaterial(
-            young_modulus_pa=self.young_modulus_mpa * 1e6,
+            young_modulus_pa=pa,
+            young_interval_pa=interval,
             poisson_ratio=self.poisson_ratio,
             density_kg_m3=self.density_kg_m3,
             friction_coefficient=self.friction,
@@ -56,7 +78,7 @@ class SkinParameters(ParameterSet):
     parameter_group: ClassVar[str] = "material"
 
     skin_young_modulus_mpa: float = parameter(
-        0.3, minimum=0.005, maximum=20, unit="MPa", source=NO_FIGURE,
+        0.3, minimum=0.005, maximum=20, unit="MPa", source=NO_FIGURE, zero_means="that of the gel",
         description="Young's modulus of the skin at small strain",
     )  # fmt: skip
     skin_poisson_ratio: float = parameter(
@@ -70,11 +92,13 @@ class SkinParameters(ParameterSet):
         description="density of the skin",
     )  # fmt: skip
 
-    def skin_material(self, friction: float) -> GelMaterial:
-        """The skin's material; ``friction`` is the sensor's."""
-        return GelMaterial(
-            young_modulus_pa=self.skin_young_modulus_mpa * 1e6,
+    def skin_material(self, gel: GelMaterial) -> GelMaterial:
+        """The skin's material on a gel, whose friction is that of the whole sensor."""
+        same = not self.skin_young_modulus_mpa
+        return replace(
+            gel,
+            young_modulus_pa=gel.young_modulus_pa if same else self.skin_young_modulus_mpa * 1e6,
+            young_interval_pa=gel.young_interval_pa if same else None,
             poisson_ratio=self.skin_poisson_ratio,
             density_kg_m3=self.skin_density_kg_m3,
-            friction_coefficient=friction,
         )

@@ -5,15 +5,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from taccel_lab.errors import InputError
-from taccel_lab.studies.design_point import NoFigure
+from taccel_lab.studies.design_point import LOAD_N, Fitted, NoFigure
 
 if TYPE_CHECKING:
     from taccel_lab.studies.evidence import Evidence
 
-__all__ = ["METRICS", "Better", "Metric", "NoFigure", "metric"]
+__all__ = ["METRICS", "Better", "Fitted", "Metric", "NoFigure", "metric"]
 
 Better = Literal["higher", "lower", "none"]
 
@@ -29,23 +29,62 @@ class Metric:
     """Which way is better, when a designer has no other wish."""
     presses: tuple[str, ...]
     """Names of the standard presses it is read from; () for what needs none."""
-    compute: Callable[[Evidence], float]
+    compute: Callable[[Evidence], float | Fitted]
     """The value in ``unit``; raises NoFigure."""
+    also: tuple[str, ...] = ()
+    """Presses that it can be read from as well, where a study has them."""
+    at_load: bool = False
+    """Whether it is read at a load."""
+    each_tool: bool = True
+    """Whether every indenter of a press has a value of its own."""
+    indenter: str = ""
+    """The one that it is read of; empty for the press's first."""
+    load_n: float = LOAD_N
+    """Load at which it is read, where it is read at a load."""
+
+    @property
+    def base(self) -> str:
+        """Name without indenter and load."""
+        return self.name.partition("[")[0]
+
+    def read(self, evidence: Evidence) -> Fitted:
+        """The value of a design, fitted or not; raises NoFigure."""
+        if self.presses:
+            evidence = evidence.of(self.presses[0], self.indenter, self.load_n)
+        found = self.compute(evidence)
+        return found if isinstance(found, Fitted) else Fitted(float(found), 0.0)
 
 
 METRICS: dict[str, Metric] = {}
 """All metrics by name; ``taccel_lab.studies.metrics`` fills it in."""
 
 
-def metric(
-    name: str, unit: str, description: str, better: Better, presses: tuple[str, ...]
-) -> Callable[[Callable[[Evidence], float]], Callable[[Evidence], float]]:
-    """Register the decorated function as a metric."""
+_Compute = TypeVar("_Compute", bound=Callable[..., "float | Fitted"])
 
-    def register(compute: Callable[[Evidence], float]) -> Callable[[Evidence], float]:
+
+def metric(
+    name: str,
+    unit: str,
+    description: str,
+    better: Better,
+    presses: tuple[str, ...],
+    *,
+    also: tuple[str, ...] = (),
+    each_tool: bool = True,
+) -> Callable[[_Compute], _Compute]:
+    """Register the decorated function as a metric.
+
+    In ``description``, ``{tool}`` stands for the indenter; with ``{load}`` in it, the metric is
+    read at a load.
+    """
+
+    def register(compute: _Compute) -> _Compute:
         if name in METRICS:
             raise InputError(f"there are two metrics called {name!r}")
-        METRICS[name] = Metric(name, unit, description, better, presses, compute)
+        at_load = "{load}" in description
+        METRICS[name] = Metric(
+            name, unit, description, better, presses, compute, also, at_load, each_tool
+        )
         return compute
 
     return register

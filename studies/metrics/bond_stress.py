@@ -9,7 +9,7 @@ from taccel_lab.studies.metrics.base import metric
 
 @metric(
     "bond_stress", "kPa",
-    "largest von Mises stress at the bond under a ball of 3 mm radius at the load", "lower",
+    "largest von Mises stress at the bond under {tool} at {load}", "lower",
     ("sphere",),
 )  # fmt: skip
 def bond_stress(evidence: Evidence) -> float:

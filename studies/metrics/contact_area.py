@@ -10,7 +10,7 @@ from taccel_lab.studies.metrics.base import metric
 
 
 @metric(
-    "contact_area", "mm2", "area of the contact of a ball of 3 mm radius at the load", "none",
+    "contact_area", "mm2", "area of the contact of {tool} at {load}", "none",
     ("sphere",),
 )  # fmt: skip
 def contact_area(evidence: Evidence) -> float:

@@ -38,7 +38,7 @@ def rise_width(x: np.ndarray, dent: np.ndarray) -> float:
 
 @metric(
     "edge_sharpness", "mm",
-    "distance over which the dent of an edge of 90 deg falls from 90 % to 10 % of its depth",
+    "distance over which the dent of {tool} falls from 90 % to 10 % of its depth",
     "lower", ("edge",),
 )  # fmt: skip
 def edge_sharpness(evidence: Evidence) -> float:

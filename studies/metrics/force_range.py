@@ -19,7 +19,7 @@ MOST_AHEAD = 1.5
 
 @metric(
     "force_range", "N",
-    "force of a ball of 3 mm radius before bottoming, at a depth of 40 % of the gel's thickness",
+    "force of {tool} before bottoming, at a depth of 40 % of the gel's thickness",
     "higher", ("sphere",),
 )  # fmt: skip
 def force_range(evidence: Evidence) -> float:

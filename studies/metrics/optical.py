@@ -69,6 +69,15 @@ def pixel_size(evidence: Evidence) -> float:
 
 
 @metric(
+    "px_per_mm", "px/mm", "pixels of the tactile image on a millimetre of the gel, mean of both "
+    "axes", "higher", (),
+)  # fmt: skip
+def px_per_mm(evidence: Evidence) -> float:
+    """Of the image as the sensor gives it, not of the camera's own pixels."""
+    return 1 / evidence.mm_per_px
+
+
+@metric(
     "depth_of_field", "mm", "range of heights in the gel that the camera shows sharp to one pixel",
     "higher", (),
 )  # fmt: skip

@@ -17,8 +17,8 @@ from taccel_lab.studies.metrics.base import metric
 
 @metric(
     "sensitivity_um", "um/N",
-    "largest motion of the contact face along a ball's press at the load, over the load", "higher",
-    ("sphere",),
+    "largest motion of the contact face along the press of {tool} at {load}, over the load",
+    "higher", ("sphere",),
 )  # fmt: skip
 def sensitivity_um(evidence: Evidence) -> float:
     """Peak of the dent over the load."""
@@ -27,7 +27,7 @@ def sensitivity_um(evidence: Evidence) -> float:
 
 
 @metric(
-    "sensitivity_px", "px/N", "radius of a ball's contact at the load in pixels, over the load",
+    "sensitivity_px", "px/N", "contact radius of {tool} at {load} in pixels, over the load",
     "higher", ("sphere",),
 )  # fmt: skip
 def sensitivity_px(evidence: Evidence) -> float:
@@ -39,7 +39,7 @@ def sensitivity_px(evidence: Evidence) -> float:
 
 @metric(
     "sensitivity_marker_px", "px/N",
-    "largest motion of a marker in the image under a ball at the load, over the load; points 1 mm "
+    "largest motion of a marker in the image under {tool} at {load}, over the load; points 1 mm "
     "apart stand for markers on a gel without", "higher", ("sphere",),
 )  # fmt: skip
 def sensitivity_marker_px(evidence: Evidence) -> float:
@@ -53,7 +53,7 @@ def sensitivity_marker_px(evidence: Evidence) -> float:
 
 @metric(
     "sensitivity_grey", "levels/N",
-    "mean change of the camera's grey levels in the dent of a ball at the load, over the load",
+    "mean change of the camera's grey levels in the dent of {tool} at {load}, over the load",
     "higher", ("sphere",),
 )  # fmt: skip
 def sensitivity_grey(evidence: Evidence) -> float:

@@ -27,7 +27,7 @@ def _stuck_shear(record: PressRecord) -> tuple[int, int, float]:
 
 
 @metric(
-    "shear_stiffness", "N/mm", "tangential force over the shear of a ball of 3 mm radius", "none",
+    "shear_stiffness", "N/mm", "tangential force over the shear of {tool}", "none",
     ("shear",),
 )  # fmt: skip
 def shear_stiffness(evidence: Evidence) -> float:
@@ -39,7 +39,7 @@ def shear_stiffness(evidence: Evidence) -> float:
 
 @metric(
     "shear_response_mm", "mm/N",
-    "largest motion of a point of the contact face with a sheared ball, over the tangential force",
+    "largest motion of a point of the contact face with {tool} sheared, over the tangential force",
     "higher", ("shear",),
 )  # fmt: skip
 def shear_response_mm(evidence: Evidence) -> float:
@@ -54,7 +54,7 @@ def shear_response_mm(evidence: Evidence) -> float:
 
 @metric(
     "shear_response_px", "px/N",
-    "largest motion of a marker in the image with a sheared ball, over the tangential force; "
+    "largest motion of a marker in the image with {tool} sheared, over the tangential force; "
     "points 1 mm apart stand for markers on a gel without", "higher", ("shear",),
 )  # fmt: skip
 def shear_response_px(evidence: Evidence) -> float:
@@ -67,7 +67,7 @@ def shear_response_px(evidence: Evidence) -> float:
 
 
 @metric(
-    "twist_stiffness", "N mm/deg", "torque over the turn of a ball of 3 mm radius", "none",
+    "twist_stiffness", "N mm/deg", "torque over the turn of {tool}", "none",
     ("shear",),
 )  # fmt: skip
 def twist_stiffness(evidence: Evidence) -> float:

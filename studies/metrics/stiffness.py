@@ -11,7 +11,7 @@ from taccel_lab.studies.metrics.base import NoFigure, metric
 
 @metric(
     "stiffness_punch", "N/mm",
-    "initial slope of force over depth under a flat punch of 2 mm radius", "none", ("punch",),
+    "initial slope of force over depth under {tool}", "none", ("punch",),
 )  # fmt: skip
 def stiffness_punch(evidence: Evidence) -> float:
     """Slope at zero depth of a parabola through the steps.
@@ -26,7 +26,7 @@ def stiffness_punch(evidence: Evidence) -> float:
 
 
 @metric(
-    "stiffness_secant", "N/mm", "load over depth of a ball of 3 mm radius at the load", "none",
+    "stiffness_secant", "N/mm", "load over depth of {tool} at {load}", "none",
     ("sphere",),
 )  # fmt: skip
 def stiffness_secant(evidence: Evidence) -> float:
@@ -37,7 +37,7 @@ def stiffness_secant(evidence: Evidence) -> float:
 
 
 @metric(
-    "stiffness_tangent", "N/mm", "slope of force over depth of a ball of 3 mm radius at the load",
+    "stiffness_tangent", "N/mm", "slope of force over depth of {tool} at {load}",
     "none", ("sphere",),
 )  # fmt: skip
 def stiffness_tangent(evidence: Evidence) -> float:
@@ -50,7 +50,7 @@ def stiffness_tangent(evidence: Evidence) -> float:
 
 @metric(
     "stiffness_roller", "N/mm",
-    "load over depth of a roller of 2 mm radius and 6 mm length at the load", "none", ("cylinder",),
+    "load over depth of {tool} at {load}", "none", ("cylinder",),
 )  # fmt: skip
 def stiffness_roller(evidence: Evidence) -> float:
     """F / d of a line contact at the load."""

@@ -34,7 +34,7 @@ def sizes(indenter: str) -> list[float]:
 @metric(
     "two_point_resolution", "mm",
     "distance between the axes of two pins of 0.25 mm radius at which the surface between them "
-    "comes up by 20 % of the dents; not below two pixels", "lower", ("pairs",),
+    "comes up by 20 % of the dents; not below two pixels", "lower", ("pairs",), each_tool=False,
 )  # fmt: skip
 def two_point_resolution(evidence: Evidence) -> float:
     """Interpolated between the distances of the press, and from no contrast at no distance."""
@@ -56,7 +56,7 @@ def two_point_resolution(evidence: Evidence) -> float:
 
 @metric(
     "grating_modulation", "1",
-    "height that the gel's surface keeps between the ridges of a grating of 2 mm pitch, over the "
+    "height that the gel's surface keeps between the ridges of {tool}, over the "
     "depth of the press", "higher", ("grating",),
 )  # fmt: skip
 def grating_modulation(evidence: Evidence) -> float:

@@ -16,7 +16,7 @@ def variation(values: list[float]) -> float:
 
 @metric(
     "uniformity_force", "%",
-    "coefficient of variation of the force of one ball at one depth in five places", "lower",
+    "coefficient of variation of the force of {tool} at one depth in five places", "lower",
     ("places",),
 )  # fmt: skip
 def uniformity_force(evidence: Evidence) -> float:
@@ -34,7 +34,7 @@ def uniformity_force(evidence: Evidence) -> float:
 
 @metric(
     "uniformity_contact", "%",
-    "coefficient of variation of the contact radius of one ball at one load in five places",
+    "coefficient of variation of the contact radius of {tool} at one load in five places",
     "lower", ("places",),
 )  # fmt: skip
 def uniformity_contact(evidence: Evidence) -> float:
@@ -48,7 +48,7 @@ def uniformity_contact(evidence: Evidence) -> float:
 
 @metric(
     "uniformity_image", "%",
-    "coefficient of variation of the change of the picture over the force, of one ball in five "
+    "coefficient of variation of the change of the picture over the force, of {tool} in five "
     "places", "lower", ("places",),
 )  # fmt: skip
 def uniformity_image(evidence: Evidence) -> float:

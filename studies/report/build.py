@@ -11,7 +11,12 @@ from taccel_lab.output import write_json
 from taccel_lab.report.build import data_url, report_environment
 from taccel_lab.report.style import save_figure
 from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.report import figures, figures_designs, figures_effects
+from taccel_lab.studies.report import (
+    figures,
+    figures_curves,
+    figures_designs,
+    figures_effects,
+)
 from taccel_lab.studies.report.values import report_values, sensitivities
 from taccel_lab.studies.report.verdict import study_verdict
 from taccel_lab.studies.runner import Outcome
@@ -67,6 +72,12 @@ def _figures(
 ) -> Iterator[tuple[str, Callable[[], Figure]]]:
     """File name and drawing of every figure that there is something to show in."""
     designs = outcome.done
+    if values["measured"]:
+        yield "measured", lambda: figures_curves.draw_measured(values["measured"])
+    if figures_curves.tool_curves(outcome):
+        yield "force_depth", lambda: figures_curves.draw_tools(outcome, contact=False)
+    if figures_curves.has_contacts(outcome):
+        yield "contact_force", lambda: figures_curves.draw_tools(outcome, contact=True)
     if len(designs) < 2:
         return
     pareto = values["pareto"]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.studies.design_row import DesignRow
+from taccel_lab.studies.measured_fit import fit_measured
 from taccel_lab.studies.ranking import (
     directed,
     is_feasible,
@@ -21,6 +22,7 @@ from taccel_lab.studies.report.pareto import pareto_front
 from taccel_lab.studies.report.sensitivity import Sensitivity, sensitivity
 from taccel_lab.studies.runner import Outcome
 from taccel_lab.studies.table import table_rows
+from taccel_lab.studies.unknowns import Unknowns
 from taccel_lab.version import __version__
 
 COMPARED = 3
@@ -32,7 +34,7 @@ def report_values(outcome: Outcome) -> dict[str, Any]:
     study, rows = outcome.study, outcome.rows
     spec = study.spec
     done = outcome.done
-    goal = next(iter(directed(spec.objective, study.metrics)), None)
+    goal = next(iter(directed(spec.goals, study.metrics)), None)
     order = ranked(rows, goal, spec.constraints) if goal else []
     nearest = None
     if spec.constraints and not any(is_feasible(row, spec.constraints) for row in rows):
@@ -44,6 +46,8 @@ def report_values(outcome: Outcome) -> dict[str, Any]:
         "sensor_title": study.family.title,
         "sweep": spec.sweep.model_dump(),
         "seed": spec.study.seed,
+        "accuracy": spec.study.accuracy.value,
+        "unit_spread_percent": spec.study.unit_spread_percent,
         "goal": goal.text() if goal else None,
         "goal_metric": goal.metric if goal else None,
         "constraints": [constraint.text() for constraint in spec.constraints],
@@ -74,6 +78,8 @@ def report_values(outcome: Outcome) -> dict[str, Any]:
             if row.status != "done"
         ],
         "gaps": _gaps(done),
+        "curves": _curves(outcome),
+        **_measured(outcome),
         "cost": _cost(outcome),
         "designs": table_rows(study, rows),
     }
@@ -121,7 +127,7 @@ def compared(outcome: Outcome) -> dict[str, float]:
     better, -1 where more is."""
     return {
         goal.metric: goal.sign
-        for goal in directed(outcome.study.spec.objective, outcome.study.metrics)
+        for goal in directed(outcome.study.spec.goals, outcome.study.metrics)
         if len({row.figures.get(goal.metric) for row in outcome.done} - {None}) > 1
     }
 
@@ -179,6 +185,43 @@ def _gaps(done: list[DesignRow]) -> list[dict[str, Any]]:
         for name, cause in row.causes.items():
             found.setdefault((name, cause), []).append(row.id)
     return [{"what": k[0], "cause": k[1], "designs": ids} for k, ids in found.items()]
+
+
+def _curves(outcome: Outcome) -> list[dict[str, Any]]:
+    """Depth, force and contact diameter of the presses straight down, by design and indenter."""
+    straight = [n for n, p in outcome.study.presses.items() if getattr(p, "straight", False)]
+    return [
+        {
+            "design": row.id,
+            "press": name,
+            "indenter": curve["indenter"],
+            "depth_mm": curve["depth_mm"],
+            "force_n": [force[2] for force in curve["force_n"]],
+            "contact_diameter_mm": curve.get("contact_diameter_mm"),
+        }
+        for row in outcome.done
+        for name in straight
+        for curve in row.curves.get(name) or []
+    ]
+
+
+def _measured(outcome: Outcome) -> dict[str, Any]:
+    """Measured gels beside their designs, and measured curves that nothing can be said of."""
+    study = outcome.study
+    gels, problems = fit_measured(study, outcome.done) if study.spec.measured else ([], [])
+    found = []
+    for gel in gels:
+        row = next(row for row in outcome.done if row.id == gel.design)
+        known = Unknowns(
+            study.family.parameters(row.parameters),
+            row.parameters,
+            0.01 * study.spec.study.unit_spread_percent,
+        )
+        swept = {axis.name: row.parameters[axis.name] for axis in study.axes}
+        found.append(
+            {**gel.to_json(), "parameters": swept, "design_factors": known.modulus_factors}
+        )
+    return {"measured": found, "measured_problems": problems}
 
 
 def _cost(outcome: Outcome) -> dict[str, Any]:

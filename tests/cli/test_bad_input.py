@@ -192,9 +192,9 @@ def test_indenter_that_starts_inside_the_gel(
 DESIGNS: list[tuple[list[str], list[str]]] = [
     (
         ["--set", "thickness_mm=-1"],
-        [r"thickness_mm = -1 is below its bound; allowed: 1\.5 to 20 mm"],
+        [r"thickness_mm = -1 is below its bound; allowed: 0.8 to 20 mm"],
     ),
-    (["--set", "thickness_mm=0"], ["thickness_mm", "1.5"]),
+    (["--set", "thickness_mm=0"], ["thickness_mm", "0.8"]),
     (["--set", "thickness_mm=nan"], ["thickness_mm = 'nan' is not a number"]),
     (["--set", "thickness_mm=1e9"], ["thickness_mm", "20"]),
     (["--set", "thickness_mm=thick"], ["thickness_mm = 'thick' is not a number"]),

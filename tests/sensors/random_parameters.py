@@ -11,6 +11,7 @@ import numpy as np
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
 from taccel_lab.sensors import FamilyParameters, SensorFamily
+from taccel_lab.sensors.base import STIFFNESS
 
 _WIDE = 30.0
 """Ratio of the bounds from which on values are drawn evenly in their logarithm."""
@@ -52,6 +53,8 @@ def random_parameters(
         name: random_value(spec, rng) if near is None else value_near_default(spec, rng, near)
         for name, spec in specs.items()
     }
+    stiffness = rng.choice(STIFFNESS)
+    draw = {name: value for name, value in draw.items() if name not in {*STIFFNESS} - {stiffness}}
     try:
         return family.parameters(draw)
     except InputError as error:

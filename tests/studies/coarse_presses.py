@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.envs import PHYSICS, Accuracy
 from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions, PressMeshOptions
 from taccel_lab.sensors.gelsight.family import GelSightParameters
 from taccel_lab.studies.press_batch import simulate
@@ -31,7 +32,9 @@ THICK = {
 
 def coarse(press: str, /, **changes: Any) -> StandardPress:
     """A standard press on a mesh of some hundred nodes."""
-    return dataclasses.replace(STANDARD_PRESSES[press], **{"mesh": COARSE, **changes})
+    mesh = changes.pop("mesh", COARSE)
+    physics = dataclasses.replace(PHYSICS[Accuracy.DEFAULT], mesh=mesh)
+    return dataclasses.replace(STANDARD_PRESSES[press], physics=physics, **changes)
 
 
 def jobs(press: StandardPress, **parameters: Any) -> list[PressJob]:

@@ -36,7 +36,7 @@ def unused(evidence: Any) -> float:
 
 
 METRICS = {
-    name: Metric(name, unit, f"{name} in words", better, presses, unused)  # type: ignore[arg-type]
+    name: Metric(name, unit, f"{name} in words", better, presses, unused, at_load=name == "blur")  # type: ignore[arg-type]
     for name, unit, better, presses in (
         ("stiffness", "N/mm", "lower", ("ball",)),
         ("range", "N", "higher", ("ball",)),
@@ -67,7 +67,7 @@ def evaluate(
     device="cpu",
     progress=None,
     folder: Path | None = None,
-    load_n=0.5,
+    unit_spread=0.0,
 ):
     """Formulas; a rim of 'fillet' cannot be built, one of 'chamfer' lacks a figure."""
     seconds = float(os.environ.get("FAKE_SECONDS", "0"))

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fake study in a process of its own: ``python -m tests.studies.run_fake ROOT PROCESSES``."""
+"""A fake study in a process of its own:
+``python -m tests.studies.run_fake ROOT PROCESSES [SHARD [optuna]]``."""
 
 from __future__ import annotations
 
 import sys
 
 from taccel_lab.studies.runner import run_study
+from taccel_lab.studies.study_folder import Shard
 from tests.studies.fake_kit import study
 
 MODULI = {"min": 0.1, "max": 0.4, "count": 2, "scale": "log"}
@@ -16,5 +18,20 @@ CHANGES = {
     }
 }
 
+GP = {
+    "parameters": {
+        "thickness_mm": {"min": 3, "max": 8},
+        "young_modulus_mpa": {"min": 0.05, "max": 1, "scale": "log"},
+    },
+    "sweep": {"kind": "optimize", "count": 14, "method": "GP"},
+    "objective": {"minimize": "blur"},
+}
+
 if __name__ == "__main__":
-    run_study(study(**CHANGES), sys.argv[1], processes=int(sys.argv[2]))
+    root, processes, *rest = sys.argv[1:]
+    run_study(
+        study(**(GP if "optuna" in rest else CHANGES)),
+        root,
+        processes=int(processes),
+        shard=Shard.parse(rest[0]) if rest else None,
+    )

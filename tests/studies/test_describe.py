@@ -29,7 +29,7 @@ def test_pages_without_places_for_tables_are_refused() -> None:
 
 
 def test_the_study_file_of_the_page_is_sound() -> None:
-    (block,) = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    block, *_ = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
     assert len(make_study(spec_of(tomllib.loads(block)), default_kit()).points()) == 32
 
 

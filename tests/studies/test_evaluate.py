@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,10 @@ from taccel_lab.studies.presses import STANDARD_PRESSES
 from tests.studies.coarse_presses import coarse
 
 SPHERE = coarse("sphere", steps=3)
-SIMPLE = [METRICS[name] for name in ("stiffness_secant", "bond_stress", "sensitivity_um")]
+SIMPLE = [
+    replace(METRICS[name], load_n=0.3)
+    for name in ("stiffness_secant", "bond_stress", "sensitivity_um")
+]
 
 
 def gelsight(name: str, **parameters: object) -> DesignPoint:
@@ -42,7 +46,6 @@ def test_designs_share_what_is_the_same(tmp_path: Path) -> None:
         SIMPLE,
         progress=lambda *values: told.append(values),
         folder=tmp_path,
-        load_n=0.3,
     )
     a, b, c, d = results
     assert [result.simulations for result in results] == [1, 0, 1, 0]
@@ -65,13 +68,12 @@ def test_designs_share_what_is_the_same(tmp_path: Path) -> None:
 
 def test_a_design_that_cannot_be_built_leaves_the_others_alone() -> None:
     good, bad, unknown = evaluate_designs(
-        [gelsight("good"), gelsight("bad", thickness_mm=1.0), DesignPoint("x", "gelsite", {})],
+        [gelsight("good"), gelsight("bad", thickness_mm=0.5), DesignPoint("x", "gelsite", {})],
         [SPHERE],
         SIMPLE,
-        load_n=0.3,
     )
     assert None not in good.figures.values() and good.causes == {}
-    for lost, words in ((bad, "thickness_mm = 1 is below its bound"), (unknown, "gelsite")):
+    for lost, words in ((bad, "thickness_mm = 0.5 is below its bound"), (unknown, "gelsite")):
         assert set(lost.figures.values()) == {None} and set(lost.figures) == set(good.figures)
         assert words in lost.causes["design"]
         assert lost.causes["stiffness_secant"] == lost.causes["design"]
@@ -81,7 +83,7 @@ def test_a_design_that_cannot_be_built_leaves_the_others_alone() -> None:
 def test_a_press_that_cannot_be_set_up_leaves_the_others_alone() -> None:
     away = coarse("sphere", name="away", steps=2, places=((1.0, 1.0),))
     narrow = gelsight("narrow", length_x_mm=12, length_y_mm=12)
-    (result,) = evaluate_designs([narrow], [away, SPHERE], SIMPLE, load_n=0.3)
+    (result,) = evaluate_designs([narrow], [away, SPHERE], SIMPLE)
     assert None not in result.figures.values()
     assert list(result.causes) == ["press away"]
     assert list(result.curves) == ["sphere"]
@@ -106,7 +108,6 @@ def test_a_press_that_does_not_converge_leaves_its_batch_alone(
         [gelsight("easy"), gelsight("hard", thickness_mm=6)],
         [SPHERE],
         [METRICS["bond_stress"]],
-        load_n=0.3,
     )
     assert stays == [[False, False], [False, False], [False, True]]
     assert easy.causes == {} and easy.figures["bond_stress"] is not None
@@ -120,9 +121,7 @@ def test_a_press_that_does_not_converge_leaves_its_batch_alone(
 
 def test_missing_presses_leave_figures_without_value() -> None:
     names = ("edge_sharpness", "stiffness_secant")
-    (result,) = evaluate_designs(
-        [gelsight("a")], [SPHERE], [METRICS[name] for name in names], load_n=0.3
-    )
+    (result,) = evaluate_designs([gelsight("a")], [SPHERE], [METRICS[name] for name in names])
     assert result.figures["edge_sharpness"] is None
     assert result.causes == {"edge_sharpness": "the press 'edge' was not asked for"}
 

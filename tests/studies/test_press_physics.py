@@ -16,7 +16,6 @@ from taccel_lab.studies.evidence import profile_mm
 from taccel_lab.studies.metrics.edge_sharpness import rise_width
 from taccel_lab.studies.metrics.two_point import contrast
 from taccel_lab.studies.press_batch import REFERENCE_PA, simulate
-from taccel_lab.studies.presses import STANDARD_PRESSES
 from tests.studies.coarse_presses import THICK, coarse, jobs, pressed
 
 NU = 0.46
@@ -119,8 +118,8 @@ def test_edges_are_blurred_over_the_thickness() -> None:
 def test_far_pins_are_told_apart_and_near_ones_less() -> None:
     contrasts = []
     for gap in (0.06, 3.0):
-        press = replace(
-            STANDARD_PRESSES["pairs"],
+        press = coarse(
+            "pairs",
             indenters=(f"pair:0.3x{gap}",),
             depth_fraction=0.0,
             depth_mm=0.4,

@@ -54,9 +54,9 @@ def test_ranking_follows_the_goal() -> None:
 
 
 def test_without_an_objective_the_first_metric_with_a_better_side_counts() -> None:
-    assert directed(None, METRICS) == [Goal("stiffness", 1), Goal("range", -1), Goal("blur", 1)]
-    assert directed(None, {"lamps": METRICS["lamps"]}) == []
-    found = directed(Objective(maximize="blur"), METRICS)
+    assert directed([], METRICS) == [Goal("stiffness", 1), Goal("range", -1), Goal("blur", 1)]
+    assert directed([], {"lamps": METRICS["lamps"]}) == []
+    found = directed([Objective(maximize="blur")], METRICS)
     assert found == [Goal("blur", -1), Goal("stiffness", 1), Goal("range", -1)]
 
 

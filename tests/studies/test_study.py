@@ -33,6 +33,8 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"parameters": {"crown_radius_mm": {"min": 0, "max": 90, "count": 2}}}, "0 means flat"),
     ({"parameters": {"width_px": {"min": 320, "max": 322, "count": 5}}}, "gives 3 different"),
     ({"fixed": {"rim": "round"}}, r"\[fixed\] rim = 'round' is not allowed"),
+    ({"fixed": {"hardness": "55 OO"}}, "a hardness is shore_00 = 55 or shore_a = 10"),
+    ({"fixed": {"shore_00": 30}}, "young_modulus_mpa and shore_00 are given"),
     ({"fixed": {"nonsense": 1}}, r"no parameter of gelsight in \[fixed\] 'nonsense'"),
     ({"tied": {"rim": {"to": "thickness_mm"}}}, "only numbers can be tied"),
     ({"press": {"egde": {"depth_mm": 2}}}, r"did you mean edge\?"),

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.material.bonded_layer import ToolKind, layer_force_n
 from taccel_lab.calibration.material.force_table import NU_RANGE, ForceTable, TableError
 from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
+from taccel_lab.envs.bonded_layer import ToolKind, layer_force_n
 
 THICKNESS_MM = 4.0
 

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.calibration.material.bonded_layer import layer_force_n
 from taccel_lab.calibration.material.gel import Gel
 from taccel_lab.calibration.material.indentation_points import (
     IndentationPoints,
     points_of_record,
     require_plausible,
 )
+from taccel_lab.envs.bonded_layer import layer_force_n
 from taccel_lab.errors import InputError
 from tests.calibration.material.records import record
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.calibration.material.bonded_layer import layer_force_n, layer_young_modulus_pa
+from taccel_lab.envs.bonded_layer import layer_force_n, layer_young_modulus_pa
 from taccel_lab.errors import InputError
 from tests.calibration.material.layer_series import sphere_force_series_n
 

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured curves: what tables are read, refused or put in order; the fit finds what was put in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taccel_lab.errors import InputError
+from taccel_lab.studies.design_row import DesignRow
+from taccel_lab.studies.measured_curve import read_curve
+from taccel_lab.studies.measured_fit import ForceLaw, fit_measured
+from taccel_lab.studies.spec import Measured, spec_of
+from taccel_lab.studies.study import Study, default_kit, make_study
+
+DEPTH = np.linspace(0.0, 0.4, 41)
+
+
+def curve(folder: Path, text: str) -> Any:
+    file = folder / "curve.csv"
+    file.write_text(text, encoding="utf-8")
+    return read_curve(Measured(file=str(file), indenter="sphere:2"))
+
+
+def table(head: str, *columns: np.ndarray) -> str:
+    rows = [",".join(f"{v:.9g}" for v in row) for row in zip(*columns, strict=True)]
+    return "\n".join([head, *rows]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("head", "depth", "force"),
+    [
+        ("depth_mm,force_n", 1.0, 1.0), ("Depth (um),Force [mN]", 1e3, 1e3),
+        ("Displacement [m],load_gf", 1e-3, 1 / 9.80665e-3),
+    ],
+)  # fmt: skip
+def test_units_of_the_header_are_taken(
+    tmp_path: Path, head: str, depth: float, force: float
+) -> None:
+    found = curve(tmp_path, table(head, DEPTH * depth, DEPTH**1.5 * force))
+    assert found.depth_mm == pytest.approx(DEPTH)
+    assert found.force_n == pytest.approx(DEPTH**1.5)
+    assert found.remarks == ()
+
+
+def test_rows_are_put_in_order_and_lost_ones_told(tmp_path: Path) -> None:
+    order = np.random.default_rng(0).permutation(len(DEPTH))
+    text = table("depth_mm,force_n,contact_diameter_mm", *(v[order] for v in 3 * [DEPTH]))
+    found = curve(tmp_path, text + "nan,1,1\n0.2,,1\n")
+    assert found.depth_mm == pytest.approx(DEPTH)
+    assert found.contact_diameter_mm == pytest.approx(DEPTH)
+    assert found.remarks == (
+        "2 rows without a number left out", "rows were not in order of depth; sorted",
+    )  # fmt: skip
+
+
+def test_the_way_back_is_left_out(tmp_path: Path) -> None:
+    there_and_back = np.concatenate([DEPTH, DEPTH[-2::-1]])
+    found = curve(tmp_path, table("depth_mm,force_n", there_and_back, there_and_back))
+    assert len(found.depth_mm) == len(DEPTH)
+    assert found.remarks == ("40 rows of the way back left out",)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("depth_mm,power_w\n1,2\n", "lacks a column of force or load"),
+        (table("depth,force_n", DEPTH, DEPTH), "unit of the column 'depth' is not known"),
+        (table("depth_furlong,force_n", DEPTH, DEPTH), "allowed: depth_mm, depth_um"),
+        (table("depth_mm,force_lbf", DEPTH, DEPTH), "allowed: force_n, force_mn"),
+        (table("depth_mm,depth_um,force_n", DEPTH, DEPTH, DEPTH), "which one counts"),
+        (table("depth_mm,force_n", -DEPTH, DEPTH), "reverse the sign"),
+        (table("depth_mm,force_n", DEPTH, -DEPTH), "reverse the sign"),
+        (table("depth_mm,force_n", DEPTH, DEPTH - 0.05), "more than noise"),
+        (table("depth_mm,force_n", DEPTH * 1e3, DEPTH), "another unit"),
+        (table("depth_mm,force_n", DEPTH, DEPTH * 1e4), "another unit"),
+        (table("depth_mm,force_n", DEPTH[:3], DEPTH[:3]), "has 3 rows with numbers"),
+        ("depth_mm,force_n\n1,x\n", "'x' is not a finite number"),
+        ("", "is empty"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        curve(tmp_path, text)
+    assert "curve.csv" in str(caught.value)
+
+
+LAW_DEPTH = np.linspace(0.05, 0.5, 8)
+LAW_FORCE = 0.8 * LAW_DEPTH**1.9
+
+
+@given(depth=st.floats(1e-3, 1.0))
+def test_a_law_is_read_both_ways(depth: float) -> None:
+    law = ForceLaw(LAW_DEPTH.tolist(), LAW_FORCE.tolist())
+    force = law.force_n(np.array([depth]))
+    assert force[0] == pytest.approx(0.8 * depth**1.9)
+    assert law.depth_mm(force)[0] == pytest.approx(depth)
+    assert law.force_n(np.array([-depth]))[0] == 0.0
+
+
+def planned(*measured: dict[str, Any]) -> Study:
+    spec = {
+        "study": {"name": "x", "sensor": "digit", "metrics": ["force_range"]},
+        "parameters": {"thickness_mm": {"values": [1.0, 2.0]}},
+        "fixed": {"shore_00": 45},
+        "press": {"sphere": {"indenters": ["sphere:2", "sphere:4"]}},
+        "sweep": {"kind": "grid"},
+        "measured": list(measured),
+    }
+    return make_study(spec_of(spec), default_kit())
+
+
+def rows(study: Study) -> list[DesignRow]:
+    """Designs whose two balls have the law, the larger one twice the force."""
+    stored = [
+        {
+            "indenter": f"sphere:{radius}", "thickness_mm": 1.0, "depth_mm": LAW_DEPTH.tolist(),
+            "force_n": [[0.0, 0.0, radius / 2 * f] for f in LAW_FORCE],
+            "contact_diameter_mm": (2 * np.sqrt(radius * LAW_DEPTH)).tolist(),
+        }
+        for radius in (2, 4)
+    ]  # fmt: skip
+    return [
+        DesignRow(p.id, "digit", p.parameters, "done", curves={"sphere": stored})
+        for p in study.points()
+    ]
+
+
+@settings(max_examples=10, deadline=None)
+@given(
+    ratio=st.floats(0.3, 3.0), zero=st.floats(-0.05, 0.1), seed=st.integers(0, 99),
+)  # fmt: skip
+def test_the_fit_finds_modulus_and_zeros(
+    tmp_path_factory: pytest.TempPathFactory, ratio: float, zero: float, seed: int
+) -> None:
+    folder = tmp_path_factory.mktemp("measured")
+    rng = np.random.default_rng(seed)
+    measured = []
+    for radius, offset in ((2, zero), (4, zero / 2)):
+        depth = np.linspace(0.0, 0.45, 400)
+        force = ratio * radius / 2 * 0.8 * np.clip(depth - offset, 0, None) ** 1.9
+        noisy = np.abs(force * (1 + 0.02 * rng.normal(size=400)))
+        diameter = 2 * np.sqrt(radius * np.clip(depth - offset, 0, None))
+        file = folder / f"ball{radius}.csv"
+        file.write_text(table("depth_mm,force_n,contact_diameter_mm", depth, noisy, diameter))
+        measured.append(
+            {"file": str(file), "indenter": f"sphere:{radius}", "design": {"thickness_mm": 1.0}}
+        )
+    study = planned(*measured)
+    (gel,), problems = fit_measured(study, rows(study))
+    assert problems == []
+    assert gel.ratio == pytest.approx(ratio, rel=0.03)
+    low, high = gel.interval_mpa
+    assert low < ratio * gel.design_modulus_mpa < high
+    assert high / low < 1.15
+    for fitted, offset in zip(gel.curves, (zero, zero / 2), strict=True):
+        assert fitted.offset_mm == pytest.approx(offset, abs=0.01)
+        assert fitted.offset_interval_mm[0] < fitted.offset_mm < fitted.offset_interval_mm[1]
+        assert fitted.relative_rms < 0.03
+        assert fitted.modulus_alone_mpa == pytest.approx(gel.modulus_mpa, rel=0.1)
+        assert fitted.contact_rms_mm is not None and fitted.contact_rms_mm < 0.2
+
+
+def test_curves_too_deep_or_without_a_press_are_told(tmp_path: Path) -> None:
+    deep, shallow = tmp_path / "deep.csv", tmp_path / "far.csv"
+    deep.write_text(table("depth_mm,force_n", 4 * DEPTH, DEPTH))
+    shallow.write_text(table("depth_mm,force_n", 2 * DEPTH, 0.8 * (2 * DEPTH) ** 1.9))
+    study = planned(
+        {"file": str(deep), "indenter": "sphere:2"}, {"file": str(shallow), "indenter": "sphere:4"}
+    )
+    gels, problems = fit_measured(study, rows(study))
+    assert len(gels) == 2 and len(problems) == 2
+    assert "deeper than design" in problems[0]
+    assert "rows deeper than the press (0.5 mm) left out" in gels[0].curves[0].remarks[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"indenter": "sphere:9"}, "no press straight down has the indenter 'sphere:9'"),
+        ({"design": {"friction": 1}}, "no swept or fixed parameter .* 'friction'"),
+        ({"design": {"shore_00": 50}}, "no design of the sweep has shore_00 = 50"),
+        ({"design": {"thickness_mm": 1.5}}, "no design of the sweep has thickness_mm = 1.5"),
+        ({"file": "nowhere.csv"}, "nowhere.csv"),
+    ],
+)
+def test_curves_of_no_design_are_refused(tmp_path: Path, changes: dict, message: str) -> None:
+    file = tmp_path / "m.csv"
+    file.write_text(table("depth_mm,force_n", DEPTH, DEPTH))
+    with pytest.raises(InputError, match=message):
+        planned({"file": str(file), "indenter": "sphere:2", **changes})
