@@ -61,7 +61,8 @@ class DatasetMake:
         from taccel_lab.cli.console import notes
         from taccel_lab.datasets.plan import Plan
         from taccel_lab.datasets.spec import load_spec
-        from taccel_lab.model.devices import quiet_warp, require_device
+        from taccel_lab.model.devices import require_device
+        from taccel_lab.warp_output import quiet_warp
 
         quiet_warp()
         console = notes()

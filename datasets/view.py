@@ -18,7 +18,7 @@ import warp as wp
 from taccel_lab.datasets.sensor import Sensor, resized_grid
 from taccel_lab.datasets.touch import Touch
 from taccel_lab.envs.press import PressEnv, PressError
-from taccel_lab.envs.press_outcome import points_across_pixel
+from taccel_lab.envs.press_surface import points_across_pixel
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.outputs import Outputs
