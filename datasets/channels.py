@@ -193,10 +193,14 @@ NODAL = ("node_forces_n", "node_moved_mm", "node_pressures_kpa", "node_tractions
 _IMAGED = {"rgb", "depth_mm", "normals", "contact_mask"}
 
 
+_YES_OR_NO = {"contact", "slipping"}
+
+
 def signal_channel(name: str) -> Channel:
     """A signal of ``SignalTactile`` as a channel."""
+    dtype, said = "uint8" if name in _YES_OR_NO else "float32", "as docs/signals.md"
     return Channel(
-        name, "float32", "as docs/signals.md", "as docs/signals.md", "signal of the gel's surface",
+        name, dtype, said, said, "signal of the gel's surface",
         lambda view: view.tactile(name), may_be_nan=True,
     )  # fmt: skip
 

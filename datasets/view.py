@@ -25,6 +25,7 @@ from taccel_lab.outputs import Outputs
 from taccel_lab.outputs.surface_load import SurfaceLoad
 from taccel_lab.scene import Ball
 from taccel_lab.signals import HeightFieldSurface, SignalFusedSurface, SphereSurface
+from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.perturbation import Perturbation
@@ -253,21 +254,19 @@ class View:
         for grid, chosen in by_grid.items():
             if grid not in self._tactile:
                 model, background = self.sensor.color or (None, None)
-                self._tactile[grid] = SignalTactile(
-                    self.env.mesh,
-                    grid,
-                    env_count=len(self.touches),
-                    color_model=model,
-                    background_rgb=background,
-                    device=self.env.model.device,
+                self._tactile[grid] = SignalTactile.from_solver(
+                    self.env.solver, grid, color_model=model, background_rgb=background
                 )
             shown = np.zeros(len(self.touches), dtype=bool)
             shown[self.who[chosen]] = True
             signal = self._tactile[grid]
             if grid not in self._pointed:
                 self._pointed.add(grid)
-                signal.update(self.env.state.positions, who=shown)
+                signal.update(self.env.state, who=shown)
             values: np.ndarray = signal.read(name)[0].numpy()
+            if name in CONTACT_SIGNALS and not self.touching:
+                # The solver's last forces are those of an earlier batch.
+                values = np.zeros_like(values)
             if rows is None:
                 rows = np.empty((len(self.who), *values.shape[1:]), dtype=values.dtype)
             rows[chosen] = values

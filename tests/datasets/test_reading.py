@@ -17,6 +17,7 @@ from taccel_lab.datasets.page import write_page
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.torch_dataset import TouchDataset
 from taccel_lab.errors import InputError
+from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
 from tests.datasets.small import SIZE, make
 
 
@@ -79,7 +80,7 @@ def test_splits_are_held_apart(made: Path) -> None:
 def test_every_channel_can_be_asked_for(profile: Path, tmp_path: Path) -> None:
     """All of the table and all signals of the gel's surface, with both kinds of surface and drawn
     units; nodal channels add up to the wrench."""
-    names = [*OPTIONAL, "rgb_levels", "height_m"]
+    names = [*OPTIONAL, "rgb_levels", "height_m", *CONTACT_SIGNALS]
     varied = {
         "dataset": {"episodes": 2},
         "sensors": [{"profile": str(profile), "units": 3}],
@@ -103,6 +104,10 @@ def test_every_channel_can_be_asked_for(profile: Path, tmp_path: Path) -> None:
             forces = data.read("node_forces_n", rows)
             total = data.read("wrench", rows)[:, :3]
             assert forces.sum(axis=1) == pytest.approx(total, abs=1e-5)
+            touched = data.read("contact", rows)
+            assert touched.dtype == np.uint8 and not touched[0].any() and touched[-1].any()
+            assert not np.nan_to_num(data.read("pressure_pa", rows[:1])).any()
+            assert np.nanmax(data.read("pressure_pa", rows[-1:])) > 1e3
         errors = [f for f in check_dataset([tmp_path / surface]) if f.severity == "error"]
         assert not errors
     fused, gel = (Dataset(tmp_path / s) for s in ("fused", "gel"))
