@@ -190,7 +190,7 @@ def test_lite_keeps_every_object(made: Path, tmp_path: Path) -> None:
 
 def test_the_page_shows_all_motions(made: Path, tmp_path: Path) -> None:
     write_page([made], tmp_path / "page.html", 4)
-    page = (tmp_path / "page.html").read_text()
+    page = (tmp_path / "page.html").read_text("utf-8")
     assert "<script" not in page and "http" not in page.replace("http-equiv", "")
     assert page.count('<article class="touch">') == 4
     for row in Dataset(made).episodes[:1]:

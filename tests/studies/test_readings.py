@@ -94,7 +94,8 @@ def test_an_objective_has_to_be_one_of_them() -> None:
     with pytest.raises(InputError, match=r"\[objective\].*name one"):
         make_study(spec_of(table), default_kit())
     table["objective"]["maximize"] = "force_range[sphere:4]"
-    assert make_study(spec_of(table), default_kit()).spec.objective is not None
+    (goal,) = make_study(spec_of(table), default_kit()).spec.goals
+    assert goal.metric == "force_range[sphere:4]"
 
 
 def test_accuracy_is_that_of_presses(tmp_path: Path) -> None:
