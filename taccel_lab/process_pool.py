@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import time
 from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
@@ -106,7 +107,7 @@ class ProcessPool(Generic[Item, Result]):
     def _new_worker(self, item: Item) -> _Worker[Item, Result]:
         # One thread each, unless the user says else: the processes share the cores already.
         threads = {name: os.environ.get(name, "1") for name in THREAD_LIMITS}
-        child = ChildProcess(_serve, self._work, environment=threads)
+        child = ChildProcess(_serve, pickle.dumps(self._work), environment=threads)
         taken = {worker.number for worker in self._busy}
         number = next(n for n in range(self._processes) if n not in taken)
         return _Worker(number, child, item, time.monotonic())
@@ -139,12 +140,16 @@ class _Worker(Generic[Item, Result]):
         return Underway(self.number, *content)
 
 
-def _serve(pipe: Connection, work: Work) -> None:
-    """Work off the items that come, for as long as the parent lives."""
+def _serve(pipe: Connection, packed: bytes) -> None:
+    """Work off the items that come, for as long as the parent lives.
+
+    ``packed``: the work; what it imports may start Warp.
+    """
     from taccel_lab.warp_output import quiet_warp
 
     # Warnings about the device were the parent's already.
     quiet_warp()
+    work: Work = pickle.loads(packed)
 
     def tell(what: str, done: int, total: int) -> None:
         try:
