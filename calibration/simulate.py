@@ -44,6 +44,7 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.signals.rest_surface import rest_surface
+from taccel_lab.warp_output import quiet_warp
 
 BATCH = 6
 """Presses simulated together in one process."""
@@ -205,7 +206,8 @@ class _KnownSurfaces:
             for batch in left:
                 self._keep(batch, simulate_batch(batch))
             return
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        spawn = get_context("spawn")
+        with ProcessPoolExecutor(workers, spawn, initializer=quiet_warp) as pool:
             futures = {pool.submit(simulate_batch, batch): batch for batch in left}
             try:
                 for future in as_completed(futures):
