@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
 
     from taccel_lab.datasets.plan import Plan
     from taccel_lab.datasets.runner import Outcome
+    from taccel_lab.reading.shard import Shard
 
 HELP = "Make data sets of simulated touches; check them, cut them down, export and show them."
 
@@ -62,11 +62,12 @@ class DatasetMake:
         from taccel_lab.datasets.plan import Plan
         from taccel_lab.datasets.spec import load_spec
         from taccel_lab.model.devices import require_device
+        from taccel_lab.reading.shard import Shard
         from taccel_lab.warp_output import quiet_warp
 
         quiet_warp()
         console = notes()
-        shard = _shard(self.shard)
+        shard = Shard.parse(self.shard)
         for name in ("limit", "processes"):
             value, least = getattr(self, name), 1 if name == "limit" else 0
             if value is not None and not least <= value <= 1024**2:
@@ -91,9 +92,7 @@ class DatasetMake:
             raise SystemExit(130) from None
         self._conclude(console, outcome, root)
 
-    def _make(
-        self, plan: Plan, root: Path | None, shard: tuple[int, int], console: Console
-    ) -> Outcome:
+    def _make(self, plan: Plan, root: Path | None, shard: Shard, console: Console) -> Outcome:
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.datasets.runner import make_dataset
         from taccel_lab.reading.text_file import read_text
@@ -104,7 +103,7 @@ class DatasetMake:
                 plan,
                 root,
                 source=read_text(self.spec, TOML_LIMIT_BYTES, "the file of a data set"),
-                shard=shard,
+                shard=(shard.number, shard.count),
                 device=self.device,
                 processes=self.processes,
                 limit=self.limit,
@@ -315,13 +314,6 @@ def with_make(words: Sequence[str]) -> list[str]:
     return list(words)
 
 
-def _shard(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d{1,7})/(\d{1,7})", text)
-    if found is None or not 1 <= int(found[1]) <= int(found[2]):
-        raise InputError(f"shard {text!r} is not understood; i/n with 1 <= i <= n, such as 3/8")
-    return int(found[1]), int(found[2])
-
-
 def _some(folders: tuple[Path, ...]) -> tuple[Path, ...]:
     if not folders:
         raise InputError("name at least one folder of a data set")
@@ -339,15 +331,15 @@ def _require_zarr() -> None:
         )
 
 
-def _describe(console: Console, plan: Plan, shard: tuple[int, int]) -> None:
-    parts = plan.shard(*shard)
+def _describe(console: Console, plan: Plan, shard: Shard) -> None:
+    parts = plan.shard(shard.number, shard.count)
     touches = sum(len(part.episodes) for part in parts)
     steps = sum(plan.episodes[i].path.step_count + 1 for part in parts for i in part.episodes)
     grid = plan.sensors[0].grid
     console.print(
         f"{plan.spec.dataset.name}: {touches} touches, {steps} steps in {len(parts)} parts, shard "
-        f"{shard[0]} of {shard[1]}; {len(plan.sensors)} sensors, {len(plan.indenters)} objects, "
-        f"images of {grid.width_px}x{grid.height_px} px",
+        f"{shard.number} of {shard.count}; {len(plan.sensors)} sensors, "
+        f"{len(plan.indenters)} objects, images of {grid.width_px}x{grid.height_px} px",
         highlight=False,
         soft_wrap=True,
     )

@@ -83,8 +83,8 @@ class Study:
     def _submit(self, file: Path, where: Where) -> None:
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cli.console import notes
+        from taccel_lab.reading.shard import MOST_SHARDS
         from taccel_lab.studies.cluster import JOBS, submit_shards
-        from taccel_lab.studies.study_folder import MOST_SHARDS
 
         if not 1 <= self.shards <= MOST_SHARDS:
             raise InputError(f"shards must lie in 1..{MOST_SHARDS}, got {self.shards}")
@@ -149,10 +149,10 @@ class Study:
     def _evaluate(self, study: StudyToRun, root: Path, file: Path, console: Console) -> Outcome:
         from taccel_lab.cli.study_progress import StudyProgress
         from taccel_lab.model.devices import require_device
+        from taccel_lab.reading.shard import Shard
         from taccel_lab.reading.text_file import read_text
         from taccel_lab.reading.toml_file import TOML_LIMIT_BYTES
         from taccel_lab.studies.runner import run_study
-        from taccel_lab.studies.study_folder import Shard
 
         require_device(self.device or study.spec.run.device)
         presses = ", ".join(study.presses) or "none"

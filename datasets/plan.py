@@ -9,7 +9,6 @@ depends on who simulates which part, or when.
 from __future__ import annotations
 
 import functools
-import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,6 +25,7 @@ from taccel_lab.envs import PHYSICS, Accuracy, Indenter, PressPhysics, parse_ind
 from taccel_lab.envs.press import check_depth
 from taccel_lab.errors import InputError, naming
 from taccel_lab.file_cache import content_key
+from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.signals.perturbation import Perturbation, draw_perturbation
 from taccel_lab.version import __version__
 
@@ -262,7 +262,7 @@ def tool_file(tool: str) -> Path | None:
 
 def _file_digest(tool: str) -> str:
     path = tool_file(tool)
-    return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
+    return "" if path is None else file_sha256(path)
 
 
 def _weighted(rng: np.random.Generator, weights: Sequence[float]) -> int:

@@ -8,7 +8,6 @@ says so.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,6 +19,7 @@ from taccel_lab.cad.mesh.quality import MeshQuality
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.profile import Block, Provenance, SensorBlock, SensorProfile
+from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.profile import designed_profile
 from taccel_lab.sensors.registry import IMPORTED, sensor_family
@@ -56,7 +56,7 @@ def imported_profile(
         kind="designed",
         method="gel of a STEP file; camera, lights and material as stated beside it",
         source=f"{path.name}, {gel.name}; like {like}" + (f" with {given}" if given else ""),
-        inputs={path.name: hashlib.sha256(path.read_bytes()).hexdigest()},
+        inputs={path.name: file_sha256(path)},
     )
     profile = SensorProfile(
         sensor=SensorBlock(name=_name(gel.name), family=IMPORTED, provenance=file),

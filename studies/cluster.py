@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from taccel_lab.errors import InputError
+from taccel_lab.reading.shard import Shard
 from taccel_lab.studies.runner import run_study
 from taccel_lab.studies.study import default_kit, read_study
-from taccel_lab.studies.study_folder import Shard, StudyFolder
+from taccel_lab.studies.study_folder import StudyFolder
 
 Where = Literal["slurm", "local"]
 JOBS = ".jobs"

@@ -12,6 +12,7 @@ from typing import Any
 
 from taccel_lab.errors import InputError
 from taccel_lab.process_pool import Died, Finished, ProcessPool, Underway
+from taccel_lab.reading.shard import Shard
 from taccel_lab.studies.design_batch import DesignBatch, gather_batches, sharing_key
 from taccel_lab.studies.design_point import DesignPoint
 from taccel_lab.studies.design_row import DesignRow
@@ -19,7 +20,7 @@ from taccel_lab.studies.evaluate_batch import broken_row, evaluate_batch
 from taccel_lab.studies.optimise import OptimiserState, optimise
 from taccel_lab.studies.optimise_optuna import JOURNAL, METHODS, optimise_with_optuna
 from taccel_lab.studies.study import Study
-from taccel_lab.studies.study_folder import Shard, StudyFolder
+from taccel_lab.studies.study_folder import StudyFolder
 from taccel_lab.studies.table import write_table
 
 TABLE_EVERY_S = 2.0

@@ -19,38 +19,17 @@ import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file, write_json
-from taccel_lab.reading.text_file import shown
+from taccel_lab.reading.shard import Shard
 from taccel_lab.studies.design_row import DesignRow, read_row
 
 STUDY_MARKER = ".taccel_lab_study"
 """A marker of its own: no other command takes the folder for an output that it may replace."""
 RESULT = "result.json"
-MOST_SHARDS = 10_000
-
-
-@dataclass(frozen=True)
-class Shard:
-    """One of several runs that share a study."""
-
-    number: int
-    """From 1."""
-    count: int
-
-    @classmethod
-    def parse(cls, text: str) -> Shard:
-        """Of ``2/8``; raises InputError."""
-        number, slash, count = text.partition("/")
-        if not (slash and number.isascii() and number.isdigit() and count.isdigit()):
-            raise InputError(f"a shard is written i/n, such as 2/8, got {shown(text)}")
-        if not 1 <= int(number) <= int(count) <= MOST_SHARDS:
-            raise InputError(f"of n shards, 1 to {MOST_SHARDS:,}, i is one from 1 to n, got {text}")
-        return cls(int(number), int(count))
 
 
 class StudyFolder:

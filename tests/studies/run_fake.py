@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import sys
 
+from taccel_lab.reading.shard import Shard
 from taccel_lab.studies.runner import run_study
-from taccel_lab.studies.study_folder import Shard
 from tests.studies.fake_kit import study
 
 MODULI = {"min": 0.1, "max": 0.4, "count": 2, "scale": "log"}

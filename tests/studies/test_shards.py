@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.errors import InputError
+from taccel_lab.reading.shard import Shard
 from taccel_lab.studies.cluster import submit_shards
 from taccel_lab.studies.design_batch import sharing_key
 from taccel_lab.studies.optimise_optuna import JOURNAL
 from taccel_lab.studies.runner import run_study
-from taccel_lab.studies.study_folder import Shard, StudyFolder
+from taccel_lab.studies.study_folder import StudyFolder
 from taccel_lab.studies.table import CSV_NAME
 from tests.studies.fake_kit import logged, study
 from tests.studies.run_fake import CHANGES, GP
