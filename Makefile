@@ -68,7 +68,8 @@ $(VENV)/.installed-demo: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed-demo
-	$(PIP) -e ".[demo,dev]"
+	@tools/system_libraries.sh --browser
+	$(PIP) -e ".[demo,dev,docs]"
 	@touch $@
 
 $(VENV)/.installed-peers: $(VENV)/.installed-dev

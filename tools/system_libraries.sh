@@ -1,7 +1,22 @@
 #!/usr/bin/env bash
 # The CAD kernel and the 3D pictures load the system's OpenGL and X libraries. Installs them where
 # that is possible (root on Debian or Ubuntu), otherwise says what to install.
+# With --browser: Chromium, in which the tests of live pages run; without it they are skipped.
 set -euo pipefail
+
+if [ "${1:-}" = "--browser" ]; then
+    if command -v chromium >/dev/null || command -v google-chrome >/dev/null; then
+        exit 0
+    fi
+    if [ "$(id -u)" -eq 0 ] && command -v apt-get >/dev/null &&
+        apt-get update -qq &&
+        DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends chromium \
+            >/dev/null; then
+        exit 0
+    fi
+    echo "No Chromium: tests of live pages will be skipped; on Debian: sudo apt install chromium"
+    exit 0
+fi
 
 missing=()
 while read -r library package; do
