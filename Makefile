@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 PIP_FLAGS ?=
+# PyTorch for CPUs, 0.2 GB; `make demo TORCH=cuda` takes PyPI's build, 3 GB, for a GPU.
+TORCH ?= cpu
 OUT ?= out/demo
 JOBS ?= auto
 # Of make explore: readers (names, patterns, commas), examples of each, the first seed.
@@ -16,7 +18,7 @@ PIP := $(PY) -m pip install -q --disable-pip-version-check $(PIP_FLAGS) -c const
 TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile
 
-.PHONY: help demo test lint check slow explore notebook doctor clean
+.PHONY: help demo test lint check slow explore notebook docs wheel doctor clean
 
 help:
 	@echo "make demo      run the main job on real captures: $(OUT)/report.html"
@@ -25,6 +27,8 @@ help:
 	@echo "make explore   damaged files and property-based tests never tried before"
 	@echo "               READERS=import-* COUNT=2000 SEED=1 OUTPUT=out/explore"
 	@echo "make notebook  execute the notebooks"
+	@echo "make docs      the documentation as a site: out/docs/index.html"
+	@echo "make wheel     build sdist and wheel, install the wheel elsewhere and use it there"
 	@echo "make doctor    is this installation complete?"
 	@echo "make clean     remove .venv, out and caches"
 
@@ -53,6 +57,13 @@ explore: $(VENV)/.installed-dev
 notebook: $(VENV)/.installed-dev
 	$(TEST_ENV) $(PY) -m pytest -q --nbmake --nbmake-timeout=900 notebooks
 
+docs: $(VENV)/.installed-dev
+	$(TEST_ENV) $(PY) -m sphinx -b html -W --keep-going -q docs out/docs
+	@echo "out/docs/index.html"
+
+wheel: $(VENV)/.installed-dev
+	PIP_FLAGS="$(PIP_FLAGS)" tools/try_wheel.sh $(PYTHON) $(PY)
+
 doctor: $(VENV)/.installed-demo
 	$(VENV)/bin/taccel-lab doctor
 
@@ -62,6 +73,7 @@ $(VENV)/.installed-demo: pyproject.toml constraints.txt
 	@PATH="$$PATH:/usr/sbin:/sbin" tools/system_libraries.sh
 	@echo "Installing into $(VENV), once; this takes some minutes."
 	$(PYTHON) -m venv $(VENV)
+	$(if $(filter cuda,$(TORCH)),,@PIP_FLAGS="$(PIP_FLAGS)" tools/cpu_torch.sh $(PY))
 	$(PIP) -e ".[demo]"
 	@$(PY) -c 'import build123d' || \
 		{ echo "A system library is missing; on Debian: apt install libgl1 libx11-6 libexpat1"; exit 1; }

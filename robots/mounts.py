@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.bodies.bodies import ALL_LAYERS
-from taccel_lab.envs.profile_material import profile_material
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.interop.frames import LINK_FROM_GEL
 from taccel_lab.robots.description import Link
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import KinematicBody, SoftBody, Surface
+from taccel_lab.scene.profile_gel import profile_gel
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
@@ -79,12 +79,7 @@ def make_mount(
         surface = gel.surface
         body = replace(gel, surface=GEL_SURFACE if surface == Surface() else surface)
     else:
-        body = SoftBody(
-            gel.mesh,
-            profile_material(gel.material, gel.mesh),
-            friction_coefficient=gel.material.friction_coefficient,
-            surface=GEL_SURFACE,
-        )
+        body = profile_gel(gel, surface=GEL_SURFACE)
     body = replace(body, name=name, mount=f"{robot}/{link}: mount of {name}")
     return Mount(link, body, matrix_of(pose))
 

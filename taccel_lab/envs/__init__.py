@@ -8,7 +8,7 @@ from taccel_lab.envs.press import PressEnv
 from taccel_lab.envs.press_frame import normal_frame
 from taccel_lab.envs.press_outcome import PressOutcome, PressStep, simulate_press
 from taccel_lab.envs.press_path import PressPath
-from taccel_lab.envs.profile_material import layered_material, profile_material
+from taccel_lab.scene.profile_gel import layered_material, profile_material
 
 __all__ = [
     "PHYSICS",

@@ -83,3 +83,9 @@ class PixelGrid:
             ],
             axis=-1,
         )
+
+    def contains(self, xy_mm: np.ndarray) -> np.ndarray:
+        """Whether points of the gel [mm], [..., 2], lie in the image, bool, [...]."""
+        u, v = np.moveaxis(self.pixel_from_gel(xy_mm), -1, 0)
+        inside = (u > -0.5) & (u < self.width_px - 0.5)
+        return inside & (v > -0.5) & (v < self.height_px - 0.5)

@@ -26,12 +26,14 @@ from taccel_lab.signals.contact_fields import CONTACT_SIGNALS, ContactFields
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
 from taccel_lab.signals.pixel_maps import depth_kernel, height_kernel, normals_kernel, points_kernel
+from taccel_lab.signals.profile_options import profile_options
 from taccel_lab.signals.raster import grid_map
 from taccel_lab.signals.surface_sampler import SurfaceMode, SurfaceSampler
 from taccel_lab.signals.tactile_image import DeviceColorModel
 from taccel_lab.state import State
 
 if TYPE_CHECKING:
+    from taccel_lab.bodies.bodies import SoftBody
     from taccel_lab.profile import SensorProfile
     from taccel_lab.solvers.solver_ipc import SolverIPC
 
@@ -42,6 +44,16 @@ _IMAGES = ("rgb", "rgb_levels", "height_m", "depth_m", "normals", "points_m")
 _FINE = {"contact", "pressure_pa"}
 SIGNALS = (*_IMAGES, "markers_px", *CONTACT_SIGNALS)
 """Names that ``SignalTactile.read`` knows; docs/signals.md has their shapes and units."""
+
+
+class _Signal:
+    """A signal as an attribute, read when it is asked for."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, signal: SignalTactile, owner: type) -> wp.array:
+        return signal.read(self._name)[0]
 
 
 class SignalTactile:
@@ -152,11 +164,8 @@ class SignalTactile:
             InputError: No such soft body.
         """
         model = solver.model
-        bodies = model.scene.soft_bodies
-        if not 0 <= gel < len(bodies):
-            raise InputError(f"there is no soft body {gel}; the scene has {len(bodies)}")
         return cls(
-            bodies[gel].nodal_mesh,
+            _soft_body(solver, gel).nodal_mesh,
             grid,
             env_count=model.env_count,
             first_node=model.bodies[gel].node_slice.start,
@@ -168,21 +177,34 @@ class SignalTactile:
 
     @classmethod
     def from_profile(
-        cls, profile: SensorProfile, *, env_count: int, **options: Any
+        cls,
+        profile: SensorProfile,
+        *,
+        env_count: int | None = None,
+        solver: SolverIPC | None = None,
+        **options: Any,
     ) -> SignalTactile:
-        """The signals of a profile's sensor.
+        """The signals of a profile's sensor: pixels of its camera, its dots that are seen and lie
+        on the gel, and, where it has them, background and colour model.
 
         Args:
-            profile: Its mesh, camera and, where it has them, background and colour model.
-            env_count: Number of environments.
-            options: Further arguments of ``SignalTactile``, such as ``markers`` and ``device``.
+            profile: Sensor.
+            env_count: Number of environments; that of the solver.
+            solver: Of ``Scene.from_profile``; signals of contact need it. ``update`` then takes the
+                state. Without it positions are those of the profile's mesh.
+            options: Further arguments of ``SignalTactile``, such as ``gel`` and ``device``.
+
+        Raises:
+            InputError: Neither ``env_count`` nor ``solver``, or no such gel.
         """
-        color: dict[str, Any] = {}
-        model = ColorModel.from_profile(profile)
-        if model is not None and profile.background_rgb is not None:
-            color["color_model"] = model
-            color["background_rgb"] = profile.background_rgb
-        return cls(profile.mesh, profile.grid(), env_count=env_count, **color, **options)
+        if solver is not None:
+            mesh = _soft_body(solver, options.get("gel", 0)).nodal_mesh
+            given = profile_options(profile, mesh) | options
+            return cls.from_solver(solver, profile.grid(), **given)
+        if env_count is None:
+            raise InputError("how many environments? Give env_count, or the solver that has them")
+        given = profile_options(profile, profile.mesh) | options
+        return cls(profile.mesh, profile.grid(), env_count=env_count, **given)
 
     def update(
         self,
@@ -237,65 +259,30 @@ class SignalTactile:
         self._fresh.clear()
         self._samples = None
 
-    @property
-    def rgb(self) -> wp.array:
-        """Tactile image, RGB rounded to uint8, shape [env, height_px, width_px, 3]."""
-        return self.read("rgb")[0]
-
-    @property
-    def rgb_levels(self) -> wp.array:
-        """Tactile image unrounded, float32 levels 0..255, [env, height_px, width_px, 3]."""
-        return self.read("rgb_levels")[0]
-
-    @property
-    def height_m(self) -> wp.array:
-        """Height of the contact surface [m], float32, [env, height_px, width_px], NaN outside."""
-        return self.read("height_m")[0]
-
-    @property
-    def normals(self) -> wp.array:
-        """Outward unit normals in the gel frame, vec3f, [env, height_px, width_px], NaN outside."""
-        return self.read("normals")[0]
-
-    @property
-    def depth_m(self) -> wp.array:
-        """How far the face has sunk since rest [m], float32, as ``height_m``."""
-        return self.read("depth_m")[0]
-
-    @property
-    def points_m(self) -> wp.array:
-        """Points of the face in the gel frame [m], vec3f, as ``height_m``."""
-        return self.read("points_m")[0]
-
-    @property
-    def contact(self) -> wp.array:
-        """Where the gel is touched, bool, [env, height_px, width_px]."""
-        return self.read("contact")[0]
-
-    @property
-    def pressure_pa(self) -> wp.array:
-        """Contact pressure [Pa], float32, as ``height_m``, zero beside the contact."""
-        return self.read("pressure_pa")[0]
-
-    @property
-    def traction_pa(self) -> wp.array:
-        """Force on the gel by area of its face, in its axes [Pa], vec3f, as ``pressure_pa``."""
-        return self.read("traction_pa")[0]
-
-    @property
-    def slip_m(self) -> wp.array:
-        """Sliding in the last step [m], vec3f, as ``traction_pa``; see ``outputs.Sliding``."""
-        return self.read("slip_m")[0]
-
-    @property
-    def slipping(self) -> wp.array:
-        """Where friction is at its limit, bool, as ``contact``, of which the rest sticks."""
-        return self.read("slipping")[0]
-
-    @property
-    def markers_px(self) -> wp.array:
-        """Columns and rows (u, v) of the markers [px], vec2f, shape [env, marker]."""
-        return self.read("markers_px")[0]
+    rgb = _Signal()
+    """Tactile image, RGB rounded to uint8, shape [env, height_px, width_px, 3]."""
+    rgb_levels = _Signal()
+    """Tactile image unrounded, float32 levels 0..255, [env, height_px, width_px, 3]."""
+    height_m = _Signal()
+    """Height of the contact surface [m], float32, [env, height_px, width_px], NaN outside."""
+    normals = _Signal()
+    """Outward unit normals in the gel frame, vec3f, [env, height_px, width_px], NaN outside."""
+    depth_m = _Signal()
+    """How far the face has sunk since rest [m], float32, as ``height_m``."""
+    points_m = _Signal()
+    """Points of the face in the gel frame [m], vec3f, as ``height_m``."""
+    contact = _Signal()
+    """Where the gel is touched, bool, [env, height_px, width_px]."""
+    pressure_pa = _Signal()
+    """Contact pressure [Pa], float32, as ``height_m``, zero beside the contact."""
+    traction_pa = _Signal()
+    """Force on the gel by area of its face, in its axes [Pa], vec3f, as ``pressure_pa``."""
+    slip_m = _Signal()
+    """Sliding in the last step [m], vec3f, as ``traction_pa``; see ``outputs.Sliding``."""
+    slipping = _Signal()
+    """Where friction is at its limit, bool, as ``contact``, of which the rest sticks."""
+    markers_px = _Signal()
+    """Columns and rows (u, v) of the markers [px], vec2f, shape [env, marker]."""
 
     def read(self, *names: str) -> tuple[wp.array, ...]:
         """Compute some of ``SIGNALS`` together, which shares their common work.
@@ -447,3 +434,10 @@ class SignalTactile:
 
     def _map(self, kernel: Any, inputs: list[Any], output: wp.array) -> None:
         wp.launch(kernel, dim=output.shape, inputs=inputs, outputs=[output], device=self.device)
+
+
+def _soft_body(solver: SolverIPC, gel: int) -> SoftBody:
+    bodies = solver.model.scene.soft_bodies
+    if not 0 <= gel < len(bodies):
+        raise InputError(f"there is no soft body {gel}; the scene has {len(bodies)}")
+    return bodies[gel]

@@ -1,19 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The material of a gel's mesh: what a profile states, and layers such as a core under a skin."""
+"""The gel of a profile, and its material: uniform, or layers such as a core under a skin."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.bodies.bodies import SoftBody
+from taccel_lab.bodies.material import Material, MaterialField, MaterialModel
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.scene import Material, MaterialField, MaterialModel
 
 if TYPE_CHECKING:
-    from taccel_lab.profile import MaterialBlock
+    from taccel_lab.profile import MaterialBlock, SensorProfile
+
+
+def profile_gel(profile: SensorProfile, mesh: TetMesh | None = None, **options: Any) -> SoftBody:
+    """The gel of a profile as a soft body: mesh, material and friction.
+
+    Args:
+        profile: Sensor.
+        mesh: Of the same gel, finer or coarser; the profile's own when None.
+        options: Further fields of ``SoftBody``, such as ``mount``, ``element``, ``surface``.
+    """
+    mesh = profile.mesh if mesh is None else mesh
+    return SoftBody(
+        mesh,
+        profile_material(profile.material, mesh),
+        friction_coefficient=profile.material.friction_coefficient,
+        **options,
+    )
 
 
 def profile_material(block: MaterialBlock, mesh: TetMesh) -> Material | MaterialField:

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A profile becomes a scene, and what its sensor sees and feels is read from the solver."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from taccel_lab import KinematicBody, Scene, SignalTactile, SolverIPC, initial_state, to_torch
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.errors import InputError
+from taccel_lab.outputs import Outputs
+from taccel_lab.scene import Ball, Element
+from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.sensors.registry import sensor_family
+
+RADIUS_M, DEPTH_M = 4e-3, 3e-4
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    """Mini, ball, three environments; the middle one is not touched."""
+    profile = catalogue_profile("gelsight_mini")
+    mesh = gel_mesh(sensor_family("gelsight_mini").parameters().pad(), edge_mm=4)
+    scene = Scene.from_profile(
+        profile,
+        mesh=mesh,
+        gel={"element": Element.LINEAR},
+        kinematic_bodies=KinematicBody(Ball(RADIUS_M)),
+        env_count=3,
+    )
+    solver = SolverIPC(scene.finalize("cpu"))
+    poses = np.zeros((3, 1, 7))
+    poses[..., 6] = 1.0
+    poses[..., 2] = RADIUS_M + 2e-4
+    state = initial_state(solver.model, poses)
+    for part in (0.5, 1.0):
+        poses[[0, 2], 0, 2] = RADIUS_M - part * DEPTH_M
+        assert solver.step(state, poses).converged.all()
+    return profile, scene, solver, state
+
+
+def test_gel_is_the_profiles(pressed) -> None:
+    profile, scene, _, _ = pressed
+    (gel,) = scene.soft_bodies
+    assert gel.material.young_modulus_pa == profile.material.young_modulus_pa
+    assert gel.friction_coefficient == profile.material.friction_coefficient
+    assert gel.element is Element.LINEAR
+
+
+def test_signals_are_the_profiles(pressed) -> None:
+    profile, _, solver, state = pressed
+    sensor = SignalTactile.from_profile(profile, solver=solver)
+    sensor.update(state)
+    markers, depth = (to_torch(array).numpy() for array in sensor.read("markers_px", "depth_m"))
+    grid = profile.grid()
+    assert depth.shape == (3, grid.height_px, grid.width_px)
+    assert 0.5 * DEPTH_M < np.nanmax(depth[0]) < 1.2 * DEPTH_M
+    assert np.nanmax(np.abs(depth[1])) < 1e-6
+    # The dots of the profile's own block, in its order, where they are not touched.
+    points = profile.markers.grid().points_mm()
+    where = grid.pixel_from_gel(points[grid.contains(points)])
+    assert markers.shape == (3, len(where), 2)
+    assert np.abs(markers[1] - where).max() < 1e-3
+    assert np.abs(markers[0] - where).max() > 0.02
+
+
+def test_wrench_is_a_tensor_that_pushes_the_gel_down(pressed) -> None:
+    _, _, solver, state = pressed
+    wrench = to_torch(Outputs(solver).update(state).soft_wrenches())[:, 0]
+    assert tuple(wrench.shape) == (3, 6)
+    assert wrench[0, 2] < -0.1
+    assert abs(float(wrench[1, 2])) < 1e-9
+    assert float(wrench[2, 2]) == pytest.approx(float(wrench[0, 2]), rel=1e-3)
+
+
+def test_options_go_first_and_a_count_is_needed(pressed) -> None:
+    profile, _, solver, _ = pressed
+    assert SignalTactile.from_profile(profile, solver=solver, markers=None).env_count == 3
+    with pytest.raises(InputError, match="how many environments"):
+        SignalTactile.from_profile(profile)
+    with pytest.raises(InputError, match="no soft body 2"):
+        SignalTactile.from_profile(profile, solver=solver, gel=2)
