@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from taccel_lab.benchmarks.report.figures import NOTHING, Document, Results, number
+from taccel_lab.benchmarks.report.figures import Document, number
 from taccel_lab.report.markdown import markdown_table
 
 
@@ -42,18 +42,4 @@ def check_errors(document: Document) -> Iterator[str]:
             + [counts.get((case, name), "-") for name in sets]
             for case, code in cases
         ],
-    )
-
-
-def captures_headline(results: Results) -> str:
-    """The same without times, for the README."""
-    rows = [
-        [row["set"], row["command"], row["figure"], number(row["value"]), f"{row['goal']:g}"]
-        for document in results.get("captures", [])
-        for row in document["rows"]
-    ]
-    return (
-        markdown_table(["captures", "calibration", "figure", "value", "goal"], rows)
-        if rows
-        else NOTHING
     )

@@ -13,15 +13,13 @@ import numpy as np
 from taccel_lab.benchmarks.peers import read_field
 from taccel_lab.benchmarks.report.capture_sections import (
     captures,
-    captures_headline,
     check_errors,
 )
 from taccel_lab.benchmarks.report.figures import NOTHING, Document, Results, number
+from taccel_lab.benchmarks.report.headline import headline
 from taccel_lab.report.markdown import markdown_table
 
 Section = Callable[[Results], str]
-HEADLINES = {("peg", 1), ("peg", 256), ("peg", 4096), ("hand", 1), ("hand", 256), ("press_2005", 1)}
-"""Scenes and environments whose speed the README shows."""
 
 
 def origin(document: Document) -> str:
@@ -386,29 +384,10 @@ def speed_pictures(results: Results) -> str:
     return "![Frames a second by environments](images/benchmarks/speed.png)"
 
 
-def headline(results: Results) -> str:
-    """A few rows for the README."""
-    rows = [
-        [
-            row["what"],
-            document["run"]["device"].replace("NVIDIA ", "").replace(", one thread", ""),
-            f"{row['envs']:,}",
-            number(row["fps"]["median"]),
-            solved(row["residual"]),
-            number(row["memory_mib_per_env"]),
-        ]
-        for document in results.get("speed", [])
-        for row in document["rows"]
-        if (row["scene"], row["envs"]) in HEADLINES and not row.get("lag", 0)
-    ]
-    head = ["scene", "on", "environments", "FPS", "residual over contact force"]
-    return markdown_table([*head, "MiB an environment"], rows) if rows else NOTHING
-
-
 VERIFICATION: dict[str, Section] = {
     "press accuracy": partial(of_each_result, "press_accuracy", press_accuracy)
 }
-HEADLINE: dict[str, Section] = {"speed": headline, "captures": captures_headline}
+HEADLINE: dict[str, Section] = {"headline": headline}
 SECTIONS: dict[str, Section] = {
     "speed": partial(of_each_result, "speed", speed),
     "speed picture": speed_pictures,

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The README's five figures, each with the protocol that it was scored by."""
+
+from __future__ import annotations
+
+import statistics
+from typing import Any
+
+from taccel_lab.benchmarks.report.figures import NOTHING, Results
+from taccel_lab.report.markdown import markdown_table
+
+Row = dict[str, Any]
+
+
+def headline(results: Results) -> str:
+    """Image, slopes, force against truth, force against a finer mesh, speed."""
+    rows = [
+        _of_captures(
+            results,
+            "PSNR, placed by label [dB]",
+            "Image of a real ball press [dB PSNR]",
+            "[presses set aside by place](docs/calibration_color.md#figures) before any image was "
+            "read, placed where the label says, crop of 1.6 contact radii; the untouched image "
+            "scores 15.7 to 22",
+        ),
+        _of_captures(
+            results,
+            "normals, placed by label [deg]",
+            "Slopes read from real images [deg]",
+            "[the same presses](docs/calibration_depth.md), mean angle in the contact",
+        ),
+        _measured_force(results),
+        _mesh_error(results),
+        _speed(results),
+    ]
+    found = [row for row in rows if row]
+    return markdown_table(["what", "figure", "how it was scored"], found) if found else NOTHING
+
+
+def _of_captures(results: Results, figure: str, what: str, how: str) -> list[str]:
+    values = [
+        f"{row['value']:.3g} ({row['set'].split(' (')[0]})"
+        for document in results.get("captures", [])
+        for row in document["rows"]
+        if row["figure"] == figure
+    ]
+    return [what, ", ".join(values), how] if values else []
+
+
+def _measured_force(results: Results) -> list[str]:
+    worst = [
+        row
+        for document in results.get("captures", [])
+        for row in document["rows"]
+        if row["command"] == "material"
+    ]
+    if not worst:
+        return []
+    value, goal = max(row["value"] for row in worst), worst[0]["goal"]
+    return [
+        "Force that others measured on a GelSight Mini",
+        f"{value:.1%} (goal {goal:.0%}: missed)" if value > goal else f"{value:.1%}",
+        "[one modulus and a zero](docs/calibration_material.md#accuracy), each point predicted "
+        "from the others, worst one",
+    ]
+
+
+def _mesh_error(results: Results) -> list[str]:
+    errors: dict[bool, list[float]] = {}
+    for document in results.get("press_accuracy", []):
+        for row in document["rows"]:
+            if row["setting"] == "default" and not row["cause"]:
+                ball = row["tool"].startswith("ball")
+                errors.setdefault(ball, []).append(abs(row["force_error"]))
+    if not errors:
+        return []
+    said = [
+        f"{statistics.median(errors[ball]):.1%}, worst {max(errors[ball]):.0%} ({name})"
+        for ball, name in ((True, "balls"), (False, "tools with edges"))
+        if ball in errors
+    ]
+    return [
+        "Force of a default `press`, error of its mesh",
+        "; ".join(said),
+        "[against eight times as many nodes](docs/verification.md), ten sensors",
+    ]
+
+
+def _speed(results: Results) -> list[str]:
+    together = _fps(results, "speed", lambda row: not row.get("lag", 0))
+    own = _fps(results, "learning", lambda row: row["pace"] == "own" and not row["observed"])
+    if not together or not own:
+        return []
+    many = max(set(together) & set(own))
+    return [
+        f"Steps a second, {many:,} environments on an H200",
+        f"{together[many]:,.0f} in step, {own[many]:,.0f} at their own pace with resets",
+        "[two gels push a peg into a hole](docs/benchmarks.md#speed), residual 1e-4 of the contact "
+        "force, forces read",
+    ]
+
+
+def _fps(results: Results, suite: str, of_interest: Any) -> dict[int, float]:
+    """Of the scene ``peg`` on an H200, by environments."""
+    return {
+        row["envs"]: row["fps"]["median"] if isinstance(row["fps"], dict) else row["fps"]
+        for document in results.get(suite, [])
+        if "H200" in document["run"]["device"]
+        for row in document["rows"]
+        if row["scene"] == "peg" and of_interest(row)
+    }
