@@ -51,15 +51,12 @@ class DatasetSpeed(Suite):
     what: ClassVar[str] = "Touches simulated, drawn at 320x240 and written: images a second."
     touches: tuple[int, ...] = (8,)
     """Touches side by side, a row each."""
-    surface: str = "gel"
-    """gel or fused, as ``output.surface`` of a data set."""
     accuracy: str = "default"
     """fast, default or reference, as of ``press``."""
 
     def settings(self) -> dict[str, Any]:
         return {
             "touches": self.touches,
-            "surface": self.surface,
             "accuracy": self.accuracy,
             "size": SIZE,
             "channels": CHANNELS,
@@ -68,11 +65,8 @@ class DatasetSpeed(Suite):
 
     def measure_rows(self, result: ResultFile) -> None:
         """A row for each number of touches; kernels are compiled before."""
-        if self.surface not in ("gel", "fused") or self.accuracy not in list(Accuracy):
-            raise InputError(
-                "surface must be gel or fused and accuracy fast, default or reference; got "
-                f"{self.surface} and {self.accuracy}"
-            )
+        if self.accuracy not in list(Accuracy):
+            raise InputError(f"accuracy must be fast, default or reference; got {self.accuracy}")
         measure(1, self, Motion("press", 0.1))
         for count in self.touches:
             result.measure(
@@ -131,7 +125,7 @@ def measure(count: int, suite: DatasetSpeed, motion: Motion) -> dict[str, Any]:
         )
     meshed = time.perf_counter()
     channels = channels_of(CHANNELS)
-    bench = Bench(sensor, ball, physics, channels, suite.surface, device=suite.device)
+    bench = Bench(sensor, ball, physics, channels, device=suite.device)
     records = simulate_touches(touches, bench)
     wp.synchronize()
     simulated = time.perf_counter()

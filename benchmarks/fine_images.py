@@ -4,10 +4,9 @@
 A ball of 5 mm with a texture is pressed 0.15 mm deep into a pad of 12 x 12 x 4 mm (E 0.15 MPa, nu
 0.46, no friction). The reference presses the textured surface itself, triangles 0.04 mm wide, into
 a gel with nodes 0.04 mm apart; the others press a smooth ball into gels of a few thousand nodes and
-show the texture by ``FineSurface``. Beside it what the gel alone shows, and ``SignalFusedSurface``
-of the same press. Images are of three lights 120 degrees apart, 25 degrees high, by Lambert, 180
-levels for a face towards a light. Pixels count where the reference differs from the untouched gel
-by more than 2 levels.
+show the texture by ``FineSurface``. Beside it what the gel alone shows. Images are of three lights
+120 degrees apart, 25 degrees high, by Lambert, 180 levels for a face towards a light. Pixels count
+where the reference differs from the untouched gel by more than 2 levels.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
+import warp as wp
 
 from taccel_lab.benchmarks.results import ResultFile, note
 from taccel_lab.benchmarks.suite import Suite
@@ -29,9 +29,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.file_cache import cached_arrays
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Ball, Material, TriangleMesh
-from taccel_lab.signals import HeightFieldSurface, SignalFusedSurface, SignalTactile
+from taccel_lab.signals import SignalTactile
 from taccel_lab.signals.deformed_face import DeformedFace
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.normals import normals_from_slopes
@@ -191,9 +190,9 @@ def surface(
     mesh: TetMesh | QuadraticMesh, positions_m: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean height [m] and slope of the mean normal of each pixel, of the gel alone."""
-    face = DeformedFace(mesh, GRID.refined(POINTS), net_px=1.0)
-    height, slope = face.sample(positions_m[face.surface.node_idx])
-    normal = normals_from_slopes(slope)
+    face = DeformedFace(mesh, GRID.refined(POINTS))
+    samples = face.sample(wp.array(positions_m[None], dtype=wp.vec3d, device="cpu")).numpy()[0]
+    height, normal = samples[..., 2], normals_from_slopes(samples[..., :2])
     shape = (GRID.height_px, POINTS, GRID.width_px, POINTS)
     mean = normal.reshape(*shape, 3).mean(axis=(1, 3))
     return height.reshape(shape).mean(axis=(1, 3)), -mean[..., :2] / mean[..., 2:]
@@ -217,8 +216,8 @@ def measure(
     reference_mm: float,
     pictures: dict[str, list[np.ndarray]],
 ) -> dict[str, Any]:
-    """A row: errors of all element sizes; images of the reference, the finest fine one and what the
-    gel alone and the fused surface show go to ``pictures``."""
+    """A row: errors of all element sizes; images of the reference, of the coarse gel with fine
+    contact and of it alone go to ``pictures``."""
     texture, truth = TEXTURES[name](), reference(name, reference_mm)
     bare = np.zeros_like(truth["slope"])
     row: dict[str, Any] = {
@@ -241,7 +240,6 @@ def measure(
             read_s.append(time.perf_counter() - started)
         height, normals, pressure = (array.astype(np.float64) for array in arrays)
         slope = -normals[..., :2] / normals[..., 2:]
-        fused = fused_surface(env, texture)
         alone = surface(env.mesh, env.positions[0])
         row["curve"].append(
             {
@@ -252,12 +250,11 @@ def measure(
                 "force_n": float(env.press_force[0, 2]),
                 "fine_force_n": float(pressure.sum() * 1e-6 * GRID.mm_per_px_x * GRID.mm_per_px_y),
                 "fine": score(truth, height, slope),
-                "fused": score(truth, *fused),
                 "gel alone": score(truth, *alone),
             }
         )
         if element_mm == chosen(elements_mm):
-            shown += [image(slope), image(fused[1]), image(alone[1])]
+            shown += [image(slope), image(alone[1])]
     pictures[name] = shown
     return row
 
@@ -265,19 +262,6 @@ def measure(
 def chosen(elements_mm: tuple[float, ...]) -> float:
     """The element size that pictures show: the one nearest to that of presses by default."""
     return min(elements_mm, key=lambda size: abs(size - 0.35))
-
-
-def fused_surface(env: PressEnv, texture: Texture) -> tuple[np.ndarray, np.ndarray]:
-    """Height [m] and slope by ``SignalFusedSurface`` of the textured object."""
-    seen = SignalFusedSurface(env.mesh, GRID, points=POINTS)
-    x, y = np.meshgrid(1e-3 * seen.sample_grid.x_mm(), 1e-3 * seen.sample_grid.y_mm())
-    center = env.poses[0, 0, 2] - texture.mean_depth_m
-    ball = center - np.sqrt((1e-3 * BALL_MM) ** 2 - x**2 - y**2)
-    under = HeightFieldSurface(ball + carved_m(texture, x, y), seen.sample_grid)
-    load = Outputs(env.solver).update(env.state).surface_load
-    pressures = load.pressures.numpy()[:, : env.model.soft_count].copy()
-    seen.update(env.positions, under, pressures)
-    return seen.height_m[0], seen.slope[0]
 
 
 def score(truth: dict[str, np.ndarray], height: np.ndarray, slope: np.ndarray) -> dict[str, float]:
@@ -298,7 +282,7 @@ def means(rows: list[dict[str, Any]]) -> list[dict[str, float]]:
     found = []
     for points in zip(*(row["curve"] for row in rows), strict=True):
         line = {key: float(np.mean([p[key] for p in points])) for key in ("nodes", "press_s")}
-        for kind in ("fine", "fused", "gel alone"):
+        for kind in ("fine", "gel alone"):
             for key in points[0][kind]:
                 line[f"{kind} {key}"] = float(np.mean([p[kind][key] for p in points]))
         force = [
@@ -313,19 +297,19 @@ def draw(rows: list[dict[str, Any]], pictures: dict[str, list[np.ndarray]], path
     """Images of all textures, and the errors by nodes."""
     from matplotlib import pyplot as plt
 
-    titles = ("fine mesh", "coarse, fine contact", "coarse, fused", "coarse gel alone")
+    titles = ("fine mesh", "coarse, fine contact", "coarse gel alone")
     figure, axes = plt.subplots(
-        len(rows), 5, figsize=(15, 2.9 * len(rows)), squeeze=False, layout="constrained"
+        len(rows), 4, figsize=(12, 2.9 * len(rows)), squeeze=False, layout="constrained"
     )
     for line, row in zip(axes, rows, strict=True):
         for ax, title, levels in zip(line, titles, pictures[row["texture"]], strict=False):
             ax.imshow(levels.astype(np.uint8))
             ax.set(title=f"{row['texture']}: {title}", xticks=[], yticks=[])
         nodes = [point["nodes"] for point in row["curve"]]
-        for kind, mark in (("fine", "o-"), ("fused", "s--"), ("gel alone", "^:")):
-            line[4].plot(nodes, [p[kind]["levels_l1"] for p in row["curve"]], mark, label=kind)
-        line[4].set(xlim=(0, None), ylim=(0, None), xlabel="nodes", ylabel="error [levels]")
-        line[4].legend()
+        for kind, mark in (("fine", "o-"), ("gel alone", "^:")):
+            line[3].plot(nodes, [p[kind]["levels_l1"] for p in row["curve"]], mark, label=kind)
+        line[3].set(xlim=(0, None), ylim=(0, None), xlabel="nodes", ylabel="error [levels]")
+        line[3].legend()
     figure.savefig(path, dpi=80)
     plt.close(figure)
 
@@ -341,7 +325,7 @@ def describe(row: dict[str, Any]) -> str:
         parts = ", ".join(
             f"{kind} {point[kind]['levels_l1']:.2f} levels {point[kind]['psnr_db']:.1f} dB "
             f"{point[kind]['height_rms_um']:.1f} um"
-            for kind in ("fine", "fused", "gel alone")
+            for kind in ("fine", "gel alone")
         )
         lines.append(
             f"  {point['nodes']} nodes, {point['press_s']:.1f} + {point['read_s']:.2f} s, "

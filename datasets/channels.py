@@ -19,7 +19,6 @@ from taccel_lab.datasets.view import View
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.model.embedding import rotate
-from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.tactile import SIGNALS
 
 if TYPE_CHECKING:
@@ -73,8 +72,7 @@ def _axes(view: View) -> np.ndarray:
 
 
 def _depth(view: View) -> np.ndarray:
-    height, _ = view.seen
-    depth = 1e3 * (view.rest_height_m - height)
+    depth = 1e3 * view.tactile("depth_m").astype(np.float64)
     return np.rint(np.nan_to_num(depth) / DEPTH_STEP_MM) * DEPTH_STEP_MM
 
 
@@ -120,7 +118,7 @@ def _patch_forces(view: View) -> np.ndarray:
 
 
 def _normals(view: View) -> np.ndarray:
-    return np.nan_to_num(normals_from_slopes(view.seen[1]))
+    return np.nan_to_num(view.tactile("normals"))
 
 
 def _moved(view: View) -> np.ndarray:
@@ -129,8 +127,7 @@ def _moved(view: View) -> np.ndarray:
 
 
 def _area(view: View) -> np.ndarray:
-    shown = view.contacts("contact_mask" in view.channels)
-    return np.array([1e6 * np.pi * fused.contact_radius_m[0] ** 2 for fused in shown])
+    return 1e6 * view.contact_area_m2
 
 
 ALWAYS: tuple[Channel, ...] = (
@@ -173,7 +170,7 @@ OPTIONAL: dict[str, Channel] = {
         Channel("normals", "float32", "height, width, 3", "1", "outward normals of the face, gel "
                 "frame; 0 beside the pad", _normals),
         Channel("contact_mask", "uint8", "height, width", "", "1 where the pixel is in contact",
-                lambda v: np.stack([f.contact_mask[0] for f in v.contacts(True)])),
+                lambda v: v.tactile("contact")),
         Channel("markers_px", "float32", "marker, 2", "px", "column and row of each marker",
                 _markers),
         Channel("patch_forces_n", "float32", "row, column, 3", "N", "force of the gel on the object"
@@ -190,9 +187,6 @@ OPTIONAL: dict[str, Channel] = {
 """By name, of ``output.channels``."""
 NODAL = ("node_forces_n", "node_moved_mm", "node_pressures_kpa", "node_tractions_kpa")
 """A row is as long as the contact face of its mesh has nodes; shorter ones end with zeros."""
-_IMAGED = {"rgb", "depth_mm", "normals", "contact_mask"}
-
-
 _YES_OR_NO = {"contact", "slipping"}
 
 
@@ -233,15 +227,6 @@ def check_channels(output: Output, sensor: Sensor) -> None:
         )
     if wanted & {"rgb_levels"} and sensor.color is None:
         raise InputError("rgb_levels needs a colour model, which its profile has not; rgb does not")
-    from_gel = wanted & (set(SIGNALS) - set(OPTIONAL))
-    if output.surface == "gel" and wanted & _IMAGED:
-        from_gel |= wanted & _IMAGED
-    if from_gel and not sensor.rest(0).is_flat:
-        raise InputError(
-            f"its face is curved, on which {', '.join(sorted(from_gel))} cannot be made from the "
-            'gel\'s nodes for all environments together: set output.surface = "fused" and leave '
-            "out signals that it does not make"
-        )
 
 
 def grid_record(grid: PixelGrid) -> dict[str, Any]:

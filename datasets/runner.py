@@ -28,9 +28,8 @@ from taccel_lab.report.machine import describe_run
 if TYPE_CHECKING:
     from taccel_lab.datasets.spec import DatasetSpec
 
-GPU_TOUCHES = {"gel": 256, "fused": 32}
-"""Environments side by side on a GPU, by ``output.surface``: fused surfaces are made on the host
-and take memory there."""
+GPU_TOUCHES = 256
+"""Environments side by side on a GPU."""
 WRITERS = 4
 """Threads that compress and write while a GPU simulates."""
 
@@ -103,11 +102,10 @@ def batches(plan: Plan, parts: list[Part], device: str) -> list[tuple[Part, ...]
     neighbours of one sensor and object."""
     if not device.startswith("cuda"):
         return [(part,) for part in parts]
-    most = GPU_TOUCHES[plan.spec.output.surface]
     found: list[list[Part]] = []
     for part in parts:
         last = found[-1] if found else []
-        room = most - sum(len(p.episodes) for p in last)
+        room = GPU_TOUCHES - sum(len(p.episodes) for p in last)
         same = last and (last[0].sensor, last[0].object) == (part.sensor, part.object)
         if same and len(part.episodes) <= room:
             last.append(part)
@@ -167,7 +165,6 @@ def simulate_parts(
         plan.indenters[first.object],
         plan.physics,
         channels_of(output.channels),
-        output.surface,
         output.patches,
         device,
         lambda done, total: told(what, done, total),

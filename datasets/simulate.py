@@ -37,7 +37,6 @@ class Bench:
     indenter: Indenter
     physics: PressPhysics
     channels: Sequence[Channel]
-    surface: str = "fused"
     patches: tuple[int, int] = (8, 6)
     device: str = "cpu"
     told: Told = field(default=lambda done, total: None)
@@ -94,7 +93,6 @@ def _simulate(touches: Sequence[Touch], bench: Bench) -> list[TouchRecord]:
         touches,
         meshes,
         bench.sensor,
-        surface=bench.surface,
         patches=bench.patches,
         channels=[channel.name for channel in bench.channels],
     )

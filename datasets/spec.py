@@ -194,9 +194,6 @@ class Output(StrictModel):
     """Names of ``taccel-lab dataset channels``."""
     size_px: tuple[Whole, Whole] | None = None
     """Width and height of images; the camera's when left out."""
-    surface: Literal["fused", "gel"] = "fused"
-    """What images show: the object's own shape where it touches, as ``press``, or the face through
-    the gel's nodes, which is made for all environments together on the device."""
     patches: tuple[Annotated[Whole, Field(ge=1, le=256)], Annotated[Whole, Field(ge=1, le=256)]] = (
         8,
         6,

@@ -1,38 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a step of some environments led to: read once, when a channel asks for it.
 
-Rows are environments of ``who``, in order. What lies on the device is read there for all of them
-together; surfaces that show the object itself (``SignalFusedSurface``) are made one by one on the
-host.
+Rows are environments of ``who``, in order. What lies on the device, surfaces and images above all
+(``FineSurface``), is read there for all of them together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import warp as wp
 
 from taccel_lab.datasets.sensor import Sensor, resized_grid
 from taccel_lab.datasets.touch import Touch
 from taccel_lab.envs.press import PressEnv, PressError
-from taccel_lab.envs.press_surface import points_across_pixel
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.outputs import Outputs
 from taccel_lab.outputs.surface_load import SurfaceLoad
-from taccel_lab.scene import Ball
-from taccel_lab.signals import HeightFieldSurface, SignalFusedSurface, SphereSurface
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
+from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.perturbation import Perturbation
-from taccel_lab.signals.tactile import SignalTactile
-from taccel_lab.signals.tactile_image import DeviceColorModel
+from taccel_lab.signals.tactile import SIGNALS, SignalTactile
 from taccel_lab.solvers import StepReport
 
+PIXELS = {"rgb", "depth_mm", "normals", "contact_mask", *SIGNALS} - {"markers_px"}
+"""Channels that have pixels."""
 COARSE_PX = 160
 """Width of the image that a contact's area is measured on where no image shows the contact."""
 
@@ -47,20 +43,24 @@ class View:
         meshes: Sequence[TetMesh | QuadraticMesh],
         sensor: Sensor,
         *,
-        surface: str,
         patches: tuple[int, int],
         channels: Sequence[str],
     ) -> None:
-        """``meshes``: of the environments, with all their nodes; ``surface``, ``patches`` and
-        ``channels`` as in ``spec.Output``."""
+        """``meshes``: of the environments, with all their nodes; ``patches`` and ``channels`` as in
+        ``spec.Output``."""
         self.env, self.touches, self.meshes, self.sensor = env, touches, meshes, sensor
-        self.surface_kind, self.patches, self.channels = surface, patches, channels
+        self.patches, self.channels = patches, channels
+        self._images = not PIXELS.isdisjoint(channels)
+        known = {"rgb": "rgb_levels", "depth_mm": "depth_m", "contact_mask": "contact"}
+        if sensor.color is None:
+            del known["rgb"]
+        wanted = {known.get(name, name) for name in channels} & {*SIGNALS} - {"rgb", "markers_px"}
+        self._signals = sorted(wanted | {"contact"})
         self._outputs = Outputs(env.solver)
         self.face_nodes = np.unique(env.mesh.region_faces(Region.CONTACT))
         """Nodes of the contact face, [face_node]."""
         self._tactile: dict[PixelGrid, SignalTactile] = {}
-        self._fused: dict[tuple[int, PixelGrid, int], SignalFusedSurface] = {}
-        self._painters: dict[int, DeviceColorModel] = {}
+        self._fine: dict[PixelGrid, FineSurface] = {}
         self._optical: dict[int, OpticalModel] = {}
         self._layouts: dict[int, MarkerLayout] = {}
         self.who = np.zeros(0, dtype=np.int64)
@@ -179,90 +179,56 @@ class View:
         return self.sensor.unit_grid(self.touches[env].unit)
 
     @cached_property
-    def seen(self) -> tuple[np.ndarray, np.ndarray]:
-        """Height [m], [row, height_px, width_px], and its slopes [row, height_px, width_px, 2];
-        NaN beside the pad."""
-        size = (len(self.who), self.sensor.grid.height_px, self.sensor.grid.width_px)
-        height, slope = np.empty(size), np.empty((*size, 2))
+    def contact_area_m2(self) -> np.ndarray:
+        """Area in contact, [row]."""
+        area = np.zeros(len(self.who))
+        if self.touching:
+            self.tactile("contact")
+            for grid, chosen in self._rows_by_grid().items():
+                area[chosen] = self._fine[grid].contact_area_m2[self.who[chosen]]
+        return area
+
+    def _rows_by_grid(self) -> dict[PixelGrid, list[int]]:
+        rows: dict[PixelGrid, list[int]] = {}
         for row, env in enumerate(self.who.tolist()):
-            if self.surface_kind == "fused":
-                fused = self.fused(env)
-                height[row], slope[row] = fused.height_m[0], fused.slope[0]
-        if self.surface_kind == "gel":
-            height = self.tactile("height_m").astype(np.float64)
-            normals = self.tactile("normals").astype(np.float64)
-            slope = -normals[..., :2] / normals[..., 2:]
-        return height, slope
+            rows.setdefault(self._shown_grid(env), []).append(row)
+        return rows
 
-    @cached_property
-    def rest_height_m(self) -> np.ndarray:
-        """As of ``seen``, of the untouched gel."""
-        rests = [self.sensor.rest(self.touches[env].unit) for env in self.who.tolist()]
-        return np.stack([rest.height_m for rest in rests])
+    def _shown_grid(self, env: int) -> PixelGrid:
+        """Pixels that surfaces are read on: those of the images, or coarser for the area in contact
+        alone."""
+        grid = self.grid(env)
+        if self._images or grid.width_px <= COARSE_PX:
+            return grid
+        return resized_grid(
+            grid, COARSE_PX, max(2, round(grid.height_px * COARSE_PX / grid.width_px))
+        )
 
-    @cached_property
-    def _fresh(self) -> set[tuple[int, PixelGrid, int]]:
-        """Fused surfaces that show this step."""
-        return set()
-
-    def fused(self, env: int, coarse: bool = False) -> SignalFusedSurface:
-        """Gel and object together in one environment, at this step."""
-        grid, shape = self.grid(env), self._shape
-        points = 1
-        if coarse and grid.width_px > COARSE_PX:
-            height = max(2, round(grid.height_px * COARSE_PX / grid.width_px))
-            grid = resized_grid(grid, COARSE_PX, height)
-        elif not coarse and not isinstance(shape, Ball):
-            points = points_across_pixel(grid)
-        key = (env, grid, points)
-        if key not in self._fused:
-            rest = None if coarse else self.sensor.rest(self.touches[env].unit)
-            self._fused[key] = SignalFusedSurface(
-                self.meshes[env], grid, designed_rest=rest, points=points
+    def _signals_of(self, grid: PixelGrid, env: int) -> SignalTactile:
+        """The signals on one of the grids, which that environment is seen on."""
+        if grid not in self._tactile:
+            body = self.env.model.scene.kinematic_bodies[0].name
+            rest = self.sensor.rest(self.touches[env].unit) if self._images else None
+            fine = FineSurface(self.env.solver, body, grid, designed_rest=rest)
+            model, background = (self._images and self.sensor.color) or (None, None)
+            self._fine[grid] = fine
+            self._tactile[grid] = SignalTactile.from_solver(
+                self.env.solver, grid, fine=fine, color_model=model, background_rgb=background
             )
-        found = self._fused[key]
-        if key not in self._fresh:
-            self._fresh.add(key)
-            row = int(np.searchsorted(self.who, env))
-            if isinstance(shape, Ball):
-                center = self.tool_poses[row, :3]
-                surface: Any = SphereSurface(center, shape.radius_m, found.sample_grid)
-            else:
-                vertices = self.env.state.positions.numpy()[
-                    env : env + 1, self.env.model.soft_count :
-                ].copy()
-                surface = HeightFieldSurface.from_mesh(vertices, shape.faces, found.sample_grid)
-            found.update(self.positions_m[row : row + 1], surface, self.pressures_pa[row : row + 1])
-        return found
-
-    @property
-    def _shape(self) -> Any:
-        return self.env.model.scene.kinematic_bodies[0].shape
-
-    def contacts(self, mask: bool) -> list[SignalFusedSurface]:
-        """What shows the contact of each row: with its ``mask`` in the image's pixels, or coarser
-        for its area alone."""
-        coarse = self.surface_kind == "gel" and not mask
-        return [self.fused(env, coarse) for env in self.who.tolist()]
+        return self._tactile[grid]
 
     def tactile(self, name: str) -> np.ndarray:
         """A signal of ``SignalTactile`` by its name, a row each."""
         rows: np.ndarray | None = None
-        by_grid: dict[PixelGrid, list[int]] = {}
-        for row, env in enumerate(self.who.tolist()):
-            by_grid.setdefault(self.grid(env), []).append(row)
-        for grid, chosen in by_grid.items():
-            if grid not in self._tactile:
-                model, background = self.sensor.color or (None, None)
-                self._tactile[grid] = SignalTactile.from_solver(
-                    self.env.solver, grid, color_model=model, background_rgb=background
-                )
+        for grid, chosen in self._rows_by_grid().items():
+            signal = self._signals_of(grid, int(self.who[chosen[0]]))
             shown = np.zeros(len(self.touches), dtype=bool)
             shown[self.who[chosen]] = True
-            signal = self._tactile[grid]
             if grid not in self._pointed:
                 self._pointed.add(grid)
                 signal.update(self.env.state, who=shown)
+                # All that is going to be asked for, as the surface is sampled once for it.
+                signal.read(*self._signals)
             values: np.ndarray = signal.read(name)[0].numpy()
             if name in CONTACT_SIGNALS and not self.touching:
                 # The solver's last forces are those of an earlier batch.
@@ -285,10 +251,8 @@ class View:
         """Tactile images before noise, float32 levels, [row, height_px, width_px, 3]."""
         if self.sensor.color is None:
             images = np.stack([self._predicted(env) for env in self.who.tolist()])
-        elif self.surface_kind == "gel":
-            images = self.tactile("rgb_levels")
         else:
-            images = np.concatenate([self._painted(row) for row in range(len(self.who))])
+            images = self.tactile("rgb_levels")
         images = images.astype(np.float32)
         for row, env in enumerate(self.who.tolist()):
             for light in self._lights(env):
@@ -299,23 +263,6 @@ class View:
         touch = self.touches[env]
         lights = (self.sensor.units[touch.unit].light, touch.light)
         return [light for light in lights if light is not None]
-
-    def _painted(self, row: int) -> np.ndarray:
-        """The image of one row from its surface by the colour model, [1, ...]."""
-        assert self.sensor.color is not None
-        unit = self.touches[int(self.who[row])].unit
-        height, slope = self.seen
-        if unit not in self._painters:
-            rest = self.sensor.rest(unit)
-            slopes = -rest.normals[..., :2] / rest.normals[..., 2:]
-            self._painters[unit] = DeviceColorModel(
-                *self.sensor.color, _samples(slopes, 0 * rest.height_m)
-            )
-        rise = height[row] - self.rest_height_m[row]
-        samples = _samples(slope[row], rise)
-        levels = wp.empty((1, *rise.shape, 3), dtype=wp.float32, device="cpu")
-        self._painters[unit].render(samples.reshape((1, *rise.shape)), levels=levels)
-        return levels.numpy()
 
     def _predicted(self, env: int) -> np.ndarray:
         """The image that the optical model expects."""
@@ -344,9 +291,3 @@ class View:
             points = (self.positions_m[row][layout.nodes] * layout.weights[..., None]).sum(axis=1)
             found.append(self.grid(env).pixel_from_gel(points[:, :2] * 1e3))
         return np.stack(found)
-
-
-def _samples(slope: np.ndarray, rise_m: np.ndarray) -> wp.array:
-    """Samples of a surface as ``DeviceColorModel`` takes them, on the host."""
-    values = np.concatenate([slope, rise_m[..., None]], axis=-1)
-    return wp.array(values.astype(np.float32), dtype=wp.vec3f, device="cpu")

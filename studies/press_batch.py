@@ -7,7 +7,6 @@ import dataclasses
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -64,14 +63,16 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
         Material(REFERENCE_PA * ratio, nu)
         for ratio, nu in zip(first.modulus_ratios, first.poisson_ratios, strict=True)
     ]
+    indenter = parse_indenter(first.indenter)
+    frames = np.stack([job.gel_from_press for job in jobs])
     env = PressEnv(
         first.mesh,
         layered_material(materials, first.mesh),
-        parse_indenter(first.indenter),
+        indenter,
         np.zeros((len(jobs), 2)),
         friction_coefficient=first.friction,
         rest_positions_m=np.stack([job.mesh.nodes_m for job in jobs]),
-        gel_from_press=np.stack([job.gel_from_press for job in jobs]),
+        gel_from_press=frames,
         physics=first.press.physics,
         device=device,
     )
@@ -83,6 +84,7 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
     rest = np.stack([mesh.nodes_m for mesh in meshes])
     outputs = Outputs(env.solver)
     steps: list[list[dict[str, np.ndarray | float]]] = [[] for _ in jobs]
+    radii_mm: list[list[float]] = [[] for _ in jobs]
     causes = [""] * len(jobs)
     failed = np.zeros(len(jobs), dtype=bool)
     waypoints = press.waypoints()
@@ -99,8 +101,10 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
             break
         wrench, poses, positions = env.wrench, env.poses[:, 0], env.positions
         force, peaks = env.press_force, outputs.update(env.state).bond_peak()[0].numpy()
-        pressures = outputs.surface_load.pressures.numpy()[:, : env.model.soft_count]
+        contact_mm = measured_contact_mm(env, indenter, frames)
         for i in np.flatnonzero(~failed).tolist():
+            if contact_mm is not None:
+                radii_mm[i].append(float(contact_mm[i]))
             frame = jobs[i].gel_from_press
             moment = wrench[i, 3:] - np.cross(frame[:3], wrench[i, :3])
             axis = rotate(frame[3:], np.array([0.0, 0.0, 1.0]))
@@ -112,12 +116,11 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
                 "torque_nm": float(moment @ axis),
                 "indenter_poses": poses[i],
                 "moved_m": (positions[i] - rest[i]).astype(np.float32),
-                "pressures_pa": pressures[i].astype(np.float32),
                 "bond_peak_pa": peaks[i],
                 "residual_n": report.residual_n[i],
                 "newton_iterations": report.newton_iterations[i],
             })  # fmt: skip
-    records = [
+    return [
         PressRecord(
             press=job.press.name,
             indenter=job.indenter,
@@ -128,12 +131,12 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
             thickness_mm=float(thickness_mm[i]),
             step_count=len(waypoints),
             cause=causes[i],
+            contact_radius_mm=np.array(radii_mm[i]) if radii_mm[i] else None,
             device=device,
             **_stacked(steps[i], meshes[i].node_count),
         )
         for i, job in enumerate(jobs)
     ]
-    return [replace(r, contact_radius_mm=measured_contact_mm(r)) for r in records]
 
 
 _SHAPES: dict[str, tuple[int, ...]] = {
@@ -151,7 +154,7 @@ _SHAPES: dict[str, tuple[int, ...]] = {
 
 def _stacked(steps: list[dict[str, np.ndarray | float]], node_count: int) -> dict[str, np.ndarray]:
     """Arrays over the steps; of length 0 where there is none."""
-    shapes = {**_SHAPES, "moved_m": (node_count, 3), "pressures_pa": (node_count,)}
+    shapes = {**_SHAPES, "moved_m": (node_count, 3)}
     return {
         name: np.array([step[name] for step in steps]).reshape(-1, *shape)
         for name, shape in shapes.items()

@@ -46,8 +46,6 @@ class PressRecord:
     """gel_from_indenter, shape [step, 7]."""
     moved_m: np.ndarray
     """Displacement of every node, float32, shape [step, node, 3]."""
-    pressures_pa: np.ndarray
-    """Contact pressure at every node, float32, shape [step, node]."""
     bond_peak_pa: np.ndarray
     """Largest von Mises stress at a bonded node, shape [step]."""
     residual_n: np.ndarray
@@ -92,7 +90,7 @@ class PressRecord:
         """The press of a gel whose moduli are all ``factor`` times these."""
         if factor == 1.0:
             return self
-        loads = ("force_n", "torque_nm", "pressures_pa", "bond_peak_pa", "residual_n")
+        loads = ("force_n", "torque_nm", "bond_peak_pa", "residual_n")
         return dataclasses.replace(self, **{name: getattr(self, name) * factor for name in loads})
 
     @property

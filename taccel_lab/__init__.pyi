@@ -46,8 +46,8 @@ from taccel_lab.scene import VelocityDrive as VelocityDrive
 from taccel_lab.scene import box_mesh as box_mesh
 from taccel_lab.scene import cylinder_mesh as cylinder_mesh
 from taccel_lab.scene import sphere_mesh as sphere_mesh
+from taccel_lab.signals import FineSurface as FineSurface
 from taccel_lab.signals import MarkerLayout as MarkerLayout
-from taccel_lab.signals import SignalFusedSurface as SignalFusedSurface
 from taccel_lab.signals import SignalTactile as SignalTactile
 from taccel_lab.signals import SurfaceMode as SurfaceMode
 from taccel_lab.solvers import Control as Control

@@ -13,7 +13,7 @@ from taccel_lab.calibration.surfaces.press_batch import BatchOutcome, PressBatch
 from taccel_lab.file_cache import CachedFile, load_arrays, save_arrays
 from taccel_lab.version import __version__
 
-RECIPE = 4
+RECIPE = 5
 """Raised whenever the same press comes out otherwise."""
 
 

@@ -17,7 +17,7 @@ from taccel_lab.profile import MaterialBlock
 from taccel_lab.sensors.press_mesh import press_mesh
 
 if TYPE_CHECKING:
-    from taccel_lab.envs import PressEnv
+    from taccel_lab.envs import Indenter, PressEnv
     from taccel_lab.signals.rest_surface import RestSurface
     from taccel_lab.solvers import StepReport
 
@@ -82,8 +82,6 @@ class BatchOutcome:
 
     positions_m: np.ndarray
     """Nodes of the gel [m], shape [press, node, 3]."""
-    pressures_pa: np.ndarray
-    """Contact pressures at them, shape [press, node]."""
     ball_m: np.ndarray
     """Middle of the ball in the gel frame [m], shape [press, 3]."""
     radius_mm: np.ndarray
@@ -100,36 +98,26 @@ def simulate_batch(batch: PressBatch) -> BatchOutcome:
     """Press until the contacts have their radii; runs in a process of its own."""
     import warp as wp
 
-    from taccel_lab.envs import Indenter, PressEnv, profile_material
-    from taccel_lab.outputs import Outputs
-    from taccel_lab.scene import Ball
+    from taccel_lab.envs.press_surface import contact_radii_m
 
     wp.config.log_level = wp.LOG_ERROR
-    ball_mm, count = batch.ball_radius_mm, len(batch.at_mm)
-    meshes = batch.meshes()
-    env = PressEnv(
-        meshes[0],
-        profile_material(batch.material, meshes[0]),
-        Indenter(f"sphere:{ball_mm:g}", Ball(ball_mm * 1e-3)),
-        batch.at_mm,
-        friction_coefficient=batch.friction,
-        rest_positions_m=np.stack([mesh.nodes_m for mesh in meshes]),
-        physics=batch.physics,
-    )
-    search = DepthSearch(batch.target_mm, ball_mm, batch.tolerance_mm)
-    outputs = Outputs(env.solver)
+    count = len(batch.at_mm)
+    env, ball = _env(batch)
+    # What is matched with a circle is what touches. One might match what is seen, where the gel is
+    # still within some micrometres of the ball, and press less deeply. At a gap of 20 um, 0.1 mm
+    # further out, colours of left-out training presses are predicted worse on two sensors and no
+    # better than by chance on the third (docs/calibration_color.md).
+    window, frames = _window(1.4 * batch.ball_radius_mm), np.zeros((count, 7))
+    frames[:, :2], frames[:, 6] = 1e-3 * batch.at_mm, 1.0
+    search = DepthSearch(batch.target_mm, batch.ball_radius_mm, batch.tolerance_mm)
     reports: list[StepReport] = []
     while True:
         reports += _press(env, search.depth_mm, STEP_MM if batch.friction > 0 else FREE_STEP_MM)
-        load = outputs.update(env.state).surface_load
-        pressures = load.pressures.numpy()[:, : env.model.soft_count].copy()
-        radii = [_contact_radius_mm(env, i, pressures, batch) for i in range(count)]
-        if search.update(np.array(radii)):
+        if search.update(1e3 * contact_radii_m(env, ball, window, frames, points=2)):
             break
     seconds = float(np.mean([r.seconds for r in reports]) / count)
     return BatchOutcome(
         positions_m=env.positions.copy(),
-        pressures_pa=pressures,
         ball_m=env.poses[:, 0, :3].copy(),
         radius_mm=search.radius_mm,
         depth_mm=search.depth_mm,
@@ -151,20 +139,20 @@ def surfaces_of(
     at heights of their own, and a surface through them is bumpy by 2 to 3 degrees under deep
     presses, which no image shows.
     """
-    from taccel_lab.bodies.bodies import nodal_mesh
-    from taccel_lab.signals import SignalFusedSurface, SphereSurface
+    from taccel_lab.envs.press_surface import press_surface
 
+    env, ball = _env(batch)
+    poses = np.zeros((len(batch.at_mm), 7))
+    poses[:, :3], poses[:, 6] = outcome.ball_m, 1.0
+    env.restore(outcome.positions_m, poses)
     surfaces = []
-    for i, mesh in enumerate(batch.meshes()):
-        nodal = nodal_mesh(mesh, batch.physics.element)
-        seen = SignalFusedSurface(nodal, grid, designed_rest=designed_rest)
-        ball = SphereSurface(outcome.ball_m[i], batch.ball_radius_mm * 1e-3, grid)
-        seen.update(outcome.positions_m[i : i + 1], ball, outcome.pressures_pa[i : i + 1])
+    for i in range(len(batch.at_mm)):
+        seen = press_surface(env, ball, grid, designed_rest, i)
         surfaces.append(
             PressSurface(
-                height_m=seen.height_m[0],
+                height_m=seen.height_m,
                 rest_height_m=seen.rest_height_m,
-                normals=seen.normals[0],
+                normals=seen.normals,
                 rest_normals=seen.rest_normals,
                 contact_radius_px=float(outcome.radius_mm[i] / grid.mm_per_px_x),
                 depth_mm=float(outcome.depth_mm[i]),
@@ -189,30 +177,25 @@ def _press(env: PressEnv, depth_mm: np.ndarray, step_mm: float) -> list[StepRepo
     return [env.move_to(now + (depth_mm - now) * (i + 1) / count) for i in range(count)]
 
 
-def _window(at_mm: np.ndarray, reach_mm: float) -> PixelGrid:
+def _window(reach_mm: float) -> PixelGrid:
     """A small grid about a press, on which to measure its contact."""
-    size, step = 121, 2 * reach_mm / 120
-    middle = (size - 1) / 2
-    return PixelGrid(
-        size, size, step, step, middle - float(at_mm[0]) / step, middle - float(at_mm[1]) / step
+    return PixelGrid(121, 121, reach_mm / 60, reach_mm / 60)
+
+
+def _env(batch: PressBatch) -> tuple[PressEnv, Indenter]:
+    """The presses before they begin, and the ball."""
+    from taccel_lab.envs import Indenter, PressEnv, profile_material
+    from taccel_lab.scene import Ball
+
+    meshes = batch.meshes()
+    ball = Indenter(f"sphere:{batch.ball_radius_mm:g}", Ball(batch.ball_radius_mm * 1e-3))
+    env = PressEnv(
+        meshes[0],
+        profile_material(batch.material, meshes[0]),
+        ball,
+        batch.at_mm,
+        friction_coefficient=batch.friction,
+        rest_positions_m=np.stack([mesh.nodes_m for mesh in meshes]),
+        physics=batch.physics,
     )
-
-
-def _contact_radius_mm(
-    env: PressEnv, index: int, pressures_pa: np.ndarray, batch: PressBatch
-) -> float:
-    """Radius of what touches, which a circle is matched with.
-
-    One might match what is seen, where the gel is still within some micrometres of the ball, and
-    press less deeply. At a gap of 20 um, 0.1 mm further out, colours of left-out training presses
-    are predicted worse on two sensors and no better than by chance on the third
-    (docs/calibration_color.md).
-    """
-    from taccel_lab.signals import SignalFusedSurface, SphereSurface
-
-    window = _window(batch.at_mm[index], 1.4 * batch.ball_radius_mm)
-    signal = SignalFusedSurface(env.mesh, window)
-    sphere = SphereSurface(env.poses[index, 0, :3], batch.ball_radius_mm * 1e-3, window)
-    here = slice(index, index + 1)
-    signal.update(env.positions[here], sphere, pressures_pa[here])
-    return float(signal.contact_radius_m[0] * 1e3)
+    return env, ball

@@ -190,6 +190,15 @@ class PressEnv:
         self.setback_m[:], self.depth_m[:] = dhat, -dhat - START_CLEARANCE_M
         self.state = initial_state(self.model, self._start)
 
+    def restore(self, positions_m: np.ndarray, poses: np.ndarray) -> None:
+        """Take up where presses ended: gel nodes [m], [env_count, node_count, 3], and
+        gel_from_indenter, [env_count, 7]. Forces are those of contact, without friction."""
+        self.state = initial_state(self.model, np.asarray(poses)[:, None])
+        everywhere = self.state.positions.numpy()
+        everywhere[:, : self.model.soft_count] = positions_m
+        self.state.positions.assign(everywhere)
+        self.solver.refresh_forces(self.state, np.ones(len(self.at_m), dtype=bool))
+
     def _mean_gap_m(self) -> np.ndarray:
         """Mean gap of the contacts along the press, weighted with their forces [m], [env_count];
         dhat where there is no contact."""

@@ -175,7 +175,7 @@ def simulate_press(
     load = Outputs(env.solver).update(env.state).surface_load
     pressures = load.pressures.numpy()[:, : env.model.soft_count].copy()
     pose = env.poses[0, 0]
-    seen = press_surface(env, indenter, grid, pressures, designed_rest)
+    seen = press_surface(env, indenter, grid, designed_rest)
     error = env.error_estimate()
     volumes = tet_volumes(env.positions[0], mesh.tets)
     return PressOutcome(

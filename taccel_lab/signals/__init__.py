@@ -3,27 +3,22 @@
 
 Every signal is built once from static data, reads a state with ``update(...)`` and then exposes
 arrays whose first axis is the environment. ``SignalTactile`` works on device arrays throughout,
-for many environments; ``SignalFusedSurface`` adds the object's own shape to presses, in numpy
-arrays. Both read the gel through ``SurfaceSampler``.
+for many environments; ``FineSurface`` shows it the object's own shape where that touches.
 """
 
 from taccel_lab.signals.contact_surface import ContactSurface
+from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.normals import normals_from_height, normals_from_slopes
-from taccel_lab.signals.rigid_surface import HeightFieldSurface, RigidSurface, SphereSurface
-from taccel_lab.signals.surface_fusion import SignalFusedSurface
 from taccel_lab.signals.surface_sampler import SurfaceMode
 from taccel_lab.signals.tactile import SignalTactile
 
 __all__ = [
     "ContactSurface",
-    "HeightFieldSurface",
+    "FineSurface",
     "MarkerLayout",
-    "RigidSurface",
-    "SignalFusedSurface",
     "SignalTactile",
-    "SphereSurface",
     "SurfaceMode",
     "normals_from_height",
     "normals_from_slopes",

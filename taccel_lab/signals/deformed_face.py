@@ -28,9 +28,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
-from taccel_lab.signals.contact_surface import ContactSurface
-from taccel_lab.signals.raster import FaceRaster, GridMap, barycentric, grid_map, pixel_xy, xy_of
+from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
+from taccel_lab.model.env_rows import chosen_env
+from taccel_lab.signals.markers import in_gel_frame
+from taccel_lab.signals.raster import GridMap, barycentric, grid_map, pixel_xy, rasterize, xy_of
 from taccel_lab.signals.surface_sampler import SurfaceSampler
 
 wp.set_module_options({"enable_backward": False})
@@ -38,28 +39,49 @@ wp.set_module_options({"enable_backward": False})
 # Least d(x, y) / d(X, Y) that slopes are divided by: where the face stands upright, or the C1
 # surface overhangs by a hair between points that do not, a slope is steep and not infinite.
 _UPRIGHT = wp.constant(wp.float64(0.02))
+REACH_MM = 2.0
+"""How far from the image the gel that it shows may have been at rest."""
+
+
+@wp.kernel
+def _component_kernel(
+    positions: wp.array2d(dtype=wp.vec3d),
+    frames: wp.array(dtype=wp.transformd),
+    envs: wp.array(dtype=wp.int32),
+    node_idx: wp.array(dtype=wp.int32),
+    axis: int,
+    # Out
+    values: wp.array2d(dtype=wp.float64),
+):
+    row, node = wp.tid()
+    env = chosen_env(envs, row)
+    values[row, node] = in_gel_frame(frames, env, positions[env, node_idx[node]])[axis]
 
 
 @wp.kernel
 def _net_points_kernel(
-    samples: wp.array3d(dtype=wp.vec3f),
+    x_field: wp.array3d(dtype=wp.vec3f),
+    y_field: wp.array3d(dtype=wp.vec3f),
+    z_field: wp.array3d(dtype=wp.vec3f),
     # Out
     points: wp.array2d(dtype=wp.vec3d),
 ):
-    v, u = wp.tid()
-    points[0, v * samples.shape[2] + u] = wp.vec3d(
-        wp.float64(samples[0, v, u][2]),
-        wp.float64(samples[1, v, u][2]),
-        wp.float64(samples[2, v, u][2]),
+    row, v, u = wp.tid()
+    points[row, v * x_field.shape[2] + u] = wp.vec3d(
+        wp.float64(x_field[row, v, u][2]),
+        wp.float64(y_field[row, v, u][2]),
+        wp.float64(z_field[row, v, u][2]),
     )
 
 
 @wp.func
-def _between(field: wp.array2d(dtype=wp.vec3f), corners: wp.vec3i, bary: wp.vec3d) -> wp.vec3d:
+def _between(
+    row: int, field: wp.array3d(dtype=wp.vec3f), corners: wp.vec3i, bary: wp.vec3d
+) -> wp.vec3d:
     """A field with its derivatives over the xy at rest, between three points of the net."""
     total = wp.vec3d()
     for k in range(3):
-        sample = field[corners[k] // field.shape[1], corners[k] % field.shape[1]]
+        sample = field[row, corners[k] // field.shape[2], corners[k] % field.shape[2]]
         total += bary[k] * wp.vec3d(
             wp.float64(sample[0]), wp.float64(sample[1]), wp.float64(sample[2])
         )
@@ -68,154 +90,137 @@ def _between(field: wp.array2d(dtype=wp.vec3f), corners: wp.vec3i, bary: wp.vec3
 
 @wp.kernel
 def _pixels_kernel(
-    x_field: wp.array2d(dtype=wp.vec3f),
-    y_field: wp.array2d(dtype=wp.vec3f),
-    field: wp.array2d(dtype=wp.vec3f),
+    x_field: wp.array3d(dtype=wp.vec3f),
+    y_field: wp.array3d(dtype=wp.vec3f),
+    z_field: wp.array3d(dtype=wp.vec3f),
     points: wp.array2d(dtype=wp.vec3d),
     triangles: wp.array2d(dtype=wp.int32),
     triangle_at_pixel: wp.array3d(dtype=wp.int32),
     grid: GridMap,
     # Out
-    seen: wp.array2d(dtype=wp.vec3d),
+    samples: wp.array3d(dtype=wp.vec3f),
 ):
-    v, u = wp.tid()
-    triangle = triangle_at_pixel[0, v, u]
+    row, v, u = wp.tid()
+    triangle = triangle_at_pixel[row, v, u]
     if triangle < 0:
-        seen[v, u] = wp.vec3d(wp.float64(wp.nan), wp.float64(wp.nan), wp.float64(wp.nan))
+        samples[row, v, u] = wp.vec3f(wp.nan, wp.nan, wp.nan)
         return
     corners = wp.vec3i(triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2])
     bary = barycentric(
         pixel_xy(grid, u, v),
-        xy_of(points[0, corners[0]]),
-        xy_of(points[0, corners[1]]),
-        xy_of(points[0, corners[2]]),
+        xy_of(points[row, corners[0]]),
+        xy_of(points[row, corners[1]]),
+        xy_of(points[row, corners[2]]),
     )
-    x = _between(x_field, corners, bary)
-    y = _between(y_field, corners, bary)
-    f = _between(field, corners, bary)
+    x = _between(row, x_field, corners, bary)
+    y = _between(row, y_field, corners, bary)
+    z = _between(row, z_field, corners, bary)
     area = wp.max(x[0] * y[1] - x[1] * y[0], _UPRIGHT)
-    seen[v, u] = wp.vec3d(
-        (f[0] * y[1] - f[1] * y[0]) / area, (f[1] * x[0] - f[0] * x[1]) / area, f[2]
+    samples[row, v, u] = wp.vec3f(
+        float((z[0] * y[1] - z[1] * y[0]) / area),
+        float((z[1] * x[0] - z[0] * x[1]) / area),
+        float(z[2]),
     )
 
 
 class DeformedFace:
-    """Height, slope and other nodal fields of one deformed contact face at the pixels."""
+    """Samples (slope along x, slope along y, height [m]) of up to ``env_count`` environments, as
+    those of ``SurfaceSampler``."""
 
     def __init__(
         self,
         mesh: TetMesh | QuadraticMesh,
         grid: PixelGrid,
         *,
-        net_px: float = 0.5,
-        device: str = "cpu",
+        env_count: int = 1,
+        first_node: int = 0,
+        rest_positions: wp.array | None = None,
+        net_px: float = 1.0,
+        device: Any = "cpu",
     ) -> None:
         """
         Args:
             mesh: Gel pad at rest, whose faces of region CONTACT are shown.
             grid: Pixels of the image.
+            env_count: Most environments of one call.
+            first_node: Of this gel in the arrays of positions.
+            rest_positions: Where each environment's nodes are at rest [m], vec3d, arrays like those
+                of positions; those of ``mesh`` when None.
             net_px: Width at rest of the cells of the net, in pixels.
             device: Warp device.
         """
-        self.surface = ContactSurface.from_mesh(mesh)
-        """Topology of the contact face."""
-        self.mesh, self.grid, self.net_px, self.device = mesh, grid, net_px, device
-        self._rest = mesh.nodes_m[self.surface.node_idx]
-        self._net: _Net | None = None
+        self._mesh, self._grid, self._net_px, self._device = mesh, grid, net_px, device
+        self._rows, self._first_node = env_count, first_node
+        self._rest = rest_positions
+        self._no_frames = wp.empty(0, dtype=wp.transformd, device=device)
+        shape = (env_count, grid.height_px, grid.width_px)
+        self._samples = wp.empty(shape, dtype=wp.vec3f, device=device)
+        self._lowest_z = wp.empty(shape, dtype=wp.float64, device=device)
+        self._triangle_at_pixel = wp.empty(shape, dtype=wp.int32, device=device)
+        self._everyone = wp.full(env_count, 1, dtype=wp.int32, device=device)
+        self._all_envs = wp.array(np.arange(env_count), dtype=wp.int32, device=device)
+        self._net: PixelGrid | None = None
 
-    def sample(self, nodes_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Height and slope of the face through surface nodes [m], shape [surface_node, 3].
+    def sample(
+        self, positions: wp.array, frames: wp.array | None = None, envs: wp.array | None = None
+    ) -> wp.array:
+        """As of ``SurfaceSampler``."""
+        frames = self._no_frames if frames is None else frames
+        envs = self._all_envs[: positions.shape[0]] if envs is None else envs
+        if self._net is None:
+            self._cast(len(frames) > 0, positions)
+        count = len(envs)
+        self._sampler.place(self._rest, frames, envs)
+        values, fields = self._values[:count], [field[:count] for field in self._fields]
+        for axis, field in enumerate(fields):
+            inputs = [positions, frames, envs, self._node_idx, axis]
+            self._launch(_component_kernel, values.shape, inputs, [values])
+            wp.copy(field, self._sampler.sample_field(values))
+        points, samples = self._points[:count], self._samples[:count]
+        self._launch(_net_points_kernel, fields[0].shape, fields, [points])
+        lowest_z, at = self._lowest_z[:count], self._triangle_at_pixel[:count]
+        lowest_z.fill_(np.inf)
+        at.fill_(-1)
+        rasterize(points, self._triangles, self._grid, self._everyone[:count], lowest_z, at)
+        inputs = [*fields, points, self._triangles, at, grid_map(self._grid)]
+        self._launch(_pixels_kernel, samples.shape, inputs, [samples])
+        return samples
 
-        Returns:
-            z [m], shape [height_px, width_px], and dz/dx, dz/dy, [height_px, width_px, 2]; NaN
-            where no face covers a pixel.
-        """
-        low, high = self._shown(nodes_m)
-        if self._net is None or not self._net.covers(low, high):
-            self._net = _Net(self, low, high)
-        self._net.move(nodes_m)
-        return self._net.height()
-
-    def sample_field(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Another nodal field on the face of the latest ``sample``, shape [surface_node].
-
-        Returns:
-            Its value and gradient over xy [unit of ``values`` / m], as of ``sample``.
-        """
-        assert self._net is not None, "sample comes first"
-        return self._net.field(values)
-
-    def _shown(self, nodes_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Least and greatest xy at rest [m] of the triangles that reach into the image."""
-        u, v = np.moveaxis(self.grid.pixel_from_gel(nodes_m[:, :2] * 1e3), -1, 0)
-        u, v = u[self.surface.faces], v[self.surface.faces]
-        inside = (u.max(axis=1) >= 0) & (u.min(axis=1) <= self.grid.width_px - 1)
-        inside &= (v.max(axis=1) >= 0) & (v.min(axis=1) <= self.grid.height_px - 1)
-        xy = self._rest[self.surface.faces[inside if inside.any() else slice(None)], :2]
-        return xy.min(axis=(0, 1)), xy.max(axis=(0, 1))
-
-
-class _Net:
-    """A net of points over a part of the face at rest, and where they are now."""
-
-    def __init__(self, face: DeformedFace, low: np.ndarray, high: np.ndarray) -> None:
-        """``low`` and ``high`` bound the xy at rest that it is to cover [m]."""
-        self._low, self._high = low, high
-        mesh, grid, device = face.mesh, face.grid, face.device
-        step = face.net_px * np.array([grid.mm_per_px_x, grid.mm_per_px_y])
-        width, height = (max(2, math.ceil(n) + 1) for n in 1e3 * (high - low) / step)
-        net = PixelGrid(width, height, *step, *(-1e3 * low / step))
-        self._sampler = SurfaceSampler(mesh, net, env_count=3, device=device)
-        at_rest = np.broadcast_to(mesh.nodes_m, (3, *mesh.nodes_m.shape))
-        self._xyz = self._sampler.sample(wp.array(at_rest, dtype=wp.vec3d, device=device))
-        self._points = wp.empty((1, width * height), dtype=wp.vec3d, device=device)
-        self._raster = FaceRaster(_net_triangles(width, height), grid, device=device)
-
-    def covers(self, low: np.ndarray, high: np.ndarray) -> bool:
-        return bool((low >= self._low).all() and (high <= self._high).all())
-
-    def move(self, nodes_m: np.ndarray) -> None:
-        """To surface nodes at [m], shape [surface_node, 3]."""
-        # A copy, as fields are sampled into the same memory.
-        self._xyz = wp.clone(self._sampler.sample_field(np.ascontiguousarray(nodes_m.T)))
-        wp.launch(
-            _net_points_kernel,
-            dim=self._xyz.shape[1:],
-            inputs=[self._xyz],
-            outputs=[self._points],
-            device=self._raster.device,
+    def _cast(self, turned: bool, positions: wp.array) -> None:
+        """Make the net: what the image shows at rest and ``REACH_MM`` around it, no more than the
+        face has where its frame is not turned."""
+        grid, device = self._grid, self._device
+        low = np.array([grid.x_mm()[0], grid.y_mm()[0]]) - REACH_MM
+        high = np.array([grid.x_mm()[-1], grid.y_mm()[-1]]) + REACH_MM
+        if self._rest is None:
+            rest = np.zeros((self._rows, positions.shape[1], 3))
+            end = self._first_node + self._mesh.node_count
+            rest[:, self._first_node : end] = self._mesh.nodes_m
+            self._rest = wp.array(rest, dtype=wp.vec3d, device=device)
+        if not turned:
+            face = self._first_node + self._mesh.region_nodes(Region.CONTACT)
+            xy = 1e3 * self._rest.numpy()[:, face, :2].reshape(-1, 2)
+            low, high = np.maximum(low, xy.min(axis=0)), np.minimum(high, xy.max(axis=0))
+        step = self._net_px * np.array([grid.mm_per_px_x, grid.mm_per_px_y])
+        width, height = (max(2, math.ceil(n) + 1) for n in (high - low) / step)
+        net = self._net = PixelGrid(width, height, *step.tolist(), *(-low / step).tolist())
+        rows = self._rows
+        self._sampler = SurfaceSampler(
+            self._mesh, net, env_count=rows, first_node=self._first_node, device=device
         )
-        self._raster.update(self._points)
+        surface = self._sampler.surface
+        node_idx = surface.node_idx + self._first_node
+        self._node_idx = wp.array(node_idx, dtype=wp.int32, device=device)
+        self._values = wp.empty((rows, surface.node_count), dtype=wp.float64, device=device)
+        self._fields = [
+            wp.empty((rows, height, width), dtype=wp.vec3f, device=device) for _ in range(3)
+        ]
+        self._points = wp.empty((rows, width * height), dtype=wp.vec3d, device=device)
+        triangles = _net_triangles(width, height)
+        self._triangles = wp.array(triangles, dtype=wp.int32, device=device)
 
-    def height(self) -> tuple[np.ndarray, np.ndarray]:
-        """Height and slope at the pixels."""
-        return self._at_pixels(self._xyz[2])
-
-    def field(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Another field and its gradient over xy at the pixels."""
-        return self._at_pixels(self._sampler.sample_field(values[None])[0])
-
-    def _at_pixels(self, samples: wp.array) -> tuple[np.ndarray, np.ndarray]:
-        raster = self._raster
-        grid = raster.grid
-        seen = wp.empty((grid.height_px, grid.width_px), dtype=wp.vec3d, device=raster.device)
-        wp.launch(
-            _pixels_kernel,
-            dim=seen.shape,
-            inputs=[
-                self._xyz[0],
-                self._xyz[1],
-                samples,
-                self._points,
-                raster.faces,
-                raster.face_at_pixel,
-                grid_map(grid),
-            ],
-            outputs=[seen],
-            device=raster.device,
-        )
-        values: Any = seen.numpy()
-        return values[..., 2], values[..., :2]
+    def _launch(self, kernel: Any, dim: Any, inputs: list[Any], outputs: list[Any]) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self._device)
 
 
 def _net_triangles(width: int, height: int) -> np.ndarray:

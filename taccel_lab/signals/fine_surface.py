@@ -7,6 +7,10 @@ together. The object comes nearer by the mean gap that the barrier keeps: where 
 where it shows. Lowered instead until it carries the force of the coarse solution, its heights were
 2 to 26 um too low (elements of 0.18 to 0.8 mm under a contact 1 mm in radius) and images a tenth
 worse, as nodes hang below faces that touch.
+
+The one answer to what touches, too: samples with pressure. Contact radii of balls of 2 and 2.92 mm,
+0.25 to 1.2 mm deep, are within 1.5 % of those of the same press on a mesh of three and six times as
+many nodes; docs/signals.md has figures of tools with edges.
 """
 
 # Warp compiles the kernels from their source; its type stubs describe neither vectors' operators
@@ -29,8 +33,10 @@ from taccel_lab.outputs.arrays import to_torch
 from taccel_lab.outputs.contact_layer import mean_gaps
 from taccel_lab.scene import SoftBody
 from taccel_lab.signals.contact_fields import ContactFields
-from taccel_lab.signals.layer_contact import ITERATIONS, layer_compliance, solve_contact
-from taccel_lab.signals.object_heights import ObjectHeights
+from taccel_lab.signals.deformed_face import DeformedFace
+from taccel_lab.signals.layer_contact import NOWHERE_M, layer_compliance, solve_contact
+from taccel_lab.signals.object_heights import ObjectHeights, is_ball
+from taccel_lab.signals.rest_surface import RestCorrection, RestSurface
 from taccel_lab.signals.surface_sampler import SurfaceSampler
 from taccel_lab.signals.texture import Texture
 from taccel_lab.solvers.solver_ipc import SolverIPC
@@ -38,24 +44,30 @@ from taccel_lab.state import State
 
 wp.set_module_options({"enable_backward": False})
 
-SAMPLE_MM = 0.03
-"""Distance at most at which surfaces are sampled; see docs/signals.md."""
-_NOWHERE_M = 1.0
-"""Height of no object."""
+SAMPLE_MM, BALL_SAMPLE_MM = 0.03, 0.06
+"""Distance at most at which surfaces are sampled, and those of balls without a texture, which bend
+little within that; see docs/signals.md."""
+CHUNK_SAMPLES = 2**24
+"""Samples computed at a time, 100 to 200 bytes of scratch each."""
 
 
 @wp.kernel
 def _pixels_kernel(
     heights: wp.array3d(dtype=wp.float32),
     pressures: wp.array3d(dtype=wp.float32),
+    slopes: wp.array3d(dtype=wp.vec2f),
     points: int,
     sample_m: wp.vec2f,
+    corrections: wp.array3d(dtype=wp.vec3f),
+    envs: wp.array(dtype=wp.int32),
     # Out
     samples: wp.array3d(dtype=wp.vec3f),
     pressure: wp.array3d(dtype=wp.float32),
     touched: wp.array3d(dtype=wp.bool),
+    counts: wp.array(dtype=wp.int32),
 ):
-    """Mean height, slope of the mean normal, mean pressure of each pixel's samples."""
+    """Mean height, slope of the mean normal, mean pressure of each pixel's samples: slopes of the
+    object where it touches, those of the heights elsewhere. ``counts`` by environment."""
     env, v, u = wp.tid()
     rows = heights.shape[1]
     columns = heights.shape[2]
@@ -79,6 +91,10 @@ def _pixels_kernel(
             load += p
             if p > 0.0:
                 carrying += 1
+                own = slopes[env, j, i]
+                if not wp.isnan(own[0] + own[1]):
+                    dx = own[0]
+                    dy = own[1]
             # Beside the pad there is no height.
             if not wp.isnan(dx + dy + z):
                 total += z
@@ -87,9 +103,14 @@ def _pixels_kernel(
     sample = wp.vec3f(wp.nan, wp.nan, wp.nan)
     if count > 0:
         sample = wp.vec3f(-normal[0] / normal[2], -normal[1] / normal[2], total / float(count))
+    touches = 2 * carrying >= points * points
+    if corrections.shape[0] > 0 and not touches:
+        sample += corrections[envs[env], v, u]
     samples[env, v, u] = sample
     pressure[env, v, u] = load / float(points * points)
-    touched[env, v, u] = 2 * carrying >= points * points
+    touched[env, v, u] = touches
+    if carrying > 0:
+        wp.atomic_add(counts, envs[env], carrying)
 
 
 class FineSurface:
@@ -107,8 +128,8 @@ class FineSurface:
         *,
         gel: int = 0,
         texture: Texture | None = None,
+        designed_rest: RestSurface | None = None,
         points: int | None = None,
-        iterations: int = ITERATIONS,
         env_count: int | None = None,
     ) -> None:
         """
@@ -119,10 +140,12 @@ class FineSurface:
             gel: Index of the gel among the soft bodies.
             texture: What stands out of the body's surface, which is its mean; the body must be
                 kinematic. The solver does not know of it.
+            designed_rest: The gel's contact face on ``grid`` where its mesh draws it more coarsely,
+                see ``RestCorrection``.
             points: A pixel is the mean over ``points`` x ``points`` samples; as many as lie
-                ``SAMPLE_MM`` apart when None.
-            iterations: Of the contact problem.
-            env_count: Most environments of one call; all of the model when None.
+                ``SAMPLE_MM`` apart (``BALL_SAMPLE_MM``) when None.
+            env_count: Most environments of one call; when None all of the model, as far as they
+                have no more than ``CHUNK_SAMPLES``, and one on a CPU.
 
         Raises:
             InputError: No such body or gel.
@@ -136,38 +159,73 @@ class FineSurface:
         mesh = soft.nodal_mesh
         self._solver, self._grid = solver, grid
         if points is None:
-            points = max(1, int(np.ceil(max(grid.mm_per_px_x, grid.mm_per_px_y) / SAMPLE_MM - 0.1)))
+            smooth = texture is None and is_ball(model, body)
+            sample_mm = BALL_SAMPLE_MM if smooth else SAMPLE_MM
+            points = max(1, int(np.ceil(max(grid.mm_per_px_x, grid.mm_per_px_y) / sample_mm - 0.1)))
         self.points = points
         fine = grid.refined(points)
-        rows = self.env_count = model.env_count if env_count is None else env_count
+        if env_count is None:
+            # On a CPU many at a time gain nothing.
+            room = CHUNK_SAMPLES // (fine.width_px * fine.height_px) if model.device.is_cuda else 1
+            env_count = min(model.env_count, max(1, room))
+        rows = self.env_count = env_count
+        device = self._device = model.device
         self._nodes = (int(model.bodies[gel].nodes[0]), int(model.bodies[gel].nodes[1]))
-        self._sampler = SurfaceSampler(
-            mesh, fine, env_count=rows, first_node=self._nodes[0], device=model.device
-        )
-        self._fields = ContactFields(solver, gel, mesh, fine, chunk_envs=rows)
         self._object = ObjectHeights(model, body, fine, rows=rows, texture=texture)
-        self._iterations = iterations
+        self._texture = texture
+        rest = np.broadcast_to(model.rest_positions.numpy(), (model.env_count, model.node_count, 3))
+        at_rest = wp.array(np.ascontiguousarray(rest), dtype=wp.vec3d, device=device)
+        first = self._nodes[0]
+        self._gel: SurfaceSampler | DeformedFace
+        if is_ball(model, body):
+            self._gel = SurfaceSampler(mesh, fine, env_count=rows, first_node=first, device=device)
+        else:
+            # Beside an edge the gel climbs a wall that is a few micrometres wide in the image.
+            self._gel = DeformedFace(
+                mesh, fine, env_count=rows, first_node=first, rest_positions=at_rest, device=device
+            )
+        self._fields = ContactFields(solver, gel, mesh, fine, chunk_envs=rows)
         young, poisson = near_moduli(soft)
         compliance = layer_compliance(fine, young, poisson, pad_thickness_m(soft))
-        device = model.device
         self._compliance = to_torch(wp.array(compliance, dtype=wp.float32, device=device))
         self._coarse_pa = self._fields.make("pressure_pa", rows)
         shape = (rows, grid.height_px, grid.width_px)
         self._samples = wp.empty(shape, dtype=wp.vec3f, device=device)
         self._pressure = wp.empty(shape, dtype=wp.float32, device=device)
         self._touched = wp.empty(shape, dtype=wp.bool, device=device)
-        self._device = device
+        self._counts = wp.zeros(model.env_count, dtype=wp.int32, device=device)
         self._gaps: Any = None
-        at_rest = to_torch(self._sampler.rest_samples)[None, ..., 2].contiguous()
-        self._to_pixels(at_rest, at_rest * 0, 1)
-        self.rest_samples = wp.clone(self._samples[0])
+        self._no_slopes = wp.full(
+            (rows, fine.height_px, fine.width_px), wp.vec2f(wp.nan), dtype=wp.vec2f, device=device
+        )
+        self._corrections = wp.empty((0, 0, 0), dtype=wp.vec3f, device=device)
+        meshed = self._rest_of(at_rest, 0)
+        self.rest_samples = wp.array(meshed, dtype=wp.vec3f, device=device)
         """Samples of the undeformed gel, vec3f, shape [height_px, width_px]."""
+        if designed_rest is not None:
+            designed = designed_rest.samples()
+            self.rest_samples = wp.array(designed, dtype=wp.vec3f, device=device)
+            if not designed_rest.is_flat:
+                corrections = np.stack([
+                    RestCorrection.of(designed_rest, found[..., 2], found[..., :2]).samples()
+                    for found in (self._rest_of(at_rest, env) for env in range(model.env_count))
+                ])  # fmt: skip
+                self._corrections = wp.array(corrections, dtype=wp.vec3f, device=device)
+
+    @property
+    def contact_area_m2(self) -> np.ndarray:
+        """Area in contact of the environments that were sampled last [m2], [env_count]; waits for
+        the device."""
+        grid = self._grid
+        pixel_m2 = 1e-6 * grid.mm_per_px_x * grid.mm_per_px_y
+        return self._counts.numpy() * (pixel_m2 / self.points**2)
 
     def update(self, state: State) -> None:
         """Read nodal loads of the step that led to ``state``."""
         self._fields.read_nodes(state, {"pressure_pa"})
         gaps = mean_gaps(self._solver.collisions, state.positions, self._nodes)
         self._gaps = to_torch(gaps)
+        self._counts.zero_()
 
     def sample(self, state: State, frames: wp.array, envs: wp.array) -> tuple[wp.array, ...]:
         """Sample some environments, after ``update``.
@@ -186,32 +244,53 @@ class FineSurface:
         import torch
 
         count = len(envs)
-        coarse = self._sampler.sample(state.positions, frames, envs)
+        coarse = self._gel.sample(state.positions, frames, envs)
         pressure = self._coarse_pa[:count]
         self._fields.render(state, frames, envs, {"pressure_pa": pressure})
-        over = self._object.read(state, frames, envs)
+        *over, slopes = self._object.read(state, frames, envs)
         with self._stream():
-            z, obj = to_torch(coarse)[..., 2], to_torch(over)
+            z = to_torch(coarse)[..., 2]
             known = torch.isfinite(z)
             gaps = self._gaps[to_torch(envs).long()].view(-1, 1, 1)
-            obj = torch.where(torch.isfinite(obj) & known, obj - gaps, _NOWHERE_M).float()
-            load = torch.where(known, to_torch(pressure), 0.0)
+
+            def lowered(heights: Any) -> Any:
+                there = torch.isfinite(heights) & known
+                return torch.where(there, heights - gaps, NOWHERE_M).float()
+
+            under, smooth = (to_torch(heights) for heights in over)
             height, found = solve_contact(
-                self._compliance, obj, torch.nan_to_num(z), load, self._iterations
+                self._compliance,
+                lowered(under),
+                torch.nan_to_num(z),
+                torch.where(known, to_torch(pressure), 0.0),
+                smooth_m=None if self._texture is None else lowered(smooth),
             )
             height = torch.where(known, height, torch.nan).contiguous()
-        return self._to_pixels(height, found.contiguous(), count)
+        return self._to_pixels(height, found.contiguous(), slopes, self._corrections, envs)
 
-    def _to_pixels(self, height: Any, pressure: Any, count: int) -> tuple[wp.array, ...]:
-        """The first rows of what pixels show of samples, tensors of float32."""
+    def _rest_of(self, at_rest: wp.array, env: int) -> np.ndarray:
+        """Samples of the gel's mesh at rest in one environment, [height_px, width_px, 3]."""
+        envs = wp.array([env], dtype=wp.int32, device=self._device)
+        no_frames = wp.empty(0, dtype=wp.transformd, device=self._device)
+        height = to_torch(self._gel.sample(at_rest, no_frames, envs))[..., 2].contiguous()
+        none = wp.empty((0, 0, 0), dtype=wp.vec3f, device=self._device)
+        found = self._to_pixels(height, height * 0, self._no_slopes[:1], none, envs)
+        self._counts.zero_()
+        return found[0].numpy()[0].copy()
+
+    def _to_pixels(
+        self, height: Any, pressure: Any, slopes: wp.array, corrections: wp.array, envs: wp.array
+    ) -> tuple[wp.array, ...]:
+        """What pixels show of samples; heights and pressures are tensors of float32."""
         grid = self._grid
         sizes = 1e-3 / self.points * np.array([grid.mm_per_px_x, grid.mm_per_px_y])
-        outputs = [array[:count] for array in (self._samples, self._pressure, self._touched)]
+        outputs = [array[: len(envs)] for array in (self._samples, self._pressure, self._touched)]
+        surface = [wp.from_torch(height), wp.from_torch(pressure), slopes]
         wp.launch(
             _pixels_kernel,
             dim=outputs[0].shape,
-            inputs=[wp.from_torch(height), wp.from_torch(pressure), self.points, wp.vec2f(*sizes)],
-            outputs=outputs,
+            inputs=[*surface, self.points, wp.vec2f(*sizes), corrections, envs],
+            outputs=[*outputs, self._counts],
             device=self._device,
         )
         return tuple(outputs)

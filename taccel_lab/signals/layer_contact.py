@@ -18,10 +18,17 @@ with E' = E / (1 - nu^2) [Vorovich, Aleksandrov and Babeshko 1974]: Boussinesq's
 short waves, squeezed material for long ones. What the coarse solution has of large strains,
 friction and the pad's rim stays; only differences go through K. Moves across the press, which
 friction resists and an incompressible half-space has none of, are left out.
+
+The pressures of the coarse gel are not p_c itself: recovered at nodes, they reach an element beyond
+the contact. Taken as they are, that rim has to be taken away again, the gel rises, the contact
+grows: radii of balls were 2 to 5 % too large, and forces as much too small. So the problem is
+solved ``SHARPENINGS`` times before, and what it finds, scaled to the coarse force, is taken for
+p_c.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,9 +38,15 @@ from taccel_lab.geometry import PixelGrid
 if TYPE_CHECKING:
     import torch
 
-ITERATIONS = 20
-"""Of conjugate gradients: from 20 on force and contact of a press change by 1e-5, from 10 on by
-3e-4 and 5e-3."""
+ITERATIONS = 10
+"""Of conjugate gradients: with 20 contact radii change by 1e-3 and images by 0.1 dB."""
+SHARPENING_ITERATIONS = 5
+"""The same of each sharpening, which need not end: with 10 radii of balls change by 1e-3."""
+SHARPENINGS = 2
+"""How often the coarse pressures are sharpened: after none, one and two, contacts of balls have
+1.05, 1.025 and 1.01 times the radius that they have on meshes of six times as many nodes."""
+NOWHERE_M = 1.0
+"""Height of an object where there is none."""
 _START = 0.1
 _TINY = 1e-30
 
@@ -60,16 +73,22 @@ def solve_contact(
     object_m: torch.Tensor,
     coarse_m: torch.Tensor,
     coarse_pa: torch.Tensor,
+    *,
+    smooth_m: torch.Tensor | None = None,
     iterations: int = ITERATIONS,
+    sharpenings: int = SHARPENINGS,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """The fine surface and its pressures; always as many iterations, so that nothing is waited for.
 
     Args:
         compliance: ``layer_compliance``, float32, on the device of the others.
-        object_m: z of the object's underside [m], [env, row, column]; large where there is none.
+        object_m: z of the object's underside [m], [env, row, column]; ``NOWHERE_M`` where there is
+            none.
         coarse_m: z of the gel's face in the coarse solution [m], same shape.
         coarse_pa: Contact pressures there [Pa], same shape.
-        iterations: Of conjugate gradients.
+        smooth_m: z of the object that the coarse solution knows; ``object_m`` when None.
+        iterations: Of conjugate gradients, after the sharpenings.
+        sharpenings: Of the coarse pressures.
 
     Returns:
         z of the gel's face [m] and contact pressures [Pa], [env, row, column].
@@ -80,12 +99,31 @@ def solve_contact(
         waves = compliance * torch.fft.rfft2(pressure)
         return torch.fft.irfft2(waves, s=(pressure.shape[-2], pressure.shape[-1]))
 
-    def total(values: torch.Tensor) -> torch.Tensor:
-        return values.sum(dim=(-2, -1), keepdim=True)
+    smallest = _START / compliance.max()
+    smooth_m = object_m if smooth_m is None else smooth_m
+    force, pressure, known_pa = _total(coarse_pa), coarse_pa, coarse_pa
+    runs = [(smooth_m, SHARPENING_ITERATIONS)] * sharpenings
+    for under, count in [*runs, (object_m, iterations)]:
+        known_pa = coarse_pa
+        open_m = under - coarse_m - moved(known_pa)
+        # Pressures wherever there is overlap, so that the first direction is not nothing.
+        start = known_pa + smallest * (-open_m).clamp(min=0)
+        # One sample that carries without an object would be all that a direction goes by.
+        start = torch.where(under < NOWHERE_M, start, 0.0)
+        pressure = _least(moved, open_m, start, count)
+        coarse_pa = pressure * (force / _total(pressure).clamp(min=_TINY))
+    return torch.minimum(coarse_m - moved(pressure - known_pa), object_m), pressure
 
-    open_m = object_m - coarse_m - moved(coarse_pa)
-    # Pressures wherever there is overlap, so that the first direction is not nothing.
-    p = coarse_pa + _START / compliance.max() * (-open_m).clamp(min=0)
+
+def _least(
+    moved: Callable[[torch.Tensor], torch.Tensor],
+    open_m: torch.Tensor,
+    p: torch.Tensor,
+    iterations: int,
+) -> torch.Tensor:
+    """Pressures not below zero of the least 1/2 p.Kp + p.open, by projected conjugate gradients."""
+    import torch
+
     way = torch.zeros_like(p)
     before = torch.ones_like(p[:, :1, :1])
     keep = torch.zeros_like(before)
@@ -93,13 +131,18 @@ def solve_contact(
         gap = moved(p) + open_m
         carries = p > 0
         slope = torch.where(carries, gap, 0.0)
-        size = total(slope * slope)
+        size = _total(slope * slope)
         way = torch.where(carries, slope + keep * (size / before) * way, 0.0)
         before = size.clamp(min=_TINY)
-        step = total(slope * way) / total(moved(way) * way).clamp(min=_TINY)
+        step = _total(slope * way) / _total(moved(way) * way).clamp(min=_TINY)
         p = (p - step * way).clamp(min=0)
         # What overlaps without a pressure begins to carry; directions are conjugate no more then.
         joins = (p == 0) & (gap < 0)
         p = torch.where(joins, -step * gap, p)
         keep = 1.0 - joins.any(dim=-1, keepdim=True).any(dim=-2, keepdim=True).to(p.dtype)
-    return torch.minimum(coarse_m - moved(p - coarse_pa), object_m), p
+    return p
+
+
+def _total(values: torch.Tensor) -> torch.Tensor:
+    """Sums over the samples, by rows first: the same to the bit for any number of threads."""
+    return values.sum(dim=-1, keepdim=True).sum(dim=-2, keepdim=True)

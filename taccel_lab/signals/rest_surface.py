@@ -32,6 +32,11 @@ class RestSurface:
     covered: np.ndarray
     """Pixels that lie over the pad, bool, shape [height_px, width_px]."""
 
+    def samples(self) -> np.ndarray:
+        """Slopes along x and y and height [m], [height_px, width_px, 3]."""
+        slope = -self.normals[..., :2] / self.normals[..., 2:]
+        return np.concatenate([slope, self.height_m[..., None]], axis=-1)
+
     @property
     def is_flat(self) -> bool:
         return bool((self.normals[..., 2] == 1.0).all())
@@ -57,7 +62,7 @@ class RestCorrection:
         cls, designed: RestSurface, mesh_height_m: np.ndarray, mesh_slope: np.ndarray
     ) -> RestCorrection:
         """From the designed face and that of the mesh at rest on the same pixels."""
-        slope = -designed.normals[..., :2] / designed.normals[..., 2:]
+        slope = designed.samples()[..., :2]
         both = designed.covered & np.isfinite(mesh_height_m)
         both &= np.isfinite(mesh_slope).all(axis=-1) & np.isfinite(slope).all(axis=-1)
         return cls(
@@ -65,13 +70,9 @@ class RestCorrection:
             np.where(both[..., None], slope - mesh_slope, 0.0),
         )
 
-    def corrected(
-        self, height_m: np.ndarray, slope: np.ndarray, contact: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Height [m] and slope of a surface read from the mesh; pixels of ``contact`` (bool), in
-        which the object gives the height, stay as they are."""
-        weight = np.asarray(1.0 if contact is None else np.where(contact, 0.0, 1.0))
-        return height_m + weight * self.height_m, slope + weight[..., None] * self.slope
+    def samples(self) -> np.ndarray:
+        """To be added to samples (slope along x, along y, height [m]), [height_px, width_px, 3]."""
+        return np.concatenate([self.slope, self.height_m[..., None]], axis=-1)
 
 
 def flat_rest(grid: PixelGrid) -> RestSurface:

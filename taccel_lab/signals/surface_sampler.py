@@ -129,6 +129,12 @@ class SurfaceSampler:
         Returns:
             vec3f, shape [env, height_px, width_px], NaN beside the pad; valid until the next call.
         """
+        return self._interpolate(self.place(positions, frames, envs))
+
+    def place(
+        self, positions: wp.array, frames: wp.array | None = None, envs: wp.array | None = None
+    ) -> int:
+        """As ``sample``, for fields to be sampled on the surface next; returns their rows."""
         count = positions.shape[0] if envs is None else len(envs)
         envs = self._all_envs if envs is None else envs
         points, height = self._points[:count], self._height[:count]
@@ -139,21 +145,19 @@ class SurfaceSampler:
             outputs=[points, height],
             device=self._device,
         )
-        return self._interpolate(count)
+        return count
 
-    def sample_field(self, values: np.ndarray) -> wp.array:
-        """Sample another nodal field on the surface of the latest call of ``sample``.
+    def sample_field(self, values: wp.array) -> wp.array:
+        """Sample another nodal field on the surface of the latest ``sample`` or ``place``.
 
         Args:
-            values: At the surface nodes, shape [env, surface_node].
+            values: At the surface nodes, float64, shape [env, surface_node].
 
         Returns:
             As of ``sample``: gradient over x and y [unit of ``values`` / m] and the field itself.
         """
-        count = len(values)
-        field = wp.array(values, dtype=wp.float64, device=self._device)
-        wp.copy(self._height[:count], field)
-        return self._interpolate(count)
+        wp.copy(self._height[: len(values)], values)
+        return self._interpolate(len(values))
 
     def _interpolate(self, count: int) -> wp.array:
         """Samples of what ``_height`` holds, in the first ``count`` environments."""

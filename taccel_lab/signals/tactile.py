@@ -2,9 +2,9 @@
 """``SignalTactile``: what many sensors see and feel, from device arrays to device arrays.
 
 The surface of ``SurfaceSampler`` and the colours of ``DeviceColorModel``, for a thousand
-environments without a host round trip: nothing here waits for the device or looks at its values,
-so that reads can be captured in a CUDA graph. Only what is read is computed, in chunks of
-environments of fixed size.
+environments without a host round trip: nothing waits for the device or looks at its values, so that
+reads can be captured in a CUDA graph. Only what is read is computed, in chunks of environments of
+fixed size.
 """
 
 # Warp's type stubs describe neither arrays of vectors nor what kernels take.
@@ -59,10 +59,10 @@ class _Signal:
 class SignalTactile:
     """What one sensor sees and feels in many environments: images, heights, markers, contact.
 
-    Construct, call ``update(...)`` after each step, read the signals you want. A signal that
-    is not read is not computed and takes no memory. Arrays are Warp arrays on the device of the
-    positions, the same ones at each read, or their first rows where only some environments are
-    shown; ``wp.to_torch(signal.rgb)`` shares their memory.
+    Construct, call ``update(...)`` after each step, read the signals you want. A signal that is not
+    read is not computed and takes no memory. Arrays are Warp arrays on the device of the positions,
+    the same ones at each read, or their first rows where only some environments are shown;
+    ``wp.to_torch(signal.rgb)`` shares their memory.
     """
 
     def __init__(
@@ -312,8 +312,8 @@ class SignalTactile:
         return tuple(arrays)
 
     def rasterized_count(self) -> int:
-        """How many environments of the latest chunk were folded or left pixels beside the pad,
-        which takes longer; waits for the device. For tests and figures."""
+        """Environments of the latest chunk that were folded or left pixels beside the pad, which
+        takes longer; waits for the device. For tests and figures."""
         return 0 if self._sampler is None else int(np.count_nonzero(self._sampler.rasterized))
 
     def _make(self, name: str) -> Any:
@@ -323,12 +323,9 @@ class SignalTactile:
         if name == "markers_px":
             if self._markers is None:
                 raise InputError("markers_px needs the markers argument of SignalTactile")
+            options = {"env_count": self.env_count, "first_node": self._first_node}
             self._projection = MarkerProjection(
-                self._markers,
-                self.grid,
-                env_count=self.env_count,
-                first_node=self._first_node,
-                device=self.device,
+                self._markers, self.grid, **options, device=self.device
             )
             return self._projection.markers_px
         if name in CONTACT_SIGNALS:
@@ -405,7 +402,7 @@ class SignalTactile:
                 frames = self._frames[part] if len(self._frames) else self._frames
                 samples = self._sampled.sample(self._positions[part], frames)
             if self.chunk_envs == self.env_count:
-                # The only chunk: other images of this state may still read its samples.
+                # Other images of this state may still read its samples.
                 self._samples = samples
             if "height_m" in outputs:
                 self._map(height_kernel, [samples], outputs["height_m"])
@@ -424,7 +421,8 @@ class SignalTactile:
         if self._state is None:
             raise InputError("a fine surface needs the state of the solver: update(state)")
         if self._samples is None:
-            self._fine.update(self._state)
+            if part.start == 0:
+                self._fine.update(self._state)
             envs = (self._envs if len(self._envs) else self._numbers)[part]
             self._fine_arrays = self._fine.sample(self._state, self._frames, envs)
         samples, pressure, touched = self._fine_arrays

@@ -27,7 +27,6 @@ depth_mm = [0.1, 0.1]
 [output]
 channels = ["depth_mm", "patch_forces_n"]
 size_px = [32, 24]
-surface = "gel"
 """
 
 

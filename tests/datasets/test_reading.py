@@ -78,8 +78,8 @@ def test_splits_are_held_apart(made: Path) -> None:
 
 
 def test_every_channel_can_be_asked_for(profile: Path, tmp_path: Path) -> None:
-    """All of the table and all signals of the gel's surface, with both kinds of surface and drawn
-    units; nodal channels add up to the wrench."""
+    """All of the table and all signals of the gel's surface, with drawn units; nodal
+    channels add up to the wrench."""
     names = [*OPTIONAL, "rgb_levels", "height_m", *CONTACT_SIGNALS]
     varied = {
         "dataset": {"episodes": 2},
@@ -92,26 +92,27 @@ def test_every_channel_can_be_asked_for(profile: Path, tmp_path: Path) -> None:
                     {"kind": "roll", "depth_mm": [0.1, 0.2], "roll_deg": [2, 4]}],
         "objects": [{"tool": "sphere:3", "tilt_deg": [3, 6]}],
     }  # fmt: skip
-    for surface in ("fused", "gel"):
-        output = {"channels": names, "surface": surface, "size_px": [40, 30]}
-        make(profile, tmp_path / surface, **varied, output=output)
-        data = Dataset(tmp_path / surface)
-        assert data.read("rgb", [0, 1]).shape == (2, 30, 40, 3)
-        for place in range(2):
-            rows = data.rows_of(place)
-            nodes, faces = data.mesh(place)
-            assert faces.max() == len(nodes) - 1
-            forces = data.read("node_forces_n", rows)
-            total = data.read("wrench", rows)[:, :3]
-            assert forces.sum(axis=1) == pytest.approx(total, abs=1e-5)
-            touched = data.read("contact", rows)
-            assert touched.dtype == np.uint8 and not touched[0].any() and touched[-1].any()
-            assert not np.nan_to_num(data.read("pressure_pa", rows[:1])).any()
-            assert np.nanmax(data.read("pressure_pa", rows[-1:])) > 1e3
-        errors = [f for f in check_dataset([tmp_path / surface]) if f.severity == "error"]
-        assert not errors
-    fused, gel = (Dataset(tmp_path / s) for s in ("fused", "gel"))
-    assert (fused.read("wrench", slice(None)) == gel.read("wrench", slice(None))).all()
+    output = {"channels": names, "size_px": [40, 30]}
+    make(profile, tmp_path / "all", **varied, output=output)
+    data = Dataset(tmp_path / "all")
+    assert data.read("rgb", [0, 1]).shape == (2, 30, 40, 3)
+    for place in range(2):
+        rows = data.rows_of(place)
+        nodes, faces = data.mesh(place)
+        assert faces.max() == len(nodes) - 1
+        forces = data.read("node_forces_n", rows)
+        total = data.read("wrench", rows)[:, :3]
+        assert forces.sum(axis=1) == pytest.approx(total, abs=1e-5)
+        touched = data.read("contact", rows)
+        assert touched.dtype == np.uint8 and not touched[0].any() and touched[-1].any()
+        assert not np.nan_to_num(data.read("pressure_pa", rows[:1])).any()
+        assert np.nanmax(data.read("pressure_pa", rows[-1:])) > 1e3
+    errors = [f for f in check_dataset([tmp_path / "all"]) if f.severity == "error"]
+    assert not errors
+    # One answer to what touches: area, mask and the pixels' contact.
+    mask = data.read("contact_mask", slice(None))
+    assert (mask == data.read("contact", slice(None))).all()
+    assert ((data.read("contact_area_mm2", slice(None)) > 0) >= mask.any(axis=(1, 2))).all()
 
 
 def test_torch_batches(made: Path) -> None:

@@ -77,8 +77,3 @@ def test_images_need_a_sensor_that_can_draw_them(tmp_path: Path) -> None:
     save_profile(small_profile().without("color", "background", "lights"), tmp_path / "blind")
     with pytest.raises(InputError, match="neither a colour model nor an optical design"):
         plan(tmp_path / "blind")
-
-
-def test_signals_of_the_gel_need_a_flat_face() -> None:
-    with pytest.raises(InputError, match="its face is curved, on which depth_mm"):
-        plan("digit", output={"channels": ["depth_mm"], "surface": "gel"})

@@ -83,7 +83,7 @@ def test_nodes_carry_the_wrench_to_rounding() -> None:
 
 def test_contact_is_the_solver_s_and_not_a_threshold() -> None:
     """Elements are half as wide as the contact's radius: within a fifth of 6.0 mm2, which
-    ``SignalFusedSurface`` finds on a mesh of three times as many nodes; pressures that are not zero
+    ``FineSurface`` finds on a mesh of three times as many nodes; pressures that are not zero
     reach over twice of it."""
     signal = of(dragged())
     area = signal.contact.numpy().sum(axis=(1, 2)) * PIXEL_M2 * 1e6

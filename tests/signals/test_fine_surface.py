@@ -72,7 +72,7 @@ def test_a_smooth_ball_is_a_ball_where_it_touches() -> None:
         force = pressure[i].sum() * PIXEL_M2
         assert force == pytest.approx(env.press_force[i, 2], rel=0.2)
         area = np.pi * (3 * env.press_force[i, 2] * 4e-3 * (1 - 0.45**2) / 4e5) ** (2 / 3)
-        assert 0.95 < contact[i].sum() * PIXEL_M2 / area < 1.15
+        assert 0.92 < contact[i].sum() * PIXEL_M2 / area < 1.08
     assert not contact[2].any() and not pressure[2].any()
     np.testing.assert_allclose(height[2], 0.0, atol=1e-8)
 
@@ -110,7 +110,9 @@ def test_a_texture_turns_and_goes_with_its_body() -> None:
     seen = ObjectHeights(model, "plate", grid, rows=3, texture=texture)
     none = wp.empty(0, dtype=wp.transformd, device="cpu")
     envs = wp.array([0, 1, 2], dtype=wp.int32, device="cpu")
-    height = seen.read(state, none, envs).numpy()
+    over, smooth, _ = seen.read(state, none, envs)
+    assert np.ptp(smooth.numpy()[np.isfinite(smooth.numpy())]) < 1e-12
+    height = over.numpy()
     flat = height - 0.5e-3
     assert np.abs(flat.mean()) < 3e-6 and np.ptp(flat) < 1.01e-4
     # 4 pixels along x and -6 along y.

@@ -23,6 +23,7 @@ def solved(
     )
     under = torch.as_tensor(obj, dtype=torch.float32)
     flat = torch.zeros_like(under)
+    options = {"iterations": 20, **options}
     height, pressure = solve_contact(compliance, under, flat, flat, **options)
     return height.numpy().astype(float), pressure.numpy().astype(float)
 
@@ -95,11 +96,13 @@ def test_what_is_right_already_stays() -> None:
     """A coarse solution that meets the object is given back."""
     grid = PixelGrid(96, 96, 0.03, 0.03)
     obj = ball(grid, 5e-3, 1e-4)[None]
-    height, pressure = solved(grid, 4e-3, obj)
+    height, pressure = solved(grid, 4e-3, obj, iterations=100)
     compliance = torch.as_tensor(layer_compliance(grid, YOUNG, POISSON, 4e-3), dtype=torch.float32)
-    again = solve_contact(
-        compliance, *(torch.as_tensor(a, dtype=torch.float32) for a in (obj, height, pressure))
-    )
+    given = [torch.as_tensor(a, dtype=torch.float32) for a in (obj, height, pressure)]
+    sharpened = solve_contact(compliance, *given)
+    np.testing.assert_allclose(sharpened[0].numpy(), height, atol=1e-7)
+    assert sharpened[1].numpy().sum() == pytest.approx(pressure.sum(), rel=3e-3)
+    again = solve_contact(compliance, *given, sharpenings=0, iterations=20)
     np.testing.assert_allclose(again[0].numpy(), height, atol=4e-9)
     np.testing.assert_allclose(again[1].numpy(), pressure, atol=4e-3 * pressure.max())
 

@@ -75,7 +75,6 @@ def down_record(depth_mm: list[float], normal_n: list[float], **changes: Any) ->
             "torque_nm": np.zeros(count),
             "bond_peak_pa": np.ones(count),
             "moved_m": np.repeat(real.moved_m[-1:], count, axis=0),
-            "pressures_pa": np.repeat(real.pressures_pa[-1:], count, axis=0),
             **changes,
         },
     )
