@@ -44,7 +44,8 @@ SHARPENING_ITERATIONS = 5
 """The same of each sharpening, which need not end: with 10 radii of balls change by 1e-3."""
 SHARPENINGS = 2
 """How often the coarse pressures are sharpened: after none, one and two, contacts of balls have
-1.05, 1.025 and 1.01 times the radius that they have on meshes of six times as many nodes."""
+1.05, 1.025 and 1.00 to 1.025 times the radius that they have on meshes of six times as many
+nodes."""
 NOWHERE_M = 1.0
 """Height of an object where there is none."""
 _START = 0.1
