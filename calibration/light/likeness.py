@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether an image can be of the sensor that a background is of.
 
-A press leaves a part of the image as it was, but for a gain and an offset of each channel. Where not
-even a quarter of the pixels is, or where the light has gone, or where the image fits the background
-better with its channels or sides exchanged, whatever is read from it means nothing.
+A press leaves a part of the image as it was, but for a gain and an offset of each channel. Where
+not even a quarter of the pixels is, or where the light has gone, or where the image fits the
+background better with its channels or sides exchanged, whatever is read from it means nothing.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from taccel_lab.calibration.light.light import Light
 QUARTER = 0.25
 MOST_LEVELS = 12.0
 """Most that the quarter of the pixels nearest to the background may be off by, once the light is
-alike [levels]. Twice the largest of 72 presses of a GelSight Mini and a DIGIT (FOTS), 6.0; presses of
-two sensors that it was not chosen on have 3.0 (RVSATHU) and 1.2 (9DTact) at most, and backgrounds of
-other sensors 12 to 200."""
+alike [levels]. Twice the largest of 72 presses of a GelSight Mini and a DIGIT (FOTS), 6.0; presses
+of two sensors that it was not chosen on have 3.0 (RVSATHU) and 1.2 (9DTact) at most, backgrounds of
+other sensors 15 to 200."""
 LEAST_GAIN, MOST_GAIN = 0.25, 4.0
 """Light outside this share of the background's is refused; presses have 0.8 to 1.5."""
 CLEARLY = 3.0
