@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 COLORS = {"soft": (127, 178, 217), "affine": (224, 164, 88), "kinematic": (184, 184, 184)}
 """As in the films of tasks."""
-CLEAR = {"kinematic": 0.35}
+CLEAR = {"kinematic": 0.35, "soft": 0.8}
 
 
 class BodiesView:

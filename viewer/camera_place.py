@@ -34,7 +34,7 @@ def look_at(
     server: ViserServer,
     points_mm: np.ndarray,
     direction: tuple[float, float, float] = DIRECTION,
-    distance: float = 1.5,
+    distance: float = 1.9,
 ) -> None:
     """Point the view of a page at the middle of points [n, 3], ``distance`` times their extent
     away."""

@@ -29,7 +29,10 @@ TOOL_RGB = (150, 156, 166)
 class GelView:
     """What a page shows of a gel, with the controls of it; ``show_states`` gives it another one."""
 
-    def __init__(self, server: ViserServer, states: GelStates) -> None:
+    def __init__(
+        self, server: ViserServer, states: GelStates, sensor: SensorPanel | None = None
+    ) -> None:
+        """``sensor``: shows the images; a window of its own when None."""
         self._server, self._gui = server, server.gui
         self._lock = threading.RLock()
         self._states = states
@@ -59,7 +62,7 @@ class GelView:
             self._patches = self._gui.add_slider("patches along the gel", 2, 60, 1, 24)
             self._length = self._gui.add_slider("length times", 0.2, 5.0, 0.1, 1.0)
             self._legend = self._gui.add_markdown("")
-        self.sensor = SensorPanel(server)
+        self.sensor = sensor or SensorPanel(server)
         for control in (
             self._field, self._map, self._range, self._mesh, self._tool, self._more, self._plane,
             self._offset, self._turn, self._other, self._arrows, self._patches, self._length,

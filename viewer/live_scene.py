@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from taccel_lab.state import State
 
 
+DIRECTION = (1.0, -1.4, 0.25)
+"""From which scenes are seen: from the side, as gels may hide what is below them."""
+
+
 class Stepping(Protocol):
     """What a page can run: an ``Episode`` of a task, or anything of a user's with these names."""
 
@@ -112,7 +116,7 @@ class LiveScene:
         places = [vertices for _, vertices, _ in bodies]
         if first or self._view is None:
             if self._view is None:
-                look_at(self._server, 1e3 * np.concatenate(places))
+                look_at(self._server, 1e3 * np.concatenate(places), DIRECTION)
             kinds = [(kind.name.lower(), vertices, faces) for kind, vertices, faces in bodies]
             self._view = BodiesView(self._server, kinds)
         else:

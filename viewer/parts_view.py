@@ -28,20 +28,36 @@ def draw_sensor(
 ) -> None:
     """Draw gel, window, LEDs and camera, in place of earlier ones; ``image``: what it sees."""
     with server.atomic():
-        points = 1e3 * mesh.nodes_m
-        face = mesh.region_faces(Region.CONTACT)
-        others = mesh.region_faces(Region.SIDE, Region.BOND, Region.WINDOW)
-        for name, faces, color in (("face", face, SKIN_RGB), ("body", others, GEL_RGB)):
-            server.scene.add_mesh_simple(
-                f"/gel/{name}", points, faces, color=color, side="double",
-                cast_shadow=False, receive_shadow=False,
-            )  # fmt: skip
+        draw_gel(server, mesh)
+        if design is not None:
+            draw_optics(server, design, 1e3 * float(mesh.nodes_m[:, 2].min()), image)
+
+
+def draw_gel(server: ViserServer, mesh: TetMesh) -> None:
+    """The gel's skin and, hidden at first, its mesh."""
+    points = 1e3 * mesh.nodes_m
+    face = mesh.region_faces(Region.CONTACT)
+    others = mesh.region_faces(Region.SIDE, Region.BOND, Region.WINDOW)
+    for name, faces, color in (("face", face, SKIN_RGB), ("body", others, GEL_RGB)):
         server.scene.add_mesh_simple(
-            "/mesh", points, mesh.faces, color=(60, 65, 75), wireframe=True, visible=False
-        )
-        if design is None:
-            return
-        _draw_window(server, design, float(points[:, 2].min()))
+            f"/gel/{name}", points, faces, color=color, side="double",
+            cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+    server.scene.add_mesh_simple(
+        "/mesh", points, mesh.faces, color=(60, 65, 75), wireframe=True, visible=False
+    )
+
+
+def draw_optics(
+    server: ViserServer, design: OpticalDesign, back_mm: float, image: np.ndarray | None
+) -> None:
+    """Window, LEDs and camera; ``back_mm``: z of the gel's back."""
+    for name in ("/leds", "/window"):
+        earlier = server.scene.get_handle_by_name(name)
+        if earlier is not None:
+            earlier.remove()
+    with server.atomic():
+        _draw_window(server, design, back_mm)
         for k, light in enumerate(design.lights):
             _draw_led(server, f"/leds/{k}", light)
         camera = design.camera

@@ -12,6 +12,7 @@ from taccel_lab.tasks.replay import read_replay
 from taccel_lab.viewer.bodies_view import BodiesView, rise_image
 from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.gel_states import SensorImages
+from taccel_lab.viewer.live_scene import DIRECTION
 from taccel_lab.viewer.sensor_panel import SensorPanel
 from taccel_lab.viewer.time_slider import TimeSlider
 
@@ -23,7 +24,7 @@ def fill_replay_page(server: ViserServer, folder: Path) -> TimeSlider:
     """Show what ``taccel-lab task record --states`` kept."""
     replay = read_replay(folder)
     every = np.concatenate([body.vertices_m.reshape(-1, 3) for body in replay.bodies])
-    look_at(server, 1e3 * every.astype(np.float64))
+    look_at(server, 1e3 * every.astype(np.float64), DIRECTION)
     view = BodiesView(server, [(b.kind, b.vertices_m[0], b.faces) for b in replay.bodies])
     reach = max(float(np.nanquantile(np.abs(replay.rises_m), 0.99)), 1e-6)
     rises = SensorImages(np.stack([rise_image(rise, reach) for rise in replay.rises_m]))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,18 +26,21 @@ class SensorPanel:
         server: ViserServer,
         title: str = "Sensor image",
         single: str = "Only the image of the end was kept.",
+        own_panel: bool = True,
     ) -> None:
-        """``single``: what is said of an image that is the only one."""
+        """``single``: what is said of an image that is the only one. ``own_panel``: in a window of
+        its own, else where the page is being filled."""
         self._single = single
-        self.panel = server.gui.add_panel(visible=False)
-        with self.panel.add_tab(title):
+        self.panel = server.gui.add_panel(visible=False) if own_panel else None
+        with nullcontext() if self.panel is None else self.panel.add_tab(title):
             blank = np.full((4, 4, 3), 128, dtype=np.uint8)
             self._image = server.gui.add_image(blank, format="png")
             self._note = server.gui.add_markdown("")
             self._markers = server.gui.add_checkbox("show markers and their motion", True)
             self._times = server.gui.add_slider("motion of markers times", 1, 10, 1, 3)
-        self.panel.dock_left()
-        self.panel.set_width(330)
+        if self.panel is not None:
+            self.panel.dock_left()
+            self.panel.set_width(330)
         self._shown: tuple[SensorImages | None, int] = (None, 0)
         for control in (self._markers, self._times):
             control.on_update(lambda _: self.show(*self._shown))
@@ -44,7 +48,8 @@ class SensorPanel:
     def show(self, images: SensorImages | None, state: int) -> None:
         """Show the image of a state; nothing where there are none."""
         self._shown = (images, state)
-        self.panel.visible = images is not None
+        if self.panel is not None:
+            self.panel.visible = images is not None
         if images is None:
             return
         row = min(state, len(images.rgb) - 1)
