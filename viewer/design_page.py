@@ -39,6 +39,10 @@ if TYPE_CHECKING:
     from taccel_lab.sensors.base import SensorFamily
 
 
+PRESS, SOLID = "press", "solid"
+"""What may be shown in the middle."""
+
+
 @contextmanager
 def design_page(
     family: SensorFamily,
@@ -90,6 +94,10 @@ class DesignPage:
         tabs = gui.add_tab_group()
         with tabs.add_tab("Result"):
             self._status = gui.add_markdown("")
+            self._middle = gui.add_dropdown(
+                "in the middle", (PRESS, SOLID),
+                hint="The press has a mesh of its own, fine around the ball and coarse at the rim.",
+            )  # fmt: skip
             with gui.add_folder("Press of a ball"):
                 self._radius = gui.add_slider("radius [mm]", 1.0, 8.0, 0.1, 3.0)
                 self._depth = gui.add_slider("depth [mm]", 0.1, 2.0, 0.05, 0.5)
@@ -120,6 +128,7 @@ class DesignPage:
         look_at(self._server, states.rest_mm, distance=2.2)
         for control in (self._radius, self._depth):
             control.on_update(lambda _: self._change(""))
+        self._middle.on_update(lambda _: self._draw())
 
     def _add_plot(self) -> Any:
         uplot = viser_module().uplot
@@ -175,7 +184,7 @@ class DesignPage:
             self.controls.accept()
         elif piece == "solid":
             assert answer.mesh is not None
-            self._view.show_states(_untouched(answer.mesh))
+            self._draw()
             design = answer.parameters.optics()
             if design is not None:
                 back = 1e3 * float(answer.mesh.nodes_m[:, 2].min())
@@ -186,10 +195,21 @@ class DesignPage:
             assert answer.drawing_rgb is not None
             self._drawing.image = answer.drawing_rgb
         elif press is not None:
-            self._view.show_states(_states(press, answer), 1)
+            self._draw()
             x, z = height_profile_mm(press, press.positions_m)
             rest_x, rest_z = height_profile_mm(press, press.mesh.nodes_m)
             self._plot.data = (x, np.interp(x, rest_x, rest_z), z)
+
+    def _draw(self) -> None:
+        """The gel in the middle of the page."""
+        answer = self.shown
+        if answer is None or answer.mesh is None:
+            return
+        press = answer.exact or answer.quick
+        if press is None or self._middle.value == SOLID:
+            self._view.show_states(_untouched(answer.mesh))
+        else:
+            self._view.show_states(_states(press, answer), 1)
 
     def _enlarge(self) -> None:
         if self.shown is None or self.shown.drawing_rgb is None:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_OCTAHEDRON = ((4, 9, 8, 7), (4, 9, 5, 8), (4, 9, 7, 6), (4, 9, 6, 5))
+_OCTAHEDRON = ((4, 9, 7, 8), (4, 9, 8, 5), (4, 9, 6, 7), (4, 9, 5, 6))
 """The inner part of a ten-node tet, by its middles 4 (01) and 9 (23)."""
-_CORNERS = ((0, 4, 6, 7), (1, 5, 4, 8), (2, 6, 5, 9), (3, 7, 8, 9))
+_CORNERS = ((0, 4, 6, 7), (1, 5, 4, 8), (2, 6, 5, 9), (3, 7, 9, 8))
 
 
 @dataclass(frozen=True)

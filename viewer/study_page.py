@@ -33,6 +33,7 @@ class StudyPage:
         self._designs = [row for row in found if row is not None and row.status == "done"]
         if not self._designs:
             raise InputError(f"{root} has no design with a figure yet: run its study first")
+        self._swept = _swept(self._designs)
         metrics = sorted({name for row in self._designs for name in row.figures})
         gui = server.gui
         gui.add_markdown(f"{len(found)} designs, {len(self._designs)} with figures")
@@ -40,7 +41,7 @@ class StudyPage:
             self._metric = gui.add_dropdown("sorted by", metrics)
             self._order = gui.add_dropdown("first", ("largest", "smallest"))
             self._from = gui.add_slider("from place", 1, max(len(self._designs), 2), 1, 1)
-            self._buttons = [gui.add_button("", visible=False) for _ in range(ROWS)]
+            self._buttons = [gui.add_button("", visible=False, color="gray") for _ in range(ROWS)]
         self._about = gui.add_markdown("")
         self._press = gui.add_dropdown("press", [GEL])
         self._panel = gui.add_panel(visible=False)
@@ -80,7 +81,7 @@ class StudyPage:
                 row = rows[start + k]
                 value = row.figures.get(metric)
                 shown = "no figure" if value is None else f"{value:.4g}"
-                button.label = f"{start + k + 1}.  {shown}  |  {_parameters(row)}"
+                button.label = f"{start + k + 1}.  {shown}  |  {_parameters(row, self._swept)}"
 
     def choose(self, place: int) -> None:
         """Show the design at a place of the sorted list, counted from 0."""
@@ -122,8 +123,16 @@ class StudyPage:
                 self._picture.image = np.asarray(file.convert("RGB"))
 
 
-def _parameters(row: DesignRow) -> str:
+def _swept(rows: list[DesignRow]) -> list[str]:
+    """Parameters in which designs differ."""
+    names = dict.fromkeys(name for row in rows for name in row.parameters)
+    return [name for name in names if len({str(row.parameters.get(name)) for row in rows}) > 1]
+
+
+def _parameters(row: DesignRow, names: list[str] | None = None) -> str:
+    """Names and values, of all parameters when ``names`` is None or empty."""
     return ", ".join(
         f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
         for name, value in row.parameters.items()
+        if not names or name in names
     )
