@@ -34,7 +34,7 @@ def look_at(
     server: ViserServer,
     points_mm: np.ndarray,
     direction: tuple[float, float, float] = DIRECTION,
-    distance: float = 1.9,
+    distance: float = 1.6,
 ) -> None:
     """Point the view of a page at the middle of points [n, 3], ``distance`` times their extent
     away."""
@@ -45,7 +45,9 @@ def look_at(
     scene.set_up_direction("+z")
     scene.configure_default_lights(cast_shadow=False)
     server.gui.main_panel.dock_right()
-    add_axes(server, low - 0.06 * size * np.array([1.0, 1.0, 0.0]), round_length(0.2 * size))
+    # At the far left, where nothing is cut away and no panel is.
+    corner = np.array([low[0] - 0.02 * size, high[1], low[2]])
+    add_axes(server, corner, round_length(0.15 * size))
     camera = server.initial_camera
     camera.position = middle + distance * size * toward
     camera.look_at = middle

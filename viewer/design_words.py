@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from taccel_lab.viewer.design_answer import Answer
 
-FORMULA_PERCENT, QUICK_PERCENT = 17, 14
+FORMULA_PERCENT, QUICK_PERCENT = 24, 14
 """Largest difference from the default press that was measured, see docs/viewer.md."""
 
 
