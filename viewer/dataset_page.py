@@ -65,7 +65,7 @@ class DatasetPage:
         self._chosen: list[int] = []
         first = next(place for place, row in enumerate(rows) if row["rows"] > 0)
         states = read_touch(data, first)
-        look_at(server, states.rest_mm)
+        look_at(server, states.rest_mm, distance=2.0)
         self.view = GelView(server, states)
         self.view.choose(arrows="by patch")
         for control in self._filters.values():

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 OPEN_GROUPS = ("gel", "material")
 """Groups that are unfolded at first."""
+WIDE = 100.0
+"""Largest value over the default from which a number is typed, not slid to."""
 _STEPS = 500
 """Places of a slider at least, besides its ends."""
 
@@ -98,9 +100,15 @@ class DesignControls:
         else:
             low, high, step = slider_places(parameter)
             kind = int if isinstance(parameter.default, int) else float
-            handle = server.gui.add_slider(
-                _label(parameter), kind(low), kind(high), kind(step), kind(value), hint=hint
-            )
+            if high > WIDE * max(abs(parameter.default), 1e-9):
+                # A slider over such a range has no place near the default.
+                handle = server.gui.add_number(
+                    _label(parameter), kind(value), min=kind(low), max=kind(high), hint=hint
+                )
+            else:
+                handle = server.gui.add_slider(
+                    _label(parameter), kind(low), kind(high), kind(step), kind(value), hint=hint
+                )
         self._handles[parameter.name] = handle
         self._initial[parameter.name] = (handle.value, value)
         self._notes[parameter.name] = server.gui.add_html("", visible=False)
@@ -125,5 +133,9 @@ def _label(parameter: Parameter) -> str:
     words = parameter.name
     for ending in ("_mm_per_px", "_mm", "_mpa", "_px", "_deg", "_kg_m3"):
         words = words.removesuffix(ending)
-    unit = "" if parameter.unit in ("", "1") else f" [{parameter.unit}]"
+    unit = (
+        ""
+        if parameter.unit in ("", "1") or parameter.unit.startswith("Shore")
+        else f" [{parameter.unit}]"
+    )
     return words.replace("_", " ") + unit

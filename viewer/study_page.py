@@ -48,10 +48,10 @@ class StudyPage:
         with self._panel.add_tab("Picture of the design"):
             self._picture = gui.add_image(np.full((4, 4, 3), 255, dtype=np.uint8), format="png")
         self._panel.dock_left()
-        self._panel.set_width(420)
+        self._panel.set_width(340)
         first = self._sorted()[0]
         states = design_gel(first)
-        look_at(server, states.rest_mm)
+        look_at(server, states.rest_mm, distance=2.0)
         self.view = GelView(server, states)
         for control in (self._metric, self._order, self._from):
             control.on_update(lambda _: self._list())

@@ -79,7 +79,7 @@ def test_sliders_of_the_design_page_change_its_numbers(tmp_path: Path) -> None:
                 wait_for(page, lambda: row.inner_text() != before)
                 assert page_of.controls.overrides() == {"young_modulus_mpa": 1.0}
                 # What the family refuses stands beside the slider, in its words: two stiffnesses.
-                box = page.get_by_text("shore a [Shore A]", exact=True).first.locator(
+                box = page.get_by_text("shore a", exact=True).first.locator(
                     "xpath=ancestor::div[.//input][1]//input[@type='text']"
                 ).first  # fmt: skip
                 box.fill("20")
