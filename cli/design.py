@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -115,7 +116,8 @@ class Design:
         def say(text: str) -> None:
             notes().print(text, highlight=False, markup=False, soft_wrap=True)
 
-        with design_page(family, overrides, self.out, self.where.options(), say):
+        where = self.where.options()
+        with suppress(KeyboardInterrupt), design_page(family, overrides, self.out, where, say):
             serve_until_stopped()
 
 

@@ -45,8 +45,8 @@ def look_at(
     scene.set_up_direction("+z")
     scene.configure_default_lights(cast_shadow=False)
     server.gui.main_panel.dock_right()
-    # At the far left, where nothing is cut away and no panel is.
-    corner = np.array([low[0] - 0.02 * size, high[1], low[2]])
+    # Above the far left corner, where nothing hides them and no panel is.
+    corner = np.array([low[0], high[1], high[2] + 0.04 * size])
     add_axes(server, corner, round_length(0.15 * size))
     camera = server.initial_camera
     camera.position = middle + distance * size * toward

@@ -100,7 +100,7 @@ class DesignControls:
         else:
             low, high, step = slider_places(parameter)
             kind = int if isinstance(parameter.default, int) else float
-            if high > WIDE * max(abs(parameter.default), 1e-9):
+            if 0 < WIDE * abs(parameter.default) < high:
                 # A slider over such a range has no place near the default.
                 handle = server.gui.add_number(
                     _label(parameter), kind(value), min=kind(low), max=kind(high), hint=hint

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -91,3 +94,17 @@ def test_sliders_of_the_design_page_change_its_numbers(tmp_path: Path) -> None:
         finally:
             page_of.work.close()
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_ctrl_c_closes_a_page_with_exit_code_0(tmp_path: Path) -> None:
+    words = ["view", "ball-rolling", "--no-browser", "--port", "0"]
+    command = [sys.executable, "-m", "taccel_lab.cli.app", *words]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        line = process.stderr.readline()
+        while line and "http://127.0.0.1:" not in line:
+            line = process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0
+    assert "Traceback" not in line
