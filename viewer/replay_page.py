@@ -29,13 +29,16 @@ def fill_replay_page(server: ViserServer, folder: Path) -> TimeSlider:
     reach = max(float(np.nanquantile(np.abs(replay.rises_m), 0.99)), 1e-6)
     rises = SensorImages(np.stack([rise_image(rise, reach) for rise in replay.rises_m]))
     caption = server.gui.add_markdown("")
-    panel = SensorPanel(server, f"Rise of the gel, to ±{1e3 * reach:.2f} mm")
+    panel = SensorPanel(server, "Rise of the gel")
 
     def show(frame: int) -> None:
         view.move([body.vertices_m[frame] for body in replay.bodies])
         forces = [f"| {name} | {values[frame]:.3f} N |" for name, values in replay.forces_n.items()]
         head = f"**{replay.task}**, {replay.times_s[frame]:.2f} s"
-        caption.content = "\n".join([head, "", "| force | |", "|---|---|", *forces])
+        side = (
+            f"Beside: rise of the gel's face, blue below and red above, to ±{1e3 * reach:.2f} mm."
+        )
+        caption.content = "\n".join([head, "", "| force | |", "|---|---|", *forces, "", side])
         panel.show(rises, frame)
 
     slider = TimeSlider(server, len(replay.times_s), show)
