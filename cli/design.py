@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from taccel_lab.cli.page_options import PageArguments
+from taccel_lab.report.live_page import PageOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -62,7 +62,7 @@ class Design:
     the gel; dimensioned drawings."""
     page: bool = False
     """Open the design page (needs the extra view) in place of writing files."""
-    where: tyro.conf.OmitArgPrefixes[PageArguments] = field(default_factory=PageArguments)
+    where: tyro.conf.OmitArgPrefixes[PageOptions] = field(default_factory=PageOptions)
     json: bool = False
     """Print quality of the mesh, files and notes as JSON instead of a table."""
 
@@ -116,8 +116,7 @@ class Design:
         def say(text: str) -> None:
             notes().print(text, highlight=False, markup=False, soft_wrap=True)
 
-        where = self.where.options()
-        with suppress(KeyboardInterrupt), design_page(family, overrides, self.out, where, say):
+        with suppress(KeyboardInterrupt), design_page(family, overrides, self.out, self.where, say):
             serve_until_stopped()
 
 

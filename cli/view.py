@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import tyro
 from tyro.conf import Positional
 
-from taccel_lab.cli.page_options import PageArguments
+from taccel_lab.report.live_page import PageOptions
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class View:
 
     source: Positional[str]
     """Folder that a command wrote, sensor of the catalogue, or task."""
-    page: tyro.conf.OmitArgPrefixes[PageArguments] = field(default_factory=PageArguments)
+    page: tyro.conf.OmitArgPrefixes[PageOptions] = field(default_factory=PageOptions)
     seed: int = 0
     """Start of a live task."""
     device: str = "cpu"
@@ -45,7 +45,7 @@ class View:
         console = notes()
         serve_source(
             find_source(self.source),
-            self.page.options(),
+            self.page,
             lambda text: console.print(text, highlight=False, markup=False, soft_wrap=True),
             seed=self.seed,
             device=self.device,

@@ -31,7 +31,7 @@ class PageOptions:
     port: int = 8080
     """TCP port; 0 takes any that is free."""
     browser: bool = True
-    """Whether to open the page in the browser of this machine."""
+    """Open the page in the browser of this machine (--no-browser: only say where it is)."""
     dark: bool = False
     """Dark background."""
 
