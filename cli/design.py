@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from taccel_lab.report.live_page import PageOptions
+from taccel_lab.page_options import PageOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -63,6 +63,7 @@ class Design:
     page: bool = False
     """Open the design page (needs the extra view) in place of writing files."""
     where: tyro.conf.OmitArgPrefixes[PageOptions] = field(default_factory=PageOptions)
+    """Where the page is served and how it looks."""
     json: bool = False
     """Print quality of the mesh, files and notes as JSON instead of a table."""
 

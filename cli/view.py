@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import tyro
 from tyro.conf import Positional
 
-from taccel_lab.report.live_page import PageOptions
+from taccel_lab.page_options import PageOptions
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,7 @@ class View:
     source: Positional[str]
     """Folder that a command wrote, sensor of the catalogue, or task."""
     page: tyro.conf.OmitArgPrefixes[PageOptions] = field(default_factory=PageOptions)
+    """Where the page is served and how it looks."""
     seed: int = 0
     """Start of a live task."""
     device: str = "cpu"

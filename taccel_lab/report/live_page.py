@@ -10,30 +10,16 @@ import threading
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
+from taccel_lab.page_options import PageOptions
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
 BRAND = (0, 114, 178)
 """Colour of buttons and sliders: the blue of the figures (``report.style``)."""
-
-
-@dataclass(frozen=True)
-class PageOptions:
-    """Where a page is served and how it looks."""
-
-    host: str = "127.0.0.1"
-    """Address to listen at; 0.0.0.0 lets other machines in, who may then do what the page can."""
-    port: int = 8080
-    """TCP port; 0 takes any that is free."""
-    browser: bool = True
-    """Open the page in the browser of this machine (--no-browser: only say where it is)."""
-    dark: bool = False
-    """Dark background."""
 
 
 def viser_module() -> Any:
