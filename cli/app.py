@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """``taccel-lab``: gathers the sub-commands and turns errors into messages and exit codes.
 
-Exit codes: 0 done, 1 ``doctor``, ``bench quick``, ``capture check`` or ``dataset check`` found
-something broken, a stage of ``calibrate all`` had unfit captures or no design of a ``study`` keeps
-its constraints, 2 unusable input or usage, or files that cannot be read or written, as on a full
-disk, 3 a simulation that did not converge, 130 interrupted, 143 asked to end (SIGTERM). Anything
-else that goes wrong is a bug and keeps its traceback. Command modules import heavy libraries inside
-``run()`` only, so that help is fast.
+Exit codes: 0 done (a page of ``view`` or ``design --page`` ends so by Ctrl-C), 1 ``doctor``,
+``bench quick``, ``capture check`` or ``dataset check`` found something broken, a stage of
+``calibrate all`` had unfit captures or no design of a ``study`` keeps its constraints, 2 unusable
+input or usage, or files that cannot be read or written, as on a full disk, 3 a simulation that did
+not converge, 130 interrupted, 143 asked to end (SIGTERM). Anything else that goes wrong is a bug
+and keeps its traceback. Command modules import heavy libraries inside ``run()`` only, so that help
+is fast.
 """
 
 from __future__ import annotations
@@ -69,6 +70,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
     from taccel_lab.cli.sensors import SensorsList, SensorsShow
     from taccel_lab.cli.study import Study
     from taccel_lab.cli.task import TaskList, TaskRecord, TaskRun
+    from taccel_lab.cli.view import View
 
     return {
         "demo": Demo,
@@ -102,6 +104,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
         ),
         "study": Study,
         "dataset": Group(DATASET_HELP, DATASET_COMMANDS),
+        "view": View,
         "bench": Bench,
         "doctor": Doctor,
     }

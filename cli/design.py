@@ -3,16 +3,22 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from tyro.conf import Positional
 
+from taccel_lab.page_options import PageOptions
+
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rich.console import Console
 
+    from taccel_lab.sensors.base import SensorFamily
     from taccel_lab.sensors.design import DesignResult
 
 _STAGES = {
@@ -29,12 +35,17 @@ _STAGES = {
 
 @dataclass(frozen=True)
 class Design:
-    """Build a sensor: gel, assembly, moulds, drawings, labelled tet mesh (VTU), profile."""
+    """Build a sensor: gel, assembly, moulds, drawings, labelled tet mesh (VTU), profile.
+
+    With --page: a page in the browser with sliders of all parameters, which shows what a change
+    does and writes nothing until asked. Ctrl-C closes it, exit code 0.
+    """
 
     sensor: Positional[str]
-    """Sensor of the catalogue, e.g. gelsight."""
+    """Sensor of the catalogue, e.g. gelsight; or the design.toml that a page wrote."""
     out: Path
-    """Folder to write; an earlier one is replaced when everything is done."""
+    """Folder to write; an earlier one is replaced when everything is done. What a page exports
+    goes into folders below it."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE")] = field(default=())
     """Parameters other than the defaults, e.g. thickness_mm=4 crown_radius_mm=0."""
     mesher: Literal["structured", "tetwild"] = "structured"
@@ -49,6 +60,10 @@ class Design:
     )
     """Files for the workshop: pad as STEP, STL, 3MF and DXF; all parts in place; moulds for casting
     the gel; dimensioned drawings."""
+    page: bool = False
+    """Open the design page (needs the extra view) in place of writing files."""
+    where: tyro.conf.OmitArgPrefixes[PageOptions] = field(default_factory=PageOptions)
+    """Where the page is served and how it looks."""
     json: bool = False
     """Print quality of the mesh, files and notes as JSON instead of a table."""
 
@@ -61,7 +76,16 @@ class Design:
         from taccel_lab.sensors.registry import sensor_family
 
         console = notes()
-        family, overrides = sensor_family(self.sensor), parse_overrides(self.set)
+        name, overrides = self.sensor, parse_overrides(self.set)
+        if name.endswith(".toml"):
+            from taccel_lab.viewer.design_export import read_design
+
+            name, stored = read_design(Path(name))
+            overrides = {**stored, **overrides}
+        family = sensor_family(name)
+        if self.page:
+            self._serve(family, overrides)
+            return
         with console.status("starting") as status:
             result = design_sensor(
                 family,
@@ -77,6 +101,24 @@ class Design:
             print_json({**figures, "seconds": result.seconds, "notes": result.warnings})
         else:
             _print_result(Console(), result)
+
+    def _serve(self, family: SensorFamily, overrides: Mapping[str, Any]) -> None:
+        from taccel_lab.cli.console import notes
+        from taccel_lab.output_folder import require_replaceable
+        from taccel_lab.report.live_page import serve_until_stopped, viser_module
+        from taccel_lab.viewer.design_page import design_page
+        from taccel_lab.warp_output import quiet_warp
+
+        quiet_warp()
+        viser_module()
+        # Each kind of file gets a folder of its own there: what else is in it stays.
+        require_replaceable(self.out / "everything")
+
+        def say(text: str) -> None:
+            notes().print(text, highlight=False, markup=False, soft_wrap=True)
+
+        with suppress(KeyboardInterrupt), design_page(family, overrides, self.out, self.where, say):
+            serve_until_stopped()
 
 
 def _print_result(console: Console, result: DesignResult) -> None:

@@ -72,6 +72,8 @@ class Press:
     """linear: only to see what it costs: forces tens of per cent too large near nu 0.5."""
     mesh: Literal["focused", "profile"] = "focused"
     """focused: graded around the contact (sensors of the catalogue). profile: the stored mesh."""
+    states: bool = False
+    """Keep every step in states.npz, for taccel-lab view: gel, pressure, stress, forces, image."""
     device: str = "cpu"
     """Device of the solver: cpu, cuda:0 or auto."""
     json: bool = False
@@ -103,6 +105,7 @@ class Press:
         from taccel_lab.sensors.profile import load_sensor
         from taccel_lab.signals.color_model import ColorModel
         from taccel_lab.signals.rest_surface import rest_surface
+        from taccel_lab.signals.tactile_image import tactile_image
         from taccel_lab.signals.texture import Texture
 
         require_replaceable(self.out)
@@ -137,11 +140,16 @@ class Press:
                 designed_rest=rest_surface(profile.mesh, profile.grid()),
                 device=self.device,
                 progress=progress,
+                keep_states=self.states,
             )
         seconds = time.perf_counter() - started
-        rgb = None
+        rgb = frames = None
         if model is not None and profile.background_rgb is not None:
-            rgb = outcome.render(model, profile.background_rgb)
+            background = profile.background_rgb
+            rgb = outcome.render(model, background)
+            if outcome.states is not None:
+                seen = outcome.states.surfaces
+                frames = [background, *(tactile_image(model, background, one) for one in seen)]
         with atomic_directory(self.out) as folder:
             about = {
                 "sensor": self.sensor,
@@ -153,7 +161,7 @@ class Press:
                 "differs_from_calibration": note,
                 "seconds": seconds,
             }
-            write_press(folder, outcome, profile, rgb, about)
+            write_press(folder, outcome, profile, rgb, about, indenter, frames)
         return outcome, rgb
 
     def _physics(self) -> PressPhysics:

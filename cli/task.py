@@ -116,6 +116,8 @@ class TaskRecord:
     """Folder to write; an earlier one is replaced when everything is done."""
     seed: int = 0
     """Which start."""
+    states: bool = False
+    """Keep the bodies of every frame in replay.npz, for taccel-lab view."""
     device: str = "cpu"
     """Device of the solver: cpu, cuda:0 or auto."""
     json: bool = False
@@ -127,6 +129,7 @@ class TaskRecord:
         from taccel_lab.output import write_json
         from taccel_lab.output_folder import atomic_directory
         from taccel_lab.tasks.film import film_seed, write_film_files
+        from taccel_lab.tasks.replay import write_replay
 
         if not 0 <= self.seed < MOST_SEEDS:
             raise InputError(f"seed must lie in 0..{MOST_SEEDS - 1}, got {self.seed}")
@@ -137,6 +140,8 @@ class TaskRecord:
                 film, trial = film_seed(task, self.seed, self.device, progress)
             with console.status("writing the film"):
                 write_film_files(film, folder)
+                if self.states:
+                    write_replay(film, folder)
             told = {name: value for name, value in vars(trial).items() if name != "felt"}
             told = {"task": task.name, **told}
             write_json(folder / "trial.json", told)

@@ -48,7 +48,7 @@ def film_seed(
     episode = task.begin([seed], device)
     dt = task.parameters.dt_s
     every = max(1, round(1 / (FRAMES_PER_S * dt)))
-    watch = _GelView(episode)
+    watch = FaceWatch(episode)
     film = Film(task.name, episode, watch.grid)
     start = watch.height_m()
 
@@ -86,7 +86,7 @@ def _scene_pictures(film: Film) -> Iterator[np.ndarray]:
         camera.close()
 
 
-class _GelView:
+class FaceWatch:
     """The surface of the gel that an episode shows, in its own frame."""
 
     def __init__(self, episode: Episode) -> None:

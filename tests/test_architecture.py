@@ -24,6 +24,7 @@ PACKAGES = (
     "robots",
     "tasks",
     "learning",
+    "viewer",
 )
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 TESTS = sorted((ROOT / "tests").rglob("*.py"))

@@ -24,6 +24,7 @@ NEEDS = {
     "formats.md": "a profile of one's own",
     "solver.md": "several GPUs",
     "studies.md": "a study's results",
+    "viewer.md": "a scene of one's own",
 }
 """Pages whose blocks go on from files of the reader's own: compiled, not run."""
 BLOCK = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)

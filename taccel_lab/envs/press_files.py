@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.envs.press_outcome import PressOutcome
+from taccel_lab.envs.press_states import STATES, PressStates, write_states
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.interop.image_files import eight_bit, write_rgb
@@ -27,10 +28,13 @@ from taccel_lab.report.model import ForceDepth
 from taccel_lab.version import __version__
 
 if TYPE_CHECKING:
+    from taccel_lab.envs.indenter import Indenter
     from taccel_lab.profile import SensorProfile
 
 PREDICTED_PX = 640
 """Longest side of the picture that the optical model predicts."""
+STATES_PX = 320
+"""The same of the pictures of all steps."""
 
 
 def write_press(
@@ -39,6 +43,8 @@ def write_press(
     profile: SensorProfile,
     rgb: np.ndarray | None,
     about: Mapping[str, Any],
+    indenter: Indenter | None = None,
+    frames: Sequence[np.ndarray] | None = None,
 ) -> None:
     """Write arrays, pictures, the deformed mesh and ``press.json`` of a press.
 
@@ -50,6 +56,10 @@ def write_press(
             written, if the sensor has one.
         about: What the caller knows of the press, first in ``press.json``; ``indenter`` labels the
             curve of the force.
+        indenter: Whose surface goes into ``states.npz``, which is written where the press kept its
+            states.
+        frames: Tactile images at rest and after each of those, levels; when None those that the
+            optical model predicts.
     """
     grid = profile.grid()
     arrays: dict[str, Any] = {
@@ -76,8 +86,11 @@ def write_press(
             "displacement_m": outcome.positions_m - outcome.mesh.nodes_m,
             "contact_force_n": outcome.contact_forces_n,
             "contact_pressure_pa": outcome.contact_pressures_pa,
+            "von_mises_pa": outcome.von_mises_pa,
         },
     )
+    if outcome.states is not None and indenter is not None:
+        _write_states(folder / STATES, outcome, outcome.states, profile, indenter, frames)
     save_figure(draw_height_map(outcome.height_m, grid), folder / "height_map.png")
     save_figure(draw_normals(outcome.normals, grid), folder / "normals.png")
     faces = outcome.mesh.region_faces(Region.CONTACT)
@@ -117,10 +130,45 @@ def write_press(
 
 def _write_predicted(path: Path, profile: SensorProfile, outcome: PressOutcome) -> None:
     """The picture that the optical model of an uncalibrated sensor expects, if it has one."""
+    model = _optical_model(profile, outcome, PREDICTED_PX)
+    if model is not None:
+        write_rgb(path, model.render(outcome.positions_m).rgb)
+
+
+def _optical_model(
+    profile: SensorProfile, outcome: PressOutcome, longest_px: int
+) -> OpticalModel | None:
     design = profile.optical_design()
     if design is None:
-        return
-    size = design.camera.size_within(PREDICTED_PX)
+        return None
+    size = design.camera.size_within(longest_px)
     markers = None if profile.markers is None else profile.markers.grid()
-    model = OpticalModel(design, outcome.mesh, size_px=size, markers=markers)
-    write_rgb(path, model.render(outcome.positions_m).rgb)
+    return OpticalModel(design, outcome.mesh, size_px=size, markers=markers)
+
+
+def _write_states(
+    path: Path,
+    outcome: PressOutcome,
+    states: PressStates,
+    profile: SensorProfile,
+    indenter: Indenter,
+    frames: Sequence[np.ndarray] | None,
+) -> None:
+    images = None
+    if frames is not None:
+        images = np.stack([eight_bit(frame) for frame in frames])
+    else:
+        model = _optical_model(profile, outcome, STATES_PX)
+        if model is not None:
+            places = states.positions_m(outcome.mesh)
+            images = np.stack([model.render(positions).rgb for positions in places])
+    write_states(
+        path,
+        states,
+        outcome.mesh,
+        indenter,
+        profile,
+        [step.depth_mm for step in outcome.steps],
+        np.array([step.wrench[:3] for step in outcome.steps]),
+        images,
+    )

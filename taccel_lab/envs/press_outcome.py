@@ -13,7 +13,8 @@ from taccel_lab.envs.indenter import Indenter
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.envs.press import PressEnv
 from taccel_lab.envs.press_path import PressPath
-from taccel_lab.envs.press_surface import press_surface
+from taccel_lab.envs.press_states import PressStates
+from taccel_lab.envs.press_surface import PressSurface, press_surface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.geometry.tet_mesh import tet_volumes
@@ -58,6 +59,8 @@ class PressOutcome:
     """Force of the indenter on each gel node [N], shape [node, 3]."""
     contact_pressures_pa: np.ndarray
     """Contact pressure at each gel node [Pa], see ``SurfaceLoad``, shape [node]."""
+    von_mises_pa: np.ndarray
+    """Equivalent stress at each gel node [Pa], shape [node]."""
     indenter_pose: np.ndarray
     """gel_from_indenter: position [m], quaternion x, y, z, w; shape [7]. Held back by
     ``setback_m`` from the depth."""
@@ -77,6 +80,8 @@ class PressOutcome:
     fine_force_n: float | None = None
     """Force against the press of the contact with a texture, of which the solver's force knows the
     mean surface only [N]; None without a texture."""
+    states: PressStates | None = None
+    """All steps, where they were to be kept."""
 
     @property
     def last(self) -> StepReport:
@@ -140,12 +145,14 @@ def simulate_press(
     config: SolverConfig | None = None,
     device: str = "cpu",
     progress: Callable[[int, int, PressStep], None] | None = None,
+    keep_states: bool = False,
 ) -> PressOutcome:
     """Press once, read everything. Errors as of ``PressEnv``; see there for the arguments. An
     indenter with a texture must go deeper than that is on the mean.
 
     ``designed_rest`` is the pad's contact face on ``grid`` where ``mesh`` draws it more coarsely,
     see ``RestCorrection``. ``progress`` is told step, step count and what the step gave.
+    ``keep_states`` keeps gel, loads and pixels of every step, at 0.1 to 0.3 s each.
     """
     env = PressEnv(
         mesh,
@@ -165,17 +172,24 @@ def simulate_press(
         )
     waypoints = path.waypoints()
     steps: list[PressStep] = []
+    states = PressStates() if keep_states else None
+    outputs = Outputs(env.solver)
+
+    def pixels() -> PressSurface:
+        return press_surface(env, indenter, grid, designed_rest)
 
     def keep(done: int, total: int, report: StepReport) -> None:
         steps.append(PressStep(*waypoints[done - 1], env.wrench[0].copy(), report))
+        if states is not None:
+            states.add(env, outputs.update(env.state), pixels)
         if progress is not None:
             progress(done, total, steps[-1])
 
     env.follow(path, keep)
-    load = Outputs(env.solver).update(env.state).surface_load
-    pressures = load.pressures.numpy()[:, : env.model.soft_count].copy()
+    outputs.update(env.state)
+    pressures = outputs.surface_load.pressures.numpy()[:, : env.model.soft_count].copy()
     pose = env.poses[0, 0]
-    seen = press_surface(env, indenter, grid, designed_rest)
+    seen = pixels()
     error = env.error_estimate()
     volumes = tet_volumes(env.positions[0], mesh.tets)
     return PressOutcome(
@@ -188,6 +202,7 @@ def simulate_press(
         positions_m=env.positions[0].copy(),
         contact_forces_n=env.contact_forces[0].copy(),
         contact_pressures_pa=pressures[0],
+        von_mises_pa=outputs.von_mises.numpy()[0, : env.model.soft_count].copy(),
         indenter_pose=pose,
         setback_m=float(env.setback_m[0]),
         height_m=seen.height_m,
@@ -198,4 +213,5 @@ def simulate_press(
         contact_radius_m=seen.contact_radius_m,
         smallest_volume_ratio=float((volumes / mesh.volumes_m3()).min()),
         fine_force_n=seen.fine_force_n,
+        states=states,
     )

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab view``: results, sensors and live tasks in the browser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import tyro
+from tyro.conf import Positional
+
+from taccel_lab.page_options import PageOptions
+
+
+@dataclass(frozen=True)
+class View:
+    """Look at a result in the browser: gel with pressure, stress and displacement, sections, force
+    arrows, sensor image with markers, step by step.
+
+    What SOURCE is, is found out by its content: a profile or a sensor of the catalogue (its parts),
+    a press (taccel-lab press; --states keeps every step), a study (its designs, sorted by any
+    metric), a data set (its touches), a recorded task (taccel-lab task record --states), or a task,
+    which then runs live. Ctrl-C closes the page, exit code 0. Needs the extra view:
+    pip install 'taccel-lab[view]'. Example: taccel-lab view out/press
+    """
+
+    source: Positional[str]
+    """Folder that a command wrote, sensor of the catalogue, or task."""
+    page: tyro.conf.OmitArgPrefixes[PageOptions] = field(default_factory=PageOptions)
+    """Where the page is served and how it looks."""
+    seed: int = 0
+    """Start of a live task."""
+    device: str = "cpu"
+    """Device of a live task: cpu, cuda:0 or auto."""
+
+    def run(self) -> None:
+        from taccel_lab.cli.console import notes
+        from taccel_lab.model.devices import require_device
+        from taccel_lab.report.live_page import viser_module
+        from taccel_lab.viewer.pages import serve_source
+        from taccel_lab.viewer.sources import find_source
+        from taccel_lab.warp_output import quiet_warp
+
+        quiet_warp()
+        viser_module()
+        require_device(self.device)
+        console = notes()
+        serve_source(
+            find_source(self.source),
+            self.page,
+            lambda text: console.print(text, highlight=False, markup=False, soft_wrap=True),
+            seed=self.seed,
+            device=self.device,
+        )

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A page in the browser that answers while it is served: viser, opened, kept open and closed."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+import threading
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from taccel_lab.errors import InputError
+from taccel_lab.page_options import PageOptions
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+BRAND = (0, 114, 178)
+"""Colour of buttons and sliders: the blue of the figures (``report.style``)."""
+
+
+def viser_module() -> Any:
+    """The package ``viser``; InputError where it is not installed."""
+    try:
+        import viser
+    except ImportError:
+        raise InputError(
+            "pages are served by viser, which is not installed: pip install 'taccel-lab[view]'"
+        ) from None
+    return viser
+
+
+@contextmanager
+def live_page(
+    title: str, options: PageOptions = PageOptions(), say: Callable[[str], None] | None = None
+) -> Iterator[ViserServer]:
+    """Serve a page while the block runs: fill it with the server's ``gui`` and ``scene``, then wait
+    with ``serve_until_stopped``. The page is closed when the block is left, however that happens.
+
+    Args:
+        title: At the top of the page's panel.
+        options: Where it is served.
+        say: Told in one sentence where the page is, once it can be opened.
+
+    Raises:
+        InputError: viser is not installed, the port is in use or the host is not of this machine.
+    """
+    viser = viser_module()
+    require_free_port(options.host, options.port)
+    # viser prints where it listens and that it stopped: no results of the command.
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(options.host, options.port, label=title, verbose=False)
+    try:
+        # Sharing sends the page through a server of strangers; no button for that.
+        server.gui.configure_theme(
+            dark_mode=options.dark, show_logo=False, show_share_button=False, brand_color=BRAND
+        )
+        if say is not None:
+            say(f"{title}: {page_address(server)} (Ctrl-C closes it)")
+        if options.browser:
+            webbrowser.open(page_address(server))
+        yield server
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
+
+
+def page_address(server: ViserServer) -> str:
+    """What to type into a browser on this machine."""
+    host = server.get_host()
+    if host in ("0.0.0.0", "::", ""):
+        host = "127.0.0.1"
+    return f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
+
+
+def serve_until_stopped(stop: threading.Event | None = None) -> None:
+    """Wait until Ctrl-C, which is how pages end and no error, or until ``stop`` is set."""
+    stop = stop or threading.Event()
+    # An event that is waited for without end would hold back Ctrl-C on some systems.
+    with contextlib.suppress(KeyboardInterrupt):
+        while not stop.wait(0.2):
+            pass
+
+
+def require_free_port(host: str, port: int) -> None:
+    """Refuse a port that cannot be listened at: viser would take another one and not say so.
+
+    Raises:
+        InputError: In use, not allowed to this user, or a host that is not this machine's.
+    """
+    if not 0 <= port <= 65535:
+        raise InputError(f"port {port} does not exist; allowed: 0 (any that is free) to 65535")
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    except OSError:
+        raise InputError(f"host {host!r} is no address of this machine") from None
+    for family, kind, protocol, _, address in found:
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(address)
+            except PermissionError:
+                raise InputError(
+                    f"port {port} is kept for administrators; choose one from 1024 on"
+                ) from None
+            except OSError as error:
+                raise InputError(
+                    f"port {port} of {host} cannot be used ({error.strerror}): choose another "
+                    "with --port, or --port 0 for any that is free"
+                ) from None

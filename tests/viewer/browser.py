@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Headless Chromium with WebGL in software, and what its pictures show."""
+
+from __future__ import annotations
+
+import io
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+ARGUMENTS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
+             "--enable-unsafe-swiftshader")  # fmt: skip
+
+
+@contextmanager
+def chromium_page(address: str, size: tuple[int, int] = (1100, 640)) -> Iterator[Any]:
+    """The page at an address; skips the test where there is no Chromium or no playwright."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    path = shutil.which("chromium") or shutil.which("chromium-browser")
+    if path is None:
+        pytest.skip("no Chromium on this machine")
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=list(ARGUMENTS))
+        try:
+            page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+            page.goto(address)
+            yield page
+        finally:
+            browser.close()
+
+
+def picture(page: Any) -> np.ndarray:
+    """A screenshot, uint8 [height, width, 3]."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(page.screenshot())) as file:
+        return np.asarray(file.convert("RGB"))
+
+
+def middle(page: Any) -> np.ndarray:
+    """The part of the page between its panels, where the scene is."""
+    seen = picture(page)
+    height, width = seen.shape[:2]
+    return seen[height // 4 : -height // 8, width * 3 // 8 : width * 5 // 8]
+
+
+def wait_for(page: Any, true: Any, seconds: float = 20.0) -> None:
+    """Wait until ``true()`` holds, while the page goes on."""
+    for _ in range(int(seconds / 0.1)):
+        if true():
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError(f"not so after {seconds:g} s")

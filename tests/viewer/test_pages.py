@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pages in headless Chromium: they show something, and answer."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.report.live_page import PageOptions, live_page, page_address
+from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.viewer.camera_place import look_at
+from taccel_lab.viewer.design_page import DesignPage
+from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
+from taccel_lab.viewer.gel_view import GelView
+from tests.viewer.browser import chromium_page, middle, wait_for
+
+pytest.importorskip("viser", reason="the extra view is not installed")
+HERE = PageOptions(port=0, browser=False)
+
+
+def dented_block() -> GelStates:
+    """A block whose middle sinks in three states."""
+    mesh = block_mesh((8, 8, 3), (0.024, 0.024, 0.006))
+    rest = 1e3 * mesh.nodes_m
+    dent = np.exp(-(rest[:, 0] ** 2 + rest[:, 1] ** 2) / 18) * (rest[:, 2] + 6) / 6
+    moved = np.zeros((3, *rest.shape))
+    moved[1:, :, 2] = -np.outer([0.5, 1.0], dent)
+    forces = np.zeros_like(moved)
+    forces[..., 2] = 0.01 * moved[..., 2]
+    grey = np.full((3, 24, 32, 3), 90, dtype=np.uint8)
+    return GelStates(
+        rest_mm=rest,
+        tets=mesh.tets.astype(np.int64),
+        faces=mesh.faces.astype(np.int64),
+        moved_mm=moved,
+        captions=["untouched", "half", "whole"],
+        fields=[Field("contact pressure", "kPa", -moved[..., 2])],
+        forces_n=forces,
+        images=SensorImages(grey, np.full((3, 2, 2), 10.0)),
+    )
+
+
+def test_a_gel_is_seen_with_section_arrows_and_states() -> None:
+    with live_page("A press", HERE) as server:
+        states = dented_block()
+        look_at(server, states.rest_mm)
+        view = GelView(server, states)
+        with chromium_page(page_address(server)) as page:
+            page.get_by_text("untouched", exact=True).wait_for()
+            wait_for(page, lambda: middle(page).std() > 10)
+            whole = middle(page).astype(float)
+            view.choose(state=2, cut="across y", arrows="by node")
+            page.get_by_text("whole", exact=True).wait_for()
+            wait_for(page, lambda: np.abs(middle(page) - whole).mean() > 3)
+            # By the page itself: the other way round, the slider tells the view.
+            page.get_by_text("first", exact=True).click()
+            page.get_by_text("untouched", exact=True).wait_for()
+            assert view.time.state == 0
+            assert page.get_by_text("An arrow of").is_visible()
+            page.get_by_text("[kPa]").wait_for()
+
+
+def test_sliders_of_the_design_page_change_its_numbers(tmp_path: Path) -> None:
+    family = sensor_family("flat_pad")
+    with live_page("Design", HERE) as server:
+        page_of = DesignPage(server, family, {}, tmp_path / "out")
+        try:
+            with chromium_page(page_address(server)) as page:
+                row = page.get_by_role("row").filter(has_text="formula")
+                row.wait_for(timeout=30_000)
+                before = row.inner_text()
+                label = page.get_by_text("young modulus [MPa]", exact=True).first
+                box = label.locator("xpath=ancestor::div[.//input][1]//input[@type='text']").first
+                box.fill("1.0")
+                box.press("Enter")
+                wait_for(page, lambda: row.inner_text() != before)
+                assert page_of.controls.overrides() == {"young_modulus_mpa": 1.0}
+                # What the family refuses stands beside the slider, in its words: two stiffnesses.
+                box = page.get_by_text("shore a", exact=True).first.locator(
+                    "xpath=ancestor::div[.//input][1]//input[@type='text']"
+                ).first  # fmt: skip
+                box.fill("20")
+                box.press("Enter")
+                page.get_by_text("the gel has one stiffness").first.wait_for()
+                page.get_by_text("Reset", exact=True).click()
+                wait_for(page, lambda: page_of.controls.overrides() == {})
+                wait_for(page, lambda: row.inner_text().split()[1] == before.split()[1])
+        finally:
+            page_of.work.close()
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_ctrl_c_closes_a_page_with_exit_code_0(tmp_path: Path) -> None:
+    words = ["view", "ball-rolling", "--no-browser", "--port", "0"]
+    command = [sys.executable, "-m", "taccel_lab.cli.app", *words]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        line = process.stderr.readline()
+        while line and "http://127.0.0.1:" not in line:
+            line = process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0
+    assert "Traceback" not in line

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Touches of a data set as rows of states of a gel's contact face."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.datasets.reading import Dataset
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
+
+
+def read_touch(data: Dataset, episode: int) -> GelStates:
+    """The steps of a touch. Motion and forces are those of the nodes where the data set has them;
+    else the face sinks by the depth image and forces of patches act at the node that is nearest to
+    the patch's middle.
+
+    Args:
+        data: One or several folders.
+        episode: Place in ``data.episodes``, of one that has steps.
+    """
+    rows, row = data.rows_of(episode), data.episodes[episode]
+    about: dict[str, Any] = data.about[row["folder"]]["sensors"][row["sensor_index"]]
+    unit = about["units"][row["unit"]] if len(about["units"]) > 1 else about["units"][0]
+    grid = PixelGrid(**unit["grid"])
+    nodes, faces = data.mesh(episode)
+    rest = 1e3 * nodes.astype(np.float64)
+    steps = len(rows)
+    moved = np.zeros((steps, *rest.shape))
+    fields: list[Field] = []
+    if "node_moved_mm" in data.channels:
+        moved = data.read("node_moved_mm", rows).astype(np.float64)[:, : len(rest)]
+    if "depth_mm" in data.channels:
+        depth = data.read("depth_mm", rows).astype(np.float64)
+        sunk = np.stack([_sampled(image, grid, rest) for image in depth])
+        fields.append(Field("depth image", "mm", sunk))
+        if "node_moved_mm" not in data.channels:
+            moved[..., 2] = -np.nan_to_num(sunk)
+    if "node_pressures_kpa" in data.channels:
+        pressure = data.read("node_pressures_kpa", rows).astype(np.float64)[:, : len(rest)]
+        fields.insert(0, Field("contact pressure", "kPa", pressure))
+    images = None
+    if "rgb" in data.channels:
+        rgb = data.read("rgb", rows)
+        markers = None
+        if "markers_px" in data.channels:
+            scale = np.array([rgb.shape[2] / grid.width_px, rgb.shape[1] / grid.height_px])
+            markers = (data.read("markers_px", rows) + 0.5) * scale - 0.5
+        images = SensorImages(rgb, markers)
+    return GelStates(
+        rest_mm=rest,
+        tets=np.zeros((0, 4), dtype=np.int64),
+        faces=faces.astype(np.int64),
+        moved_mm=moved,
+        captions=_captions(data, rows),
+        fields=fields,
+        forces_n=_forces(data, rows, grid, rest),
+        images=images,
+    )
+
+
+def _captions(data: Dataset, rows: np.ndarray) -> list[str]:
+    table = data.steps
+    return [
+        f"step {table['step'][k]}: depth {table['depth_mm'][k]:.2f} mm, force "
+        f"{table['press_force_z_n'][k]:.3f} N, contact {table['contact_area_mm2'][k]:.2f} mm²"
+        for k in rows
+    ]
+
+
+def _sampled(image: np.ndarray, grid: PixelGrid, points_mm: np.ndarray) -> np.ndarray:
+    """A picture of the gel's pixels at points [n, 3], by the nearest pixel; NaN beside it."""
+    height, width = image.shape
+    u, v = grid.pixel_from_gel(points_mm[:, :2]).T
+    column = np.round((u + 0.5) * width / grid.width_px - 0.5).astype(int)
+    row = np.round((v + 0.5) * height / grid.height_px - 0.5).astype(int)
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    values = np.full(len(points_mm), np.nan)
+    values[inside] = image[row[inside], column[inside]]
+    return values
+
+
+def _forces(
+    data: Dataset, rows: np.ndarray, grid: PixelGrid, rest_mm: np.ndarray
+) -> np.ndarray | None:
+    """Of the object on the nodes [N], [step, node, 3]: the negative of what the object feels."""
+    if "node_forces_n" in data.channels:
+        return -data.read("node_forces_n", rows).astype(np.float64)[:, : len(rest_mm)]
+    if "patch_forces_n" not in data.channels:
+        return None
+    patches = -data.read("patch_forces_n", rows).astype(np.float64)
+    down, across = patches.shape[1:3]
+    u = (np.arange(across) + 0.5) * grid.width_px / across - 0.5
+    v = (np.arange(down) + 0.5) * grid.height_px / down - 0.5
+    x = (u - grid.center_u_px) * grid.mm_per_px_x
+    y = (v - grid.center_v_px) * grid.mm_per_px_y
+    middles = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    away = np.linalg.norm(middles[:, None] - rest_mm[None, :, :2], axis=2)
+    nearest = away.argmin(axis=1)
+    found = np.zeros((len(rows), *rest_mm.shape))
+    for step in range(len(rows)):
+        np.add.at(found[step], nearest, patches[step].reshape(-1, 3))
+    return found

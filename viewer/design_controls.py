@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sliders of a family's parameters, by group, with bounds and sources, and refusals beside them."""
+
+from __future__ import annotations
+
+import html
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from taccel_lab.cad.parameters import Parameter
+from taccel_lab.viewer.arrows import round_length
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+    from taccel_lab.sensors.base import SensorFamily
+
+OPEN_GROUPS = ("gel", "material")
+"""Groups that are unfolded at first."""
+WIDE = 100.0
+"""Largest value over the default from which a number is typed, not slid to."""
+_STEPS = 500
+"""Places of a slider at least, besides its ends."""
+
+
+class DesignControls:
+    """One control a parameter; ``changed(name)`` is called when a user moves one."""
+
+    def __init__(
+        self,
+        server: ViserServer,
+        family: SensorFamily,
+        overrides: Mapping[str, Any],
+        changed: Callable[[str], None],
+    ) -> None:
+        self._known = family.parameters_type.parameters()
+        self._handles: dict[str, Any] = {}
+        self._initial: dict[str, Any] = {}
+        self._notes: dict[str, Any] = {}
+        self._silent = False
+        self._changed = changed
+        groups: dict[str, list[Parameter]] = {}
+        for parameter in self._known.values():
+            groups.setdefault(parameter.group or "gel", []).append(parameter)
+        for group, parameters in sorted(groups.items(), key=lambda one: one[0] not in OPEN_GROUPS):
+            with server.gui.add_folder(group, expand_by_default=group in OPEN_GROUPS):
+                for parameter in parameters:
+                    self._add(server, parameter, overrides.get(parameter.name, parameter.default))
+
+    def overrides(self) -> dict[str, Any]:
+        """Parameters other than the family's defaults."""
+        found = {}
+        for name, handle in self._handles.items():
+            parameter = self._known[name]
+            value = handle.value
+            # A slider shows a default that is not one of its places; unmoved, it is the default.
+            if value == self._initial[name][0]:
+                value = self._initial[name][1]
+            if value != parameter.default:
+                found[name] = value
+        return found
+
+    def set(self, name: str, value: Any) -> None:
+        """As if a user had moved a control."""
+        self._handles[name].value = value
+
+    def reset(self) -> None:
+        """All to the family's defaults, told once."""
+        self._silent = True
+        for name, handle in self._handles.items():
+            default = self._known[name].default
+            handle.value = self._initial[name][0] if default == self._initial[name][1] else default
+        self._silent = False
+        self._changed("")
+
+    def refuse(self, sentence: str, moved: str) -> None:
+        """Show a refusal at the parameters that it names, or at the one that was moved last."""
+        named = [name for name in self._known if re.search(rf"\b{name}\b", sentence)]
+        for name in named or [moved] * bool(moved):
+            self._notes[name].content = (
+                '<div style="color:#d55e00;font-size:0.8em;padding:0 1em 0.4em">'
+                f"{html.escape(sentence)}</div>"
+            )
+            self._notes[name].visible = True
+
+    def accept(self) -> None:
+        """Take refusals away."""
+        for note in self._notes.values():
+            if note.visible:
+                note.visible = False
+
+    def _add(self, server: ViserServer, parameter: Parameter, value: Any) -> None:
+        hint = f"{parameter.description}. Allowed: {parameter.allowed()}. {parameter.source}"
+        if parameter.choices:
+            handle: Any = server.gui.add_dropdown(
+                _label(parameter), parameter.choices, initial_value=value, hint=hint
+            )
+        else:
+            low, high, step = slider_places(parameter)
+            kind = int if isinstance(parameter.default, int) else float
+            if 0 < WIDE * abs(parameter.default) < high:
+                # A slider over such a range has no place near the default.
+                handle = server.gui.add_number(
+                    _label(parameter), kind(value), min=kind(low), max=kind(high), hint=hint
+                )
+            else:
+                handle = server.gui.add_slider(
+                    _label(parameter), kind(low), kind(high), kind(step), kind(value), hint=hint
+                )
+        self._handles[parameter.name] = handle
+        self._initial[parameter.name] = (handle.value, value)
+        self._notes[parameter.name] = server.gui.add_html("", visible=False)
+        handle.on_update(lambda _: None if self._silent else self._changed(parameter.name))
+
+
+def slider_places(parameter: Parameter) -> tuple[float, float, float]:
+    """Least, largest and step of a parameter's slider; 0 is the least where it has a meaning."""
+    low, high = float(parameter.minimum or 0.0), float(parameter.maximum or 0.0)
+    low = min(low, 0.0) if parameter.zero_means else low
+    if isinstance(parameter.default, int):
+        return low, high, 1
+    step = round_length((high - low) / _STEPS)
+    # Fine enough for the default, where three digits of it are.
+    if parameter.default:
+        digits = math.floor(math.log10(abs(parameter.default))) - 2
+        step = min(step, max(10.0**digits, step / 10))
+    return low, high, step
+
+
+def _label(parameter: Parameter) -> str:
+    words = parameter.name
+    for ending in ("_mm_per_px", "_mm", "_mpa", "_px", "_deg", "_kg_m3"):
+        words = words.removesuffix(ending)
+    unit = (
+        ""
+        if parameter.unit in ("", "1") or parameter.unit.startswith("Shore")
+        else f" [{parameter.unit}]"
+    )
+    return words.replace("_", " ") + unit

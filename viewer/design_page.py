@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The design page: sliders on the left, the sensor in the middle, what it does on the right."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.report.live_page import PageOptions, live_page, viser_module
+from taccel_lab.scene import sphere_mesh
+from taccel_lab.viewer.camera_place import look_at
+from taccel_lab.viewer.design_answer import Answer, Choice, DesignAnswers
+from taccel_lab.viewer.design_controls import DesignControls
+from taccel_lab.viewer.design_export import EXPORTS, TOML, command_line, export
+from taccel_lab.viewer.design_press import (
+    BallPress,
+    PressAnswer,
+    SupersededError,
+    height_profile_mm,
+)
+from taccel_lab.viewer.design_words import force_table, quality_table, stage_words
+from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, Tool
+from taccel_lab.viewer.gel_view import GelView
+from taccel_lab.viewer.newest_first import NewestFirst
+from taccel_lab.viewer.parts_view import draw_optics
+from taccel_lab.viewer.section import linear_tets
+from taccel_lab.viewer.sensor_panel import SensorPanel
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+    from taccel_lab.sensors.base import SensorFamily
+
+
+PRESS, SOLID = "press", "solid"
+"""What may be shown in the middle."""
+
+
+@contextmanager
+def design_page(
+    family: SensorFamily,
+    overrides: Mapping[str, Any],
+    out: Path,
+    options: PageOptions,
+    say: Callable[[str], None] | None = None,
+) -> Iterator[DesignPage]:
+    """The page of a family while the block runs; exports go below ``out``.
+
+    Raises InputError as of ``live_page``, or for parameters that the family refuses.
+    """
+    family.parameters(overrides)
+    with live_page(f"Design: {family.name}", options, say) as server:
+        page = DesignPage(server, family, overrides, out)
+        try:
+            yield page
+        finally:
+            page.work.close()
+
+
+class DesignPage:
+    """Controls, the work behind them, and what is shown of its answers."""
+
+    def __init__(
+        self, server: ViserServer, family: SensorFamily, overrides: Mapping[str, Any], out: Path
+    ) -> None:
+        self._server, self._family, self._out = server, family, out
+        self._answers = DesignAnswers(family)
+        self._moved = ""
+        self._exporting = threading.Lock()
+        self.shown: Answer | None = None
+        """What the page shows now."""
+        self._build(overrides)
+        self.work: NewestFirst[Choice] = NewestFirst(self._work)
+        self._ask()
+
+    # The page --------------------------------------------------------------------------------
+
+    def _build(self, overrides: Mapping[str, Any]) -> None:
+        gui = self._server.gui
+        left = gui.add_panel()
+        with left.add_tab("Parameters"):
+            gui.add_markdown(self._family.title)
+            gui.add_button("Reset", color="gray").on_click(lambda _: self.controls.reset())
+            self.controls = DesignControls(self._server, self._family, overrides, self._change)
+        left.dock_left()
+        left.set_width(320)
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Result"):
+            self._status = gui.add_markdown("")
+            self._middle = gui.add_dropdown(
+                "in the middle", (PRESS, SOLID),
+                hint="The press has a mesh of its own, fine around the ball and coarse at the rim.",
+            )  # fmt: skip
+            with gui.add_folder("Press of a ball"):
+                self._radius = gui.add_slider("radius [mm]", 1.0, 8.0, 0.1, 3.0)
+                self._depth = gui.add_slider("depth [mm]", 0.1, 2.0, 0.05, 0.5)
+                self._force = gui.add_markdown("")
+                gui.add_markdown(
+                    "Height along the middle of the gel: grey untouched, blue pressed."
+                )
+                self._plot = self._add_plot()
+            with gui.add_folder("What the camera sees"):
+                self._sensor = SensorPanel(self._server, own_panel=False)
+            with gui.add_folder("Mesh"):
+                self._quality = gui.add_markdown("")
+        with tabs.add_tab("Drawing"):
+            blank = np.full((4, 4, 3), 255, dtype=np.uint8)
+            self._drawing = gui.add_image(blank, format="png")
+            gui.add_button("Enlarge", color="gray").on_click(lambda _: self._enlarge())
+        with tabs.add_tab("Look"):
+            pad = self._family.parameters(overrides).pad()
+            states = _untouched(gel_mesh(pad))
+            self._view = GelView(self._server, states, self._sensor)
+        with tabs.add_tab("Export"):
+            gui.add_markdown(f"Files go to `{self._out}`.")
+            for kind in (*EXPORTS, TOML):
+                gui.add_button(kind, color="gray").on_click(lambda _, kind=kind: self.export(kind))
+            self._exported = gui.add_markdown("")
+            gui.add_markdown("The same without this page:")
+            self._command = gui.add_text("command", "", multiline=True)
+        look_at(self._server, states.rest_mm, distance=2.2)
+        for control in (self._radius, self._depth):
+            control.on_update(lambda _: self._change(""))
+        self._middle.on_update(lambda _: self._draw())
+
+    def _add_plot(self) -> Any:
+        uplot = viser_module().uplot
+        axis = {"stroke": "#6b7280"}
+        return self._server.gui.add_uplot(
+            (np.array([0.0, 1.0]), np.array([0.0, 0.0]), np.array([0.0, 0.0])),
+            (
+                uplot.Series(label="x [mm]"),
+                uplot.Series(label="untouched: z [mm]", stroke="#9ca3af", width=1),
+                uplot.Series(label="pressed: z [mm]", stroke="#0072b2", width=2),
+            ),
+            scales={"x": uplot.Scale(time=False)},
+            axes=(uplot.Axis(label="x [mm]", **axis), uplot.Axis(label="z [mm]", **axis)),
+            aspect=1.5,
+            padding=(14, 10, 0, 0),
+            legend=uplot.Legend(show=False),
+        )
+
+    # Changes and answers ---------------------------------------------------------------------
+
+    def _change(self, name: str) -> None:
+        self._moved = name or self._moved
+        self._ask()
+
+    def _ask(self) -> None:
+        press = BallPress(float(self._radius.value), float(self._depth.value))
+        overrides = self.controls.overrides()
+        self._command.value = command_line(self._family, overrides, self._out)
+        self.work.ask(Choice(overrides, press))
+
+    def _work(self, choice: Choice, superseded: Callable[[], bool]) -> None:
+        """In the thread of the work: answer one choice, as far as it is still wanted."""
+        try:
+            self._status.content = "*working …*"
+            self._answers.answer(choice, self._tell, superseded)
+        except SupersededError:
+            return
+        except InputError as error:
+            self.controls.refuse(
+                str(error).removeprefix(f"sensor {self._family.name}: "), self._moved
+            )
+            self._status.content = f"**Refused:** {error}"
+        except SimulationError as error:
+            self._status.content = f"**The press stopped:** {error}"
+
+    def _tell(self, piece: str, answer: Answer) -> None:
+        """A piece of an answer is there."""
+        self.shown = answer
+        self._status.content = stage_words(answer)
+        self._force.content = force_table(answer)
+        press = answer.exact or answer.quick
+        if piece == "formula":
+            self.controls.accept()
+        elif piece == "solid":
+            assert answer.mesh is not None
+            self._draw()
+            design = answer.parameters.optics()
+            if design is not None:
+                back = 1e3 * float(answer.mesh.nodes_m[:, 2].min())
+                draw_optics(self._server, design, back, None)
+        elif piece == "quality":
+            self._quality.content = quality_table(answer)
+        elif piece == "drawing":
+            assert answer.drawing_rgb is not None
+            self._drawing.image = answer.drawing_rgb
+        elif press is not None:
+            self._draw()
+            x, z = height_profile_mm(press, press.positions_m)
+            rest_x, rest_z = height_profile_mm(press, press.mesh.nodes_m)
+            self._plot.data = (x, np.interp(x, rest_x, rest_z), z)
+
+    def _draw(self) -> None:
+        """The gel in the middle of the page."""
+        answer = self.shown
+        if answer is None or answer.mesh is None:
+            return
+        press = answer.exact or answer.quick
+        if press is None or self._middle.value == SOLID:
+            self._view.show_states(_untouched(answer.mesh))
+        else:
+            self._view.show_states(_states(press, answer), 1)
+
+    def _enlarge(self) -> None:
+        if self.shown is None or self.shown.drawing_rgb is None:
+            return
+        with self._server.gui.add_modal("Drawing of the gel") as modal:
+            self._server.gui.add_image(self.shown.drawing_rgb, format="png")
+            self._server.gui.add_button("Close").on_click(lambda _: modal.close())
+
+    def export(self, kind: str) -> None:
+        """Write files, as the buttons do."""
+        with self._exporting:
+            self._exported.content = f"*writing {kind} …*"
+            try:
+                files = export(kind, self._family, self.controls.overrides(), self._out)
+            except (InputError, OSError) as error:
+                self._exported.content = f"**Not written:** {error}"
+                return
+            self._exported.content = "\n".join(f"- `{path}`" for path in files.values())
+
+
+def _untouched(mesh: Any) -> GelStates:
+    rest = 1e3 * mesh.nodes_m
+    return GelStates(
+        rest_mm=rest,
+        tets=linear_tets(mesh.tets),
+        faces=mesh.faces.astype(np.int64),
+        moved_mm=np.zeros((1, *rest.shape)),
+        captions=["untouched"],
+    )
+
+
+def _states(press: PressAnswer, answer: Answer) -> GelStates:
+    """Untouched and pressed, with loads, ball and pictures."""
+    ball = answer.press.radius_mm
+    sphere = sphere_mesh(1e-3 * ball, 1e-3 * ball / 10)
+    above = press.ball_mm + [0, 0, answer.press.depth_mm + 0.3]
+    turn = np.array([0.0, 0.0, 0.0, 1.0])
+    images = None
+    if answer.rest_rgb is not None and answer.pressed_rgb is not None:
+        images = SensorImages(np.stack([answer.rest_rgb, answer.pressed_rgb]))
+    elif answer.rest_rgb is not None:
+        images = SensorImages(answer.rest_rgb[None])
+    rest = 1e3 * press.mesh.nodes_m
+    moved = 1e3 * press.positions_m - rest
+    base = _untouched(press.mesh)
+
+    def twice(values: np.ndarray) -> np.ndarray:
+        return np.stack([np.zeros_like(values), values])
+
+    return GelStates(
+        rest_mm=rest,
+        tets=base.tets,
+        faces=base.faces,
+        moved_mm=twice(moved),
+        captions=["untouched", f"{answer.press.depth_mm:.2f} mm deep, {press.force_n:.3f} N"],
+        fields=[
+            Field("von Mises stress", "kPa", 1e-3 * twice(press.von_mises_pa)),
+            Field("contact pressure", "kPa", 1e-3 * twice(press.pressures_pa)),
+        ],
+        forces_n=twice(press.forces_n),
+        tool=Tool(
+            1e3 * sphere.vertices_m,
+            sphere.faces,
+            np.stack([np.concatenate([above, turn]), np.concatenate([press.ball_mm, turn])]),
+        ),
+        images=images,
+    )

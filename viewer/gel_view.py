@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A gel on a page: a field on skin and section, force arrows, the tool, the sensor image."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.viewer.arrows import Forces, arrow_lines, patch_forces, round_length
+from taccel_lab.viewer.gel_states import Field, GelStates
+from taccel_lab.viewer.painting import MAPS, bar_html, map_rgb, number_text, painted
+from taccel_lab.viewer.section import Surface, clip_faces, cut_tets
+from taccel_lab.viewer.sensor_panel import SensorPanel
+from taccel_lab.viewer.time_slider import TimeSlider
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+PLANES = {"none": None, "across x": (1.0, 0.0), "across y": (0.0, 1.0), "across z": None}
+ARROWS = ("none", "by patch", "by node")
+LONGEST_ARROW = 0.3
+"""Of arrows at rest of their slider, as a part of the gel's longer side."""
+ARROW_RGB = (213, 94, 0)
+TOOL_RGB = (150, 156, 166)
+
+
+class GelView:
+    """What a page shows of a gel, with the controls of it; ``show_states`` gives it another one."""
+
+    def __init__(
+        self, server: ViserServer, states: GelStates, sensor: SensorPanel | None = None
+    ) -> None:
+        """``sensor``: shows the images; a window of its own when None."""
+        self._server, self._gui = server, server.gui
+        self._lock = threading.RLock()
+        self._states = states
+        self._fields: list[Field] = states.all_fields()
+        with self._gui.add_folder("Time"):
+            self._caption = self._gui.add_markdown("")
+            self.time = TimeSlider(server, states.count, lambda _: self._draw())
+        with self._gui.add_folder("On the gel"):
+            self._field = self._gui.add_dropdown("field", [f.label for f in self._fields])
+            self._bar = self._gui.add_html("")
+            self._map = self._gui.add_dropdown("colours", MAPS)
+            self._range = self._gui.add_dropdown("range", ("all steps", "this step"))
+            self._mesh = self._gui.add_checkbox("show the mesh", False)
+            self._tool = self._gui.add_checkbox("show the tool", True)
+            self._more = self._gui.add_slider(
+                "motion times", 1, 20, 1, 1, hint="Displacements of the gel, drawn larger."
+            )
+        with self._gui.add_folder("Section"):
+            self._plane = self._gui.add_dropdown("cut", list(PLANES))
+            self._offset = self._gui.add_slider("position [%]", 0.0, 100.0, 0.5, 50.0)
+            self._turn = self._gui.add_slider(
+                "turn [deg]", -90.0, 90.0, 1.0, 0.0, hint="About z, of upright planes."
+            )
+            self._other = self._gui.add_checkbox("take the other side away", False)
+        with self._gui.add_folder("Forces"):
+            self._arrows = self._gui.add_dropdown("arrows", ARROWS)
+            self._patches = self._gui.add_slider("patches along the gel", 2, 60, 1, 24)
+            self._length = self._gui.add_slider("length times", 0.2, 5.0, 0.1, 1.0)
+            self._legend = self._gui.add_markdown("")
+        self.sensor = sensor or SensorPanel(server)
+        for control in (
+            self._field, self._map, self._range, self._mesh, self._tool, self._more, self._plane,
+            self._offset, self._turn, self._other, self._arrows, self._patches, self._length,
+        ):  # fmt: skip
+            control.on_update(lambda _: self._draw())
+        self.show_states(states)
+
+    def show_states(self, states: GelStates, state: int | None = None) -> None:
+        """Show another gel, from its first state or from ``state`` on."""
+        with self._lock:
+            self._states, self._fields = states, states.all_fields()
+            labels = tuple(field.label for field in self._fields)
+            chosen = self._field.value
+            if tuple(self._field.options) != labels:
+                self._field.options = labels
+            self._field.value = chosen if chosen in labels else labels[0]
+            self.time.resize(states.count, state or 0)
+            self._draw()
+
+    def choose(self, **values: Any) -> None:
+        """Set controls by name: field, cut, arrows, position, state."""
+        names = {"field": self._field, "cut": self._plane, "arrows": self._arrows,
+                 "position": self._offset, "other": self._other}  # fmt: skip
+        for name, value in values.items():
+            if name == "state":
+                self.time.set(value)
+            else:
+                names[name].value = value
+        self._draw()
+
+    # Drawing ---------------------------------------------------------------------------------
+
+    def _draw(self) -> None:
+        with self._lock, self._server.atomic():
+            states = self._states
+            state = min(self.time.state, states.count - 1)
+            field = next((f for f in self._fields if f.label == self._field.value), self._fields[0])
+            values = field.values[state].astype(np.float64)
+            limits = field.limits()
+            if self._range.value == "this step":
+                limits = Field(field.label, field.unit, values[None]).limits()
+            colors = map_rgb(str(self._map.value))
+            positions = states.positions_mm(state, float(self._more.value))
+            self._caption.content = f"**{states.captions[state]}**"
+            self._bar.content = bar_html(field.label, field.unit, limits, colors)
+            self._draw_gel(positions, values, limits, colors)
+            self._draw_tool(state)
+            self._draw_arrows(positions, state)
+            self.sensor.show(states.images, state)
+
+    def _draw_gel(
+        self,
+        positions: np.ndarray,
+        values: np.ndarray,
+        limits: tuple[float, float],
+        colors: np.ndarray,
+    ) -> None:
+        states, plane = self._states, self._plane_of(positions)
+        skin = Surface(positions, states.faces, values)
+        if plane is not None:
+            skin = clip_faces(positions, states.faces, values, *plane)
+            cut = cut_tets(positions, states.tets, values, *plane)
+            self._surface("/gel/section", cut, limits, colors)
+        else:
+            self._remove("/gel/section")
+        self._surface("/gel/skin", skin, limits, colors)
+        self._remove("/gel/mesh")
+        if self._mesh.value:
+            self._server.scene.add_mesh_simple(
+                "/gel/mesh", skin.points, skin.faces, color=(60, 65, 75), wireframe=True
+            )
+
+    def _surface(
+        self, name: str, surface: Surface, limits: tuple[float, float], colors: np.ndarray
+    ) -> None:
+        if len(surface.faces) == 0:
+            self._remove(name)
+            return
+        mesh = painted(surface, limits, colors)
+        self._server.scene.add_mesh_trimesh(name, mesh, cast_shadow=False, receive_shadow=False)
+
+    def _plane_of(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Point and normal of the section, towards what is taken away."""
+        kind = str(self._plane.value)
+        if kind == "none":
+            return None
+        axis = {"across x": 0, "across y": 1, "across z": 2}[kind]
+        normal = np.eye(3)[axis]
+        if axis != 2:
+            angle = np.radians(float(self._turn.value))
+            turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+            normal = np.array([*(turn @ normal[:2]), 0.0])
+        along = positions @ normal
+        share = float(self._offset.value) / 100
+        # A hair inside, where a plane through faces would show none of them.
+        share = 1e-6 + share * (1 - 2e-6)
+        place = along.min() + share * np.ptp(along)
+        # Seen from where pages begin, -y is in front.
+        sign = (-1.0 if axis == 1 else 1.0) * (-1.0 if self._other.value else 1.0)
+        return place * normal, sign * normal
+
+    def _draw_tool(self, state: int) -> None:
+        tool = self._states.tool
+        if tool is None or not self._tool.value:
+            self._remove("/tool")
+            return
+        x, y, z, qx, qy, qz, qw = tool.poses[state]
+        self._server.scene.add_mesh_simple(
+            "/tool", tool.vertices_mm, tool.faces, color=TOOL_RGB, opacity=0.35, side="double",
+            wxyz=(qw, qx, qy, qz), position=(x, y, z), cast_shadow=False, receive_shadow=False,
+        )  # fmt: skip
+
+    def _draw_arrows(self, positions: np.ndarray, state: int) -> None:
+        forces_n, kind = self._states.forces_n, self._arrows.value
+        self._remove("/forces")
+        if forces_n is None:
+            self._legend.content = "No forces were kept."
+            return
+        total = forces_n[state].sum(axis=0)
+        text = f"Sum on the gel: ({total[0]:.3f}, {total[1]:.3f}, {total[2]:.3f}) N."
+        if kind != "none":
+            patches = int(self._patches.value)
+
+            def forces_of(step: int) -> Forces:
+                at = states.positions_mm(step, float(self._more.value))
+                if kind == "by node":
+                    return Forces(at, forces_n[step])
+                return patch_forces(at, forces_n[step], patches)
+
+            states = self._states
+            largest = max(forces_of(step).largest_n() for step in range(states.count))
+            if largest > 0:
+                side = float(np.ptp(positions[:, :2], axis=0).max())
+                scale = LONGEST_ARROW * side * float(self._length.value) / largest
+                lines = arrow_lines(forces_of(state), scale, onto=True)
+                unit = round_length(largest)
+                text += f" An arrow of {number_text(unit * scale, side)} mm is {unit:g} N."
+                if len(lines):
+                    self._server.scene.add_arrows(
+                        "/forces", lines, ARROW_RGB, shaft_radius=0.004 * side,
+                        head_radius=0.011 * side, head_length=0.025 * side,
+                    )  # fmt: skip
+        self._legend.content = text
+
+    def _remove(self, name: str) -> None:
+        handle = self._server.scene.get_handle_by_name(name)
+        if handle is not None:
+            handle.remove()

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scene that steps in a thread of its own while a page shows it: play, pause, step, restart."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from taccel_lab.tasks.scene_picture import surfaces
+from taccel_lab.viewer.bodies_view import BodiesView
+from taccel_lab.viewer.camera_place import look_at
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+    from taccel_lab.model import Model
+    from taccel_lab.scene import Scene
+    from taccel_lab.state import State
+
+
+DIRECTION = (1.0, -1.4, 0.25)
+"""From which scenes are seen: from the side, as gels may hide what is below them."""
+
+
+class Stepping(Protocol):
+    """What a page can run: an ``Episode`` of a task, or anything of a user's with these names."""
+
+    scene: Scene
+    model: Model
+    state: State
+
+    @property
+    def over(self) -> bool:
+        """Whether there is nothing more to step."""
+        ...
+
+    def advance(self) -> None:
+        """Take a step."""
+        ...
+
+    def forces(self) -> dict[str, float]:
+        """What is shown beside the scene, by name [N]."""
+        ...
+
+
+class LiveScene:
+    """Environment 0 of what ``begin`` makes.
+
+    ``begin`` is called in the page's own thread, again at each restart; ``close`` ends the thread
+    after the step that it is in.
+    """
+
+    def __init__(self, server: ViserServer, title: str, begin: Callable[[], Stepping]) -> None:
+        self._server, self._begin, self._title = server, begin, title
+        self._play, self._end, self._restart = threading.Event(), threading.Event(), True
+        self._single = False
+        self._view: BodiesView | None = None
+        self.taken = 0
+        """Steps since the start."""
+        gui = server.gui
+        self._caption = gui.add_markdown(f"**{title}**: the scene is built …")
+        self._buttons = gui.add_button_group("run", ("play", "pause", "step", "restart"))
+        self._pace = gui.add_checkbox("no faster than real time", True)
+        self._table = gui.add_markdown("")
+        self._buttons.on_click(lambda event: self.press(event.target.value))
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def press(self, button: str) -> None:
+        """As if the button was pressed: play, pause, step, restart."""
+        if button == "play":
+            self._play.set()
+        else:
+            self._play.clear()
+            self._single = button == "step"
+            self._restart = self._restart or button == "restart"
+
+    def close(self) -> None:
+        """End after the step at hand."""
+        self._end.set()
+        self._thread.join(timeout=30)
+
+    def _run(self) -> None:
+        from taccel_lab.errors import SimulationError
+
+        scene: Stepping | None = None
+        while not self._end.is_set():
+            if self._restart or scene is None:
+                self._restart, self.taken = False, 0
+                scene = self._begin()
+                self._show(scene, first=True)
+            if scene.over or not (self._play.is_set() or self._single):
+                self._end.wait(0.05)
+                continue
+            self._single = False
+            began = time.perf_counter()
+            try:
+                scene.advance()
+            except SimulationError as error:
+                self._play.clear()
+                self._caption.content = f"**{self._title}** stopped: {error}"
+                continue
+            self.taken += 1
+            self._show(scene, seconds=time.perf_counter() - began)
+            left = scene.model.scene.time.dt_s
+            if self._pace.value:
+                self._end.wait(max(0.0, left - (time.perf_counter() - began)))
+
+    def _show(self, scene: Stepping, first: bool = False, seconds: float = 0.0) -> None:
+        positions = scene.state.positions.numpy()[0].copy()
+        bodies = surfaces(scene.scene, scene.model, positions)
+        places = [vertices for _, vertices, _ in bodies]
+        if first or self._view is None:
+            if self._view is None:
+                look_at(self._server, 1e3 * np.concatenate(places), DIRECTION)
+            kinds = [(kind.name.lower(), vertices, faces) for kind, vertices, faces in bodies]
+            self._view = BodiesView(self._server, kinds)
+        else:
+            self._view.move(places)
+        done = ", done" if scene.over else ""
+        took = f", {seconds:.2f} s a step" if seconds else ""
+        self._caption.content = f"**{self._title}**, step {self.taken}{took}{done}"
+        if not first:
+            rows = [f"| {name} | {value:.3f} N |" for name, value in scene.forces().items()]
+            self._table.content = "\n".join(["| force | |", "|---|---|", *rows])

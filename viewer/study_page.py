@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a study: designs sorted by a metric; a click shows the gel and the presses of one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.studies.design_row import DesignRow
+from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.viewer.camera_place import look_at
+from taccel_lab.viewer.gel_view import GelView
+from taccel_lab.viewer.study_presses import design_gel, press_files, read_design_press
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+ROWS = 8
+"""Designs that are listed at a time."""
+GEL = "the gel alone"
+
+
+class StudyPage:
+    """The list of designs, and the one that is chosen."""
+
+    def __init__(self, server: ViserServer, root: Path) -> None:
+        folder = StudyFolder(root)
+        found = [folder.read(one) for one in folder.ids()]
+        self._root = root
+        self._designs = [row for row in found if row is not None and row.status == "done"]
+        if not self._designs:
+            raise InputError(f"{root} has no design with a figure yet: run its study first")
+        self._swept = _swept(self._designs)
+        metrics = sorted({name for row in self._designs for name in row.figures})
+        gui = server.gui
+        gui.add_markdown(f"{len(found)} designs, {len(self._designs)} with figures")
+        with gui.add_folder("Designs"):
+            self._metric = gui.add_dropdown("sorted by", metrics)
+            self._order = gui.add_dropdown("first", ("largest", "smallest"))
+            self._from = gui.add_slider("from place", 1, max(len(self._designs), 2), 1, 1)
+            self._buttons = [gui.add_button("", visible=False, color="gray") for _ in range(ROWS)]
+        self._about = gui.add_markdown("")
+        self._press = gui.add_dropdown("press", [GEL])
+        self._panel = gui.add_panel(visible=False)
+        with self._panel.add_tab("Picture of the design"):
+            self._picture = gui.add_image(np.full((4, 4, 3), 255, dtype=np.uint8), format="png")
+        self._panel.dock_left()
+        self._panel.set_width(340)
+        first = self._sorted()[0]
+        states = design_gel(first)
+        look_at(server, states.rest_mm, distance=2.0)
+        self.view = GelView(server, states)
+        for control in (self._metric, self._order, self._from):
+            control.on_update(lambda _: self._list())
+        for k, button in enumerate(self._buttons):
+            button.on_click(lambda _, k=k: self.choose(int(self._from.value) - 1 + k))
+        self._press.on_update(lambda _: self._draw())
+        self._chosen = first
+        self._list()
+        self.choose(0)
+
+    def _sorted(self) -> list[DesignRow]:
+        metric, sign = str(self._metric.value), -1 if self._order.value == "largest" else 1
+
+        def place(row: DesignRow) -> tuple[bool, float]:
+            value = row.figures.get(metric)
+            return value is None, 0.0 if value is None else sign * value
+
+        return sorted(self._designs, key=place)
+
+    def _list(self) -> None:
+        """Labels of the buttons: place, value, parameters."""
+        rows, metric = self._sorted(), str(self._metric.value)
+        start = int(self._from.value) - 1
+        for k, button in enumerate(self._buttons):
+            button.visible = start + k < len(rows)
+            if button.visible:
+                row = rows[start + k]
+                value = row.figures.get(metric)
+                shown = "no figure" if value is None else f"{value:.4g}"
+                button.label = f"{start + k + 1}.  {shown}  |  {_parameters(row, self._swept)}"
+
+    def choose(self, place: int) -> None:
+        """Show the design at a place of the sorted list, counted from 0."""
+        rows = self._sorted()
+        if not 0 <= place < len(rows):
+            return
+        self._chosen = row = rows[place]
+        lines = [
+            f"| {name} | {'-' if value is None else format(value, '.4g')} |"
+            for name, value in sorted(row.figures.items())
+        ]
+        table = "\n".join(["| figure | value |", "|---|---|", *lines])
+        self._about.content = f"**Design {row.id}**: {_parameters(row)}\n\n{table}"
+        self._show_picture(row)
+        options = (GEL, *press_files(self._root, row))
+        kept = self._press.value if self._press.value in options else options[-1]
+        self._press.options = options
+        self._press.value = kept
+        self._draw()
+
+    def _draw(self) -> None:
+        """The gel of the design, or the steps of its press."""
+        chosen = str(self._press.value)
+        if chosen == GEL:
+            self.view.show_states(design_gel(self._chosen))
+            return
+        path = press_files(self._root, self._chosen).get(chosen)
+        if path is not None:
+            states = read_design_press(path)
+            self.view.show_states(states, states.count - 1)
+
+    def _show_picture(self, row: DesignRow) -> None:
+        from PIL import Image
+
+        path = self._root / row.files.get("picture", "none")
+        self._panel.visible = path.is_file()
+        if path.is_file():
+            with Image.open(path) as file:
+                self._picture.image = np.asarray(file.convert("RGB"))
+
+
+def _swept(rows: list[DesignRow]) -> list[str]:
+    """Parameters in which designs differ."""
+    names = dict.fromkeys(name for row in rows for name in row.parameters)
+    return [name for name in names if len({str(row.parameters.get(name)) for row in rows}) > 1]
+
+
+def _parameters(row: DesignRow, names: list[str] | None = None) -> str:
+    """Names and values, of all parameters when ``names`` is None or empty."""
+    return ", ".join(
+        f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
+        for name, value in row.parameters.items()
+        if not names or name in names
+    )
