@@ -23,6 +23,7 @@ PACKAGES = (
     "benchmarks",
     "robots",
     "tasks",
+    "datasets",
     "learning",
     "viewer",
 )

@@ -51,6 +51,7 @@ def test_every_room_is_a_part_of_the_package() -> None:
         "sensors",
         "studies",
         "tasks",
+        "viewer",
     ]
     for room in ROOMS:
         assert (ROOT / "taccel_lab" / room).resolve() == ROOT / room
