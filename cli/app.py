@@ -78,7 +78,9 @@ def command_tree() -> dict[str, type[Command] | Group]:
         "import-step": ImportStep,
         "preview": Preview,
         "press": Press,
-        "capture": Group("Plan, import, check, review and rectify captures.", capture_commands()),
+        "capture": Group(
+            "Plan, record, import, check, review and rectify captures.", capture_commands()
+        ),
         "depth": Depth,
         "calibrate": Group("Fit the blocks of a profile to real captures.", calibrate_commands()),
         "profile": Group(

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.calibration.capture.coverage import coverage_map, empty_cells
 from taccel_lab.calibration.capture.folder import CaptureFolder, in_words
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.sensor_facts import SensorFacts, sensor_facts
@@ -20,8 +21,7 @@ from taccel_lab.calibration.check.frames import FrameFigures, measure_presses
 from taccel_lab.calibration.check.light import check_handedness, check_light, is_grey
 from taccel_lab.calibration.check.presses import (
     check_contacts,
-    coverage_map,
-    empty_cells,
+    found_circles,
     label_gaps,
 )
 from taccel_lab.calibration.check.targets import check_targets
@@ -101,9 +101,10 @@ class CaptureCheck:
     def _coverage(self) -> dict[str, Any] | None:
         if self.grid is None or not self.frames:
             return None
+        circles = found_circles(self.frames)
         return {
-            "share": float((coverage_map(self.frames, self.grid) > 0).mean()),
-            "empty_parts": empty_cells(self.frames, self.grid),
+            "share": float((coverage_map(circles, self.grid) > 0).mean()),
+            "empty_parts": empty_cells(circles, self.grid),
         }
 
 
