@@ -14,7 +14,7 @@ from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.sensor_facts import SensorFacts, sensor_facts
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.background import BackgroundCheck, check_background
-from taccel_lab.calibration.check.balls import check_balls, check_scale, check_slopes
+from taccel_lab.calibration.check.balls import check_balls, check_scale, check_size, check_slopes
 from taccel_lab.calibration.check.content import BlockStatus, block_statuses, check_content
 from taccel_lab.calibration.check.findings import worst_first
 from taccel_lab.calibration.check.frames import FrameFigures, measure_presses
@@ -200,8 +200,10 @@ def press_findings(
         facts.family, None if folder.mm_per_px is None else grid, folder.design
     )
     findings += [replace(remark, blocks=("color", "normals", "depth")) for remark in assumed]
+    size = (grid.width_px, grid.height_px)
+    if facts.image_px is not None:
+        findings += check_size(size, facts.image_px, facts.family)
     if folder.mm_per_px is not None:
-        size = (grid.width_px, grid.height_px)
         findings += check_scale(folder.mm_per_px, size, facts.pad_mm, facts.view_mm, facts.family)
     grey = is_grey(frames)
     if grey is not None and grey != facts.is_grey and facts.family != "flat_pad":

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import re
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -28,6 +27,7 @@ from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file
 from taccel_lab.reading.images import read_image
+from taccel_lab.reading.toml_file import read_toml
 
 _PRESS = re.compile(r"press_([0-9]+)\.png")
 _LEFT_BEHIND = re.compile(r"\.(press_[0-9]+|untouched_[0-9]+|background|captures)\..+\.(png|toml)")
@@ -147,7 +147,7 @@ def open_record(path: Path, facts: RecordFacts) -> Iterator[RecordFolder]:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    return tomllib.loads((path / MANIFEST_NAME).read_text(encoding="utf-8"))
+    return read_toml(path / MANIFEST_NAME)
 
 
 def _notes(path: Path) -> tuple[str, ...]:

@@ -274,10 +274,28 @@ class Draft:
             manifest["assumed"] = self.assumed
         return manifest_text(manifest, self.remarks())
 
+    def _not_stated(self) -> list[str]:
+        """What ball presses cannot be calibrated with before it is stated, with the options."""
+        if not self.manifest.get("presses"):
+            return []
+        missing = []
+        if self.sensor == "flat_pad" and "sensor" in self.assumed:
+            missing.append("the sensor (--sensor; taccel-lab sensors list)")
+        entries = self.manifest["presses"]
+        if "indenter" not in self.manifest and not all("radius_mm" in e for e in entries):
+            missing.append("the ball's radius (--radius-mm)")
+        if "mm_per_px_x" not in self.manifest and not (
+            {"boards", "edges", "landmarks"} & self.manifest.keys()
+        ):
+            missing.append("the scale (--mm-per-px-x, --mm-per-px-y)")
+        return missing
+
     def remarks(self) -> list[str]:
         """The notes, and what was left out with the reasons."""
         root = self.root or self.place
-        return [*self.notes, *left_out_sentences(self.left_out, root)]
+        missing = self._not_stated()
+        unstated = [f"not stated yet, and needed: {'; '.join(missing)}"] if missing else []
+        return [*self.notes, *unstated, *left_out_sentences(self.left_out, root)]
 
     @contextmanager
     def opened(self) -> Iterator[CaptureFolder]:
