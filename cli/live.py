@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from taccel_lab.calibration.capture.camera import Camera
-    from taccel_lab.calibration.live.reader import LiveReader
+    from taccel_lab.calibration.live.latency import Latency
+    from taccel_lab.calibration.live.reader import LiveReader, LiveReading
     from taccel_lab.calibration.live.run import LiveResult, LiveWatcher
 
 PORT = 8092
@@ -84,7 +85,9 @@ class Live:
         from taccel_lab.cli.console import notes
         from taccel_lab.profile import load_profile
         from taccel_lab.report.live_page import PageOptions, live_page
+        from taccel_lab.warp_output import quiet_warp
 
+        quiet_warp()
         if self.frames is not None and self.frames < 1:
             raise InputError(f"--frames is {self.frames}; at least 1 is allowed")
         if not 0.1 <= self.pictures_hz <= 100:
@@ -163,7 +166,7 @@ class _Lines:
     def __init__(self, say: partial[None]) -> None:
         self._say = say
 
-    def show(self, *_: object) -> None: ...
+    def show(self, reading: LiveReading, reader: LiveReader, latency: Latency) -> None: ...
 
     def tell(self, text: str) -> None:
         if text:

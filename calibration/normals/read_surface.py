@@ -7,7 +7,7 @@ frame: the rise over the resting face, and the face itself, which is curved on s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -167,7 +167,7 @@ class SurfaceReader:
         self.rest: RestSurface = rest_surface(profile.mesh, self.grid)
         self.normal_model = NormalModel.from_profile(profile) if self.method == "normals" else None
         if self.normal_model is not None and shrink > 1:
-            self.normal_model = self.normal_model.shrunk(self.grid.width_px, self.grid.height_px)
+            self.normal_model = _shrunk(self.normal_model, self.grid)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
         self.drift = drift == "on"
         if drift == "auto":
@@ -266,12 +266,28 @@ class SurfaceReader:
         )
 
 
+def _shrunk(model: NormalModel, grid: PixelGrid) -> NormalModel:
+    """The model for images of fewer pixels: its windows shrink along and see what they saw, as in
+    training on other zooms."""
+    config = model.config
+    factor = config.width_px / grid.width_px
+    smaller = replace(
+        config,
+        width_px=grid.width_px,
+        height_px=grid.height_px,
+        scales_px=tuple(scale / factor for scale in config.scales_px),
+        slope_scales_px=tuple(scale / factor for scale in config.slope_scales_px),
+        error_length_px=config.error_length_px / factor,
+    )
+    return NormalModel(smaller, model.weights)
+
+
 def _smaller(grid: PixelGrid, factor: int) -> PixelGrid:
     """The same view in fewer pixels, as many as cosine transforms are fast at."""
     from scipy.fft import next_fast_len
 
-    sides = (round(n / factor) for n in (grid.width_px, grid.height_px))
-    width, height = (next_fast_len(n, real=True) for n in sides)
+    width = int(next_fast_len(round(grid.width_px / factor), real=True) or 0)
+    height = int(next_fast_len(round(grid.height_px / factor), real=True) or 0)
     across, down = grid.width_px / width, grid.height_px / height
     return PixelGrid(
         width,

@@ -58,9 +58,8 @@ def _zoom(image: np.ndarray, sheet: np.ndarray, columns: int, rows: int) -> floa
 
 def wide_panel(server: ViserServer) -> None:
     """A panel as wide as there is, always there: it has pictures of its own."""
-    server.gui.configure_theme(
-        control_layout="fixed", control_width="large", show_logo=False, show_share_button=False
-    )
+    server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+    server.gui.main_panel.dock_right()
 
 
 def show_tiles(server: ViserServer, pictures: Sequence[tuple[str, np.ndarray]]) -> None:

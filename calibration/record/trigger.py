@@ -205,8 +205,8 @@ class Trigger:
 
 
 def _rest_of(frames: list[tuple[float, np.ndarray]]) -> Rest | None:
-    """The untouched gel of frames in which nothing moves; None where something does: the two
-    halves differ by more than their frames do."""
+    """The untouched gel of frames in which nothing moves; None where something does: the means of
+    the two halves, in which noise is small, differ by more than frames ``LAG_S`` apart."""
     images = np.stack([small for _, small in frames])
     half = len(images) // 2
     rest = Rest(images.mean(axis=0), 0.0, 0.0)
@@ -218,8 +218,8 @@ def _rest_of(frames: list[tuple[float, np.ndarray]]) -> Rest | None:
         if past:
             motions.append(_largest(_smooth(images[i] - images[past[-1]])))
     change = max(*changes, QUANTISATION_LEVELS)
-    shift = _smooth(images[half:].mean(axis=0) - images[:half].mean(axis=0))
-    if _largest(shift) > change:
+    shift, _ = Rest(images[:half].mean(axis=0), 0.0, 0.0).change(images[half:].mean(axis=0))
+    if _largest(shift) > max(float(np.median(motions)), QUANTISATION_LEVELS):
         return None
     return Rest(rest.image, change, max(*motions, QUANTISATION_LEVELS, 0.0))
 

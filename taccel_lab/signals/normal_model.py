@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -333,21 +333,6 @@ class NormalModel:
                 for start in range(0, len(features), CHUNK_PIXELS)
             ]
             return torch.cat(parts, dim=1)
-
-    def shrunk(self, width_px: int, height_px: int) -> NormalModel:
-        """The same model for images made smaller: its windows shrink along and see what they saw,
-        as in training on other zooms."""
-        config = self.config
-        factor = config.width_px / width_px
-        smaller = replace(
-            config,
-            width_px=width_px,
-            height_px=height_px,
-            scales_px=tuple(scale / factor for scale in config.scales_px),
-            slope_scales_px=tuple(scale / factor for scale in config.slope_scales_px),
-            error_length_px=config.error_length_px / factor,
-        )
-        return NormalModel(smaller, self.weights)
 
     def _inputs(self, raw: np.ndarray) -> torch.Tensor:
         import torch
