@@ -149,4 +149,4 @@ class _Untouched:
         self._frames.append(shot.image)
         if self._trigger.rest is None:
             return None
-        return np.mean(self._frames, axis=0, dtype=np.float32)
+        return np.asarray(np.mean(self._frames, axis=0, dtype=np.float32))
