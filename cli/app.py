@@ -63,6 +63,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
     from taccel_lab.cli.doctor import Doctor
     from taccel_lab.cli.export import Export
     from taccel_lab.cli.import_step import ImportStep
+    from taccel_lab.cli.live import Live
     from taccel_lab.cli.press import Press
     from taccel_lab.cli.preview import Preview
     from taccel_lab.cli.profile import ProfileCompare, ProfileReport, ProfileShow, ProfileValidate
@@ -78,8 +79,11 @@ def command_tree() -> dict[str, type[Command] | Group]:
         "import-step": ImportStep,
         "preview": Preview,
         "press": Press,
-        "capture": Group("Plan, import, check, review and rectify captures.", capture_commands()),
+        "capture": Group(
+            "Plan, record, import, check, review and rectify captures.", capture_commands()
+        ),
         "depth": Depth,
+        "live": Live,
         "calibrate": Group("Fit the blocks of a profile to real captures.", calibrate_commands()),
         "profile": Group(
             "Show, check, compare or report on sensor profiles.",

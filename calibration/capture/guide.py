@@ -22,6 +22,8 @@ BALLS_MM = (1.5, 2.0, 2.5, 3.0, 4.0, 5.0)
 """Radii of bearing balls that are easy to get."""
 CURVED_MM, DOME_MM = 0.5, 3.0
 """Drop of the face over the view from which presses have to follow its normal, or go round it."""
+COLOR_PRESSES, GREY_PRESSES = 40, 10
+"""Of a ball, on sensors whose colours or whose grey levels are learned."""
 GENERIC_VIEW_MM, GENERIC_THICKNESS_MM = 20.0, 4.0
 
 
@@ -47,6 +49,8 @@ class CapturePlan:
     sensor: str
     title: str
     ball_radius_mm: float
+    press_count: int
+    """Ball presses."""
     depth_mm: float
     """Deepest press."""
     steps: tuple[Step, ...]
@@ -91,6 +95,7 @@ def capture_plan(sensor: str) -> CapturePlan:
         sensor=family.name,
         title=family.title,
         ball_radius_mm=radius,
+        press_count=GREY_PRESSES if facts.is_grey else COLOR_PRESSES,
         depth_mm=depth,
         steps=tuple(steps),
         manifest=_manifest(facts, radius, round(yielding)),
@@ -174,7 +179,7 @@ def _balls(radius_mm: float, depth_mm: float, drop_mm: float) -> Step:
     return Step(
         "color, normals",
         "Ball presses",
-        "40 presses",
+        f"{COLOR_PRESSES} presses",
         12,
         f"a bearing ball of {radius_mm:g} mm radius ({2 * radius_mm:g} mm diameter) on a stick",
         f"12 places (4 columns x 3 rows, also near the rim) at about 3 depths each, up to "
@@ -201,7 +206,7 @@ def _grey_balls(radius_mm: float, depth_mm: float) -> Step:
     return Step(
         "depth",
         "Ball presses",
-        "10 presses",
+        f"{GREY_PRESSES} presses",
         4,
         f"a bearing ball of {radius_mm:g} mm radius ({2 * radius_mm:g} mm diameter) on a stick",
         f"Five places, one light and one deep press each (deepest about {depth_mm:g} mm).",

@@ -188,6 +188,19 @@ class SplitEntry(StrictModel):
     """Names of presses."""
 
 
+class RecordedEntry(StrictModel):
+    """How ``taccel-lab capture record`` made the folder; it goes on only with one that has this."""
+
+    camera: str = Field(min_length=1)
+    """Id by which the camera is found again, or the path of what was replayed."""
+    controls: dict[str, str] = Field(default_factory=dict)
+    """What was said of exposure, gain and white balance when they were locked."""
+    framing: str = "whole images"
+    """What was cut and made smaller before anything was written."""
+    left_out: list[str] = Field(default_factory=list)
+    """What a short session does without, in words."""
+
+
 class CaptureManifest(StrictModel):
     """Contents of ``captures.toml``, version 2; every part is optional but ``sensor``."""
 
@@ -210,6 +223,8 @@ class CaptureManifest(StrictModel):
     """Where the captures come from, free text kept as provenance."""
     license: str | None = None
     """Licence of the captures, free text kept as provenance."""
+    recorded: RecordedEntry | None = None
+    """Of folders that taccel-lab recorded itself."""
     rectified: bool = Field(default=False, strict=True)
     """Whether the images are rectified: one scale holds everywhere."""
     raw_sha256: dict[str, str] = Field(default_factory=dict)

@@ -28,6 +28,8 @@ class SensorFacts:
     thickness_mm: float | None = None
     view_mm: float | None = None
     """Longer side of what the camera usually shows."""
+    image_px: tuple[int, int] | None = None
+    """Width and height of its images."""
     handedness: float | None = None
     """Which way round its red, green and blue lamps stand, see ``handedness``."""
     drop_mm: float = 0.0
@@ -63,6 +65,7 @@ def sensor_facts(name: str, design: Mapping[str, Any] | None = None) -> SensorFa
         # A shell on a hard dome is thinner than it is high.
         thickness_mm=float(getattr(parameters, "thickness_mm", size[2])),
         view_mm=float(view),
+        image_px=(grid.width_px, grid.height_px),
         drop_mm=_drop_mm(pad, size, grid),
         handedness=_handedness([(lamp.rgb, lamp.position_mm) for lamp in lamps]),
         has_markers=parameters.markers() is not None,

@@ -55,6 +55,8 @@ TRAVEL_SLACK = 1.35
 """Factor left to both bounds: contact radii are known to 5 %, first touch less well."""
 ODD_RATE = 1.45
 """Centre slopes differ by this factor between balls; presses of one ball by 1.25."""
+SAME_PROPORTIONS = 0.02
+"""Difference of two images' proportions up to which they may show the same."""
 FIELD_SLACK = 1.05
 FITTED_PRESSES, MIN_PRESSES = 12, 4
 FEW_SHARE = 0.1
@@ -299,6 +301,25 @@ def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Remark]:
     if found is None:
         return []
     return [found.remark(remarks.BY_COLOR)]
+
+
+def check_size(size_px: tuple[int, int], usual_px: tuple[int, int], family: str) -> list[Remark]:
+    """Whether images are of the size that the sensor's usually have, lying or upright."""
+    (width, height), (usual_width, usual_height) = size_px, usual_px
+    if sorted(size_px) == sorted(usual_px):
+        return []
+    longer = max(size_px) / min(size_px) * min(usual_px) / max(usual_px)
+    alike = abs(longer - 1) < SAME_PROPORTIONS
+    kind = remarks.SIZE_SCALED if alike else remarks.SIZE_OTHER
+    return [
+        kind(
+            width=width,
+            height=height,
+            family=family,
+            usual_width=usual_width,
+            usual_height=usual_height,
+        )
+    ]
 
 
 def check_scale(

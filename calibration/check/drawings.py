@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.coverage import coverage_map
 from taccel_lab.calibration.check.background import BackgroundCheck
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.check.presses import coverage_map
+from taccel_lab.calibration.check.presses import found_circles
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.style import BLUE, GREEN, INK, ORANGE, in_report_style, new_figure
 
@@ -36,7 +37,7 @@ def draw_coverage(
             color = GREEN if frame.contact is not None else ORANGE
             _circle(axes[0], frame.circle, grid, color, "-", 1.0)
     axes[0].set_title(f"{len(frames)} presses")
-    count = coverage_map(frames, grid)
+    count = coverage_map(found_circles(frames), grid)
     top = max(1, int(count.max()))
     drawn = axes[1].imshow(count, cmap="viridis", vmin=0, vmax=top)
     ticks = np.unique(np.linspace(0, top, min(top, 5) + 1).round())

@@ -105,7 +105,7 @@ def _measure(
         change = image.astype(np.float32) - lit
         rim = _rim_width(change, distance, circle.radius_px)
         lamps = _lamp_slopes(change, distance, circle)
-    texture, correlation = _texture(image, background, beside)
+    texture, correlation = texture_seen(image, background, beside)
     saturated = (image.max(axis=-1) >= SATURATED_LEVEL)[disc]
     return FrameFigures(
         press=press,
@@ -124,7 +124,9 @@ def _measure(
     )
 
 
-def _texture(image: np.ndarray, background: np.ndarray, beside: np.ndarray) -> tuple[float, float]:
+def texture_seen(
+    image: np.ndarray, background: np.ndarray, beside: np.ndarray
+) -> tuple[float, float]:
     """Regression of the image's fine structure on the background's, and their correlation.
 
     Camera noise is not shared between the two, so that it does not count as sharpness, as it does

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.coverage import CELLS, coverage_map, empty_cells
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
@@ -31,8 +32,6 @@ FEW_PRESSES, GOOD_PRESSES = 10, 30
 ONE_SPOT_RADII = 2.0
 """Presses are at one spot when their centres lie within this many contact radii."""
 GOOD_COVERAGE = 0.5
-CELLS = (4, 3)
-"""Columns and rows of the coverage table."""
 SAME_DEPTH = 0.12
 BLUR_TEXTURE, BLUR_RIM, BLUR_RIM_WITHOUT_TEXTURE = 0.5, 1.8, 1.3
 """Share of the usual texture, and multiples of the usual width of the rim."""
@@ -169,48 +168,22 @@ def _label_scale(frames: Sequence[FrameFigures], grid: PixelGrid) -> float | Non
     return scale if other and np.mean(fit) > 1.0 - LABELS_BAD_SHARE else None
 
 
-def _circles(frames: Sequence[FrameFigures]) -> list[ContactCircle]:
+def found_circles(frames: Sequence[FrameFigures]) -> list[ContactCircle]:
     return [frame.circle for frame in frames if frame.circle is not None]
 
 
-def coverage_map(frames: Sequence[FrameFigures], grid: PixelGrid) -> np.ndarray:
-    """How many contacts touched each pixel, int, shape [height_px, width_px]."""
-    count = np.zeros((grid.height_px, grid.width_px), dtype=np.int32)
-    for circle in _circles(frames):
-        count += circle.distance_px(grid) <= circle.radius_px
-    return count
-
-
-def empty_cells(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[str]:
-    """Names of the cells of a 4 x 3 table of the image that no contact's centre lies in."""
-    used = {
-        (
-            min(int(circle.u_px / grid.width_px * CELLS[0]), CELLS[0] - 1),
-            min(int(circle.v_px / grid.height_px * CELLS[1]), CELLS[1] - 1),
-        )
-        for circle in _circles(frames)
-    }
-    rows, columns = ("top", "middle", "bottom"), ("left", "left centre", "right centre", "right")
-    return [
-        f"{rows[v]} {columns[u]}"
-        for v in range(CELLS[1])
-        for u in range(CELLS[0])
-        if (u, v) not in used
-    ]
-
-
 def _check_spots(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:
-    circles = _circles(frames)
+    circles = found_circles(frames)
     if len(circles) < 3:
         return []
     centers = np.array([[c.u_px, c.v_px] for c in circles])
     reach = float(np.linalg.norm(centers[:, None] - centers[None], axis=-1).max())
     radius = float(np.median([c.radius_px for c in circles]))
-    covered = float((coverage_map(frames, grid) > 0).mean())
+    covered = float((coverage_map(circles, grid) > 0).mean())
     spread = max(radius, 0.05 * min(grid.width_px, grid.height_px))
     if reach < ONE_SPOT_RADII * spread:
         return [remarks.ONE_SPOT(count=len(circles), reach=reach, covered=covered)]
-    cells = empty_cells(frames, grid)
+    cells = empty_cells(circles, grid)
     if covered < GOOD_COVERAGE or len(cells) > 3:
         return [
             remarks.COVERAGE(
@@ -231,7 +204,7 @@ def _check_count(frames: Sequence[FrameFigures]) -> list[Remark]:
 
 
 def _check_depths(frames: Sequence[FrameFigures]) -> list[Remark]:
-    radii = np.array([circle.radius_px for circle in _circles(frames)])
+    radii = np.array([circle.radius_px for circle in found_circles(frames)])
     if len(radii) < 5 or np.ptp(np.percentile(radii, [5, 95])) > SAME_DEPTH * np.median(radii):
         return []
     return [remarks.SAME_DEPTH(smallest=radii.min(), largest=radii.max())]

@@ -266,6 +266,22 @@ SCALE_UNUSUAL = RemarkKind(
     "{usual:.1f} mm: check the scale, or the crop of the images",
     ("scale", "color", "normals", "depth"),
 )
+SIZE_OTHER = RemarkKind(
+    "size_other",
+    Severity.WARNING,
+    "the images are {width}x{height} px, those of the catalogue's {family} "
+    "{usual_width}x{usual_height} px: of other proportions, so that they cannot show the same part "
+    "of the gel. Is it another crop, another mode of the camera, or another sensor? State the "
+    "scale of these images (mm_per_px_x, mm_per_px_y), and give later images the same framing",
+    ("scale", "background", "color", "normals", "depth"),
+)
+SIZE_SCALED = RemarkKind(
+    "size_scaled",
+    Severity.INFO,
+    "the images are {width}x{height} px, those of the catalogue's {family} "
+    "{usual_width}x{usual_height} px: the profile will be for images of {width}x{height} px",
+    ("scale", "background", "color", "normals", "depth"),
+)
 
 # Boards and edges.
 BOARD_NOT_FOUND = RemarkKind("board_not_found", Severity.ERROR, "{board} was not found: {reason}")

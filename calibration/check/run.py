@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.calibration.capture.coverage import coverage_map, empty_cells
 from taccel_lab.calibration.capture.folder import CaptureFolder, in_words
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.sensor_facts import SensorFacts, sensor_facts
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.background import BackgroundCheck, check_background
-from taccel_lab.calibration.check.balls import check_balls, check_scale, check_slopes
+from taccel_lab.calibration.check.balls import check_balls, check_scale, check_size, check_slopes
 from taccel_lab.calibration.check.content import BlockStatus, block_statuses, check_content
 from taccel_lab.calibration.check.findings import worst_first
 from taccel_lab.calibration.check.frames import FrameFigures, measure_presses
 from taccel_lab.calibration.check.light import check_handedness, check_light, is_grey
 from taccel_lab.calibration.check.presses import (
     check_contacts,
-    coverage_map,
-    empty_cells,
+    found_circles,
     label_gaps,
 )
 from taccel_lab.calibration.check.targets import check_targets
@@ -101,9 +101,10 @@ class CaptureCheck:
     def _coverage(self) -> dict[str, Any] | None:
         if self.grid is None or not self.frames:
             return None
+        circles = found_circles(self.frames)
         return {
-            "share": float((coverage_map(self.frames, self.grid) > 0).mean()),
-            "empty_parts": empty_cells(self.frames, self.grid),
+            "share": float((coverage_map(circles, self.grid) > 0).mean()),
+            "empty_parts": empty_cells(circles, self.grid),
         }
 
 
@@ -199,8 +200,10 @@ def press_findings(
         facts.family, None if folder.mm_per_px is None else grid, folder.design
     )
     findings += [replace(remark, blocks=("color", "normals", "depth")) for remark in assumed]
+    size = (grid.width_px, grid.height_px)
+    if facts.image_px is not None:
+        findings += check_size(size, facts.image_px, facts.family)
     if folder.mm_per_px is not None:
-        size = (grid.width_px, grid.height_px)
         findings += check_scale(folder.mm_per_px, size, facts.pad_mm, facts.view_mm, facts.family)
     grey = is_grey(frames)
     if grey is not None and grey != facts.is_grey and facts.family != "flat_pad":

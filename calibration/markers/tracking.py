@@ -52,13 +52,8 @@ def track_markers(frames: Iterable[np.ndarray], rest: MarkerPicture) -> MarkerTr
     Raises:
         InputError: Fewer than 4 dots at rest, no frame, or frames of another size.
     """
-    dots = rest.dots
-    if dots.count < MIN_MARKERS:
-        raise InputError(f"tracking needs at least {MIN_MARKERS} dots at rest, got {dots.count}")
-    order = _reading_order(rest)
-    dots = dots.select(order)
-    row, column = rest.lattice.row[order], rest.lattice.column[order]
-    tracker = _Tracker(dots, row, column)
+    tracker = MarkerTracker.of(rest)
+    dots, row, column = tracker.dots, tracker.row, tracker.column
     places, sigmas, statuses = [], [], []
     for number, frame in enumerate(frames):
         height, width = np.shape(frame)[:2]
@@ -91,8 +86,17 @@ def _reading_order(rest: MarkerPicture) -> np.ndarray:
     return np.lexsort((np.where(row >= 0, column, uv[:, 1]), row, row < 0))
 
 
-class _Tracker:
+class MarkerTracker:
     """State of all markers in the present frame."""
+
+    @classmethod
+    def of(cls, rest: MarkerPicture) -> MarkerTracker:
+        """All markers where they are at rest; InputError for fewer than 4."""
+        count = rest.dots.count
+        if count < MIN_MARKERS:
+            raise InputError(f"tracking needs at least {MIN_MARKERS} dots at rest, got {count}")
+        order = _reading_order(rest)
+        return cls(rest.dots.select(order), rest.lattice.row[order], rest.lattice.column[order])
 
     def __init__(self, dots: Dots, row: np.ndarray, column: np.ndarray) -> None:
         self.dots = dots

@@ -7,7 +7,7 @@ frame: the rise over the resting face, and the face itself, which is curved on s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.depth_response import DepthResponse
 from taccel_lab.signals.normal_model import NormalModel
@@ -22,6 +23,8 @@ from taccel_lab.signals.normals import normals_from_height
 from taccel_lab.signals.read_heights import BAND_SIGMAS, read_heights
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 
+MOSTLY = 0.5
+"""Share of a larger pixel that has to count."""
 Method = Literal["auto", "normals", "depth"]
 STEEP_SHARE = 0.02
 """Share of pixels that the calibration says nothing of, from which on a user is told."""
@@ -56,9 +59,8 @@ class SurfaceReading:
     method: Literal["normals", "depth"]
     drift_removed: bool
 
-    def figures(self, profile: SensorProfile) -> dict[str, Any]:
-        """Depth, place and size of what is pressed in, ready for JSON."""
-        grid = profile.grid()
+    def figures(self, grid: PixelGrid) -> dict[str, Any]:
+        """Depth, place and size of what is pressed in, ready for JSON; ``grid`` is the maps'."""
         depth_mm = -1e3 * self.rise_m
         row, column = np.unravel_index(int(np.argmax(depth_mm)), depth_mm.shape)
         least_mm = max(CONTACT_MM, CONTACT_SHARE * float(depth_mm[row, column]))
@@ -123,6 +125,7 @@ class SurfaceReader:
         method: Method = "auto",
         drift: DriftMode = "auto",
         background_name: str = "the background",
+        shrink: int = 1,
     ) -> None:
         """A reader of the profile's images.
 
@@ -133,6 +136,8 @@ class SurfaceReader:
             drift: Whether each image is brought to the background's light first; ``auto`` does as
                 in the calibration.
             background_name: How an error calls ``background``, such as by its file.
+            shrink: Images are made smaller by about this factor before they are read, and so are
+                the maps (``grid``): a live picture at 3 takes a sixth of the time.
         """
         self.profile, self.mask = profile, mask
         self.method = self._chosen(method)
@@ -151,8 +156,18 @@ class SurfaceReader:
                 f"{background_name} is {self.background.shape[1]}x{self.background.shape[0]} px, "
                 f"the profile's camera {expected[1]}x{expected[0]} px"
             )
-        self.rest: RestSurface = rest_surface(profile.mesh, grid)
+        self._image_shape = self.background.shape
+        self.grid = grid if shrink == 1 else _smaller(grid, shrink)
+        """Of the maps that are read."""
+        # A larger pixel is the mean of several: fewer of them tell the light as well.
+        self._light_step = 1 if shrink == 1 else 2
+        self.background = self._small(self.background)
+        if mask is not None and shrink > 1:
+            self.mask = self._small(mask.astype(np.float32)) > MOSTLY
+        self.rest: RestSurface = rest_surface(profile.mesh, self.grid)
         self.normal_model = NormalModel.from_profile(profile) if self.method == "normals" else None
+        if self.normal_model is not None and shrink > 1:
+            self.normal_model = _shrunk(self.normal_model, self.grid)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
         self.drift = drift == "on"
         if drift == "auto":
@@ -173,19 +188,39 @@ class SurfaceReader:
 
     def read(self, image: np.ndarray, name: str = "image") -> SurfaceReading:
         """The surface under one image, RGB levels, shape [height_px, width_px, 3]."""
-        if image.shape != self.background.shape:
+        if image.shape != self._image_shape:
             raise InputError(
                 f"{name} is {image.shape[1]}x{image.shape[0]} px, the profile's camera "
-                f"{self.background.shape[1]}x{self.background.shape[0]} px; give images of that "
+                f"{self._image_shape[1]}x{self._image_shape[0]} px; give images of that "
                 "size (raw ones are rectified with --maps)"
             )
-        levels = image.astype(np.float32)
+        return self.read_levels(self.in_own_light(image))
+
+    def in_own_light(self, image: np.ndarray) -> np.ndarray:
+        """The image as small as it is read, in the background's light where that is asked for;
+        float32, shape [height_px, width_px, 3] of ``grid``."""
+        levels = self._small(image).astype(np.float32)
         if self.drift:
-            drift = fit_light(levels, self.background, self.mask, gradient=False)
+            part = np.s_[:: self._light_step, :: self._light_step]
+            mask = None if self.mask is None else self.mask[part]
+            drift = fit_light(levels[part], self.background[part], mask, gradient=False)
             levels = drift.remove(levels).astype(np.float32)
+        return levels
+
+    def read_levels(self, levels: np.ndarray, *, uncertainty: bool = True) -> SurfaceReading:
+        """The surface under what ``in_own_light`` made of an image; ``uncertainty`` as in
+        ``read_heights``."""
         if self.response is not None:
             return self._by_depth(levels)
-        return self._by_normals(levels)
+        return self._by_normals(levels, uncertainty)
+
+    def _small(self, image: np.ndarray) -> np.ndarray:
+        import cv2
+
+        size = (self.grid.width_px, self.grid.height_px)
+        if image.shape[1::-1] == size:
+            return image
+        return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
     def _by_depth(self, levels: np.ndarray) -> SurfaceReading:
         assert self.response is not None
@@ -195,7 +230,7 @@ class SurfaceReader:
             height_m=height,
             rise_m=found.height_m,
             height_sigma_m=None,
-            normals=normals_from_height(height, self.profile.grid()),
+            normals=normals_from_height(height, self.grid),
             sigma_deg=None,
             radius95_deg=None,
             beyond_balls=None,
@@ -204,15 +239,16 @@ class SurfaceReader:
             drift_removed=self.drift,
         )
 
-    def _by_normals(self, levels: np.ndarray) -> SurfaceReading:
+    def _by_normals(self, levels: np.ndarray, uncertainty: bool) -> SurfaceReading:
         assert self.normal_model is not None
         found = read_heights(
             self.normal_model,
             levels,
             self.background,
-            self.profile.grid(),
+            self.grid,
             mask=self.mask,
             rest_normals=None if self.rest.is_flat else self.rest.normals,
+            uncertainty=uncertainty,
         )
         read = found.normals
         tilt_deg = np.degrees(np.linalg.norm(read.tilt_rad, axis=-1))
@@ -228,3 +264,36 @@ class SurfaceReader:
             method="normals",
             drift_removed=self.drift,
         )
+
+
+def _shrunk(model: NormalModel, grid: PixelGrid) -> NormalModel:
+    """The model for images of fewer pixels: its windows shrink along and see what they saw, as in
+    training on other zooms."""
+    config = model.config
+    factor = config.width_px / grid.width_px
+    smaller = replace(
+        config,
+        width_px=grid.width_px,
+        height_px=grid.height_px,
+        scales_px=tuple(scale / factor for scale in config.scales_px),
+        slope_scales_px=tuple(scale / factor for scale in config.slope_scales_px),
+        error_length_px=config.error_length_px / factor,
+    )
+    return NormalModel(smaller, model.weights)
+
+
+def _smaller(grid: PixelGrid, factor: int) -> PixelGrid:
+    """The same view in fewer pixels, as many as cosine transforms are fast at."""
+    from scipy.fft import next_fast_len
+
+    width = int(next_fast_len(round(grid.width_px / factor), real=True) or 0)
+    height = int(next_fast_len(round(grid.height_px / factor), real=True) or 0)
+    across, down = grid.width_px / width, grid.height_px / height
+    return PixelGrid(
+        width,
+        height,
+        grid.mm_per_px_x * across,
+        grid.mm_per_px_y * down,
+        (grid.center_u_px + 0.5) / across - 0.5,
+        (grid.center_v_px + 0.5) / down - 0.5,
+    )

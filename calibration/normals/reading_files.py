@@ -71,7 +71,7 @@ def write_reading(
     np.savez_compressed(folder / f"{source.stem}.npz", **stored)
     picture = draw_reading(image, found, profile.grid(), source.stem)
     save_figure(picture, folder / f"{source.stem}.png")
-    figures = {"image": str(source), **found.figures(profile)}
+    figures = {"image": str(source), **found.figures(profile.grid())}
     write_json(folder / f"{source.stem}.json", figures)
     return figures
 

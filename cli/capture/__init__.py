@@ -9,14 +9,19 @@ from typing import Any
 def capture_commands() -> dict[str, Any]:
     """The sub-commands by name; imported here so that help is fast."""
     from taccel_lab.cli.capture.check import CaptureCheckCommand
+    from taccel_lab.cli.capture.devices import CaptureDevices
     from taccel_lab.cli.capture.guide import CaptureGuide
     from taccel_lab.cli.capture.import_ import CaptureImport
+    from taccel_lab.cli.capture.record import CaptureQuick, CaptureRecord
     from taccel_lab.cli.capture.rectify import CaptureRectify
     from taccel_lab.cli.capture.review import CaptureReview
 
     return {
         "check": CaptureCheckCommand,
         "guide": CaptureGuide,
+        "devices": CaptureDevices,
+        "record": CaptureRecord,
+        "quick": CaptureQuick,
         "import": CaptureImport,
         "review": CaptureReview,
         "rectify": CaptureRectify,

@@ -21,8 +21,9 @@ class CaptureReview:
 
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
-    out: Path
-    """Folder to write: review.html, review.json, contacts.toml and one picture for each press."""
+    out: Path | None = None
+    """Folder to write: review.html, review.json, contacts.toml and one picture for each press;
+    <captures>_review when left out."""
     contacts: Path | None = None
     """A contacts.toml to take into account; that of the capture folder when left out."""
     json: bool = False
@@ -39,19 +40,22 @@ class CaptureReview:
         from taccel_lab.output_folder import require_replaceable
 
         console = notes()
-        require_replaceable(self.out)
+        source = self.captures.resolve()
+        name = source.stem if source.is_file() else source.name
+        out = self.out or source.with_name(f"{name}_review")
+        require_replaceable(out)
         captures = load_captures(self.captures)
         if self.contacts is not None:
             captures = with_overrides(captures, self.contacts)
         with stage_progress(console) as progress:
             review = review_contacts(captures, progress)
-        write_review(review, self.out)
+        write_review(review, out)
         if self.json:
             print_json(review.figures())
         for remark in review.remarks:
             console.print(str(remark), highlight=False)
         console.print(f"verdict: {judge(review.remarks)}", highlight=False)
-        console.print(f"wrote {self.out / 'review.html'}", highlight=False)
+        console.print(f"wrote {out / 'review.html'}", highlight=False)
         stopped = any(remark.severity == Severity.ERROR for remark in review.remarks)
         if stopped or review.found.refusals:
             raise SystemExit(1)

@@ -50,7 +50,9 @@ RAYLEIGH_MEAN = math.sqrt(math.pi / 2)
 """Mean length of a vector of two independent normal deviates of unit standard deviation."""
 RAYLEIGH_95 = math.sqrt(-2.0 * math.log(0.05))
 """Length that 95 % of such vectors stay below."""
-CHUNK_PIXELS = 32_768
+CHUNK_PIXELS = 2048
+"""Read at once: what the layers give for so many stays in a core's cache, which takes half the time
+of chunks that do not."""
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,7 @@ def read_heights(
     mask: np.ndarray | None = None,
     rest_normals: np.ndarray | None = None,
     left_out: int | None = None,
+    uncertainty: bool = True,
 ) -> ReadHeights:
     """Read one image.
 
@@ -53,6 +54,7 @@ def read_heights(
         mask: Pixels that count, bool, shape [h, w]; the surface goes on smoothly under the others.
         rest_normals: Outward unit normals of the undeformed face, shape [h, w, 3]; flat when None.
         left_out: The member that reads alone, since it did not see this press (``NormalModel``).
+        uncertainty: Whether to find the heights' standard deviation, a third of the time.
     """
     found = model.predict(
         image, background, mask=mask, rest_normals=rest_normals, left_out=left_out
@@ -65,9 +67,9 @@ def read_heights(
         slope = slope + rest_normals[..., :2] / rest_normals[..., 2:]
     rise = height_from_slopes(slope, grid, weights=weights, zero=zero)
     sigma = None
-    if model.config.height_factor > 0:
-        uncertainty = HeightUncertainty(grid, model.config.error_length_px)
-        sigma = model.config.height_factor * uncertainty.sigma_m(
+    if uncertainty and model.config.height_factor > 0:
+        trials = HeightUncertainty(grid, model.config.error_length_px)
+        sigma = model.config.height_factor * trials.sigma_m(
             found.slope_sigma(), weights=weights, zero=zero
         )
     return ReadHeights(found, rise, zero, sigma)

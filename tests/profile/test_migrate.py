@@ -146,7 +146,7 @@ def test_version_5_does_not_know_how_uncertain_heights_are() -> None:
     image = np.full((profile.camera.height_px, profile.camera.width_px, 3), 90.0)
     reading = SurfaceReader(profile).read(image)
     assert reading.height_sigma_m is None
-    assert reading.figures(profile)["max_depth_sigma_mm"] is None
+    assert reading.figures(profile.grid())["max_depth_sigma_mm"] is None
 
 
 def test_an_encoding_is_kept_by_a_round_trip(tmp_path: Path) -> None:

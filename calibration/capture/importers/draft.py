@@ -18,6 +18,7 @@ from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.importers.left_out import left_out_sentences
 from taccel_lab.calibration.capture.importers.origin import UNKNOWN
 from taccel_lab.calibration.capture.load import load_capture_folder
+from taccel_lab.calibration.capture.manifest_text import manifest_text
 from taccel_lab.calibration.capture.schema import (
     MANIFEST_NAME,
     MAX_EDGE_MM,
@@ -262,25 +263,39 @@ class Draft:
         (folder / MANIFEST_NAME).write_text(self._manifest_text(), encoding="utf-8")
 
     def _manifest_text(self) -> str:
-        import tomli_w
-
-        head: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "sensor": self.sensor}
-        rest = dict(self.manifest)
-        for key in ("unit", "background", "untouched", "mask", "mm_per_px_x", "mm_per_px_y"):
-            if key in rest:
-                head[key] = rest.pop(key)
-        head["source"] = printable(self.source)
-        head["license"] = printable(self.license)
+        manifest = {
+            "schema_version": SCHEMA_VERSION,
+            "sensor": self.sensor,
+            **self.manifest,
+            "source": self.source,
+            "license": self.license,
+        }
         if self.assumed:
-            rest["assumed"] = {key: printable(text) for key, text in self.assumed.items()}
-        lines = (line for note in self.remarks() for line in note.splitlines())
-        comments = "".join(f"# {printable(line)}\n" for line in lines)
-        return comments + tomli_w.dumps(head | rest)
+            manifest["assumed"] = self.assumed
+        return manifest_text(manifest, self.remarks())
+
+    def _not_stated(self) -> list[str]:
+        """What ball presses cannot be calibrated with before it is stated, with the options."""
+        if not self.manifest.get("presses"):
+            return []
+        missing = []
+        if self.sensor == "flat_pad" and "sensor" in self.assumed:
+            missing.append("the sensor (--sensor; taccel-lab sensors list)")
+        entries = self.manifest["presses"]
+        if "indenter" not in self.manifest and not all("radius_mm" in e for e in entries):
+            missing.append("the ball's radius (--radius-mm)")
+        if "mm_per_px_x" not in self.manifest and not (
+            {"boards", "edges", "landmarks"} & self.manifest.keys()
+        ):
+            missing.append("the scale (--mm-per-px-x, --mm-per-px-y)")
+        return missing
 
     def remarks(self) -> list[str]:
         """The notes, and what was left out with the reasons."""
         root = self.root or self.place
-        return [*self.notes, *left_out_sentences(self.left_out, root)]
+        missing = self._not_stated()
+        unstated = [f"not stated yet, and needed: {'; '.join(missing)}"] if missing else []
+        return [*self.notes, *unstated, *left_out_sentences(self.left_out, root)]
 
     @contextmanager
     def opened(self) -> Iterator[CaptureFolder]:

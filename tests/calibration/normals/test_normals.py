@@ -273,7 +273,7 @@ def test_profile_reads_what_the_calibration_read(
     assert found.normals == pytest.approx(item.predicted.normals, abs=1e-6)
     depth_mm = -1e3 * found.rise_m
     assert depth_mm.max() == pytest.approx(surfaces[held[0]].depth_mm, rel=0.08)
-    figures = found.figures(profile)
+    figures = found.figures(profile.grid())
     circle = captures.presses[held[0]].circle
     assert circle is not None
     assert figures["deepest_px"] == pytest.approx([circle.u_px, circle.v_px], abs=2.5)

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A camera that is plugged in, through OpenCV.
+
+What is set is read back: drivers take a value without an error and keep their own.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+
+from taccel_lab.calibration.capture.camera.camera import (
+    CameraInfo,
+    CameraLostError,
+    ControlLock,
+    ControlValues,
+    Shot,
+)
+from taccel_lab.calibration.capture.camera.devices import Device
+from taccel_lab.errors import InputError
+
+MANUAL_EXPOSURE = 1.0 if sys.platform == "linux" else 0.25
+"""OpenCV hands V4L2 its own menu (1 is manual); DirectShow and AVFoundation take a quarter."""
+OLDEST_S = 5.0
+"""A time stamp of the driver that is farther back is of another clock."""
+NEAR = 0.02
+"""Part of a value within which it counts as held: drivers round to steps of their own."""
+
+
+def _open_capture(node: str | int) -> Any:
+    backend = cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY
+    return cv2.VideoCapture(node, backend)
+
+
+class UvcCamera:
+    """Frames of a USB camera."""
+
+    def __init__(
+        self,
+        device: Device,
+        size_px: tuple[int, int] | None = None,
+        *,
+        open_capture: Callable[[str | int], Any] = _open_capture,
+    ) -> None:
+        """Open ``device``.
+
+        Args:
+            device: From ``find_device``.
+            size_px: Width and height that the camera is asked for; its own choice when None.
+            open_capture: Makes a ``cv2.VideoCapture`` of a node.
+
+        Raises:
+            CameraLostError: It does not open.
+            InputError: It has no images of that size.
+        """
+        notes = () if device.is_stable else (f"camera {device.id} is a place in a list, no id",)
+        self.info = CameraInfo(device.id, device.name, device.serial, notes=notes)
+        self._capture = open_capture(device.node)
+        if not self._capture.isOpened():
+            self._capture.release()
+            raise CameraLostError(
+                f"{device.name} ({device.node}) does not open; is another program using it, or may "
+                "you not read it (group video)?"
+            )
+        # The newest frame counts, not those that waited.
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        if size_px is not None:
+            self._require_size(size_px)
+
+    def _require_size(self, size_px: tuple[int, int]) -> None:
+        for key, value in zip(_SIZE, size_px, strict=True):
+            self._capture.set(key, value)
+        got = tuple(int(self._capture.get(key)) for key in _SIZE)
+        if got != size_px:
+            self.close()
+            raise InputError(
+                f"{self.info.name} gives {got[0]}x{got[1]} px when asked for {size_px[0]}x"
+                f"{size_px[1]}; taccel-lab capture devices lists what it has"
+            )
+
+    def lock(self, values: ControlValues) -> list[ControlLock]:
+        """Switch automatic exposure, gain and white balance off, set values where given, and read
+        all of them back."""
+        return [
+            self._held("exposure", cv2.CAP_PROP_EXPOSURE, values.exposure, _AUTO_EXPOSURE),
+            self._held("gain", cv2.CAP_PROP_GAIN, values.gain, None),
+            self._held(
+                "white balance", cv2.CAP_PROP_WB_TEMPERATURE, values.white_balance, _AUTO_WB
+            ),
+        ]
+
+    def _held(
+        self, name: str, key: int, wanted: float | None, automatic: tuple[int, float] | None
+    ) -> ControlLock:
+        if automatic is not None:
+            self._capture.set(*automatic)
+            mode = self._capture.get(automatic[0])
+            if mode != automatic[1]:
+                told = (
+                    "the camera does not say" if mode < 0 else f"the camera stays at mode {mode:g}"
+                )
+                return ControlLock(name, False, f"cannot be locked: {told}")
+        value = self._capture.get(key) if wanted is None else wanted
+        if wanted is None and value < 0 and automatic is None:
+            return ControlLock(name, None, "the camera has no such control")
+        self._capture.set(key, value)
+        now = self._capture.get(key)
+        if abs(now - value) > NEAR * max(abs(value), 1.0):
+            return ControlLock(name, False, f"cannot be locked at {value:g}: it is at {now:g}")
+        return ControlLock(name, True, f"locked at {now:g}")
+
+    def read(self) -> Shot:
+        """The newest frame; CameraLostError when none comes within the driver's time (10 s)."""
+        done, bgr = self._capture.read()
+        now = time.monotonic()
+        if not done or bgr is None:
+            raise CameraLostError(f"{self.info.name} gives no frames any more")
+        stamp = 1e-3 * self._capture.get(cv2.CAP_PROP_POS_MSEC)
+        taken = stamp if now - OLDEST_S < stamp <= now else now
+        return Shot(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), taken)
+
+    def close(self) -> None:
+        """Give the device back."""
+        self._capture.release()
+
+
+_SIZE = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+_AUTO_EXPOSURE = (cv2.CAP_PROP_AUTO_EXPOSURE, MANUAL_EXPOSURE)
+_AUTO_WB = (cv2.CAP_PROP_AUTO_WB, 0.0)

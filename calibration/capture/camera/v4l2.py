@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cameras of Linux: names in ``/dev/v4l`` that stay, serial numbers in sysfs, formats by ioctl.
+
+The requests and structures are those of ``linux/videodev2.h`` (kernel documentation, "Video for
+Linux API", ``VIDIOC_ENUM_FMT`` and ``VIDIOC_ENUM_FRAMESIZES``), the same on all 64-bit machines.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+_ENUM_FORMAT, _ENUM_SIZE = 0xC0405602, 0xC02C564A
+_FORMAT, _SIZE = "=III32sIIIII", "=IIIIIIIIIII"
+_CAPTURE, _DISCRETE = 1, 1
+_MOST = 64
+"""Formats, and sizes of each, that are asked for."""
+
+SizedFormat = tuple[str, int, int]
+"""FourCC, width and height [px]."""
+
+
+def stable_names(root: Path) -> dict[str, str]:
+    """``/dev/videoN`` of each camera by the name that stays with it.
+
+    Names of ``by-id`` hold maker, model and serial number; those of ``by-path``, taken for cameras
+    that have no other, the port that it is plugged into. Only the first node of a camera gives
+    images. ``root`` is ``/``, or a folder that stands for it.
+    """
+    found: dict[str, str] = {}
+    for kind in ("by-id", "by-path"):
+        folder = root / "dev/v4l" / kind
+        for link in sorted(folder.glob("*-video-index0")) if folder.is_dir() else ():
+            node = link.resolve().name
+            if node not in found.values():
+                found[link.name] = node
+    return {name: f"/dev/{node}" for name, node in found.items()}
+
+
+def card_name(root: Path, node: str) -> str:
+    """What the driver calls a camera, such as ``DIGIT: DIGIT``; empty where it says nothing."""
+    return _text(root / "sys/class/video4linux" / Path(node).name / "name")
+
+
+def serial_number(root: Path, node: str) -> str | None:
+    """Serial number of the USB device behind a node; None where it has none."""
+    place = root / "sys/class/video4linux" / Path(node).name / "device"
+    with suppress(OSError):
+        # The node hangs on an interface of the device, which hangs on the device.
+        for folder in (place.resolve(), *place.resolve().parents[:2]):
+            serial = _text(folder / "serial")
+            if serial:
+                return serial
+    return None
+
+
+def sized_formats(node: str) -> list[SizedFormat]:
+    """Formats and sizes of a camera that exist as such; empty where it cannot be asked."""
+    try:
+        handle = os.open(node, os.O_RDWR | os.O_NONBLOCK)
+    except OSError:
+        return []
+    try:
+        return list(_formats(handle))
+    finally:
+        os.close(handle)
+
+
+def _formats(handle: int) -> Iterator[SizedFormat]:
+    for i in range(_MOST):
+        format_ = _asked(handle, _ENUM_FORMAT, struct.pack(_FORMAT, i, _CAPTURE, *_zeros(_FORMAT)))
+        if format_ is None:
+            return
+        code = struct.unpack(_FORMAT, format_)[4]
+        for k in range(_MOST):
+            size = _asked(handle, _ENUM_SIZE, struct.pack(_SIZE, k, code, *([0] * 9)))
+            if size is None:
+                break
+            _, _, kind, width, height, *_ = struct.unpack(_SIZE, size)
+            if kind == _DISCRETE:
+                yield code.to_bytes(4, "little").decode("ascii", "replace").strip(), width, height
+
+
+def _zeros(layout: str) -> tuple[int | bytes, ...]:
+    return (0, b"", 0, 0, 0, 0, 0) if layout == _FORMAT else ()
+
+
+def _asked(handle: int, request: int, argument: bytes) -> bytes | None:
+    """The driver's answer; None where it has none (EINVAL ends every list)."""
+    import fcntl
+
+    try:
+        return fcntl.ioctl(handle, request, argument)
+    except OSError:
+        return None
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""

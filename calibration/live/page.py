@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a live session: all that is read, its figures, and how long it takes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING
+
+from taccel_lab.calibration.live.latency import Latency
+from taccel_lab.calibration.live.pictures import pictures
+from taccel_lab.calibration.live.reader import LiveReader, LiveReading
+from taccel_lab.calibration.record.tiles import show_tiles, wide_panel
+
+if TYPE_CHECKING:
+    from viser import ViserServer
+
+FIGURES_EVERY_S = 0.25
+
+
+class LivePage:
+    """A ``LiveWatcher`` in the browser."""
+
+    def __init__(self, server: ViserServer, pictures_hz: float) -> None:
+        """Fill the page of ``server``; pictures are drawn at most so often."""
+        self._server, self._every_s = server, 1.0 / pictures_hz
+        self._drawn_s = self._told_s = float("-inf")
+        self._stop, self._again = threading.Event(), threading.Event()
+        wide_panel(server)
+        gui = server.gui
+        self._prompt = gui.add_markdown("")
+        self._figures = gui.add_markdown("")
+        gui.add_button("Take the untouched gel again").on_click(lambda _: self._again.set())
+        gui.add_button("Stop").on_click(lambda _: self._stop.set())
+        self._latency = gui.add_markdown("")
+
+    def show(self, reading: LiveReading, reader: LiveReader, latency: Latency) -> None:
+        """Draw a reading, unless the last one was drawn just now."""
+        now = time.monotonic()
+        if now - self._drawn_s >= self._every_s:
+            self._drawn_s = now
+            show_tiles(self._server, pictures(reading, reader.background))
+        if now - self._told_s >= FIGURES_EVERY_S:
+            self._told_s = now
+            self._figures.content = figures_text(reading, reader)
+            self._latency.content = latency_text(latency, reader)
+
+    def tell(self, text: str) -> None:
+        """Say what to do, in bold."""
+        self._prompt.content = f"**{text}**" if text else ""
+
+    def wants_background(self) -> bool:
+        """Whether the button was pressed since the last call."""
+        wanted = self._again.is_set()
+        self._again.clear()
+        return wanted
+
+    def stopped(self) -> bool:
+        """Whether the button was pressed."""
+        return self._stop.is_set()
+
+
+def figures_text(reading: LiveReading, reader: LiveReader) -> str:
+    """What the reading says, in Markdown."""
+    lines = []
+    figures = reading.figures
+    if reading.refused:
+        lines.append(f"## no depth\n\n{reading.refused}")
+    elif figures:
+        sigma = figures["max_depth_sigma_mm"]
+        band = "" if sigma is None else f" ± {sigma:.3f}"
+        lines.append(f"## {figures['max_depth_mm']:.3f}{band} mm deep")
+        x, y = figures["deepest_gel_mm"]
+        lines.append(f"at ({x:.2f}, {y:.2f}) mm, {figures['touched_mm2']:.1f} mm² touched")
+        lines += [f"*{text}*" for text in figures["warnings"]]
+    if reading.markers_px is not None and reading.seen is not None and reading.rest_px is not None:
+        moved = reading.markers_px - reading.rest_px
+        largest = float((moved**2).sum(axis=1).max() ** 0.5)
+        lines.append(
+            f"{int(reading.seen.sum())} of {len(reading.seen)} markers seen, largest displacement "
+            f"{largest:.1f} px"
+        )
+    elif reader.no_markers:
+        lines.append(f"markers are not followed: {reader.no_markers}")
+    lines += [f"{name}: {value:.3g}" for name, value in reading.forces.items()]
+    if not reading.forces:
+        lines.append("no force: no model of this profile tells it")
+    return "\n\n".join(lines)
+
+
+def latency_text(latency: Latency, reader: LiveReader) -> str:
+    """Times by stage, as a table in Markdown."""
+    found = latency.figures()
+    if not found["frames"]:
+        return ""
+    rows = [("all work", found["busy_ms"]), *found["stages_ms"].items()]
+    table = [f"| {name} | {ms['median']:.1f} | {ms['p95']:.1f} |" for name, ms in rows if ms]
+    grid = reader.grid
+    return "\n".join(
+        [
+            f"**{found['rate_hz']:.1f} frames a second**, depth on {grid.width_px}x"
+            f"{grid.height_px} px (detail {reader.detail})",
+            "",
+            "| stage [ms] | median | 95 % |",
+            "|---|---|---|",
+            *table,
+        ]
+    )

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything that a profile's blocks allow to be read from a frame, and how long each takes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.markers.tracking import MarkerTracker
+from taccel_lab.calibration.markers.tracks import Status
+from taccel_lab.calibration.normals.read_surface import SurfaceReader, SurfaceReading
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import SensorProfile
+
+DETAILS = (1, 2, 3, 4)
+"""Factors by which images may be made smaller."""
+BUDGET_S = 0.03
+"""Time for the depth of a frame, of the 40 ms that 25 frames a second leave; the rest is for
+pictures."""
+SIGMA_EVERY = 5
+"""Frames between two estimates of the depth's standard deviation, which takes a third of the time
+and is read by people."""
+REFUSED_SHARE = 0.5
+"""Part of what is touched beyond the calibration from which no depth is given."""
+
+ForceReader = Callable[[np.ndarray, np.ndarray], Mapping[str, float]]
+"""Image and background, RGB uint8, in; named forces out, such as ``{"normal_n": 1.2}``."""
+
+
+@dataclass(frozen=True)
+class LiveReading:
+    """What one frame shows."""
+
+    image: np.ndarray
+    """RGB uint8, shape [height_px, width_px, 3]."""
+    surface: SurfaceReading | None
+    """On the reader's grid; None where the profile has no block for it."""
+    figures: dict[str, Any]
+    """Of the surface; empty without one."""
+    refused: str
+    """Why the depth is not to be believed; empty where it is."""
+    markers_px: np.ndarray | None
+    """Places of the markers, shape [marker, 2]; None without markers."""
+    rest_px: np.ndarray | None
+    """Where they are at rest, likewise."""
+    seen: np.ndarray | None
+    """Which of them were found in this frame, bool, shape [marker]."""
+    forces: Mapping[str, float]
+    """By name; empty where nothing tells them."""
+    stages_s: dict[str, float]
+    """Time that each stage took [s]."""
+
+
+class LiveReader:
+    """Reads frames of one sensor, one after another."""
+
+    def __init__(
+        self,
+        profile: SensorProfile,
+        background: np.ndarray,
+        *,
+        detail: int | None = None,
+        force: ForceReader | None = None,
+    ) -> None:
+        """
+        Args:
+            profile: With a ``normals`` or ``depth_response`` block for depth, with ``markers`` for
+                markers.
+            background: The untouched sensor now, RGB, shape [height_px, width_px, 3].
+            detail: Factor by which images are made smaller for the depth; None takes the finest
+                that this machine reads in ``BUDGET_S``.
+            force: Tells forces of an image, where there is a model for it.
+
+        Raises:
+            InputError: The profile has none of these blocks, or images of another size.
+        """
+        self.profile, self.force = profile, force
+        self.background = background
+        has_depth = profile.normals is not None or profile.depth_response is not None
+        if not has_depth and profile.markers is None and force is None:
+            raise InputError(
+                f"the profile of {profile.sensor.name} has no normals, depth_response or markers "
+                "block, so that nothing can be read from a frame; calibrate one first"
+            )
+        grid = profile.grid()
+        if background.shape != (grid.height_px, grid.width_px, 3):
+            raise InputError(
+                f"the camera gives images of {background.shape[1]}x{background.shape[0]} px, the "
+                f"profile's has {grid.width_px}x{grid.height_px} px; give --size, --crop and "
+                "--resize as they were when the captures were recorded"
+            )
+        self.surface: SurfaceReader | None = None
+        self.detail = 1
+        self._count = 0
+        self._sigma_mm: float | None = None
+        if has_depth:
+            self.detail, self.surface = self._chosen(detail)
+        self.tracker: MarkerTracker | None = None
+        self.no_markers = ""
+        """Why markers are not followed though the profile has some; empty otherwise."""
+        if profile.markers is not None:
+            try:
+                self.tracker = MarkerTracker.of(find_markers(background.astype(np.uint8)))
+            except InputError as error:
+                self.no_markers = str(error)
+
+    @property
+    def grid(self) -> PixelGrid:
+        """Of the maps."""
+        return self.profile.grid() if self.surface is None else self.surface.grid
+
+    def _chosen(self, detail: int | None) -> tuple[int, SurfaceReader]:
+        if detail is not None and detail not in DETAILS:
+            raise InputError(f"--detail is {detail}; 1 (all pixels) to {DETAILS[-1]} are allowed")
+        reader = None
+        for factor in DETAILS if detail is None else (detail,):
+            reader = SurfaceReader(self.profile, background=self.background, shrink=factor)
+            if detail is not None or _fastest_s(reader, self.background) <= BUDGET_S:
+                return factor, reader
+        assert reader is not None
+        return DETAILS[-1], reader
+
+    def read(self, image: np.ndarray) -> LiveReading:
+        """Read the next frame, RGB uint8, of the profile's size."""
+        stages: dict[str, float] = {}
+        surface, figures, refused = None, {}, ""
+        if self.surface is not None:
+            with _timed(stages, "light"):
+                levels = self.surface.in_own_light(image)
+            with _timed(stages, "depth"):
+                often = self._count % SIGMA_EVERY == 0
+                surface = self.surface.read_levels(levels, uncertainty=often)
+                figures = surface.figures(self.surface.grid)
+                refused = _refusal(figures)
+            self._count += 1
+            if often:
+                self._sigma_mm = figures["max_depth_sigma_mm"]
+            figures["max_depth_sigma_mm"] = self._sigma_mm
+        places = rest = seen = None
+        if self.tracker is not None:
+            with _timed(stages, "markers"):
+                self.tracker.advance(image)
+            places, rest = self.tracker.uv.copy(), self.tracker.dots.uv_px
+            seen = self.tracker.status == Status.SEEN
+        forces: Mapping[str, float] = {}
+        if self.force is not None:
+            with _timed(stages, "force"):
+                forces = self.force(image, self.background)
+        return LiveReading(image, surface, figures, refused, places, rest, seen, forces, stages)
+
+
+def _refusal(figures: Mapping[str, Any]) -> str:
+    beyond = figures.get("beyond_balls_share", 0.0)
+    if beyond > REFUSED_SHARE:
+        return (
+            f"{beyond:.0%} of what is touched is steeper than any ball that was captured: no depth "
+            "is given"
+        )
+    return ""
+
+
+def _fastest_s(reader: SurfaceReader, image: np.ndarray) -> float:
+    """Shortest time of three readings [s], after one that loads what is loaded once."""
+    reader.read(image)
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        reader.read_levels(reader.in_own_light(image), uncertainty=False)
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+@contextmanager
+def _timed(stages: dict[str, float], name: str) -> Iterator[None]:
+    start = time.perf_counter()
+    yield
+    stages[name] = time.perf_counter() - start

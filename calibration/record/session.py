@@ -1,0 +1,298 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One recording session: frames in, a growing capture folder and what to show out."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from taccel_lab.calibration.capture.camera.camera import CameraInfo, ControlLock, Shot
+from taccel_lab.calibration.capture.camera.shots import Gap
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.coverage import cell_name, cell_of
+from taccel_lab.calibration.capture.framing import thumb
+from taccel_lab.calibration.capture.guide import capture_plan
+from taccel_lab.calibration.capture.sensor_facts import sensor_facts
+from taccel_lab.calibration.contacts.fit import detect_contact
+from taccel_lab.calibration.depth.grey_contact import find_grey_contact
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.record.advice import Advice, contact_radius_mm, next_press
+from taccel_lab.calibration.record.facts import RecordFacts
+from taccel_lab.calibration.record.folder import RecordFolder
+from taccel_lab.calibration.record.lamps import (
+    Lamp,
+    blur_lamp,
+    controls_lamp,
+    drift_lamp,
+    saturation_lamp,
+    touched_pixels,
+)
+from taccel_lab.calibration.record.trigger import CONTACT, Phase, Seen, Trigger
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.depth_response import channel_of
+
+LAMPS_EVERY_S = 0.4
+UNTOUCHED_COUNT = 6
+"""Pictures of the untouched gel over a session, the background among them."""
+MESSAGES = 6
+
+
+@dataclass(frozen=True)
+class Status:
+    """What there is to show after a frame."""
+
+    phase: Phase
+    prompt: str
+    """What to do now, one or two sentences."""
+    taken: int
+    wanted: int
+    image: np.ndarray | None
+    """The last frame, RGB uint8, shape [h, w, 3]."""
+    change: np.ndarray | None
+    """Its smoothed colour change, small [levels]."""
+    noise_levels: float
+    circle: ContactCircle | None
+    """Of the press that was taken last, while it is there."""
+    circles: tuple[ContactCircle | None, ...]
+    """Of all presses; None where none was found."""
+    advice: Advice | None
+    lamps: tuple[Lamp, ...]
+    messages: tuple[str, ...]
+    """What happened, the newest first."""
+    progress: float = 0.0
+    finished: bool = False
+
+
+@dataclass
+class Recorder:
+    """Decides what is taken, and keeps what there is to show."""
+
+    folder: RecordFolder
+    facts: RecordFacts
+    wanted: int
+    trigger: Trigger = field(default_factory=Trigger)
+    finished: bool = False
+    _circles: list[ContactCircle | None] = field(default_factory=list)
+    _background: np.ndarray | None = None
+    _shot: Shot | None = None
+    _seen: Seen | None = None
+    _circle: ContactCircle | None = None
+    _lamps: tuple[Lamp, ...] = ()
+    _blur: Lamp | None = None
+    _lamps_s: float = float("-inf")
+    _messages: deque[str] = field(default_factory=lambda: deque(maxlen=MESSAGES))
+    _since_untouched: int = 0
+    _resumed: bool = False
+    _gap: str = ""
+
+    def __post_init__(self) -> None:
+        self._background = self.folder.background
+        facts = sensor_facts(self.facts.sensor)
+        self._grey = facts is not None and facts.is_grey
+        self._depth_mm = capture_plan(self.facts.sensor).depth_mm
+        for name in self.folder.presses:
+            self._circles.append(self._find(self.folder.image(name), name)[0])
+        self._resumed = self._background is not None
+        if self._resumed:
+            self._say(f"going on with {self.folder.path}: {len(self._circles)} presses are there")
+
+    def opened(self, info: CameraInfo, locks: list[ControlLock]) -> None:
+        """The camera was opened, for the first time or again.
+
+        Raises:
+            InputError: The folder was begun with another one.
+        """
+        self.facts = self.facts.at(info, locks, self.facts.framing)
+        before = self.folder.manifest.get("recorded", {}).get("camera", "")
+        # Other ids name a port or a place in a list, which others take, too.
+        if before.startswith("usb-") and not info.replayed and before != info.id:
+            raise InputError(
+                f"{self.folder.path} was begun with the camera {before}, this is {info.id}; name a "
+                "new folder for another sensor"
+            )
+        for lock in locks:
+            self._say(str(lock))
+        if self._gap:
+            self._say("the camera is back")
+            self._gap = ""
+
+    def lost(self, gap: Gap) -> Status:
+        """The camera is gone."""
+        if not self._gap:
+            self._say(gap.reason)
+        self._gap = gap.reason
+        return self.status()
+
+    def see(self, shot: Shot) -> Status:
+        """Take a frame in, and its picture where it is time."""
+        if self._background is not None and shot.image.shape != self._background.shape:
+            raise InputError(
+                f"the camera gives {shot.image.shape[1]}x{shot.image.shape[0]} px, the folder "
+                f"{self.folder.path} has {self._background.shape[1]}x{self._background.shape[0]}; "
+                "give --size, --crop and --resize as before, or name a new folder"
+            )
+        had_rest = self.trigger.rest is not None
+        seen = self.trigger.see(shot.image, shot.time_s)
+        self._shot, self._seen = shot, seen
+        if not had_rest and self.trigger.rest is not None:
+            self._untouched(shot.image)
+        if seen.renewed:
+            self._say("the gel keeps a mark of the last press: its untouched picture was renewed")
+        if seen.take:
+            self._take(shot.image, by_hand=False)
+        elif seen.phase == Phase.WAITING:
+            self._circle = None
+            every = max(2, self.wanted // UNTOUCHED_COUNT)
+            if seen.at_rest and self._since_untouched >= every:
+                self._untouched(shot.image)
+        if shot.time_s - self._lamps_s >= LAMPS_EVERY_S or shot.time_s < self._lamps_s:
+            self._lamps, self._lamps_s = self._watch(shot, seen), shot.time_s
+        return self.status()
+
+    def take_now(self) -> None:
+        """Take the last frame, steady or not."""
+        if self._shot is None or self._background is None:
+            self._say("nothing to take yet: the untouched gel comes first")
+            return
+        self._take(self._shot.image, by_hand=True)
+        self.trigger.taken()
+
+    def undo(self) -> None:
+        """Take the last press out again."""
+        name = self.folder.undo_press()
+        if name is None:
+            self._say("there is no press to undo")
+            return
+        self._circles.pop()
+        self._circle = None
+        self._say(f"took {name} out")
+
+    def finish(self) -> None:
+        """End the session."""
+        if len(self.folder.presses) >= self.wanted:
+            self.folder.finish()
+        self.finished = True
+
+    @property
+    def complete(self) -> bool:
+        """Whether as many presses are there as were wanted."""
+        return len(self.folder.presses) >= self.wanted
+
+    def status(self) -> Status:
+        """What there is to show."""
+        seen = self._seen or Seen(Phase.RESTING, False, None)
+        advice = self._advice()
+        rest = self.trigger.rest
+        return Status(
+            phase=seen.phase,
+            prompt=self._prompt(seen, advice),
+            taken=len(self.folder.presses),
+            wanted=self.wanted,
+            image=None if self._shot is None else self._shot.image,
+            change=seen.change,
+            noise_levels=0.0 if rest is None else rest.change_levels,
+            circle=self._circle,
+            circles=tuple(self._circles),
+            advice=advice,
+            lamps=self._lamps,
+            messages=tuple(self._messages),
+            progress=seen.progress,
+            finished=self.finished,
+        )
+
+    def _untouched(self, image: np.ndarray) -> None:
+        """The untouched gel: the background at first, then how it is at other times."""
+        if self._background is None:
+            self.folder.set_background(image, self.facts)
+            self._background = image
+            self._say("took the untouched gel as background")
+        else:
+            self._say(f"took the untouched gel again: {self.folder.add_untouched(image)}")
+        self._since_untouched = 0
+
+    def _take(self, image: np.ndarray, *, by_hand: bool) -> None:
+        circle, fault = self._find(image, "this frame")
+        if circle is None and not by_hand:
+            self._say(f"not kept: {fault}")
+            return
+        name = self.folder.add_press(image)
+        self._circles.append(circle)
+        self._circle = circle
+        self._since_untouched += 1
+        if circle is None:
+            self._say(f"took {name} by hand, though no contact was found: {fault}")
+            return
+        where = cell_name(*cell_of(circle, image.shape[1], image.shape[0]))
+        self._say(f"took {name}: {where}, a contact {2 * circle.radius_px:.0f} px wide")
+
+    def _find(self, image: np.ndarray, name: str) -> tuple[ContactCircle | None, str]:
+        """The contact as calibrations will find it, or why they will not."""
+        background = self._background
+        assert background is not None
+        stated = self.folder.manifest
+        scale = stated.get("mm_per_px_x", 1.0), stated.get("mm_per_px_y", 1.0)
+        grid = PixelGrid(image.shape[1], image.shape[0], *scale)
+        try:
+            if self._grey:
+                drop = channel_of(background, "grey") - channel_of(image, "grey")
+                return find_grey_contact(drop, grid, name=name).circle, ""
+            return detect_contact(image, background, grid, name=name).circle, ""
+        except InputError as error:
+            return None, str(error).removeprefix(f"{name}: ")
+
+    def _advice(self) -> Advice | None:
+        if self._background is None:
+            return None
+        height, width = self._background.shape[:2]
+        deepest = None
+        radius = self.folder.manifest.get("indenter", {}).get("radius_mm")
+        scale = self.folder.manifest.get("mm_per_px_x")
+        if radius is not None and scale is not None:
+            deepest = contact_radius_mm(radius, self._depth_mm) / scale
+        found = [circle for circle in self._circles if circle is not None]
+        return next_press(found, (width, height), deepest)
+
+    def _prompt(self, seen: Seen, advice: Advice | None) -> str:
+        if self._gap:
+            return (
+                f"The camera is gone ({self._gap}). Plug it in again: recording goes on by itself, "
+                "nothing is lost."
+            )
+        if self.finished:
+            return f"Finished: {len(self.folder.presses)} presses in {self.folder.path}."
+        if seen.phase == Phase.RESTING:
+            return "Touch nothing: the untouched gel is being measured."
+        if seen.phase == Phase.APPROACHING:
+            return "Contact. Press straight down, then hold still."
+        if seen.phase == Phase.STEADY:
+            return "Hold still ..."
+        if seen.phase == Phase.TAKEN:
+            done = self._circle is not None
+            return "Taken. Lift the ball." if done else "Not kept (see below). Lift the ball."
+        if self.complete:
+            return "All presses are taken. Press finish, or go on where cells are empty."
+        return f"Press next: {advice}."
+
+    def _watch(self, shot: Shot, seen: Seen) -> tuple[Lamp, ...]:
+        facts = self.facts
+        locks = controls_lamp(facts.locks, facts.camera is not None and facts.camera.replayed)
+        if self._background is None or seen.change is None or self.trigger.rest is None:
+            return locks, saturation_lamp(shot.image, None)
+        touched = touched_pixels(seen.change, CONTACT * self.trigger.rest.change_levels)
+        waiting = seen.phase == Phase.WAITING
+        if waiting:  # Under a contact the gel's texture moves, which looks like blur.
+            self._blur = blur_lamp(shot.image, self._background)
+        small = thumb(self._background)
+        light = fit_light(thumb(shot.image), small, gradient=False)
+        return (
+            locks,
+            saturation_lamp(shot.image, None if waiting else touched),
+            *(() if self._blur is None else (self._blur,)),
+            drift_lamp(light, small),
+        )
+
+    def _say(self, text: str) -> None:
+        self._messages.appendleft(text)

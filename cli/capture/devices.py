@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab capture devices``: cameras that are plugged in."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+
+@dataclass(frozen=True)
+class CaptureDevices:
+    """List the cameras that are plugged in, by the id that capture record and live take.
+
+    On Linux ids stay with the camera: maker, model and serial number (GelSight Mini and DIGIT have
+    one). On macOS and Windows cameras have numbers, which change with what is plugged in.
+    """
+
+    json: bool = False
+    """Print the list as JSON."""
+
+    def run(self) -> None:
+        from rich.console import Console
+        from rich.markup import escape
+        from rich.table import Table
+
+        from taccel_lab.calibration.capture.camera import list_devices
+        from taccel_lab.cli.console import print_json
+
+        devices = list_devices()
+        if self.json:
+            print_json({"cameras": [asdict(device) for device in devices]})
+            return
+        console = Console()
+        if not devices:
+            console.print("no camera is plugged in")
+            return
+        table = Table("--camera", "name", "serial", "formats")
+        for device in devices:
+            formats = ", ".join(f"{code} {wide}x{high}" for code, wide, high in device.formats)
+            cells = (device.id, device.name, device.serial or "-", formats or "not told")
+            table.add_row(*(escape(cell) for cell in cells))
+        console.print(table)

@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab capture record`` and ``quick``: a camera in, a capture folder out."""
+
+from __future__ import annotations
+
+import shlex
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from taccel_lab.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from taccel_lab.calibration.capture.camera import Camera
+    from taccel_lab.calibration.record.facts import RecordFacts
+    from taccel_lab.calibration.record.session import Status
+
+PORT = 8091
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Session:
+    sensor: Positional[str]
+    """Sensor of the catalogue (taccel-lab sensors list); flat_pad for any other."""
+    camera: str
+    """The camera: its id or serial number, or a part of either that no other has (taccel-lab
+    capture devices lists them); a number on macOS and Windows. The path of a video, of a folder of
+    images or of a capture folder is replayed instead."""
+    out: Path
+    """Capture folder to write, or to go on with."""
+    radius_mm: float | None = None
+    """Radius of the ball [mm]: half of what callipers say."""
+    mm_per_px_x: float | None = None
+    """Scale along the image's rows [mm/px], where you have measured it."""
+    mm_per_px_y: float | None = None
+    """Scale along the image's columns [mm/px]; that of the rows when left out."""
+    scale: Literal["stated", "catalogue", "later"] = "stated"
+    """Without a stated scale: catalogue takes the sensor's usual one, and notes that it is assumed;
+    later leaves it open, for an edge or a board."""
+    unit: str | None = None
+    """Serial number or nickname of this sensor; that of the camera when left out."""
+    size: str | None = None
+    """WIDTHxHEIGHT that the camera is asked for; its own choice when left out."""
+    crop: str | None = None
+    """Part of the camera's images that is kept: LEFT,TOP,WIDTHxHEIGHT in pixels."""
+    resize: str | None = None
+    """WIDTHxHEIGHT that what is kept is made smaller to."""
+    exposure: float | None = None
+    """Exposure to lock at, in the camera's units; as it is when left out."""
+    gain: float | None = None
+    """Gain to lock at, likewise."""
+    white_balance: float | None = None
+    """White balance to lock at, likewise (mostly a temperature in kelvin)."""
+    page: bool = True
+    """Show the page in the browser; with --no-page the terminal alone says what to do."""
+    port: int = PORT
+    """Port of the page on this machine; 0 takes any that is free."""
+    browser: bool = True
+    """Open the page in the browser of this machine."""
+    origin: str | None = None
+    """Where and by whom, kept as provenance."""
+    license: str | None = None
+    """Licence of the captures, kept as provenance."""
+    json: bool = False
+    """Print what was recorded as JSON."""
+
+    def run_as(self, presses: int | None, quick: bool) -> None:
+        """Record; ``presses`` None: as many as the sensor's plan has."""
+        from taccel_lab.calibration.capture.camera import (
+            CameraLostError,
+            ControlValues,
+            Framing,
+            Replay,
+            open_camera,
+        )
+        from taccel_lab.calibration.capture.camera.framing import parse_size
+        from taccel_lab.calibration.capture.guide import capture_plan
+        from taccel_lab.calibration.record.folder import open_record
+        from taccel_lab.calibration.record.page import RecordPage
+        from taccel_lab.calibration.record.run import Watcher, run_session
+        from taccel_lab.calibration.record.session import Recorder
+        from taccel_lab.cli.console import notes
+        from taccel_lab.report.live_page import PageOptions, live_page
+
+        if presses is not None and not 1 <= presses <= 1000:
+            raise InputError(f"--presses is {presses}; 1 to 1000 are allowed")
+        facts, framing = self._facts(quick), Framing.parse(self.crop, self.resize)
+        size = None if self.size is None else parse_size(self.size, "--size")
+        wanted = presses or capture_plan(self.sensor).press_count
+        console = notes()
+
+        def open_() -> Camera:
+            return open_camera(self.camera, size, Replay(paced=self.page))
+
+        with ExitStack() as stack, open_record(self.out, facts) as folder:
+            recorder = Recorder(folder, facts, wanted)
+            watchers: list[Watcher] = [_Lines(console)]
+            if quick:
+                _say_left_out(console)
+            try:
+                if self.page:
+                    options = PageOptions(port=self.port, browser=self.browser)
+                    title = f"Recording {self.out.name}"
+                    say = partial(console.print, highlight=False, markup=False)
+                    server = stack.enter_context(live_page(title, options, say))
+                    watchers.append(RecordPage(server, quick))
+                status = run_session(
+                    recorder,
+                    open_,
+                    watchers,
+                    values=ControlValues(self.exposure, self.gain, self.white_balance),
+                    framing=framing,
+                    ends_by_itself=not self.page,
+                )
+            except CameraLostError as error:
+                raise InputError(str(error)) from None
+            except KeyboardInterrupt:
+                console.print(
+                    f"stopped at {len(folder.presses)} of {wanted} presses; {self.out} is whole, "
+                    "and the same command goes on with it",
+                    highlight=False,
+                )
+                raise SystemExit(130) from None
+        self._report(status, facts, quick)
+
+    def _facts(self, quick: bool) -> RecordFacts:
+        from taccel_lab.calibration.record.facts import RecordFacts
+
+        x, y = self.mm_per_px_x, self.mm_per_px_y
+        if x is None and y is not None:
+            raise InputError("--mm-per-px-y was given without --mm-per-px-x; give both, or x alone")
+        scale = self.scale
+        if quick and scale == "stated" and x is None:
+            scale = "catalogue"
+        return RecordFacts(
+            self.sensor,
+            self.radius_mm,
+            None if x is None else (x, x if y is None else y),
+            scale,
+            self.unit,
+            self.license,
+            quick,
+            self.origin or "",
+            framing=str(self._framing()),
+        )
+
+    def _framing(self) -> object:
+        from taccel_lab.calibration.capture.camera import Framing
+
+        return Framing.parse(self.crop, self.resize)
+
+    def _report(self, status: Status, facts: RecordFacts, quick: bool) -> None:
+        from rich.console import Console
+
+        from taccel_lab.calibration.capture import load_capture_folder
+        from taccel_lab.calibration.record.facts import QUICK_LEAVES_OUT
+        from taccel_lab.cli.console import print_json
+
+        if status.image is None or not (self.out / "captures.toml").is_file():
+            raise InputError(
+                f"{self.camera} ended before the untouched gel was measured; nothing was recorded"
+            )
+        contents = load_capture_folder(self.out).contents()
+        if self.json:
+            print_json(
+                {
+                    "out": str(self.out),
+                    "presses": status.taken,
+                    "wanted": status.wanted,
+                    "finished": status.finished,
+                    "contents": contents,
+                    "lamps": [
+                        {"name": lamp.name, "state": lamp.state, "told": lamp.told}
+                        for lamp in status.lamps
+                    ],
+                    "left_out": list(QUICK_LEAVES_OUT) if quick else [],
+                }
+            )
+            return
+        console = Console()
+        console.print(
+            f"wrote {self.out}: {status.taken} of {status.wanted} presses", highlight=False
+        )
+        for lamp in status.lamps:
+            if lamp.state in ("warn", "bad"):
+                console.print(f"  {lamp.name}: {lamp.told}", highlight=False, markup=False)
+        out = shlex.quote(str(self.out))
+        if status.taken < status.wanted:
+            console.print("the same command goes on with it", highlight=False)
+        console.print(f"next: taccel-lab capture check {out}", highlight=False, markup=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureRecord(_Session):
+    """Record a capture folder from a camera: the untouched gel, then presses of a ball.
+
+    Switches automatic exposure, gain and white balance off and says where the camera does not hold
+    that. A page in the browser shows what changes, the contact found, what is covered, what to
+    press next, and lamps for saturation, blur and drift. A picture is taken when the contact stands
+    still; the limits are multiples of the noise of this camera's own untouched frames. Every
+    picture is on disk at once: the same command goes on after a kill, a lost camera is waited for.
+    """
+
+    presses: int | None = None
+    """Presses to take; as many as capture guide asks for when left out."""
+
+    def run(self) -> None:
+        self.run_as(self.presses, quick=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureQuick(_Session):
+    """Record 20 presses of a ball, without a board and without a load cell.
+
+    The shortest way to depth maps of a sensor. What it leaves out is printed, shown on the page and
+    written into the folder. Without --mm-per-px-x the catalogue's usual scale is taken and noted as
+    assumed. Otherwise as capture record.
+    """
+
+    def run(self) -> None:
+        from taccel_lab.calibration.record.facts import QUICK_PRESSES
+
+        self.run_as(QUICK_PRESSES, quick=True)
+
+
+class _Lines:
+    """A ``Watcher`` that prints what changes."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._said: tuple[str, ...] = ()
+        self._prompt = ""
+
+    def show(self, status: Status) -> None:
+        new = []
+        for message in status.messages:
+            if self._said and message is self._said[0]:
+                break
+            new.append(message)
+        self._said = status.messages
+        for message in reversed(new):
+            self._console.print(message, highlight=False, markup=False)
+        if status.prompt != self._prompt:
+            self._prompt = status.prompt
+            words = f"[{status.taken}/{status.wanted}] {status.prompt}"
+            self._console.print(words, highlight=False, markup=False)
+
+    def orders(self) -> list:
+        return []
+
+
+def _say_left_out(console: Console) -> None:
+    from taccel_lab.calibration.record.facts import QUICK_LEAVES_OUT
+
+    console.print("A quick session leaves out:", highlight=False)
+    for line in QUICK_LEAVES_OUT:
+        console.print(f"- {line}", highlight=False, markup=False)

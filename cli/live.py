@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab live``: what a sensor feels, frame by frame."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import Positional
+
+from taccel_lab.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from taccel_lab.calibration.capture.camera import Camera
+    from taccel_lab.calibration.live.latency import Latency
+    from taccel_lab.calibration.live.reader import LiveReader, LiveReading
+    from taccel_lab.calibration.live.run import LiveResult, LiveWatcher
+
+PORT = 8092
+
+
+@dataclass(frozen=True, kw_only=True)
+class Live:
+    """Show depth, normals and markers of a camera's frames as they come.
+
+    Reads what the profile's blocks allow: depth and normals with normals (colour sensors) or
+    depth_response (grey ones), displacements with markers. Pixels beyond what was calibrated are
+    marked, and a depth of which most is beyond is refused. The time of each stage is measured.
+    """
+
+    profile: Positional[Path]
+    """Profile folder of this sensor."""
+    camera: str
+    """The camera, as for capture record: an id, a serial number, or files to replay."""
+    background: Literal["camera", "profile"] = "camera"
+    """The untouched gel: taken from the camera's first frames, when nothing may touch it, or that
+    of the profile."""
+    detail: int | None = None
+    """Depth is read from images made smaller by this factor, 1 to 4; the finest that this machine
+    reads in 30 ms when left out."""
+    frames: int | None = None
+    """Stop after so many frames; the page's button or Ctrl-C stop it when left out."""
+    size: str | None = None
+    """WIDTHxHEIGHT that the camera is asked for."""
+    crop: str | None = None
+    """Part of the camera's images that is kept, as when it was recorded."""
+    resize: str | None = None
+    """WIDTHxHEIGHT that what is kept is made smaller to, likewise."""
+    exposure: float | None = None
+    """Exposure to lock at, in the camera's units; as it is when left out."""
+    gain: float | None = None
+    """Gain to lock at, likewise."""
+    white_balance: float | None = None
+    """White balance to lock at, likewise."""
+    paced: bool = True
+    """A replay keeps its frames' times; --no-paced shows them as fast as they are read."""
+    page: bool = True
+    """Show the page in the browser; --no-page reads and measures alone."""
+    pictures_hz: float = 15.0
+    """How often the page is drawn at most."""
+    port: int = PORT
+    """Port of the page on this machine; 0 takes any that is free."""
+    browser: bool = True
+    """Open the page in the browser of this machine."""
+    json: bool = False
+    """Print the last reading's figures and the time of each stage as JSON."""
+
+    def run(self) -> None:
+        from taccel_lab.calibration.capture.camera import (
+            CameraLostError,
+            ControlValues,
+            Framing,
+            Replay,
+            open_camera,
+        )
+        from taccel_lab.calibration.capture.camera.framing import parse_size
+        from taccel_lab.calibration.live.page import LivePage
+        from taccel_lab.calibration.live.reader import LiveReader
+        from taccel_lab.calibration.live.run import run_live
+        from taccel_lab.cli.console import notes
+        from taccel_lab.profile import load_profile
+        from taccel_lab.report.live_page import PageOptions, live_page
+        from taccel_lab.warp_output import quiet_warp
+
+        quiet_warp()
+        if self.frames is not None and self.frames < 1:
+            raise InputError(f"--frames is {self.frames}; at least 1 is allowed")
+        if not 0.1 <= self.pictures_hz <= 100:
+            raise InputError(f"--pictures-hz is {self.pictures_hz:g}; 0.1 to 100 are allowed")
+        profile = load_profile(self.profile)
+        framing = Framing.parse(self.crop, self.resize)
+        size = None if self.size is None else parse_size(self.size, "--size")
+        rest = profile.background_rgb if self.background == "profile" else None
+        if self.background == "profile" and rest is None:
+            raise InputError(f"{self.profile} has no background; leave --background profile away")
+        console = notes()
+        say = partial(console.print, highlight=False, markup=False)
+
+        def make_reader(background: np.ndarray) -> LiveReader:
+            return LiveReader(profile, background, detail=self.detail)
+
+        def open_() -> Camera:
+            return open_camera(self.camera, size, Replay(paced=self.paced))
+
+        with ExitStack() as stack:
+            watchers: list[LiveWatcher] = [_Lines(say)]
+            try:
+                if self.page:
+                    options = PageOptions(port=self.port, browser=self.browser)
+                    title = f"Live {profile.sensor.name}"
+                    server = stack.enter_context(live_page(title, options, say))
+                    watchers.append(LivePage(server, self.pictures_hz))
+                result = run_live(
+                    make_reader,
+                    open_,
+                    watchers,
+                    background=rest,
+                    frames=self.frames,
+                    values=ControlValues(self.exposure, self.gain, self.white_balance),
+                    framing=framing,
+                )
+            except CameraLostError as error:
+                raise InputError(str(error)) from None
+        self._report(result)
+
+    def _report(self, result: LiveResult) -> None:
+        from rich.console import Console
+
+        from taccel_lab.cli.console import print_json
+
+        reader = result.reader
+        if reader is None or result.last is None:
+            raise InputError(f"{self.camera} ended before a frame was read")
+        found = result.latency.figures()
+        if self.json:
+            about = {
+                "profile": str(self.profile),
+                "detail": reader.detail,
+                "maps_px": [reader.grid.width_px, reader.grid.height_px],
+                "locks": {lock.name: lock.told for lock in result.locks},
+                "last": {**result.last.figures, "refused": result.last.refused},
+                "latency": found,
+            }
+            print_json(about)
+            return
+        console = Console()
+        busy, cpu = found["busy_ms"], found["cpu_ms"]
+        console.print(
+            f"{found['frames']} frames, {found['rate_hz']:.1f} a second; work {busy['median']:.1f} "
+            f"ms a frame (95 %: {busy['p95']:.1f} ms), {cpu['median']:.1f} ms of a core",
+            highlight=False,
+        )
+        for name, ms in found["stages_ms"].items():
+            line = f"  {name}: {ms['median']:.1f} ms (95 %: {ms['p95']:.1f} ms)"
+            console.print(line, highlight=False)
+
+
+class _Lines:
+    """A ``LiveWatcher`` that prints what to do."""
+
+    def __init__(self, say: partial[None]) -> None:
+        self._say = say
+
+    def show(self, reading: LiveReading, reader: LiveReader, latency: Latency) -> None: ...
+
+    def tell(self, text: str) -> None:
+        if text:
+            self._say(text)
+
+    def wants_background(self) -> bool:
+        return False
+
+    def stopped(self) -> bool:
+        return False

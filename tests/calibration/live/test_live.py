@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames are read by the blocks that a profile has, what they cannot tell is said, and timed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.capture.camera import Replay, open_camera
+from taccel_lab.calibration.depth.captures import CaptureSet
+from taccel_lab.calibration.depth.fit import fit_depth
+from taccel_lab.calibration.depth.options import DepthOptions
+from taccel_lab.calibration.live.page import figures_text, latency_text
+from taccel_lab.calibration.live.pictures import BEYOND, pictures
+from taccel_lab.calibration.live.reader import LiveReader
+from taccel_lab.calibration.live.run import LiveResult, run_live
+from taccel_lab.errors import InputError
+from taccel_lab.profile import SensorProfile
+from taccel_lab.sensors.profile import catalogue_profile
+from tests.calibration.capture.capture_sets import write_image
+from tests.calibration.depth.test_depth import BALL_MM, CIRCLES, GRID, captures_of
+from tests.calibration.synthetic import flat_profile
+from tests.real_data import real_data
+
+
+@pytest.fixture(scope="module")
+def grey() -> tuple[CaptureSet, SensorProfile]:
+    captures = captures_of(CIRCLES, noise=1.0)
+    captures = replace(captures, background=captures.background.astype(np.uint8))
+    return captures, fit_depth(captures, DepthOptions(zero="rim")).apply_to(flat_profile(GRID))
+
+
+class Watching:
+    """Keeps what it is shown and told; asks for a new background, or stops, at some frames."""
+
+    def __init__(self, again_at: int = -1, stop_at: int = -1) -> None:
+        self.readings, self.told = [], []
+        self._again_at, self._stop_at = again_at, stop_at
+
+    def show(self, reading, reader, latency) -> None:
+        self.readings.append(reading)
+
+    def tell(self, text: str) -> None:
+        self.told.append(text)
+
+    def wants_background(self) -> bool:
+        return len(self.readings) == self._again_at
+
+    def stopped(self) -> bool:
+        return len(self.readings) == self._stop_at
+
+
+def session(
+    folder: Path, captures: CaptureSet, profile: SensorProfile, watching: Watching, **how
+) -> LiveResult:
+    """The untouched gel for two seconds, then a press."""
+    if not folder.is_dir():
+        folder.mkdir()
+        rng = np.random.default_rng(0)
+        frames = [captures.background] * 45 + [captures.presses[2].image()] * 30
+        for k, frame in enumerate(frames):
+            noisy = np.clip(np.rint(frame + rng.normal(0, 0.5, frame.shape)), 0, 255)
+            write_image(folder / f"{k:03d}.png", noisy.astype(np.uint8))
+    return run_live(
+        lambda background: LiveReader(profile, background, detail=1),
+        lambda: open_camera(str(folder), None, Replay(fps=25.0)),
+        [watching],
+        **how,
+    )
+
+
+def test_a_press_is_read_and_timed(grey: tuple[CaptureSet, SensorProfile], tmp_path: Path) -> None:
+    watching = Watching()
+    result = session(tmp_path / "frames", *grey, watching)
+    assert watching.told[0].startswith("Touch nothing") and watching.told[-1] == ""
+    rim = CIRCLES[2].radius_px * GRID.mm_per_px_x
+    deepest = BALL_MM - np.sqrt(BALL_MM**2 - rim**2)
+    assert watching.readings[-1].figures["max_depth_mm"] == pytest.approx(deepest, abs=0.1)
+    assert watching.readings[0].figures["touched_mm2"] < 1.0
+    found = result.latency.figures()
+    assert found["frames"] == len(watching.readings) and found["rate_hz"] > 0
+    assert set(found["stages_ms"]) >= {"light", "depth", "pictures", "wait"}
+    work = found["busy_ms"]["median"]
+    assert 0 < found["stages_ms"]["depth"]["median"] <= work
+    assert result.reader is not None
+    shown = dict(pictures(watching.readings[-1], result.reader.background))
+    assert {"camera", "change", "normals"} <= set(shown)
+    assert "mm deep" in figures_text(watching.readings[-1], result.reader)
+    assert "frames a second" in latency_text(result.latency, result.reader)
+
+
+def test_a_session_ends_at_a_number_of_frames_or_by_a_watcher(
+    grey: tuple[CaptureSet, SensorProfile], tmp_path: Path
+) -> None:
+    folder = tmp_path / "frames"
+    assert session(folder, *grey, Watching(), frames=3).latency.figures()["frames"] == 3
+    watching = Watching(stop_at=2)
+    session(folder, *grey, watching)
+    assert len(watching.readings) == 2
+    watching = Watching(again_at=2)
+    rest = np.asarray(grey[0].background, dtype=np.float32)
+    result = session(folder, *grey, watching, background=rest)
+    assert watching.told.count("Touch nothing: the untouched gel is being measured.") == 1
+    assert result.reader is not None and len(watching.readings) > 2
+
+
+def test_what_lies_beyond_the_calibration_is_marked(
+    grey: tuple[CaptureSet, SensorProfile],
+) -> None:
+    captures, profile = grey
+    reader = LiveReader(profile, np.asarray(captures.background, np.float32), detail=1)
+    dark = np.asarray(captures.background).astype(np.uint8).copy()
+    dark[40:80, 60:90] = 0
+    reading = reader.read(dark)
+    title, picture = next(p for p in pictures(reading, reader.background) if "depth" in p[0])
+    assert (picture[50, 75] == BEYOND).all() and "beyond" in title
+    assert reading.figures["warnings"]
+
+
+def test_a_depth_that_is_mostly_beyond_is_refused() -> None:
+    from taccel_lab.calibration.live.reader import _refusal
+
+    assert "no depth" in _refusal({"beyond_balls_share": 0.6})
+    assert _refusal({"beyond_balls_share": 0.3}) == ""
+
+
+def test_forces_come_from_whoever_tells_them(grey: tuple[CaptureSet, SensorProfile]) -> None:
+    captures, profile = grey
+    background = np.asarray(captures.background, np.float32)
+    reader = LiveReader(profile, background, detail=1, force=lambda image, rest: {"normal_n": 1.5})
+    reading = reader.read(captures.presses[0].image())
+    assert reading.forces == {"normal_n": 1.5} and "force" in reading.stages_s
+    assert "normal_n: 1.5" in figures_text(reading, reader)
+
+
+def test_images_and_profiles_that_do_not_fit_are_refused(
+    grey: tuple[CaptureSet, SensorProfile],
+) -> None:
+    _, profile = grey
+    with pytest.raises(InputError, match=r"50x40.*200x150.*--crop"):
+        LiveReader(profile, np.zeros((40, 50, 3), np.float32))
+    with pytest.raises(InputError, match="--detail is 9"):
+        LiveReader(profile, np.zeros((150, 200, 3), np.float32), detail=9)
+    with pytest.raises(InputError, match="calibrate one first"):
+        LiveReader(flat_profile(GRID), np.zeros((150, 200, 3), np.float32))
+
+
+def test_markers_of_a_real_video_are_followed() -> None:
+    camera = open_camera(str(real_data("gsmini_markers_video")))
+    profile = catalogue_profile("gelsight_mini")
+    frames = []
+    while (shot := camera.read()) is not None:
+        frames.append(shot.image)
+    reader = LiveReader(profile, frames[0].astype(np.float32))
+    assert reader.no_markers == ""
+    moved = []
+    for frame in frames[:100:8]:
+        reading = reader.read(frame)
+        assert reading.markers_px is not None and reading.rest_px is not None
+        assert reading.seen is not None
+        assert reading.seen.mean() > 0.5
+        moved.append(np.linalg.norm(reading.markers_px - reading.rest_px, axis=1).max())
+    assert moved[0] < 1.0 and max(moved) > 3.0

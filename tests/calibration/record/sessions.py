@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sessions of made-up presses, as a camera would show them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from taccel_lab.calibration.capture.camera import Camera, CameraLostError, Replay, Shot
+from taccel_lab.calibration.capture.camera.camera import CameraInfo, ControlLock, ControlValues
+from taccel_lab.calibration.capture.camera.replay import open_replay
+from taccel_lab.calibration.record.facts import RecordFacts
+from taccel_lab.calibration.record.run import Order
+from taccel_lab.calibration.record.session import Status
+from tests.calibration.capture.capture_sets import BALL_MM, CaptureMaker, spread_circles
+from tests.calibration.synthetic import GRID
+
+NOISY = Replay(noise_levels=1.0, hold_s=0.8, rest_s=1.8)
+FACTS = RecordFacts("flat_pad", radius_mm=BALL_MM, mm_per_px=(GRID.mm_per_px_x, GRID.mm_per_px_y))
+
+
+def source(folder: Path, count: int = 3) -> Path:
+    """A capture folder to replay."""
+    return CaptureMaker(circles=spread_circles(count)).write(folder)
+
+
+class Watching:
+    """A watcher that keeps what it is shown, and gives orders at some frames."""
+
+    def __init__(self, orders: dict[int, Order] | None = None) -> None:
+        self.seen: list[Status] = []
+        self._orders = orders or {}
+
+    def show(self, status: Status) -> None:
+        self.seen.append(status)
+
+    def orders(self) -> list[Order]:
+        order = self._orders.get(len(self.seen))
+        return [] if order is None else [order]
+
+
+class UnpluggedCamera:
+    """A replay that is lost at some frames and goes on where it was when it is opened again, and
+    that drops every n-th frame."""
+
+    def __init__(self, path: Path, lost_at: tuple[int, ...], drop_every: int = 0) -> None:
+        self._camera: Camera = open_replay(path, NOISY)
+        self._lost_at, self._drop_every = set(lost_at), drop_every
+        self._count, self._refuse = 0, 0
+        self.opened = 0
+
+    @property
+    def info(self) -> CameraInfo:
+        return self._camera.info
+
+    def open(self) -> Camera:
+        """As ``open_camera``; refuses twice after each loss."""
+        if self._refuse:
+            self._refuse -= 1
+            raise CameraLostError("no such camera")
+        self.opened += 1
+        return self
+
+    def lock(self, values: ControlValues) -> list[ControlLock]:
+        return self._camera.lock(values)
+
+    def read(self) -> Shot | None:
+        self._count += 1
+        if self._count in self._lost_at:
+            self._refuse = 2
+            raise CameraLostError("the camera gives no frames any more")
+        if self._drop_every and self._count % self._drop_every == 0:
+            self._camera.read()
+        return self._camera.read()
+
+    def close(self) -> None: ...
+
+
+def replaying(path: Path, how: Replay = NOISY) -> Callable[[], Camera]:
+    """Opens a replay of a capture folder."""
+    return lambda: open_replay(path, how)
