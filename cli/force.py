@@ -56,6 +56,7 @@ class Force:
             load_profile(self.profile),
             background=None if self.background is None else read_image(self.background),
             background_name=str(self.background or "the background"),
+            profile_name=str(self.profile),
         )
         console, figures = Console(), {}
         with nullcontext() if self.out is None else atomic_directory(self.out) as folder:

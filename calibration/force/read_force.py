@@ -42,6 +42,7 @@ class ForceReader:
         *,
         background: np.ndarray | None = None,
         background_name: str = "the background",
+        profile_name: str = "the profile",
     ) -> None:
         """A reader of the profile's images.
 
@@ -49,11 +50,13 @@ class ForceReader:
             profile: With a block force.
             background: Untouched sensor instead of the profile's, RGB, shape [h, w, 3].
             background_name: How an error calls ``background``, such as by its file.
+            profile_name: How an error calls ``profile``, such as by its folder.
 
         Raises:
             InputError: No force model, no background, or one of another size.
         """
-        self.model = ForceModel.from_profile(profile)
+        with naming(profile_name):
+            self.model = ForceModel.from_profile(profile)
         if background is None:
             if profile.background_rgb is None:
                 raise InputError(

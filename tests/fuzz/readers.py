@@ -62,6 +62,17 @@ def _read_depth(given: Path, out: Path) -> None:
         _run(command)
 
 
+def _read_force(given: Path, out: Path) -> None:
+    from taccel_lab.calibration.force import read_force
+    from taccel_lab.cli.force import Force
+
+    command = Force(
+        given / "profile", (given / "press.png",), out, background=given / "background.png"
+    )
+    with patch.multiple(read_force, draw_reading=lambda *_: None, save_figure=lambda *_: None):
+        _run(command)
+
+
 def _load_captures(given: Path, out: Path) -> None:
     from taccel_lab.calibration.capture import load_capture_folder
     from taccel_lab.calibration.capture.video import cut_short
@@ -180,6 +191,12 @@ READERS: dict[str, Reader] = {
     "profile": Reader(profiles.whole, _show_profile, seal=profiles.seal),
     "profile-old": Reader(profiles.old, _show_profile, seal=profiles.seal),
     "depth": Reader(profiles.with_pictures, _read_depth, ("*.png",)),
+    "force": Reader(
+        profiles.with_force,
+        _read_force,
+        ("*/force_model.safetensors", "*/force_model.safetensors", "*/profile.toml"),
+        seal=profiles.seal,
+    ),
     "captures": Reader(captures.whole, _load_captures, ("*.toml",)),
     "images": Reader(captures.presses, _load_captures, ("*.png", "*.jpg")),
     "records": Reader(captures.records, _load_captures, ("*.csv",)),
