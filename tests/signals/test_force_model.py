@@ -98,7 +98,7 @@ def test_bytes_are_halved_exactly() -> None:
 def test_moments_are_about_the_gels_origin(fx: float, fz: float, row: int, column: int) -> None:
     centers = patch_centers_mm(made_up().config, GRID)
     patches = torch.zeros(1, 3, 3, 4, dtype=torch.float64)
-    patches[0, :, row, column] = torch.tensor([fx, 1.0, fz])
+    patches[0, :, row, column] = torch.tensor([fx, 1.0, fz], dtype=torch.float64)
     found = moment_of(patches, torch.from_numpy(centers))[0].numpy()
     arm = np.append(centers[row, column], 0.0)
     np.testing.assert_allclose(found, np.cross(arm, [fx, 1.0, fz]), atol=1e-9)
