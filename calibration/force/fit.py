@@ -249,6 +249,11 @@ def _remarks(
                 grave=share > say.USELESS_SHARE,
             )
         )  # fmt: skip
+    share = overall.shear_n / max(overall.shear_spread_n, 1e-12)
+    if overall.shear_spread_n > 0 and share > say.NO_SHEAR_SHARE:
+        found.append(
+            say.NO_SHEAR(error=overall.shear_n, spread=overall.shear_spread_n, share=share)
+        )
     if overall.inside95 < 0.85:
         found.append(say.OVERCONFIDENT(inside=overall.inside95))
     if result.false_alarms > say.FALSE_ALARMS:

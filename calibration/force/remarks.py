@@ -9,6 +9,8 @@ from taccel_lab.calibration.result import Severity
 FEW_IMAGES_COUNT = 5000
 LARGE_SHARE, USELESS_SHARE = 0.15, 0.5
 """Error of the force along z over its spread, on held-out touches."""
+NO_SHEAR_SHARE = 0.8
+"""The same along the face."""
 FALSE_ALARMS = 0.05
 FOUND_SHARE = 0.9
 
@@ -43,6 +45,13 @@ LARGE_ERROR = RemarkKind(
     "the force along z of held-out touches is off by {error:.3f} N (root mean square), {share:.0%} "
     "of the {spread:.3f} N that such forces have",
     graver=Severity.ERROR,
+)
+NO_SHEAR = RemarkKind(
+    "force_along_the_face",
+    Severity.WARNING,
+    "forces along the face are off by {error:.3f} N on held-out touches, {share:.0%} of the "
+    "{spread:.3f} N that they have: who says zero does as well. Use forces along z alone, train on "
+    "more touches, or on a gel with markers",
 )
 OVERCONFIDENT = RemarkKind(
     "force_errors_understated",

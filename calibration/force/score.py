@@ -111,9 +111,9 @@ def tables_of(samples: Samples, told: Told, config: ForceModelConfig) -> dict[st
     def bins(values: np.ndarray, edges: Sequence[float], unit: str) -> list[Errors]:
         found = []
         for low, high in pairwise(edges):
-            name = f"{low:.3g} to {high:.3g} {unit}" if high < math.inf else f"{low:.3g} {unit} up"
+            name = f"{low:.3g} to {high:.3g}" if high < math.inf else f"above {low:.3g}"
             # Depths of steps are sums of parts: 0.5000000001 is 0.5.
-            found += row(name.strip(), (values > low + 1e-6) & (values <= high + 1e-6))
+            found += row(f"{name} {unit}".strip(), (values > low + 1e-6) & (values <= high + 1e-6))
         return found
 
     def each(name: str) -> list[Errors]:
