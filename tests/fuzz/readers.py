@@ -62,17 +62,6 @@ def _read_depth(given: Path, out: Path) -> None:
         _run(command)
 
 
-def _read_force(given: Path, out: Path) -> None:
-    from taccel_lab.calibration.force import read_force
-    from taccel_lab.cli.force import Force
-
-    command = Force(
-        given / "profile", (given / "press.png",), out, background=given / "background.png"
-    )
-    with patch.multiple(read_force, draw_reading=lambda *_: None, save_figure=lambda *_: None):
-        _run(command)
-
-
 def _load_captures(given: Path, out: Path) -> None:
     from taccel_lab.calibration.capture import load_capture_folder
     from taccel_lab.calibration.capture.video import cut_short
@@ -193,7 +182,7 @@ READERS: dict[str, Reader] = {
     "depth": Reader(profiles.with_pictures, _read_depth, ("*.png",)),
     "force": Reader(
         profiles.with_force,
-        _read_force,
+        _show_profile,
         ("*/force_model.safetensors", "*/force_model.safetensors", "*/profile.toml"),
         seal=profiles.seal,
     ),

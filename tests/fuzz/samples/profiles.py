@@ -50,8 +50,7 @@ def with_pictures(given: Path) -> None:
 
 
 def with_force(given: Path) -> None:
-    """A profile with a force model, and pictures for it to read."""
-    with_pictures(given)
+    """A profile with a force model."""
     config = ForceModelConfig(
         GRID.width_px, GRID.height_px, columns=3, rows=2, patch_px=2, widths=(3,), blocks=1,
         hidden=3, most=(1.0, 1.0, 1.0), distance_limits=(1.0, 1.0),
