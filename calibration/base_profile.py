@@ -114,7 +114,7 @@ def on_grid(
     where that is known; as it is where it has them."""
     if profile.camera.grid() == grid and rectified in (None, profile.camera.rectified):
         return profile
-    return profile.without("background", "color", "normals").with_block(
+    return profile.without("background", "color", "normals", "force").with_block(
         CameraBlock.from_grid(
             grid,
             Provenance(

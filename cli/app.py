@@ -2,12 +2,12 @@
 """``taccel-lab``: gathers the sub-commands and turns errors into messages and exit codes.
 
 Exit codes: 0 done (a page of ``view`` or ``design --page`` ends so by Ctrl-C), 1 ``doctor``,
-``bench quick``, ``capture check`` or ``dataset check`` found something broken, a stage of
-``calibrate all`` had unfit captures or no design of a ``study`` keeps its constraints, 2 unusable
-input or usage, or files that cannot be read or written, as on a full disk, 3 a simulation that did
-not converge, 130 interrupted, 143 asked to end (SIGTERM). Anything else that goes wrong is a bug
-and keeps its traceback. Command modules import heavy libraries inside ``run()`` only, so that help
-is fast.
+``bench quick``, ``capture check`` or ``dataset check`` found something broken, ``force`` read
+images unlike its training's, a stage of ``calibrate all`` had unfit captures or no design of a
+``study`` keeps its constraints, 2 unusable input or usage, or files that cannot be read or written,
+as on a full disk, 3 a simulation that did not converge, 130 interrupted, 143 asked to end
+(SIGTERM). Anything else that goes wrong is a bug and keeps its traceback. Command modules import
+heavy libraries inside ``run()`` only, so that help is fast.
 """
 
 from __future__ import annotations
@@ -62,6 +62,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
     from taccel_lab.cli.design import Design
     from taccel_lab.cli.doctor import Doctor
     from taccel_lab.cli.export import Export
+    from taccel_lab.cli.force import Force
     from taccel_lab.cli.import_step import ImportStep
     from taccel_lab.cli.live import Live
     from taccel_lab.cli.press import Press
@@ -83,7 +84,11 @@ def command_tree() -> dict[str, type[Command] | Group]:
             "Plan, record, import, check, review and rectify captures.", capture_commands()
         ),
         "depth": Depth,
+<<<<<<< HEAD
         "live": Live,
+=======
+        "force": Force,
+>>>>>>> force
         "calibrate": Group("Fit the blocks of a profile to real captures.", calibrate_commands()),
         "profile": Group(
             "Show, check, compare or report on sensor profiles.",

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -56,7 +57,7 @@ class Depth:
         from taccel_lab.reading.images import read_image
 
         require_replaceable(self.out)
-        self._check_names()
+        require_images(self.images)
         profile = load_profile(self.profile)
         maps = None if self.maps is None else RectificationMaps.load(self.maps)
 
@@ -111,15 +112,17 @@ class Depth:
         else:
             console.print(f"wrote {self.out}", highlight=False)
 
-    def _check_names(self) -> None:
-        if not self.images:
-            raise InputError("no image was given; name at least one PNG or JPEG")
-        for path in self.images:
-            if not path.is_file():
-                raise InputError(f"{path} does not exist or is no file; an image is needed")
-        stems = [path.stem for path in self.images]
-        twice = sorted({stem for stem in stems if stems.count(stem) > 1})
-        if twice:
-            raise InputError(
-                f"images named alike would overwrite each other's files: {', '.join(twice)}"
-            )
+
+def require_images(paths: Sequence[Path]) -> None:
+    """Refuse images that are not there, and such that would overwrite each other's files."""
+    if not paths:
+        raise InputError("no image was given; name at least one PNG or JPEG")
+    for path in paths:
+        if not path.is_file():
+            raise InputError(f"{path} does not exist or is no file; an image is needed")
+    stems = [path.stem for path in paths]
+    twice = sorted({stem for stem in stems if stems.count(stem) > 1})
+    if twice:
+        raise InputError(
+            f"images named alike would overwrite each other's files: {', '.join(twice)}"
+        )

@@ -180,6 +180,10 @@ def _as_dict(profile: SensorProfile) -> dict[str, Any]:
         blocks["normals"]["weight_shapes"] = {
             name: list(array.shape) for name, array in profile.normal_weights.items()
         }
+    if profile.force_weights is not None:
+        blocks["force"]["weight_shapes"] = {
+            name: list(array.shape) for name, array in profile.force_weights.items()
+        }
     return blocks
 
 

@@ -36,13 +36,13 @@ def tactile_size(profile: SensorProfile, raw_px: tuple[int, int]) -> tuple[int, 
 def with_camera_block(profile: SensorProfile, block: CameraBlock) -> SensorProfile:
     """The profile with another pixel grid, without what belongs to the old one.
 
-    Models from colour to normals and back were fitted at the old scale; a background of another
-    size fits no more.
+    Models from colour to normals and back, and to forces, were fitted at the old scale; a
+    background of another size fits no more.
     """
     before = profile.camera
     if before.grid() == block.grid():
         return profile.with_block(block)
-    stale = ["color", "normals"]
+    stale = ["color", "normals", "force"]
     if (before.width_px, before.height_px) != (block.width_px, block.height_px):
         stale += ["background", "depth_response"]
     return profile.without(*stale).with_block(block)

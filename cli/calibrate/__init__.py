@@ -13,6 +13,7 @@ def calibrate_commands() -> dict[str, Any]:
     from taccel_lab.cli.calibrate.camera import CalibrateCamera
     from taccel_lab.cli.calibrate.color import CalibrateColor
     from taccel_lab.cli.calibrate.depth import CalibrateDepth
+    from taccel_lab.cli.calibrate.force import CalibrateForce
     from taccel_lab.cli.calibrate.markers import CalibrateMarkers
     from taccel_lab.cli.calibrate.material import CalibrateMaterial
     from taccel_lab.cli.calibrate.normals import CalibrateNormals
@@ -26,6 +27,7 @@ def calibrate_commands() -> dict[str, Any]:
         "camera": CalibrateCamera,
         "color": CalibrateColor,
         "depth": CalibrateDepth,
+        "force": CalibrateForce,
         "markers": CalibrateMarkers,
         "material": CalibrateMaterial,
         "normals": CalibrateNormals,

@@ -10,7 +10,7 @@ FORMATS = {
     "taxim": "Calibration folder of the PyPI package taxim and of TacEx: colour table, background.",
     "isaac-lab": "Isaac Lab's GelSight data folder (TacSL) with its configuration.",
     "gs-sdk": "gs_sdk's device file, background and network from colour to gradients.",
-    "onnx": "The networks of colour and normals as ONNX graphs.",
+    "onnx": "The networks of colour, normals and force as ONNX graphs.",
     "safetensors": "The same networks as safetensors, with settings and formula.",
     "opencv": "Camera matrix, distortion and pose as OpenCV's YAML.",
     "urdf": "A URDF with meshes, inertias and the frames of gel and camera.",

@@ -12,11 +12,11 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.interop.record import MAKERS, ExportRecord
 from taccel_lab.output import write_json
-from taccel_lab.profile import ColorBlock, NormalsBlock, SensorProfile
+from taccel_lab.profile import ColorBlock, ForceBlock, NormalsBlock, SensorProfile
 from taccel_lab.signals.color_model import ColorModel
 
 PEER = "safetensors 0.4 and later"
-Network = tuple[ColorBlock | NormalsBlock, Mapping[str, np.ndarray]]
+Network = tuple[ColorBlock | NormalsBlock | ForceBlock, Mapping[str, np.ndarray]]
 
 COLOR_FORMULA = (
     "x = (inputs - input_mean) / input_scale, inputs in the order of `inputs`; u = 2 column / "
@@ -38,6 +38,20 @@ NORMAL_FORMULA = (
 )
 
 
+FORCE_FORMULA = (
+    "x = (image - background) / 32 levels, averaged over rows patch_px x columns patch_px equal "
+    "parts, with planes u and v from -1 to 1; down<k>: x = silu(conv 3x3, stride 2, padding 1); "
+    "block<k>: x = x + silu(conv 3x3, padding 1), block0 with three planes of markers, too, where "
+    "markers is true; patch: 1x1, force by patch [N] = first three channels times patch_scale_n, "
+    "area = sum of softplus of the fourth times target_scale[6]; hidden: features = silu(linear of "
+    "means and maxima over patches); rest: linear of these, three corrections of the moment about "
+    "the gel's origin [N mm] times target_scale[3:6], and logarithms of standard deviations over "
+    "target_scale, clipped to -7..3, times sigma_factor. Forces and moments are for "
+    "young_modulus_pa and proportional to it."
+)
+FORMULAS = {"color": COLOR_FORMULA, "normals": NORMAL_FORMULA, "force": FORCE_FORMULA}
+
+
 def networks(profile: SensorProfile) -> dict[str, Network]:
     """Block and weights of each network that the profile has, by key; InputError when none."""
     found: dict[str, Network] = {}
@@ -45,16 +59,19 @@ def networks(profile: SensorProfile) -> dict[str, Network]:
         found["color"] = (profile.color, profile.color_weights)
     if profile.normals is not None and profile.normal_weights is not None:
         found["normals"] = (profile.normals, profile.normal_weights)
+    if profile.force is not None and profile.force_weights is not None:
+        found["force"] = (profile.force, profile.force_weights)
     if not found:
         raise InputError(
-            f"the profile of {profile.sensor.name!r} has neither of the blocks color and normals, "
-            f"whose networks are exported; made by {MAKERS['color']}, {MAKERS['normals']}"
+            f"the profile of {profile.sensor.name!r} has none of the blocks color, normals and "
+            f"force, whose networks are exported; made by {MAKERS['color']}, {MAKERS['normals']}, "
+            f"{MAKERS['force']}"
         )
     return found
 
 
 def export_safetensors(profile: SensorProfile, folder: Path) -> ExportRecord:
-    """Write ``color_model.safetensors``, ``normal_model.safetensors`` and ``models.json``."""
+    """Write the networks' safetensors files and ``models.json``."""
     from safetensors.numpy import save_file
 
     record = ExportRecord(
@@ -76,7 +93,7 @@ def export_safetensors(profile: SensorProfile, folder: Path) -> ExportRecord:
         described[key] = {
             "file": name,
             "architecture": settings,
-            "formula": COLOR_FORMULA if key == "color" else NORMAL_FORMULA,
+            "formula": FORMULAS[key],
             "shapes": {item: list(tensor.shape) for item, tensor in tensors.items()},
         }
         colors = ColorModel.from_profile(profile) if key == "color" else None
@@ -84,7 +101,7 @@ def export_safetensors(profile: SensorProfile, folder: Path) -> ExportRecord:
             described[key]["cone_deg"] = colors.cone_deg
         record.carries[key] = "all weights, unchanged"
     write_json(folder / "models.json", described)
-    record.leave_out_missing(profile, "color", "normals")
+    record.leave_out_missing(profile, "color", "normals", "force")
     if profile.background_rgb is not None:
         np.savez_compressed(folder / "background.npz", rgb=profile.background_rgb)
         record.carries["background"] = "as background.npz, unchanged"

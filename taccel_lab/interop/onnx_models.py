@@ -2,65 +2,68 @@
 """The networks of a profile as ONNX graphs, with all scaling inside.
 
 ``color_model.onnx`` maps pixel, normals and displacement to the change of colour,
-``normal_model.onnx`` the features of pixels to tilts and their expected error. Each is run through
-ONNX's own reference evaluator and compared with the profile's model before it is written.
+``normal_model.onnx`` the features of pixels to tilts and their expected error, ``force_model.onnx``
+(``onnx_force``) images to forces. Each is run through ONNX's own reference evaluator and compared
+with the profile's model before it is written.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.interop.network_files import networks
+from taccel_lab.interop.onnx_force import force_graph
+from taccel_lab.interop.onnx_graph import Graph
 from taccel_lab.interop.record import ExportRecord
 from taccel_lab.output import write_json
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.color_model import UPRIGHT_DEG, ColorModel
 from taccel_lab.signals.normal_model import MIN_ERROR_RAD, NormalModel
 
-if TYPE_CHECKING:
-    import onnx
-
 PEER = "ONNX opset 17 (onnxruntime 1.15 and later)"
-OPSET = 17
-IR_VERSION = 8
-"""The file version that goes with opset 17."""
 CHECKED = 512
 LARGEST_DIFFERENCE = 1e-3
 """Of a graph from its model, relative to the model's largest output: rounding is far below."""
 
 
 def export_onnx(profile: SensorProfile, folder: Path) -> ExportRecord:
-    """Write the graphs and ``models.json``; needs color or normals, and the package onnx."""
+    """Write the graphs and ``models.json``; needs a block with a network, and the
+    package onnx."""
     _require_onnx()
     record = ExportRecord(
         notes=[
             "color_model: columns and rows as float, outward unit normals in the gel frame, change "
             "in levels of 255 (RGB); add it to the background and clip",
+            "force_model: image minus background in levels of 255, [n, 3, height, width]; forces "
+            "of the gel on the object and moments about the gel's origin, gel frame, scaled to the "
+            "profile's modulus; a distance above 1 is unlike the training",
             "normal_model: raw features of the pixels as models.json lists them; tilt [rad] turns "
             "the resting normal, leaning towards it",
         ]
     )
     described: dict[str, Any] = {}
     for key in networks(profile):
-        make = _color if key == "color" else _normals
-        graph, feeds, expected, described[key] = make(profile)
+        graph, feeds, expected, described[key] = _MAKERS[key](profile)
         record.approximations[f"{key}_largest_difference"] = _compare(graph, feeds, expected, key)
-        (folder / f"{_file(key)}").write_bytes(graph.SerializeToString())
+        (folder / _file(key)).write_bytes(graph.SerializeToString())
         record.carries[key] = "the whole network with its scaling"
     write_json(folder / "models.json", described)
-    record.leave_out_missing(profile, "color", "normals")
+    record.leave_out_missing(profile, "color", "normals", "force")
     if profile.background_rgb is not None:
         record.left_out["background"] = "an image, not a network; see the other formats"
     return record
 
 
 def _file(key: str) -> str:
-    return "color_model.onnx" if key == "color" else "normal_model.onnx"
+    return {"color": "color_model", "normals": "normal_model", "force": "force_model"}[
+        key
+    ] + ".onnx"
 
 
 def _require_onnx() -> None:
@@ -73,55 +76,6 @@ def _require_onnx() -> None:
         ) from None
 
 
-class _Graph:
-    """Nodes and constants of a graph in the making."""
-
-    def __init__(self) -> None:
-        self.nodes: list[Any] = []
-        self.constants: list[Any] = []
-
-    def constant(self, value: np.ndarray | float, dtype: type = np.float32) -> str:
-        from onnx import numpy_helper
-
-        name = f"c{len(self.constants)}"
-        self.constants.append(numpy_helper.from_array(np.asarray(value, dtype=dtype), name))
-        return name
-
-    def add(self, kind: str, *inputs: str, output: str = "", **attributes: Any) -> str:
-        from onnx import helper
-
-        output = output or f"n{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, list(inputs), [output], **attributes))
-        return output
-
-    def activation(self, kind: str, x: str) -> str:
-        if kind == "silu":
-            return self.add("Mul", x, self.add("Sigmoid", x))
-        return self.add({"tanh": "Tanh", "relu": "Relu"}[kind], x)
-
-    def model(
-        self, name: str, inputs: dict[str, list], outputs: dict[str, list]
-    ) -> onnx.ModelProto:
-        import onnx
-        from onnx import TensorProto, helper
-
-        def values(shapes: dict[str, list]) -> list[Any]:
-            return [
-                helper.make_tensor_value_info(key, TensorProto.FLOAT, shape)
-                for key, shape in shapes.items()
-            ]
-
-        graph = helper.make_graph(self.nodes, name, values(inputs), values(outputs), self.constants)
-        model = helper.make_model(
-            graph,
-            opset_imports=[helper.make_opsetid("", OPSET)],
-            producer_name="taccel-lab",
-            ir_version=IR_VERSION,
-        )
-        onnx.checker.check_model(model, full_check=True)
-        return model
-
-
 Made = tuple[Any, dict[str, np.ndarray], dict[str, np.ndarray], dict[str, object]]
 
 
@@ -129,7 +83,7 @@ def _color(profile: SensorProfile) -> Made:
     model = ColorModel.from_profile(profile)
     assert model is not None
     config = model.config
-    graph = _Graph()
+    graph = Graph()
     column = graph.constant(np.array([-1, 1]), np.int64)
 
     def scaled(pixels: str, size: int) -> str:
@@ -205,7 +159,7 @@ def _color(profile: SensorProfile) -> Made:
 def _normals(profile: SensorProfile) -> Made:
     model = NormalModel.from_profile(profile)
     config = model.config
-    graph = _Graph()
+    graph = Graph()
     # What at_rest() leaves of the features is the same selection in every pixel.
     kept = config.at_rest(np.ones((1, config.input_count), dtype=np.float32))[0]
 
@@ -257,6 +211,13 @@ def _normals(profile: SensorProfile) -> Made:
     }
     expected = {"tilt_rad": tilt_rad, "error_rad": error_rad}
     return proto, {"features": features}, expected, described
+
+
+_MAKERS: dict[str, Callable[[SensorProfile], Made]] = {
+    "color": _color,
+    "normals": _normals,
+    "force": force_graph,
+}
 
 
 def _unit_normals(rng: np.random.Generator, steep: float) -> np.ndarray:

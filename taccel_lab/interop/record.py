@@ -15,6 +15,7 @@ MAKERS = {
     "background": "taccel-lab calibrate background or calibrate color",
     "color": "taccel-lab calibrate color",
     "normals": "taccel-lab calibrate normals",
+    "force": "taccel-lab calibrate force",
     "markers": "taccel-lab calibrate markers",
     "optics": "taccel-lab calibrate camera, or a design of the catalogue",
     "depth_response": "taccel-lab calibrate depth",

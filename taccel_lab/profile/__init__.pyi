@@ -14,6 +14,7 @@ from taccel_lab.profile.optics_blocks import MarkersBlock as MarkersBlock
 from taccel_lab.profile.optics_blocks import OpticsBlock as OpticsBlock
 from taccel_lab.profile.optics_blocks import WindowBlock as WindowBlock
 from taccel_lab.profile.response_blocks import DepthResponseBlock as DepthResponseBlock
+from taccel_lab.profile.response_blocks import ForceBlock as ForceBlock
 from taccel_lab.profile.response_blocks import NormalsBlock as NormalsBlock
 from taccel_lab.profile.response_blocks import PerturbationBlock as PerturbationBlock
 from taccel_lab.profile.schema import SCHEMA_VERSION as SCHEMA_VERSION

@@ -13,6 +13,7 @@ from taccel_lab.profile.optics_blocks import (
 )
 from taccel_lab.profile.response_blocks import (
     DepthResponseBlock,
+    ForceBlock,
     NormalsBlock,
     PerturbationBlock,
 )
@@ -39,6 +40,7 @@ _OPTIONAL: tuple[type[Block], ...] = (
     NormalsBlock,
     DepthResponseBlock,
     PerturbationBlock,
+    ForceBlock,
 )
 BLOCK_TYPES = _REQUIRED + _OPTIONAL
 OPTIONAL_BLOCKS = frozenset(block.key for block in _OPTIONAL)

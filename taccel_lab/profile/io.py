@@ -28,12 +28,14 @@ _DECODERS: dict[str, Callable[[bytes], Any]] = {
     "background": arrays.decode_background,
     "color": arrays.decode_weights,
     "normals": arrays.decode_weights,
+    "force": arrays.decode_weights,
 }
 _ENCODERS: dict[str, Callable[[Any], bytes]] = {
     "gel": arrays.encode_mesh,
     "background": arrays.encode_background,
     "color": arrays.encode_weights,
     "normals": arrays.encode_weights,
+    "force": arrays.encode_weights,
 }
 _ARRAY_FILES = {
     block.key: block.model_fields["file"].default

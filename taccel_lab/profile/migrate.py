@@ -64,12 +64,18 @@ def _add_height_errors(document: Document) -> Document:
     return document
 
 
+def _add_force(document: Document) -> Document:
+    """Version 7 adds the optional block force: a profile of version 6 has none."""
+    return {**document, "schema_version": 7}
+
+
 STEPS: Mapping[int, Step] = {
     1: _add_optics_and_layers,
     2: _add_responses,
     3: _add_position_bands,
     4: _add_fitted_with,
     5: _add_height_errors,
+    6: _add_force,
 }
 
 

@@ -22,7 +22,9 @@ def quarter_turned(profile: SensorProfile) -> SensorProfile:
 
     The block ``sensor`` stays: its parameters describe the sensor as it lay.
     """
-    lying = profile.without("background", "color", "normals", "depth_response", "perturbation")
+    lying = profile.without(
+        "background", "color", "normals", "depth_response", "perturbation", "force"
+    )
     changes: dict[str, Any] = {"mesh": _mesh(lying.mesh)}
     for block in BLOCK_TYPES:
         found = getattr(lying, block.key)

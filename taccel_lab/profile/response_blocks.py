@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The optional blocks that say how a sensor answers a touch, besides its colour model: the inverse
-model from colour to surface, the depth of a grey sensor, and how far units and days differ."""
+model from colour to surface, the force behind an image, the depth of a grey sensor, and how far
+units and days differ."""
 
 from __future__ import annotations
 
@@ -31,6 +32,19 @@ class NormalsBlock(Block):
     file: Literal["normal_model.safetensors"] = "normal_model.safetensors"
     architecture: dict[Name, ConfigValue]
     """What is needed to rebuild the network: features, layer widths, activation, scales."""
+
+
+class ForceBlock(Block):
+    """The network from the change of colour, and moved markers, to force, moment and area.
+
+    Its weights are stored in ``force_model.safetensors``.
+    """
+
+    key: ClassVar[str] = "force"
+
+    file: Literal["force_model.safetensors"] = "force_model.safetensors"
+    architecture: dict[Name, ConfigValue]
+    """What is needed to rebuild the network: patches, layer widths, scales, limits, modulus."""
 
 
 class DepthResponseBlock(Block):

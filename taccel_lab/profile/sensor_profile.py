@@ -26,6 +26,7 @@ from taccel_lab.profile.optics_blocks import (
 )
 from taccel_lab.profile.response_blocks import (
     DepthResponseBlock,
+    ForceBlock,
     NormalsBlock,
     PerturbationBlock,
 )
@@ -45,6 +46,7 @@ ARRAY_FIELDS = {
     "background": "background_rgb",
     "color": "color_weights",
     "normals": "normal_weights",
+    "force": "force_weights",
 }
 
 
@@ -79,11 +81,14 @@ class SensorProfile:
     """Weights of the model from colour to normal by name."""
     depth_response: DepthResponseBlock | None = None
     perturbation: PerturbationBlock | None = None
+    force: ForceBlock | None = None
+    force_weights: Mapping[str, np.ndarray] | None = None
+    """Weights of the model from image to force by name."""
 
     def __post_init__(self) -> None:
         self._check_mesh()
         self._check_background()
-        for key in ("color", "normals"):
+        for key in ("color", "normals", "force"):
             self._check_weights(key)
 
     def grid(self) -> PixelGrid:
@@ -118,8 +123,8 @@ class SensorProfile:
         """Return a profile with ``block`` added or replaced.
 
         ``arrays`` is what the block describes: a TetMesh for a GelBlock, an RGB image for a
-        BackgroundBlock, named weights for a ColorBlock or NormalsBlock, nothing for the others. A
-        camera of another image size needs ``without("background", "color")`` first.
+        BackgroundBlock, named weights for a ColorBlock, NormalsBlock or ForceBlock, nothing for the
+        others. A camera of another image size needs ``without("background", "color")`` first.
         """
         changes: dict[str, Any] = {block.key: block}
         if block.key in ARRAY_FIELDS:

@@ -6,9 +6,10 @@ from __future__ import annotations
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.force_model import ForceModel
 from taccel_lab.signals.normal_model import NormalModel
 
-_NETWORKS = {"color": ColorModel, "normals": NormalModel}
+_NETWORKS = {"color": ColorModel, "normals": NormalModel, "force": ForceModel}
 
 
 def network_faults(profile: SensorProfile) -> dict[str, str]:

@@ -180,6 +180,12 @@ READERS: dict[str, Reader] = {
     "profile": Reader(profiles.whole, _show_profile, seal=profiles.seal),
     "profile-old": Reader(profiles.old, _show_profile, seal=profiles.seal),
     "depth": Reader(profiles.with_pictures, _read_depth, ("*.png",)),
+    "force": Reader(
+        profiles.with_force,
+        _show_profile,
+        ("*/force_model.safetensors", "*/force_model.safetensors", "*/profile.toml"),
+        seal=profiles.seal,
+    ),
     "captures": Reader(captures.whole, _load_captures, ("*.toml",)),
     "images": Reader(captures.presses, _load_captures, ("*.png", "*.jpg")),
     "records": Reader(captures.records, _load_captures, ("*.csv",)),

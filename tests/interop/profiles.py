@@ -9,12 +9,15 @@ from taccel_lab.profile import (
     BackgroundBlock,
     CameraBlock,
     ColorBlock,
+    ForceBlock,
     NormalsBlock,
     Provenance,
     SensorProfile,
 )
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
+from taccel_lab.signals.force_network import expected_shapes as force_shapes
+from taccel_lab.signals.force_settings import ForceModelConfig
 from taccel_lab.signals.normal_model import NormalModelConfig
 from taccel_lab.signals.normal_model import expected_shapes as normal_shapes
 
@@ -101,4 +104,24 @@ def with_normals(profile: SensorProfile) -> SensorProfile:
     }
     return profile.with_block(
         NormalsBlock(architecture=config.to_dict(), provenance=MADE_UP), weights
+    )
+
+
+def with_force(profile: SensorProfile, *, markers: bool = False) -> SensorProfile:
+    """The profile with a force model of made-up weights, of a softer gel than the profile's."""
+    config = ForceModelConfig(
+        320, 240, columns=5, rows=3, patch_px=8, widths=(4, 6, 5), blocks=2, hidden=7,
+        markers=markers, stiffness_relative=0.1,
+        young_modulus_pa=0.5 * profile.material.young_modulus_pa,
+        most=(4.0, 2.0, 30.0), distance_limits=(2.0, 3.0),
+        patch_scale_n=(0.1, 0.2, 0.3), target_scale=(1.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
+        sigma_factor=(1.5,) * 7,
+    )  # fmt: skip
+    rng = np.random.default_rng(8)
+    weights = {
+        name: rng.normal(0, 0.3, shape).astype(np.float32)
+        for name, shape in force_shapes(config).items()
+    }
+    return profile.with_block(
+        ForceBlock(architecture=config.to_dict(), provenance=MADE_UP), weights
     )

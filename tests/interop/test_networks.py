@@ -15,10 +15,12 @@ from taccel_lab.errors import InputError
 from taccel_lab.interop.export import export_profile
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+from taccel_lab.signals.force_model import ForceModel
+from taccel_lab.signals.force_network import marker_planes
 from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.rest_surface import rest_surface
 from tests.interop.presses import our_image, press_over_rest
-from tests.interop.profiles import with_encoding, with_normals
+from tests.interop.profiles import with_encoding, with_force, with_normals
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +71,35 @@ def test_onnx_normals_are_those_of_the_model(both: SensorProfile, tmp_path: Path
     np.testing.assert_allclose(error, wanted_error, rtol=1e-5)
     described = json.loads((tmp_path / "out" / "models.json").read_text())
     assert described["normals"]["features"] == list(model.config.features)
+
+
+@pytest.mark.parametrize("markers", [False, True])
+def test_onnx_forces_are_those_of_the_model(
+    mini: SensorProfile, tmp_path: Path, markers: bool
+) -> None:
+    onnxruntime = pytest.importorskip("onnxruntime")
+    profile = with_force(mini, markers=markers)
+    document = export_profile(profile, "onnx", tmp_path / "out")
+    assert document["approximations"]["force_largest_difference"] < 1e-5
+    model, rng = ForceModel.from_profile(profile), np.random.default_rng(3)
+    image = rng.integers(0, 256, (240, 320, 3), dtype=np.uint8)
+    dots = rng.uniform(0, 240, (30, 2)), rng.normal(0, 2, (30, 2))
+    assert profile.background_rgb is not None
+    found = model.read(image, profile.background_rgb, dots if markers else None)
+    change = image - profile.background_rgb.astype(np.float32)
+    feeds = {"change": change.transpose(2, 0, 1)[None]}
+    if markers:
+        feeds["markers"] = marker_planes(*dots, model.config, profile.grid())[None]
+    session = onnxruntime.InferenceSession(str(tmp_path / "out" / "force_model.onnx"))
+    names = ["force_n", "moment_nmm", "area_mm2", "sigma", "patch_forces_n", "distances"]
+    told = dict(zip(names, session.run(names, feeds), strict=True))
+    wanted = {
+        "force_n": found.force_n, "moment_nmm": found.moment_nmm, "area_mm2": [found.area_mm2],
+        "sigma": found.sigma, "patch_forces_n": found.patch_forces_n.transpose(2, 0, 1),
+        "distances": found.distances,
+    }  # fmt: skip
+    for name, value in wanted.items():
+        np.testing.assert_allclose(told[name][0], value, rtol=2e-4, atol=2e-4, err_msg=name)
 
 
 def test_a_graph_that_differs_from_its_model_is_refused(

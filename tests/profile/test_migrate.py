@@ -149,6 +149,15 @@ def test_version_5_does_not_know_how_uncertain_heights_are() -> None:
     assert reading.figures(profile.grid())["max_depth_sigma_mm"] is None
 
 
+def test_version_6_has_no_force_model() -> None:
+    """The stored folder is that of version 5, whose networks say how uncertain heights are."""
+    assert "schema_version = 6\n" in (OLD / "v6" / "profile.toml").read_text()
+    assert validate_profile(OLD / "v6") == []
+    profile = load_profile(OLD / "v6")
+    assert profile.force is None and profile.force_weights is None
+    assert profile.blocks() == load_profile(OLD / "v5").blocks()
+
+
 def test_an_encoding_is_kept_by_a_round_trip(tmp_path: Path) -> None:
     profile = load_profile(OLD / "v3")
     assert profile.color is not None and profile.color_weights is not None

@@ -17,6 +17,7 @@ from taccel_lab.profile import (
     CameraBlock,
     ColorBlock,
     DepthResponseBlock,
+    ForceBlock,
     LightEntry,
     LightsBlock,
     NormalsBlock,
@@ -24,7 +25,8 @@ from taccel_lab.profile import (
     SensorProfile,
     save_profile,
 )
-from taccel_lab.signals import color_model, normal_model
+from taccel_lab.signals import color_model, force_network, normal_model
+from taccel_lab.signals.force_settings import ForceModelConfig
 from tests.fuzz.samples.captures import write_image
 from tests.profile.sample_blocks import ASSUMED, CALIBRATED, sample_blocks
 
@@ -45,6 +47,17 @@ def with_pictures(given: Path) -> None:
     for name in ("press.png", "background.png"):
         write_image(given / name, rng.integers(0, 256, (*size, 3), dtype=np.uint8))
     write_image(given / "mask.png", np.full(size, 255, np.uint8))
+
+
+def with_force(given: Path) -> None:
+    """A profile with a force model."""
+    config = ForceModelConfig(
+        GRID.width_px, GRID.height_px, columns=3, rows=2, patch_px=2, widths=(3,), blocks=1,
+        hidden=3, most=(1.0, 1.0, 1.0), distance_limits=(1.0, 1.0),
+    )  # fmt: skip
+    weights = _weights(force_network.expected_shapes(config), np.random.default_rng(5))
+    block = ForceBlock(architecture=config.to_dict(), provenance=CALIBRATED)
+    save_profile(_profile().with_block(block, weights), given / "profile")
 
 
 def old(given: Path) -> None:

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab calibrate force``: a data set of simulated touches in, a profile with a force model
+out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+from taccel_lab.calibration.force.options import ForceOptions
+from taccel_lab.cli.calibrate.base import Fitted, report_folder, require_outputs, write_results
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from taccel_lab.calibration.force.result import ForceCalibration
+
+
+@dataclass(frozen=True)
+class CalibrateForce(ForceOptions):
+    """Train the model from images to forces on a data set of simulated touches and write a profile.
+
+    The data set (taccel-lab dataset) is made with the profile of your sensor and units drawn from
+    its spread; it needs rgb and patch_forces_n among its channels. Whole objects and units are held
+    out before an image is read; the report has the errors on them by depth, shear and place.
+    `taccel-lab force` then reads images. Not part of calibrate all.
+    """
+
+    datasets: Positional[tuple[Path, ...]]
+    """Folders of a data set, or of its shards."""
+    out: Path
+    """Profile folder to write."""
+    profile: Path | None = None
+    """Profile to extend; the one that the data set was made with when left out."""
+    report: Path | None = None
+    """Folder for the report (HTML, pictures, JSON); <out>_report when left out."""
+    json: bool = False
+    """Print the figures as JSON instead of a summary."""
+
+    def run(self) -> None:
+        from taccel_lab.calibration.force.fit import calibrate_force
+        from taccel_lab.calibration.force.report import force_page
+        from taccel_lab.cli.console import notes
+        from taccel_lab.cli.progress import stage_progress
+        from taccel_lab.datasets.reading import Dataset
+        from taccel_lab.errors import InputError
+        from taccel_lab.profile import load_profile
+        from taccel_lab.warp_output import quiet_warp
+
+        quiet_warp()
+        if not self.datasets:
+            raise InputError("name at least one folder of a data set")
+        report = report_folder(self.out, self.report)
+        require_outputs(self.out, report)
+        base = (
+            Dataset(self.datasets).profile(0)
+            if self.profile is None
+            else load_profile(self.profile)
+        )
+        console = notes()
+        with stage_progress(console) as progress:
+            result = calibrate_force(self.datasets, base, self, progress)
+        fitted = Fitted("force", base, result, force_page(result), partial(_print_errors, result))
+        write_results(fitted, self.out, report, console, json=self.json)
+
+
+def _print_errors(result: ForceCalibration, console: Console) -> None:
+    from rich.table import Table
+
+    table = Table(
+        "held-out touches by depth", "images", "Fz [N]", "of", "shear [N]", "of", "area [mm2]",
+        title_justify="left",
+    )  # fmt: skip
+    for row in (*result.tables["depth"], result.overall):
+        numbers = (row.fz_n, row.fz_spread_n, row.shear_n, row.shear_spread_n, row.area_mm2)
+        table.add_row(row.name, str(row.images), *(f"{number:.3f}" for number in numbers))
+    console.print(table)
+    console.print(result.headline(), highlight=False)
+    console.print(
+        f"{result.false_alarms:.2%} of held-out images are called outside the training's range; "
+        f"trained in {result.seconds:.0f} s on {result.options.device}",
+        highlight=False,
+    )

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab force``: tactile images in, forces out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import Positional
+
+from taccel_lab.cli.depth import require_images
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Force:
+    """Read forces from tactile images with a profile that has a force model.
+
+    Force and moment on the object, in the gel frame (a press is +z), area in contact and its
+    middle, each with a standard deviation, and the force by patch of the image. With --out, for
+    every image `<name>.png` shows the patches and `<name>.json` holds all of it. Images unlike
+    those of the training (another sensor, deeper presses) are marked; exit code 1 when there are
+    any.
+    """
+
+    profile: Positional[Path]
+    """Profile folder, from `taccel-lab calibrate force`."""
+    images: Positional[tuple[Path, ...]]
+    """Tactile images (PNG or JPEG) of the profile's size."""
+    out: Path | None = None
+    """Folder to write: two files per image; none when left out."""
+    background: Path | None = None
+    """Image of the untouched sensor, where it is newer than the profile's own, or of another
+    unit."""
+    json: bool = False
+    """Print the figures as JSON instead of lines per image."""
+
+    def run(self) -> None:
+        from contextlib import nullcontext
+
+        from rich.console import Console
+
+        from taccel_lab.calibration.force.read_force import ForceReader, write_force
+        from taccel_lab.cli.console import print_json
+        from taccel_lab.output_folder import atomic_directory, require_replaceable
+        from taccel_lab.profile import load_profile
+        from taccel_lab.reading.images import read_image
+
+        if self.out is not None:
+            require_replaceable(self.out)
+        require_images(self.images)
+        reader = ForceReader(
+            load_profile(self.profile),
+            background=None if self.background is None else read_image(self.background),
+            background_name=str(self.background or "the background"),
+            profile_name=str(self.profile),
+        )
+        console, figures = Console(), {}
+        with nullcontext() if self.out is None else atomic_directory(self.out) as folder:
+            for path in self.images:
+                image = read_image(path)
+                found = reader.read(image, str(path))
+                if folder is not None:
+                    write_force(found, image, path, folder)
+                about = {"image": str(path), **found.figures()}
+                figures[path.stem] = about
+                if not self.json:
+                    _print(console, path.name, about)
+        if self.json:
+            print_json({"out": None if self.out is None else str(self.out), "images": figures})
+        elif self.out is not None:
+            console.print(f"wrote {self.out}", highlight=False)
+        if not all(about["inside_training"] for about in figures.values()):
+            raise SystemExit(1)
+
+
+def _print(console: Console, name: str, about: dict[str, Any]) -> None:
+    def components(letter: str, values: list[float], sigmas: list[float], unit: str) -> str:
+        return ", ".join(
+            f"{letter}{axis} {value:.3f} +- {sigma:.3f} {unit}"
+            for axis, value, sigma in zip("xyz", values, sigmas, strict=True)
+        )
+
+    lines = [
+        f"{name}: {components('F', about['force_n'], about['force_sigma_n'], 'N')}",
+        f"  {components('T', about['moment_nmm'], about['moment_sigma_nmm'], 'N mm')}",
+    ]
+    area = f"  area {about['area_mm2']:.2f} +- {about['area_sigma_mm2']:.2f} mm2"
+    if about["center_mm"] is None:
+        area += "; no touch is told from none"
+    else:
+        area += ", middle at ({:.2f}, {:.2f}) mm".format(*about["center_mm"])
+    lines += [area, *(f"  outside the training: {reason}" for reason in about["outside"])]
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)

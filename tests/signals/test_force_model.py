@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a force model keeps whatever its weights are: sums, moments, the order of markers."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.force_model import ForceModel
+from taccel_lab.signals.force_network import (
+    area_matrix,
+    expected_shapes,
+    image_statistics,
+    marker_planes,
+    moment_of,
+    patch_centers_mm,
+    reduced,
+)
+from taccel_lab.signals.force_settings import STATISTICS, ForceModelConfig
+
+GRID = PixelGrid(40, 30, 0.1, 0.12, 18.0, 15.0)
+
+
+def made_up(seed: int = 0, **changes: Any) -> ForceModel:
+    settings_: dict[str, Any] = {
+        "columns": 4, "rows": 3, "patch_px": 4, "widths": (3, 5), "blocks": 2, "hidden": 6,
+        "stiffness_relative": 0.2, "young_modulus_pa": 2e5, "most": (1e3, 1e3, 1e3),
+        "distance_limits": (50.0, 50.0),
+    }  # fmt: skip
+    config = ForceModelConfig(GRID.width_px, GRID.height_px, **(settings_ | changes))
+    rng = np.random.default_rng(seed)
+    weights = {n: rng.normal(0, 0.4, s) for n, s in expected_shapes(config).items()}
+    return ForceModel(config, weights, GRID)
+
+
+def picture(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (30, 40, 3), dtype=np.uint8)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6))
+def test_patches_add_up_and_errors_hold_what_is_not_known_of_the_modulus(seed: int) -> None:
+    found = made_up(seed).read(picture(seed), picture(seed + 1))
+    np.testing.assert_allclose(found.patch_forces_n.sum(axis=(0, 1)), found.force_n, rtol=1e-9)
+    assert (found.sigma[:3] >= 0.19999 * np.abs(found.force_n)).all()
+    assert (found.sigma > 0).all() and found.area_mm2 > 0
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 60), st.integers(0, 10))
+def test_markers_come_in_any_order_and_some_are_missing(seed: int, count: int, lost: int) -> None:
+    rng = np.random.default_rng(seed)
+    model = made_up(markers=True)
+    rest, moved = rng.uniform(0, 40, (count, 2)), rng.normal(0, 1, (count, 2))
+    order = rng.permutation(count)
+    plain = marker_planes(rest, moved, model.config, GRID)
+    shuffled = marker_planes(rest[order], moved[order], model.config, GRID)
+    np.testing.assert_allclose(plain, shuffled, atol=1e-6)
+    more = np.full((lost, 2), np.nan)
+    unseen = marker_planes(
+        np.concatenate([rest, rng.uniform(0, 40, (lost, 2))]), np.concatenate([moved, more]),
+        model.config, GRID,
+    )  # fmt: skip
+    np.testing.assert_allclose(plain, unseen, atol=1e-6)
+    assert np.isfinite(marker_planes(rest[:0], moved[:0], model.config, GRID)).all()
+    image = picture(seed)
+    orders = (np.arange(count), order)
+    by_markers = [model.read(image, picture(1), (rest[o], moved[o])).force_n for o in orders]
+    np.testing.assert_allclose(*by_markers, rtol=1e-4, atol=1e-5)
+    with pytest.raises(InputError, match="none were given"):
+        model.read(image, picture(1))
+
+
+@given(st.integers(1, 200), st.integers(1, 200))
+def test_averaging_keeps_the_mean(count: int, wanted: int) -> None:
+    matrix = area_matrix(count, wanted)
+    np.testing.assert_allclose(matrix.sum(axis=1), 1.0, rtol=1e-5)
+    np.testing.assert_allclose(matrix.sum(axis=0), wanted / count, rtol=1e-4)
+
+
+def test_bytes_are_halved_exactly() -> None:
+    config = dataclasses.replace(made_up().config, width_px=32, height_px=24)
+    image = np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8)
+    wanted = image.reshape(12, 2, 16, 2, 3).astype(np.float64).mean(axis=(1, 3))
+    assert np.array_equal(reduced(image, config), wanted)
+    assert np.array_equal(reduced(image[None], config)[0], reduced(image, config))
+
+
+@given(st.floats(-5, 5), st.floats(-5, 5), st.integers(0, 2), st.integers(0, 3))
+def test_moments_are_about_the_gels_origin(fx: float, fz: float, row: int, column: int) -> None:
+    centers = patch_centers_mm(made_up().config, GRID)
+    patches = torch.zeros(1, 3, 3, 4, dtype=torch.float64)
+    patches[0, :, row, column] = torch.tensor([fx, 1.0, fz], dtype=torch.float64)
+    found = moment_of(patches, torch.from_numpy(centers))[0].numpy()
+    arm = np.append(centers[row, column], 0.0)
+    np.testing.assert_allclose(found, np.cross(arm, [fx, 1.0, fz]), atol=1e-9)
+
+
+def test_patches_lie_over_the_image() -> None:
+    centers = patch_centers_mm(made_up().config, GRID)
+    # The middle of the first of 4 x 3 patches of 10 x 10 px is pixel (4.5, 4.5).
+    np.testing.assert_allclose(centers[0, 0], [(4.5 - 18) * 0.1, (4.5 - 15) * 0.12])
+    np.testing.assert_allclose(centers[2, 3], [(34.5 - 18) * 0.1, (24.5 - 15) * 0.12])
+
+
+def test_an_unchanged_image_has_statistics() -> None:
+    found = image_statistics(torch.zeros(2, 3, 6, 8))
+    assert found.shape == (2, STATISTICS) and torch.isfinite(found).all()
+
+
+def test_what_lies_beyond_the_training_is_said() -> None:
+    near = made_up().read(picture(0), picture(1))
+    assert not near.outside
+    few = made_up(distance_limits=(1e-3, 50.0)).read(picture(0), picture(1))
+    assert [reason.split(":")[0] for reason in few.outside] == ["pattern"]
+    odd = made_up(distance_limits=(50.0, 1e-3)).read(picture(0), picture(1))
+    assert [reason.split(":")[0] for reason in odd.outside] == ["colours"]
+    large = made_up(most=(1e3, 1e3, 1e-6)).read(picture(0), picture(1))
+    assert [reason.split(":")[0] for reason in large.outside] == ["area"]
+    assert np.array_equal(large.force_n, near.force_n)
+
+
+def test_settings_are_kept_and_checked() -> None:
+    config = made_up().config
+    assert ForceModelConfig.from_dict(config.to_dict()) == config
+    with pytest.raises(InputError, match="unknown"):
+        ForceModelConfig.from_dict({**config.to_dict(), "more": 1})
+    for changes, said in (
+        ({"patch_px": 8}, "patch_px must be 4"),
+        ({"rows": 0}, "sizes"),
+        ({"widths": (3, 0)}, "widths"),
+        ({"most": (1.0, 2.0)}, "most needs 3"),
+        ({"sigma_factor": (0.0,) * 7}, "sigma_factor"),
+        ({"young_modulus_pa": 0.0}, "young_modulus_pa"),
+        ({"rows": 2000, "columns": 2000}, "patches"),
+    ):
+        with pytest.raises(InputError, match=said):
+            dataclasses.replace(config, **changes)
+
+
+def test_weights_that_do_not_fit_are_refused() -> None:
+    model = made_up()
+    for name, value, said in (
+        ("down0.weight", np.zeros((3, 4, 3, 3)), "down0.weight"),
+        ("extra", np.zeros(2), "extra"),
+        ("hidden.bias", np.full(6, np.nan), "NaN"),
+    ):
+        with pytest.raises(InputError, match=said):
+            ForceModel(model.config, {**model.weights, name: value}, GRID)
+    with pytest.raises(InputError, match="needs"):
+        model.read(picture(0)[:-1], picture(1))
