@@ -84,11 +84,8 @@ def command_tree() -> dict[str, type[Command] | Group]:
             "Plan, record, import, check, review and rectify captures.", capture_commands()
         ),
         "depth": Depth,
-<<<<<<< HEAD
         "live": Live,
-=======
         "force": Force,
->>>>>>> force
         "calibrate": Group("Fit the blocks of a profile to real captures.", calibrate_commands()),
         "profile": Group(
             "Show, check, compare or report on sensor profiles.",
