@@ -55,7 +55,9 @@ class Depth:
         from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.profile import load_profile
         from taccel_lab.reading.images import read_image
+        from taccel_lab.warp_output import quiet_warp
 
+        quiet_warp()
         require_replaceable(self.out)
         require_images(self.images)
         profile = load_profile(self.profile)

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,8 @@ import numpy as np
 
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
 from taccel_lab.calibration.force.report import draw_forces
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.likeness import unlike
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.errors import InputError, naming
 from taccel_lab.output import write_json
@@ -84,6 +87,15 @@ class ForceReader:
     def read(self, image: np.ndarray, name: str = "image") -> ForceReading:
         """The force behind one image, RGB levels, shape [height_px, width_px, 3]."""
         self._require_size(image, name)
+        found = self._read(image, name)
+        levels, rest = image.astype(np.float32), self.background.astype(np.float32)
+        why = unlike(levels, rest, fit_light(levels, rest, gradient=False))
+        if why is None:
+            return found
+        said = f"it is no image of the background's sensor: {why}"
+        return replace(found, outside=(said, *found.outside))
+
+    def _read(self, image: np.ndarray, name: str) -> ForceReading:
         if not self.model.config.markers:
             return self.model.read(image, self.background)
         with naming(name):

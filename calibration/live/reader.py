@@ -100,6 +100,7 @@ class LiveReader:
         self.detail = 1
         self._count = 0
         self._sigma_mm: float | None = None
+        self._unlike = ""
         if has_depth:
             self.detail, self.surface = self._chosen(detail)
         self.tracker: MarkerTracker | None = None
@@ -138,10 +139,11 @@ class LiveReader:
                 often = self._count % SIGMA_EVERY == 0
                 surface = self.surface.read_levels(levels, uncertainty=often)
                 figures = surface.figures(self.surface.grid)
-                refused = _refusal(figures)
+                if often:
+                    self._sigma_mm = figures["max_depth_sigma_mm"]
+                    self._unlike = self.surface.unlike(image) or ""
+                refused = self._unlike or _refusal(figures)
             self._count += 1
-            if often:
-                self._sigma_mm = figures["max_depth_sigma_mm"]
             figures["max_depth_sigma_mm"] = self._sigma_mm
         places = rest = seen = None
         if self.tracker is not None:

@@ -14,6 +14,8 @@ import numpy as np
 
 from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.likeness import unlike
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
@@ -187,25 +189,47 @@ class SurfaceReader:
         )
 
     def read(self, image: np.ndarray, name: str = "image") -> SurfaceReading:
-        """The surface under one image, RGB levels, shape [height_px, width_px, 3]."""
+        """The surface under one image, RGB levels, shape [height_px, width_px, 3].
+
+        Raises:
+            InputError: Another size, an image that is not of this sensor, or one that reads deeper
+                than the gel is thick.
+        """
         if image.shape != self._image_shape:
             raise InputError(
                 f"{name} is {image.shape[1]}x{image.shape[0]} px, the profile's camera "
                 f"{self._image_shape[1]}x{self._image_shape[0]} px; give images of that "
                 "size (raw ones are rectified with --maps)"
             )
-        return self.read_levels(self.in_own_light(image))
+        why = self.unlike(image)
+        if why is not None:
+            raise InputError(f"{name} is no image of the sensor that was calibrated: {why}")
+        found = self.read_levels(self.in_own_light(image))
+        deepest_mm, gel_mm = -1e3 * float(found.rise_m.min()), self.profile.gel.thickness_mm
+        if deepest_mm > gel_mm:
+            raise InputError(
+                f"{name} reads {deepest_mm:.1f} mm deep in a gel of {gel_mm:g} mm: its colours are "
+                "not those that were calibrated"
+            )
+        return found
+
+    def unlike(self, image: np.ndarray) -> str | None:
+        """Why an image is not of the profile's sensor, or None; see ``light.likeness``."""
+        levels = self._small(image).astype(np.float32)
+        return unlike(levels, self.background, self._light(levels), self.mask)
 
     def in_own_light(self, image: np.ndarray) -> np.ndarray:
         """The image as small as it is read, in the background's light where that is asked for;
         float32, shape [height_px, width_px, 3] of ``grid``."""
         levels = self._small(image).astype(np.float32)
         if self.drift:
-            part = np.s_[:: self._light_step, :: self._light_step]
-            mask = None if self.mask is None else self.mask[part]
-            drift = fit_light(levels[part], self.background[part], mask, gradient=False)
-            levels = drift.remove(levels).astype(np.float32)
+            levels = self._light(levels).remove(levels).astype(np.float32)
         return levels
+
+    def _light(self, levels: np.ndarray) -> Light:
+        part = np.s_[:: self._light_step, :: self._light_step]
+        mask = None if self.mask is None else self.mask[part]
+        return fit_light(levels[part], self.background[part], mask, gradient=False)
 
     def read_levels(self, levels: np.ndarray, *, uncertainty: bool = True) -> SurfaceReading:
         """The surface under what ``in_own_light`` made of an image; ``uncertainty`` as in

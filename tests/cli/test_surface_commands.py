@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from taccel_lab.calibration.base_profile import lost_blocks, on_grid
 from taccel_lab.calibration.camera.rectification import RectificationMaps
@@ -69,6 +72,33 @@ def test_normals_then_depth(
         assert {"normals", "sigma_deg", "radius95_deg"} <= set(stored.files)
     assert (folder / "depths" / "p3.png").stat().st_size > 5000
     assert json.loads((folder / "depths" / "p3.json").read_text())["image"] == image
+    _says_nothing_but_json(["depth", profile, image, "--out", str(folder / "again"), "--json"])
+    _refuses_what_is_no_press(Path(image), profile, folder, capsys)
+
+
+def _says_nothing_but_json(words: list[str]) -> None:
+    """A process of its own, where Warp has not started yet, prints JSON and no line of Warp's."""
+    done = subprocess.run(
+        [sys.executable, "-m", "taccel_lab.cli.app", *words], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    json.loads(done.stdout)
+    assert "Warp" not in done.stderr
+
+
+def _refuses_what_is_no_press(
+    image: Path, profile: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A black frame and noise end with code 2, the file and the reason, and leave nothing."""
+    levels = np.asarray(Image.open(image))
+    noise = np.random.default_rng(0).integers(0, 256, levels.shape)
+    for name, spoilt in (("black", 0 * levels), ("noise", noise)):
+        path, out = folder / f"{name}.png", folder / name
+        Image.fromarray(spoilt.astype(np.uint8)).save(path)
+        assert main(["depth", profile, str(path), "--out", str(out)]) == 2, name
+        said = capsys.readouterr().err
+        assert f"{name}.png" in said and "no image of the sensor" in said.replace("\n", " ")
+        assert not out.exists()
 
 
 def test_grey_depth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
