@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -64,3 +67,36 @@ def test_what_cannot_be_read_is_told() -> None:
     file.path.mkdir(parents=True)
     with pytest.warns(UserWarning, match="Is a directory"):
         assert file.read() is None
+
+
+_MANY = """
+import sys, warnings
+import numpy as np
+from taccel_lab.file_cache import cached_arrays
+warnings.simplefilter("error")
+for turn in range(40):
+    for n in range(3):
+        file = cached_arrays("things", {"n": n})
+        found = file.read_or_make(lambda: {"a": np.full(5000, float(n))})
+        assert (found["a"] == n).all(), (turn, n)
+        if turn % 4 == int(sys.argv[1]):
+            file.path.unlink(missing_ok=True)
+"""
+
+
+def test_processes_share_a_cache(folder: Path) -> None:
+    """Four write, read and delete the same files: nobody meets a half-written one."""
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", _MANY, str(number)],
+            env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for number in range(4)
+    ]
+    for process in processes:
+        _, said = process.communicate(timeout=120)
+        assert process.returncode == 0, said
+    left = [path.name for path in folder.rglob("*") if path.is_file()]
+    assert len(left) <= 3, left
