@@ -19,12 +19,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ProfileShow:
-    """Show what a sensor profile holds and where each block comes from."""
+    """Show what a sensor profile holds and where each block comes from, a line a block."""
 
     profile: Positional[Path]
     """Profile folder."""
+    full: bool = False
+    """Print every value with its sources, residuals and remarks."""
     json: bool = False
-    """Print JSON instead of tables."""
+    """Print all of it as JSON."""
 
     def run(self) -> None:
         from taccel_lab.cli.console import print_json
@@ -33,8 +35,10 @@ class ProfileShow:
         profile = load_profile(self.profile)
         if self.json:
             print_json(_as_dict(profile))
-        else:
+        elif self.full:
             _print_tables(profile)
+        else:
+            _print_overview(profile, self.profile)
 
 
 @dataclass(frozen=True)
@@ -185,6 +189,66 @@ def _as_dict(profile: SensorProfile) -> dict[str, Any]:
             name: list(array.shape) for name, array in profile.force_weights.items()
         }
     return blocks
+
+
+_KEY_VALUES: dict[str, tuple[str, ...]] = {
+    "sensor": ("name", "family", "unit"),
+    "gel": ("thickness_mm", "node_count"),
+    "material": ("young_modulus_pa", "poisson_ratio", "friction_coefficient", "model"),
+    "camera": ("width_px", "height_px", "mm_per_px_x", "mm_per_px_y"),
+    "optics": ("model", "focal_x_px", "distance_mm"),
+    "markers": ("columns", "rows", "pitch_x_mm", "pitch_y_mm"),
+    "perturbation": ("noise_levels",),
+}
+"""What is shown of a block; residuals of the others."""
+_MOST_VALUES, _MOST_RESIDUALS = 4, 2
+
+
+def _print_overview(profile: SensorProfile, folder: Path) -> None:
+    """A table of one screen: what each block says, where from, and what to know of it."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(show_lines=False)
+    for title in ("block", "from", "values, +- one standard deviation", "to know"):
+        table.add_column(title, overflow="fold")
+    for key, values in _as_dict(profile).items():
+        provenance = values.pop("provenance")
+        origin = " ".join(word for word in (provenance["kind"], provenance.get("verdict")) if word)
+        remarks = len(provenance.get("remarks") or ())
+        table.add_row(
+            Text(key, style="cyan"),
+            Text(origin),
+            Text(_said(key, values, provenance)),
+            Text(f"{remarks} remark{'s' if remarks > 1 else ''}" if remarks else ""),
+        )
+    console = Console()
+    console.print(table)
+    console.print(
+        Text(
+            f"every value with its source and remarks: taccel-lab profile show {folder} --full; "
+            f"as a page with pictures: taccel-lab profile report {folder} --out PAGE"
+        )
+    )
+
+
+def _said(key: str, values: dict[str, Any], provenance: dict[str, Any]) -> str:
+    """A block's few values, or how well it was fitted where it is a network or an image."""
+    spread = provenance.get("spread") or {}
+    names = [name for name in _KEY_VALUES.get(key, ()) if values.get(name) is not None]
+    residuals = sorted(
+        (provenance.get("residuals") or {}).items(), key=lambda one: "heldout" not in one[0]
+    )
+    shown = {name: values[name] for name in names} or dict(residuals[:_MOST_RESIDUALS])
+    return ("" if names or not shown else "off by ") + ", ".join(
+        f"{name} {_number(value)}" + (f" +- {_number(spread[name])}" if name in spread else "")
+        for name, value in list(shown.items())[:_MOST_VALUES]
+    )
+
+
+def _number(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _print_tables(profile: SensorProfile) -> None:

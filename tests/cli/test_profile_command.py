@@ -56,10 +56,18 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_show(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.main(["profile", "show", str(folder)]) == 0
+    assert app.main(["profile", "show", str(folder), "--full"]) == 0
     text = capsys.readouterr().out
     for expected in ("unit 3", "young_modulus_pa", "150000.0", "[bold]for[/]"):
         assert expected in text
+
+
+def test_overview_is_one_screen(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.main(["profile", "show", str(folder)]) == 0
+    text = capsys.readouterr().out
+    assert len(text.splitlines()) <= 24
+    for word in ("material", "assumed", "1.5e+05", "--full"):
+        assert word in text
 
 
 def test_show_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
