@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
     from taccel_lab.calibration.capture.camera import Camera
     from taccel_lab.calibration.live.latency import Latency
-    from taccel_lab.calibration.live.reader import LiveReader, LiveReading
+    from taccel_lab.calibration.live.reader import ForceTold, LiveReader, LiveReading
     from taccel_lab.calibration.live.run import LiveResult, LiveWatcher
+    from taccel_lab.profile import SensorProfile
 
 PORT = 8092
 
@@ -102,7 +103,8 @@ class Live:
         say = partial(console.print, highlight=False, markup=False)
 
         def make_reader(background: np.ndarray) -> LiveReader:
-            return LiveReader(profile, background, detail=self.detail)
+            force = None if profile.force is None else _forces(profile, background)
+            return LiveReader(profile, background, detail=self.detail, force=force)
 
         def open_() -> Camera:
             return open_camera(self.camera, size, Replay(paced=self.paced))
@@ -143,7 +145,11 @@ class Live:
                 "detail": reader.detail,
                 "maps_px": [reader.grid.width_px, reader.grid.height_px],
                 "locks": {lock.name: lock.told for lock in result.locks},
-                "last": {**result.last.figures, "refused": result.last.refused},
+                "last": {
+                    **result.last.figures,
+                    "refused": result.last.refused,
+                    "forces": dict(result.last.forces),
+                },
                 "latency": found,
             }
             print_json(about)
@@ -158,6 +164,26 @@ class Live:
         for name, ms in found["stages_ms"].items():
             line = f"  {name}: {ms['median']:.1f} ms (95 %: {ms['p95']:.1f} ms)"
             console.print(line, highlight=False)
+
+
+def _forces(profile: SensorProfile, background: np.ndarray) -> ForceTold:
+    """What the profile's force model says of a frame, by the names of the page."""
+    from taccel_lab.calibration.force.read_force import ForceReader
+
+    reader = ForceReader(profile, background=background)
+
+    def told(image: np.ndarray, _: np.ndarray) -> dict[str, float]:
+        try:
+            found = reader.read(image, "frame")
+        except InputError:  # Too few markers are seen: nothing is told of this frame.
+            return {}
+        if found.outside:
+            return {}
+        names = ("Fx [N]", "Fy [N]", "Fz [N]")
+        forces = dict(zip(names, map(float, found.force_n), strict=True))
+        return forces | {"Fz +- [N]": float(found.sigma[2]), "area [mm2]": found.area_mm2}
+
+    return told
 
 
 class _Lines:

@@ -84,7 +84,9 @@ def figures_text(reading: LiveReading, reader: LiveReader) -> str:
         lines.append(f"markers are not followed: {reader.no_markers}")
     lines += [f"{name}: {value:.3g}" for name, value in reading.forces.items()]
     if not reading.forces:
-        lines.append("no force: no model of this profile tells it")
+        lines.append(
+            "no force: no model of this profile tells it, or the frame is outside its range"
+        )
     return "\n\n".join(lines)
 
 

@@ -30,7 +30,7 @@ and is read by people."""
 REFUSED_SHARE = 0.5
 """Part of what is touched beyond the calibration from which no depth is given."""
 
-ForceReader = Callable[[np.ndarray, np.ndarray], Mapping[str, float]]
+ForceTold = Callable[[np.ndarray, np.ndarray], Mapping[str, float]]
 """Image and background, RGB uint8, in; named forces out, such as ``{"normal_n": 1.2}``."""
 
 
@@ -67,7 +67,7 @@ class LiveReader:
         background: np.ndarray,
         *,
         detail: int | None = None,
-        force: ForceReader | None = None,
+        force: ForceTold | None = None,
     ) -> None:
         """
         Args:
