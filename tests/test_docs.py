@@ -21,6 +21,7 @@ NEEDS = {
     "captures.md": "a folder of images",
     "datasets.md": "a data set",
     "exporters.md": "a profile of one's own",
+    "force.md": "a profile with a force model",
     "formats.md": "a profile of one's own",
     "solver.md": "several GPUs",
     "studies.md": "a study's results",

@@ -420,7 +420,7 @@ def test_edges_and_punches_are_read_by_a_network_that_practised(
         assert found.height_sigma_m is not None
         assert (off <= 2e3 * found.height_sigma_m)[dent].mean() > 0.8
         # Slopes of 45 degrees and more, where no ball was steeper than 53.
-        assert found.figures(reader.profile)["max_depth_mm"] > 0.3
+        assert found.figures(reader.profile.grid())["max_depth_mm"] > 0.3
 
 
 def test_absolute_depths_of_held_out_balls_are_scored(practised: NormalCalibration) -> None:
@@ -442,4 +442,4 @@ def test_an_untouched_image_is_not_touched(practised: NormalCalibration, tmp_pat
     rng = np.random.default_rng(0)
     image = flat_background() + 6.0 * np.linspace(-1, 1, GRID.width_px)[None, :, None]
     found = reader.read(np.clip(image + rng.normal(0, 1, image.shape), 0, 255))
-    assert found.figures(reader.profile)["touched_mm2"] == 0.0
+    assert found.figures(reader.profile.grid())["touched_mm2"] == 0.0

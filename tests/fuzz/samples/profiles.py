@@ -44,8 +44,10 @@ def with_pictures(given: Path) -> None:
     whole(given)
     rng = np.random.default_rng(0)
     size = (GRID.height_px, GRID.width_px)
-    for name in ("press.png", "background.png"):
-        write_image(given / name, rng.integers(0, 256, (*size, 3), dtype=np.uint8))
+    # Levels of an untouched gel, and nearly the same: a press leaves most of the image as it was.
+    rest = rng.integers(0, 250, (*size, 3), dtype=np.uint8)
+    write_image(given / "background.png", rest)
+    write_image(given / "press.png", rest + rng.integers(0, 5, rest.shape, dtype=np.uint8))
     write_image(given / "mask.png", np.full(size, 255, np.uint8))
 
 
