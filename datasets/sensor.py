@@ -73,10 +73,7 @@ class Sensor:
     def marker_places_mm(self) -> np.ndarray:
         """Gel xy of the markers that the camera sees [mm], [marker, 2]."""
         points = marker_points_mm(self.grid) if self.painted is None else self.painted.points_mm()
-        u, v = self.grid.pixel_from_gel(points).T
-        seen = (u > -0.5) & (u < self.grid.width_px - 0.5)
-        seen &= (v > -0.5) & (v < self.grid.height_px - 0.5)
-        return points[seen & MarkerLayout.where_on(self.mesh, points)[1]]
+        return points[self.grid.contains(points) & MarkerLayout.where_on(self.mesh, points)[1]]
 
     def unit_grid(self, unit: int) -> PixelGrid:
         """Pixels of a unit."""
@@ -102,7 +99,7 @@ def sensor_of(
     from taccel_lab.sensors.registry import sensor_family
 
     width, height = size_px or (profile.camera.width_px, profile.camera.height_px)
-    grid = resized_grid(profile.grid(), width, height)
+    grid = profile.grid().resized(width, height)
     color, model = None, ColorModel.from_profile(profile)
     if model is not None and profile.background_rgb is not None:
         color = resized_color(model, profile.background_rgb, width, height)
@@ -154,19 +151,6 @@ def drawn_units(profile: SensorProfile, count: int, seed: tuple[int, ...]) -> tu
             )
         )
     return tuple(units)
-
-
-def resized_grid(grid: PixelGrid, width: int, height: int) -> PixelGrid:
-    """The same view in other pixels."""
-    x, y = grid.width_px / width, grid.height_px / height
-    return PixelGrid(
-        width,
-        height,
-        grid.mm_per_px_x * x,
-        grid.mm_per_px_y * y,
-        (grid.center_u_px + 0.5) / x - 0.5,
-        (grid.center_v_px + 0.5) / y - 0.5,
-    )
 
 
 def resized_color(

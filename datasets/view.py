@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from taccel_lab.datasets.sensor import Sensor, resized_grid
+from taccel_lab.datasets.sensor import Sensor
 from taccel_lab.datasets.touch import Touch
 from taccel_lab.envs.press import PressEnv, PressError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
@@ -200,9 +200,7 @@ class View:
         grid = self.grid(env)
         if self._images or grid.width_px <= COARSE_PX:
             return grid
-        return resized_grid(
-            grid, COARSE_PX, max(2, round(grid.height_px * COARSE_PX / grid.width_px))
-        )
+        return grid.resized(COARSE_PX, max(2, round(grid.height_px * COARSE_PX / grid.width_px)))
 
     def _signals_of(self, grid: PixelGrid, env: int) -> SignalTactile:
         """The signals on one of the grids, which that environment is seen on."""

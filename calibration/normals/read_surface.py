@@ -201,10 +201,12 @@ class SurfaceReader:
                 f"{self._image_shape[1]}x{self._image_shape[0]} px; give images of that "
                 "size (raw ones are rectified with --maps)"
             )
-        why = self.unlike(image)
+        levels = self._small(image).astype(np.float32)
+        light = self._light(levels)
+        why = unlike(levels, self.background, light, self.mask)
         if why is not None:
             raise InputError(f"{name} is no image of the sensor that was calibrated: {why}")
-        found = self.read_levels(self.in_own_light(image))
+        found = self.read_levels(light.remove(levels).astype(np.float32) if self.drift else levels)
         deepest_mm, gel_mm = -1e3 * float(found.rise_m.min()), self.profile.gel.thickness_mm
         if deepest_mm > gel_mm:
             raise InputError(
@@ -312,12 +314,4 @@ def _smaller(grid: PixelGrid, factor: int) -> PixelGrid:
 
     width = int(next_fast_len(round(grid.width_px / factor), real=True) or 0)
     height = int(next_fast_len(round(grid.height_px / factor), real=True) or 0)
-    across, down = grid.width_px / width, grid.height_px / height
-    return PixelGrid(
-        width,
-        height,
-        grid.mm_per_px_x * across,
-        grid.mm_per_px_y * down,
-        (grid.center_u_px + 0.5) / across - 0.5,
-        (grid.center_v_px + 0.5) / down - 0.5,
-    )
+    return grid.resized(width, height)

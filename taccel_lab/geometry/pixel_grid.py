@@ -89,3 +89,15 @@ class PixelGrid:
         u, v = np.moveaxis(self.pixel_from_gel(xy_mm), -1, 0)
         inside = (u > -0.5) & (u < self.width_px - 0.5)
         return inside & (v > -0.5) & (v < self.height_px - 0.5)
+
+    def resized(self, width_px: int, height_px: int) -> PixelGrid:
+        """The same view in other pixels."""
+        across, down = self.width_px / width_px, self.height_px / height_px
+        return PixelGrid(
+            width_px,
+            height_px,
+            self.mm_per_px_x * across,
+            self.mm_per_px_y * down,
+            (self.center_u_px + 0.5) / across - 0.5,
+            (self.center_v_px + 0.5) / down - 0.5,
+        )
