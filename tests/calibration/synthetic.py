@@ -196,10 +196,11 @@ def tiny_profile(grid: PixelGrid) -> SensorProfile:
     )  # fmt: skip
 
 
-def flat_profile(grid: PixelGrid) -> SensorProfile:
+def flat_profile(grid: PixelGrid, thickness_mm: float = 1.0) -> SensorProfile:
     """A profile of one tet whose contact face is flat, without background and colour."""
-    nodes = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, -1]]) * 1e-3
+    nodes = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, -thickness_mm]]) * 1e-3
     tets = np.array([[0, 2, 1, 3]])
     faces = boundary_faces(tets)
     up = (nodes[faces][..., 2] == 0).all(axis=1)
-    return replace(tiny_profile(grid), mesh=TetMesh(nodes, tets, faces, np.where(up, 1, 2)))
+    mesh, tiny = TetMesh(nodes, tets, faces, np.where(up, 1, 2)), tiny_profile(grid)
+    return replace(tiny, mesh=mesh, gel=tiny.gel.model_copy(update={"thickness_mm": thickness_mm}))

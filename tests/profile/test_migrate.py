@@ -143,8 +143,8 @@ def test_version_5_does_not_know_how_uncertain_heights_are() -> None:
     profile = load_profile(OLD / "v5")
     config = NormalModel.from_profile(profile).config
     assert (config.height_factor, config.error_length_px, config.cone_deg) == (0.0, 0.0, 90.0)
-    image = np.full((profile.camera.height_px, profile.camera.width_px, 3), 90.0)
-    reading = SurfaceReader(profile).read(image)
+    assert profile.background_rgb is not None
+    reading = SurfaceReader(profile).read(profile.background_rgb.astype(float))
     assert reading.height_sigma_m is None
     assert reading.figures(profile.grid())["max_depth_sigma_mm"] is None
 

@@ -194,7 +194,7 @@ def test_profile_and_report(tmp_path: Path) -> None:
     captures = captures_of(CIRCLES, noise=1.0)
     captures = replace(captures, background=captures.background.astype(np.uint8))
     result = fit_depth(captures, DepthOptions(zero="rim"))
-    save_profile(result.apply_to(flat_profile(GRID)), tmp_path / "profile")
+    save_profile(result.apply_to(flat_profile(GRID, thickness_mm=BALL_MM)), tmp_path / "profile")
     profile = load_profile(tmp_path / "profile")
     assert profile.depth_response is not None
     assert profile.depth_response.provenance.residuals["left_out_depth_mm"] > 0
