@@ -34,6 +34,7 @@ from taccel_lab.outputs.contact_layer import mean_gaps
 from taccel_lab.scene import SoftBody
 from taccel_lab.signals.contact_fields import ContactFields
 from taccel_lab.signals.deformed_face import DeformedFace
+from taccel_lab.signals.hanging_corners import HangingCorners
 from taccel_lab.signals.layer_contact import NOWHERE_M, layer_compliance, solve_contact
 from taccel_lab.signals.object_heights import ObjectHeights, is_ball
 from taccel_lab.signals.rest_surface import RestCorrection, RestSurface
@@ -184,6 +185,10 @@ class FineSurface:
             self._gel = DeformedFace(
                 mesh, fine, env_count=rows, first_node=first, rest_positions=at_rest, device=device
             )
+        self._corners = HangingCorners(model, gel)
+        self._positions = wp.empty(
+            (model.env_count, model.node_count), dtype=wp.vec3d, device=device
+        )
         self._fields = ContactFields(solver, gel, mesh, fine, chunk_envs=rows)
         young, poisson = near_moduli(soft)
         compliance = layer_compliance(fine, young, poisson, pad_thickness_m(soft))
@@ -225,6 +230,8 @@ class FineSurface:
         self._fields.read_nodes(state, {"pressure_pa"})
         gaps = mean_gaps(self._solver.collisions, state.positions, self._nodes)
         self._gaps = to_torch(gaps)
+        wp.copy(self._positions, state.positions)
+        self._corners.lift(self._positions, self._solver.contact_gradient)
         self._counts.zero_()
 
     def sample(self, state: State, frames: wp.array, envs: wp.array) -> tuple[wp.array, ...]:
@@ -244,7 +251,7 @@ class FineSurface:
         import torch
 
         count = len(envs)
-        coarse = self._gel.sample(state.positions, frames, envs)
+        coarse = self._gel.sample(self._positions, frames, envs)
         pressure = self._coarse_pa[:count]
         self._fields.render(state, frames, envs, {"pressure_pa": pressure})
         *over, slopes = self._object.read(state, frames, envs)

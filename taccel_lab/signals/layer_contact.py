@@ -113,7 +113,9 @@ def solve_contact(
         start = torch.where(under < NOWHERE_M, start, 0.0)
         pressure = _least(moved, open_m, start, count)
         coarse_pa = pressure * (force / _total(pressure).clamp(min=_TINY))
-    return torch.minimum(coarse_m - moved(pressure - known_pa), object_m), pressure
+    found = torch.minimum(coarse_m - moved(pressure - known_pa), object_m)
+    # What carries touches; conjugate gradients would need 30 iterations to make it so.
+    return torch.where(pressure > 0, object_m, found), pressure
 
 
 def _least(

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Corners go to the paraboloid through the middles around them, and only those that hang."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.geometry import QuadraticMesh, Region
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.scene import Element, Material, Scene, SoftBody
+from taccel_lab.signals.hanging_corners import HangingCorners
+
+MESH = block_mesh((8, 8, 2), (4e-3, 4e-3, 1e-3), jitter=0.2, seed=1)
+
+
+def bowl(nodes: np.ndarray) -> np.ndarray:
+    """The face pressed by a paraboloid, 0.3 mm deep."""
+    x, y = nodes[:, 0], nodes[:, 1]
+    down = -3e-4 + 40.0 * x * x + 60.0 * y * y + 20.0 * x * y
+    return nodes + np.column_stack([0 * x, 0 * x, down])
+
+
+def lifted(moved_m: np.ndarray, carries: np.ndarray, element: Element) -> np.ndarray:
+    """Nodes after ``lift``, of loads along -z on the nodes that carry."""
+    soft = SoftBody(MESH, Material(1e5, 0.45), element=element)
+    model = Scene(soft_bodies=[soft]).finalize(device="cpu")
+    gradient = np.where(carries[:, None], [0.0, 0.0, 1e-3], 0.0)
+    positions = wp.array(moved_m[None], dtype=wp.vec3d)
+    HangingCorners(model, 0).lift(positions, wp.array(gradient[None], dtype=wp.vec3d))
+    return positions.numpy()[0]
+
+
+def quadratic() -> QuadraticMesh:
+    mesh = SoftBody(MESH, Material(1e5, 0.45)).nodal_mesh
+    assert isinstance(mesh, QuadraticMesh)
+    return mesh
+
+
+def test_only_a_corner_that_hangs_is_moved_and_to_the_paraboloid() -> None:
+    mesh = quadratic()
+    right = bowl(mesh.nodes_m)
+    face = mesh.region_nodes(Region.CONTACT)
+    inner = np.abs(mesh.nodes_m[face, :2]).max(axis=1) < 1.6e-3
+    hangs, stands = face[inner & (face < mesh.base.node_count)][[3, 10]]
+    moved = right.copy()
+    moved[hangs, 2] -= 4e-5
+    moved[stands, 2] += 4e-5
+    carries = np.isin(np.arange(mesh.node_count), face)
+    found = lifted(moved, carries, Element.QUADRATIC)
+    assert found[hangs] == pytest.approx(right[hangs], abs=1e-12)
+    assert found[stands] == pytest.approx(moved[stands], abs=0)
+    # The others hang by rounding at most.
+    assert found == pytest.approx(
+        np.where(np.arange(len(moved))[:, None] == hangs, right, moved), abs=1e-12
+    )
+
+
+def test_a_corner_at_the_rim_of_the_contact_stays() -> None:
+    mesh = quadratic()
+    moved = bowl(mesh.nodes_m)
+    corners = mesh.region_nodes(Region.CONTACT)
+    corner = corners[corners < mesh.base.node_count][20]
+    moved[corner, 2] -= 4e-5
+    right_side = mesh.nodes_m[:, 0] > mesh.nodes_m[corner, 0]
+    assert (lifted(moved, right_side, Element.QUADRATIC)[corner] == moved[corner]).all()
+
+
+def test_linear_elements_have_none() -> None:
+    moved = bowl(MESH.nodes_m)
+    assert (lifted(moved, np.ones(len(moved), bool), Element.LINEAR) == moved).all()
