@@ -103,9 +103,8 @@ class Press:
         from taccel_lab.model.devices import require_device
         from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.sensors.profile import load_sensor
-        from taccel_lab.signals.color_model import ColorModel
+        from taccel_lab.signals.profile_options import image_painter
         from taccel_lab.signals.rest_surface import rest_surface
-        from taccel_lab.signals.tactile_image import tactile_image
         from taccel_lab.signals.texture import Texture
 
         require_replaceable(self.out)
@@ -123,7 +122,6 @@ class Press:
         if note is not None:
             console.print(f"note: {note}", highlight=False)
         check_depth(self.depth_mm, profile)
-        model = ColorModel.from_profile(profile)
         gel = self._mesh(profile, indenter, physics)
         material = profile_material(profile.material, gel)
         started = time.perf_counter()
@@ -144,12 +142,14 @@ class Press:
             )
         seconds = time.perf_counter() - started
         rgb = frames = None
-        if model is not None and profile.background_rgb is not None:
-            background = profile.background_rgb
-            rgb = outcome.render(model, background)
+        paint = image_painter(profile, outcome.mesh)
+        if paint is not None:
+            rgb = paint(outcome, outcome.positions_m)
             if outcome.states is not None:
-                seen = outcome.states.surfaces
-                frames = [background, *(tactile_image(model, background, one) for one in seen)]
+                rest, states = outcome.mesh.nodes_m, outcome.states
+                seen = zip(states.surfaces, states.moved_m, strict=True)
+                frames = [paint(one, rest + moved) for one, moved in seen]
+                frames.insert(0, np.asarray(profile.background_rgb))
         with atomic_directory(self.out) as folder:
             about = {
                 "sensor": self.sensor,

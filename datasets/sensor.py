@@ -20,6 +20,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.scene import Material, MaterialField
 from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.dots import PaintedDots
 from taccel_lab.signals.gel_faces import marker_points_mm
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.perturbation import Perturbation, draw_perturbation
@@ -60,11 +61,13 @@ class Sensor:
     grid: PixelGrid
     """Pixels of the images."""
     color: tuple[ColorModel, np.ndarray] | None = None
-    """Colour model and image of the untouched gel, levels, both on ``grid``."""
+    """Colour model and image of the untouched gel without its dots, levels, both on ``grid``."""
+    dots: PaintedDots | None = None
+    """That the camera sees; ``marker_places_mm`` has their places."""
     optics: OpticalDesign | None = None
     """Predicts images where there is no colour model."""
     painted: MarkerGrid | None = None
-    """Markers on the gel; 8 x 6 imagined ones when None."""
+    """Markers on the gel; 8 x 6 imagined ones, which images do not show, when None."""
     units: tuple[Unit, ...] = (Unit(),)
     noise_levels: float = 0.0
     """Measured standard deviation of a pixel."""
@@ -106,7 +109,8 @@ def sensor_of(
     noise = 0.0
     if units > 1 and profile.perturbation is not None:
         noise = profile.perturbation.noise_levels
-    return Sensor(
+    painted = None if profile.markers is None else profile.markers.grid()
+    sensor = Sensor(
         name=profile.sensor.name,
         digest=profile_digest(profile),
         pad=sensor_family(profile.sensor.family).parameters(profile.sensor.parameters).pad(),
@@ -116,10 +120,17 @@ def sensor_of(
         grid=grid,
         color=color,
         optics=None if color else profile.optical_design(),
-        painted=None if profile.markers is None else profile.markers.grid(),
+        painted=painted,
         units=drawn_units(profile, units, seed),
         noise_levels=noise,
     )
+    if color is None or painted is None:
+        return sensor
+    places = grid.pixel_from_gel(sensor.marker_places_mm())
+    dots = PaintedDots.cut_out(
+        color[1], places, painted.radius_mm / float(np.sqrt(grid.mm_per_px_x * grid.mm_per_px_y))
+    )
+    return replace(sensor, color=(color[0], dots.clean_rgb), dots=dots)
 
 
 def drawn_units(profile: SensorProfile, count: int, seed: tuple[int, ...]) -> tuple[Unit, ...]:

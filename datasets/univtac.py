@@ -22,8 +22,8 @@ from taccel_lab.output_folder import atomic_directory
 
 GEL = "left_tactile"
 LEFT_OUT = (
-    "observation (no camera looks on), right_tactile, tactile/*/rgb_marker (images are drawn "
-    "without markers), embodiment/joint (no robot)"
+    "observation (no camera looks on), right_tactile, tactile/*/rgb_marker (rgb shows the dots "
+    "of a sensor that has some), embodiment/joint (no robot)"
 )
 
 

@@ -196,6 +196,14 @@ class SceneDescription:
                     f"{body.mount!r} is kinematic, and the mesh is given in its frame"
                 )
 
+    def soft_body(self, index: int) -> SoftBody:
+        """One of ``soft_bodies``; InputError where there is none of that number."""
+        if not 0 <= index < len(self.soft_bodies):
+            raise InputError(
+                f"there is no soft body {index}; the scene has {len(self.soft_bodies)}"
+            )
+        return self.soft_bodies[index]
+
     def carrier(self, body: SoftBody) -> AffineBody | None:
         """The affine body that a gel is mounted on; None for any other gel."""
         return next((other for other in self.affine_bodies if other.name == body.mount), None)

@@ -27,7 +27,6 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.bodies.material import MaterialField
-from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.outputs.arrays import to_torch
 from taccel_lab.outputs.contact_layer import mean_gaps
@@ -152,11 +151,7 @@ class FineSurface:
             InputError: No such body or gel.
         """
         model = solver.model
-        if not 0 <= gel < len(model.scene.soft_bodies):
-            raise InputError(
-                f"there is no soft body {gel}; the scene has {len(model.scene.soft_bodies)}"
-            )
-        soft = model.scene.soft_bodies[gel]
+        soft = model.scene.soft_body(gel)
         mesh = soft.nodal_mesh
         self._solver, self._grid = solver, grid
         if points is None:

@@ -23,6 +23,7 @@ from taccel_lab.model.env_rows import chosen_envs
 from taccel_lab.outputs.gel_frames import GelFrames
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS, ContactFields
+from taccel_lab.signals.dots import DotPainter, PaintedDots
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
 from taccel_lab.signals.pixel_maps import depth_kernel, height_kernel, normals_kernel, points_kernel
@@ -33,7 +34,6 @@ from taccel_lab.signals.tactile_image import DeviceColorModel
 from taccel_lab.state import State
 
 if TYPE_CHECKING:
-    from taccel_lab.bodies.bodies import SoftBody
     from taccel_lab.profile import SensorProfile
     from taccel_lab.solvers.solver_ipc import SolverIPC
 
@@ -74,6 +74,7 @@ class SignalTactile:
         color_model: ColorModel | None = None,
         background_rgb: np.ndarray | None = None,
         markers: MarkerLayout | None = None,
+        dots: PaintedDots | None = None,
         mode: SurfaceMode = SurfaceMode.SMOOTH,
         first_node: int = 0,
         device: Any = "cpu",
@@ -92,6 +93,8 @@ class SignalTactile:
             color_model: For ``rgb`` and ``rgb_levels``.
             background_rgb: Image of the untouched sensor, levels, [height_px, width_px, 3].
             markers: For ``markers_px``.
+            dots: Of the markers, to be seen in ``rgb`` and ``rgb_levels``; the background is then
+                their ``clean_rgb``.
             mode: How the surface between the nodes is rebuilt.
             first_node: Of this gel in the arrays of positions.
             device: Warp device.
@@ -109,6 +112,8 @@ class SignalTactile:
             raise InputError(f"env_count must be at least 1, got {env_count}")
         if (color_model is None) != (background_rgb is None):
             raise InputError("color_model and background_rgb must be given together")
+        if dots is not None and (markers is None or color_model is None):
+            raise InputError("dots need markers and color_model")
         self.grid = grid
         self.env_count = env_count
         self.device = wp.get_device(device)
@@ -125,6 +130,11 @@ class SignalTactile:
         if fine is not None:
             self.chunk_envs = fine.env_count
         """Environments computed at a time."""
+        self._dots: DotPainter | None = None
+        if dots is not None and markers is not None:
+            self._dots = DotPainter(
+                dots, markers, mesh, grid, first_node=first_node, device=self.device
+            )
         self._sampler: SurfaceSampler | None = None
         self._painter: DeviceColorModel | None = None
         self._projection: MarkerProjection | None = None
@@ -165,7 +175,7 @@ class SignalTactile:
         """
         model = solver.model
         return cls(
-            _soft_body(solver, gel).nodal_mesh,
+            model.scene.soft_body(gel).nodal_mesh,
             grid,
             env_count=model.env_count,
             first_node=model.bodies[gel].node_slice.start,
@@ -185,25 +195,26 @@ class SignalTactile:
         **options: Any,
     ) -> SignalTactile:
         """The signals of a profile's sensor: pixels of its camera, its dots that are seen and lie
-        on the gel, and, where it has them, background and colour model.
+        on the gel, and, where it has them, background and colour model: images show the dots.
 
         Args:
             profile: Sensor.
             env_count: Number of environments; that of the solver.
             solver: Of ``Scene.from_profile``; signals of contact need it. ``update`` then takes the
                 state. Without it positions are those of the profile's mesh.
-            options: Further arguments of ``SignalTactile``, such as ``gel`` and ``device``.
+            options: Further arguments of ``SignalTactile``, such as ``gel`` and ``device``; with
+                ``markers`` or ``color_model`` of one's own, ``dots`` are those that are given.
 
         Raises:
             InputError: Neither ``env_count`` nor ``solver``, or no such gel.
         """
         if solver is not None:
-            mesh = _soft_body(solver, options.get("gel", 0)).nodal_mesh
-            given = profile_options(profile, mesh) | options
+            mesh = solver.model.scene.soft_body(options.get("gel", 0)).nodal_mesh
+            given = profile_options(profile, mesh, options)
             return cls.from_solver(solver, profile.grid(), **given)
         if env_count is None:
             raise InputError("how many environments? Give env_count, or the solver that has them")
-        given = profile_options(profile, profile.mesh) | options
+        given = profile_options(profile, profile.mesh, options)
         return cls(profile.mesh, profile.grid(), env_count=env_count, **given)
 
     def update(
@@ -413,7 +424,11 @@ class SignalTactile:
             if "points_m" in outputs:
                 self._map(points_kernel, [samples, grid_map(self.grid)], outputs["points_m"])
             if self._painter is not None and ("rgb" in outputs or "rgb_levels" in outputs):
-                self._painter.render(samples, outputs.get("rgb"), outputs.get("rgb_levels"))
+                found = outputs.get("rgb"), outputs.get("rgb_levels")
+                self._painter.render(samples, *found)
+                if self._dots is not None:
+                    shown = (self._envs if len(self._envs) else self._numbers)[part]
+                    self._dots.paint(self._positions, self._frames, shown, *found)
 
     def _fine_samples(self, part: slice, outputs: dict[str, wp.array]) -> wp.array:
         """Samples of the fine surface of a chunk; its contact and pressure go to ``outputs``."""
@@ -432,10 +447,3 @@ class SignalTactile:
 
     def _map(self, kernel: Any, inputs: list[Any], output: wp.array) -> None:
         wp.launch(kernel, dim=output.shape, inputs=inputs, outputs=[output], device=self.device)
-
-
-def _soft_body(solver: SolverIPC, gel: int) -> SoftBody:
-    bodies = solver.model.scene.soft_bodies
-    if not 0 <= gel < len(bodies):
-        raise InputError(f"there is no soft body {gel}; the scene has {len(bodies)}")
-    return bodies[gel]

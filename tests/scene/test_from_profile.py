@@ -10,9 +10,11 @@ from taccel_lab import KinematicBody, Scene, SignalTactile, SolverIPC, initial_s
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.errors import InputError
 from taccel_lab.outputs import Outputs
+from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance
 from taccel_lab.scene import Ball, Element
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
+from tests.signals.tactile_cases import color_model
 
 RADIUS_M, DEPTH_M = 4e-3, 3e-4
 
@@ -72,6 +74,47 @@ def test_wrench_is_a_tensor_that_pushes_the_gel_down(pressed) -> None:
     assert wrench[0, 2] < -0.1
     assert abs(float(wrench[1, 2])) < 1e-9
     assert float(wrench[2, 2]) == pytest.approx(float(wrench[0, 2]), rel=1e-3)
+
+
+def test_images_show_the_profiles_dots_where_they_are(pressed) -> None:
+    """Of a colour model that changes nothing: what moves in the image are the dots."""
+    profile, _, solver, state = pressed
+    grid, block = profile.grid(), profile.markers
+    v, u = np.mgrid[: grid.height_px, : grid.width_px]
+    background = np.full((grid.height_px, grid.width_px, 3), 140, np.uint8)
+    points = block.grid().points_mm()
+    for place in grid.pixel_from_gel(points[grid.contains(points)]):
+        dark = np.hypot(u - place[0], v - place[1]) <= block.radius_mm / grid.mm_per_px_x
+        background[dark] = 40
+    model = color_model(grid)
+    model.weights.update({name: 0.0 * value for name, value in model.weights.items()})
+    said = Provenance(kind="assumed", method="made up for a test", source="none")
+    profile = profile.with_block(BackgroundBlock(provenance=said), background)
+    profile = profile.with_block(
+        ColorBlock(architecture=model.config.to_dict(), provenance=said), model.weights
+    )
+    sensor = SignalTactile.from_profile(profile, solver=solver)
+    sensor.update(state)
+    rgb, levels, markers = (
+        array.numpy() for array in sensor.read("rgb", "rgb_levels", "markers_px")
+    )
+    # The gel that is not touched shows the background.
+    assert np.abs(rgb[1].astype(int) - background).max() <= 1
+    # Dots of a pressed one are dark where they are now, to a part of a pixel.
+    moved = np.linalg.norm(markers[0] - markers[1], axis=1)
+    farthest = int(np.argmax(moved))
+    reach = int(np.ceil(1.6 * block.radius_mm / grid.mm_per_px_x))
+    for env in (0, 1):
+        at = np.rint(markers[env, farthest]).astype(int)
+        part = np.s_[at[1] - reach : at[1] + reach + 1, at[0] - reach : at[0] + reach + 1]
+        dark = (140.0 - levels[env][part])[..., 0]
+        middle = np.array([(dark * u[part]).sum(), (dark * v[part]).sum()]) / dark.sum()
+        assert middle == pytest.approx(markers[env, farthest], abs=0.15)
+    assert moved[farthest] > 0.5
+    assert np.abs(rgb[0] - levels[0]).max() <= 1.0
+    bare = SignalTactile.from_profile(profile, solver=solver, markers=None)
+    bare.update(state)
+    assert np.array_equal(bare.read("rgb")[0].numpy()[1], background)
 
 
 def test_options_go_first_and_a_count_is_needed(pressed) -> None:
