@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.errors import InputError, SimulationError, naming
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -76,7 +76,8 @@ class DatasetMake:
         if self.write and not self.check_only:
             _require_zarr()
         with console.status("reading sensors and objects"):
-            plan = Plan(load_spec(self.spec), self.spec.resolve().parent)
+            with naming(self.spec):
+                plan = Plan(load_spec(self.spec), self.spec.resolve().parent)
         _describe(console, plan, shard)
         if self.check_only:
             return

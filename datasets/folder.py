@@ -129,7 +129,7 @@ class DatasetFolder:
 
         folders = self.part_folders()
         for name in (EPISODES, STEPS):
-            tables = [pq.read_table(folder / name) for folder in folders]
+            tables = [read_parquet(folder / name) for folder in folders]
             if name == STEPS:
                 tables = [
                     table.add_column(
@@ -141,6 +141,17 @@ class DatasetFolder:
                 with atomic_file(self.root / name) as staging:
                     joined = pa.concat_tables(tables, promote_options="default")
                     pq.write_table(joined, staging, compression="zstd")
+
+
+def read_parquet(path: Path) -> Any:
+    """A table of a file; InputError where it is none."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        return pq.read_table(path)
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path} cannot be read as Parquet: {error}") from None
 
 
 def _about(plan: Plan) -> dict[str, Any]:

@@ -7,14 +7,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taccel_lab.datasets.folder import PARTS, DatasetFolder
+from taccel_lab.datasets.folder import PARTS, DatasetFolder, read_parquet
 from taccel_lab.datasets.part import ARRAYS, EPISODES, STEPS
 from taccel_lab.errors import InputError
 
@@ -105,16 +106,14 @@ class Dataset:
     def _table(self, number: int, name: str) -> dict[str, np.ndarray]:
         """A table of a folder: its index where that is up to date, else those of its parts."""
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
         folder = self.folders[number]
         there = folder.part_folders()
-        path = folder.root / name
-        table = pq.read_table(path) if path.is_file() else None
+        table = _index(folder.root / name)
         if table is None or set(table["part"].to_pylist()) != {int(p.name) for p in there}:
             tables = []
             for part in there:
-                one = pq.read_table(part / name)
+                one = read_parquet(part / name)
                 if name == STEPS:
                     one = one.add_column(0, "part", pa.array([int(part.name)] * len(one)))
                 tables.append(one)
@@ -134,9 +133,21 @@ class Dataset:
         if (folder, part) not in self._groups:
             import zarr
 
-            path = self.folders[folder].root / PARTS / f"{part:06d}" / ARRAYS
-            self._groups[folder, part] = zarr.open_group(path, mode="r")
+            with self._sound(folder, part) as path:
+                self._groups[folder, part] = zarr.open_group(path, mode="r")
         return self._groups[folder, part]
+
+    @contextmanager
+    def _sound(self, folder: int, part: int) -> Iterator[Path]:
+        """Reading arrays of a part: InputError where they are damaged."""
+        path = self.folders[folder].root / PARTS / f"{part:06d}" / ARRAYS
+        try:
+            yield path
+        except (ValueError, KeyError, TypeError, RuntimeError, OSError) as error:
+            raise InputError(
+                f"{path} is damaged ({type(error).__name__}: {error}); taccel-lab dataset check "
+                "says which files are"
+            ) from None
 
     def read(self, channel: str, steps: Sequence[int] | np.ndarray | slice) -> np.ndarray:
         """A channel at some steps, [step, ...]. Neighbours are read together.
@@ -158,11 +169,13 @@ class Dataset:
             places = np.flatnonzero((keys == [folder, part]).all(axis=1))
             rows = table["row"][chosen[places]]
             low, high = int(rows.min()), int(rows.max()) + 1
-            array = self.group(folder, part)[channel]
-            if high - low <= 4 * len(rows):
-                values = array[low:high][rows - low]
-            else:
-                values = np.stack([array[int(row)] for row in rows])
+            group = self.group(folder, part)
+            with self._sound(folder, part):
+                array = group[channel]
+                if high - low <= 4 * len(rows):
+                    values = array[low:high][rows - low]
+                else:
+                    values = np.stack([array[int(row)] for row in rows])
             for place, value in zip(places.tolist(), values, strict=True):
                 found[place] = value
         if len({value.shape for value in found if value is not None}) > 1:
@@ -175,8 +188,10 @@ class Dataset:
         """Contact face of an episode at rest: nodes [m], [node, 3], and triangles, [face, 3]; rows
         of nodal channels belong to these nodes."""
         row = self.episodes[episode]
-        meshes = self.group(row["folder"], row["part"])["meshes"]
-        nodes, faces = meshes["nodes_m"][row["place"]], meshes["faces"][row["place"]]
+        group = self.group(row["folder"], row["part"])
+        with self._sound(row["folder"], row["part"]):
+            meshes = group["meshes"]
+            nodes, faces = meshes["nodes_m"][row["place"]], meshes["faces"][row["place"]]
         return nodes[np.isfinite(nodes[:, 0])], faces[faces[:, 0] >= 0]
 
     def profile(self, episode: int) -> Any:
@@ -187,6 +202,17 @@ class Dataset:
         return load_profile(
             self.folders[row["folder"]].root / "profiles" / str(row["sensor_index"])
         )
+
+
+def _index(path: Path) -> Any:
+    """The index of all parts, None where there is none or it is damaged: parts have all of it."""
+    if not path.is_file():
+        return None
+    try:
+        table = read_parquet(path)
+    except InputError:
+        return None
+    return table if "part" in table.column_names else None
 
 
 def _stacked(tables: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

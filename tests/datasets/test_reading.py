@@ -208,3 +208,21 @@ def test_what_made_it_is_inside(made: Path) -> None:
     assert profile_digest(profile) == sensor["profile_digest"]
     assert (made / "spec.toml").read_text() == "small"
     assert about["channels"]["wrench"]["unit"] == "N, N m"
+
+
+def test_damage_is_told_by_its_file(made: Path, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(made, data)
+    index = data / "episodes.parquet"
+    index.write_bytes(index.read_bytes()[:100])
+    # The parts have all that the index has.
+    assert Dataset(data).episodes == Dataset(made).episodes
+    part = sorted((data / "parts").iterdir())[0]
+    chunk = next(path for path in (part / "data.zarr" / "rgb").rglob("c/**/*") if path.is_file())
+    chunk.write_bytes(b"\0" * chunk.stat().st_size)
+    with pytest.raises(InputError, match=r"data\.zarr is damaged .*; taccel-lab dataset check"):
+        Dataset(data).read("rgb", slice(None))
+    (part / "steps.parquet").write_bytes(b"PAR1")
+    (data / "steps.parquet").unlink()
+    with pytest.raises(InputError, match=r"steps\.parquet cannot be read as Parquet"):
+        _ = Dataset(data).steps

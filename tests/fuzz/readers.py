@@ -15,7 +15,7 @@ from unittest.mock import patch
 
 from taccel_lab.cli.app import Command
 from tests.fuzz.reader import Reader, Refused
-from tests.fuzz.samples import captures, layouts, profiles, results, shapes
+from tests.fuzz.samples import captures, layouts, profiles, results, shapes, touches
 
 
 def _run(command: Command) -> None:
@@ -126,6 +126,39 @@ def _report_study(given: Path, out: Path) -> None:
         _run(Study(given / "study.toml", out=given / "study", report_only=True, json=True))
 
 
+def _read_curve(given: Path, out: Path) -> None:
+    from taccel_lab.studies.measured_curve import read_curve
+    from taccel_lab.studies.spec import Measured
+
+    read_curve(Measured(file=str(given / "gel.csv"), indenter="sphere:2"))
+
+
+def _plan_dataset(given: Path, out: Path) -> None:
+    from taccel_lab.cli.dataset import DatasetMake
+
+    _run(DatasetMake(given / "touches.toml", out, check_only=True))
+
+
+def _check_dataset(given: Path, out: Path) -> None:
+    from taccel_lab.cli.dataset import DatasetCheck
+
+    _run(DatasetCheck((given / "data",)))
+
+
+def _read_texture(given: Path, out: Path) -> None:
+    from taccel_lab.signals.texture import Texture
+
+    Texture.from_image(given / "coin.png", 0.05, 2.0).relief_m()
+
+
+def _replay(given: Path, out: Path) -> None:
+    from taccel_lab.calibration.capture.camera.replay import open_replay
+
+    camera = open_replay(given / "frames")
+    while camera.read() is not None:
+        pass
+
+
 def _list_step(given: Path, out: Path) -> None:
     from taccel_lab.cli.import_step import ImportStep
 
@@ -205,6 +238,11 @@ READERS: dict[str, Reader] = {
     "taxim-pack": Reader(layouts.maker("taxim"), _import_pack),
     "study-file": Reader(results.study_file, _plan_study),
     "study-folder": Reader(results.study, _report_study, ("study/*",), own="study"),
+    "measured-curve": Reader(results.curve, _read_curve),
+    "dataset-file": Reader(touches.file, _plan_dataset),
+    "dataset-folder": Reader(touches.folder, _check_dataset, own="data"),
+    "texture": Reader(captures.texture, _read_texture),
+    "camera-replay": Reader(captures.frames, _replay),
     "step-list": Reader(shapes.step, _list_step, ("gel.step",)),
     "step-import": Reader(shapes.step, _import_step),
     "indenter-stl": Reader(shapes.stl, _indenter("words.stl", "bytes.stl")),

@@ -184,3 +184,19 @@ def _images(given: Path) -> None:
     mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
     mask[:4] = 0
     write_image(given / "mask.png", mask)
+
+
+def texture(given: Path) -> None:
+    """A grey height map."""
+    u = np.linspace(0, 4 * np.pi, WIDTH)
+    heights = 127 + 120 * np.sin(u)[None] * np.cos(u[:HEIGHT])[:, None]
+    write_image(given / "coin.png", heights.astype(np.uint8))
+
+
+def frames(given: Path) -> None:
+    """Images of a folder that is replayed as a camera."""
+    (given / "frames").mkdir()
+    rng = np.random.default_rng(3)
+    for number in range(4):
+        image = rng.integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+        write_image(given / "frames" / f"frame_{number}.png", image)
