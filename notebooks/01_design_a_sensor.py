@@ -162,9 +162,9 @@ for thickness_mm in (2.0, 4.07, 8.0):
     )
 
 # %% [markdown]
-# A thin gel is stiffer than Hertz, and its contact smaller. A thick one comes near to Hertz, though
-# 8 mm are four times the contact's radius. What the round face and large strains add is the rest
-# of the difference to the flat layer.
+# A thin gel is stiffer than Hertz says, and its contact smaller. Even 8 mm, more than four times
+# the contact's radius, are not thick enough for Hertz. What the round face and large strains add is
+# the rest of the difference to the flat layer.
 
 # %%
 figure, axes = plt.subplots(1, 4, figsize=(13, 3.6))
