@@ -55,7 +55,7 @@ explore: $(VENV)/.installed-dev
 	TACCEL_LAB_EXPLORE=1 $(PYTEST) -m "hypothesis and not slow and not gpu"
 
 notebook: $(VENV)/.installed-dev
-	$(TEST_ENV) $(PY) -m pytest -q --nbmake --nbmake-timeout=900 notebooks
+	$(PYTEST) --timeout=900 --nbmake --nbmake-timeout=900 notebooks
 
 docs: $(VENV)/.installed-dev
 	$(TEST_ENV) $(PY) -m sphinx -b html -W --keep-going -q docs out/docs

@@ -24,9 +24,10 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-import warp as wp
 
-wp.config.log_level = wp.LOG_WARNING
+from taccel_lab.warp_output import quiet_warp
+
+quiet_warp()
 plt.rcParams["figure.dpi"] = 60
 
 from taccel_lab.calibration.capture import find_taxim_pack, load_captures
@@ -100,7 +101,7 @@ axes[1].plot(x_mm, surfaces[0].height_m[row] * 1e3, label="pressed")
 axes[1].plot(x_mm, surfaces[0].rest_height_m[row] * 1e3, "--", label="at rest")
 axes[1].set_xlabel("x [mm]")
 axes[1].set_ylabel("z [mm]")
-axes[1].legend()
+legend = axes[1].legend()
 
 # %% [markdown]
 # ## 4. Fit the colour model
@@ -181,8 +182,8 @@ for step in outcome.steps:
 model = ColorModel(ColorModelConfig.from_dict(profile.color.architecture), profile.color_weights)
 image = outcome.render(model, profile.background_rgb)
 plt.figure(figsize=(6, 4))
-plt.imshow(np.clip(image, 0, 255).astype(np.uint8))
 plt.axis("off")
+shown = plt.imshow(np.clip(image, 0, 255).astype(np.uint8))
 
 # %%
 assert all(step.report.converged.all() for step in outcome.steps)
