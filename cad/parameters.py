@@ -52,6 +52,14 @@ class Parameter:
         text = f"{self.minimum:g} to {self.maximum:g}{unit}"
         return f"0 ({self.zero_means}) or {text}" if self.zero_means else text
 
+    def worded(self, value: Any) -> str:
+        """The value as one says it: ``thickness 2 mm``, ``Shore 00 45``, ``rim fillet``."""
+        text = f"{value:.4g}" if isinstance(value, float) else f"{value}"
+        if self.unit.startswith("Shore"):
+            return f"{self.unit} {text}"
+        name = self.name.removesuffix("_" + self.unit.lower().replace("/", "_")).replace("_", " ")
+        return f"{name} {text}" if self.unit in ("", "1") else f"{name} {text} {self.unit}"
+
     def check(self, value: Any) -> Any:
         """Return ``value`` as the parameter's own type; raise InputError when it is not allowed."""
         if self.choices:

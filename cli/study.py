@@ -162,7 +162,7 @@ class Study:
             highlight=False,
             soft_wrap=True,
         )
-        with StudyProgress(console) as progress:
+        with StudyProgress(console, study) as progress:
             return run_study(
                 study,
                 root,

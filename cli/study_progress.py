@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from taccel_lab.studies.design_row import DesignRow
     from taccel_lab.studies.runner import Outcome
+    from taccel_lab.studies.study import Study
 
 
 LINE_EVERY_S = 20.0
@@ -23,7 +24,7 @@ LINE_EVERY_S = 20.0
 class StudyProgress(Listener):
     """A bar over the designs with the time left and the failures, and a line a process."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, study: Study) -> None:
         from rich.progress import (
             BarColumn,
             MofNCompleteColumn,
@@ -34,6 +35,7 @@ class StudyProgress(Listener):
         )
 
         self._console = console
+        self._study = study
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -77,7 +79,8 @@ class StudyProgress(Listener):
 
         if design.status != "done":
             self._lost += 1
-            self._bar.console.print(Text(f"{design.id} {design.status}: {design.cause}"))
+            name = self._study.name_of(design.parameters)
+            self._bar.console.print(Text(f"{name} {design.status}: {design.cause}"))
         self._done += 1
         self._write_line()
         note = f"{self._lost} failed" if self._lost else ""
@@ -127,7 +130,7 @@ def print_summary(outcome: Outcome, values: dict[str, Any]) -> None:
     table.add_column("figure", style="cyan", no_wrap=True)
     table.add_column("unit")
     for row in best:
-        table.add_column(row.id, justify="right")
+        table.add_column(values["names"][row.id], justify="right")
     last = {kind: list(values[kind])[-1] for kind in ("parameters", "metrics")}
     for kind in last:
         for name, item in values[kind].items():

@@ -19,9 +19,9 @@ MESHES, STEPS, PICTURE = "meshes", "steps", "picture.png"
 
 
 def write_design_files(
-    folder: StudyFolder, result: DesignResult, output: Output
+    folder: StudyFolder, result: DesignResult, output: Output, name: str
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Write what ``output`` asks for.
+    """Write what ``output`` asks for; ``name`` is what the picture calls the design.
 
     Returns:
         Files by kind, relative to the study's folder, and causes why some could not be written.
@@ -50,10 +50,10 @@ def write_design_files(
     if output.pictures:
         from taccel_lab.studies.pictures import write_picture
 
-        name = f"designs/{result.point.id}/{PICTURE}"
-        title = f"{family}, design {result.point.id}"
-        if write_picture(parameters, result.records, folder.root / name, title) is not None:
-            files["picture"] = name
+        file = f"designs/{result.point.id}/{PICTURE}"
+        title = f"{family}, {name}"
+        if write_picture(parameters, result.records, folder.root / file, title) is not None:
+            files["picture"] = file
     return files, causes
 
 

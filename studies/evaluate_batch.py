@@ -66,7 +66,8 @@ def _row(folder: StudyFolder, study: Study, batch: DesignBatch, result: DesignRe
     if row.unbuildable:
         return row
     try:
-        files, causes = write_design_files(folder, result, study.spec.output)
+        name = study.name_of(row.parameters)
+        files, causes = write_design_files(folder, result, study.spec.output, name)
     except Exception as error:
         files, causes = {}, {"files": _note(folder, row.id, error)}
     return replace(row, files=files, causes={**row.causes, **causes})

@@ -117,12 +117,12 @@ def fit_measured(study: Study, rows: Sequence[DesignRow]) -> tuple[list[FittedGe
             for curve in (c for c in mine if c.spec.unit == unit):
                 press = _simulated(study, row, curve.spec.indenter)
                 if press is None:
-                    name = f"{curve.spec.file} on design {row.id}"
+                    name = f"{curve.spec.file} on {study.name_of(row.parameters)}"
                     problems.append(f"{name}: the press of {curve.spec.indenter} has no curve")
                 elif curve.depth_mm[-1] > _thickness_mm(press):
                     problems.append(
-                        f"{curve.spec.file}: reaches {curve.depth_mm[-1]:.3g} mm, deeper than "
-                        f"design {row.id} is thick ({_thickness_mm(press):.3g} mm)"
+                        f"{curve.spec.file}: reaches {curve.depth_mm[-1]:.3g} mm in a gel "
+                        f"{_thickness_mm(press):.3g} mm thick ({study.name_of(row.parameters)})"
                     )
                 else:
                     usable.append((curve, press))

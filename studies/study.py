@@ -92,6 +92,10 @@ class Study:
             parameters[name] = _tied_value(tie, swept[tie.to], self.parameters[name])
         return DesignPoint(self.design_id(parameters), self.family.name, parameters)
 
+    def name_of(self, parameters: Mapping[str, Any]) -> str:
+        """A design by its swept values, as people call it: ``thickness 2 mm, Shore 00 45``."""
+        return ", ".join(axis.parameter.worded(parameters[axis.name]) for axis in self.axes)
+
     @property
     def press_keys(self) -> dict[str, str]:
         """Stands for the settings of each press."""

@@ -21,13 +21,13 @@ PARQUET_NAME = "designs.parquet"
 
 
 def columns(study: Study) -> list[str]:
-    """Names of the columns: design, its parameters, metrics, and how it went."""
+    """Names of the columns: parameters, metrics, how it went, and the design's folder."""
     swept = [axis.name for axis in study.axes]
-    names = ["design", *swept, *study.spec.tied]
+    names = [*swept, *study.spec.tied]
     for name, metric in study.metrics.items():
         names += [name, *interval_columns(name)] if metric.presses else [name]
     names += ["feasible"] if study.spec.constraints else []
-    return [*names, "status", "cause", "simulations", "seconds"]
+    return [*names, "status", "cause", "simulations", "seconds", "design"]
 
 
 def interval_columns(name: str) -> tuple[str, str]:

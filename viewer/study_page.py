@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.study_folder import StudyFolder
 from taccel_lab.viewer.camera_place import look_at
@@ -94,7 +95,7 @@ class StudyPage:
             for name, value in sorted(row.figures.items())
         ]
         table = "\n".join(["| figure | value |", "|---|---|", *lines])
-        self._about.content = f"**Design {row.id}**: {_parameters(row)}\n\n{table}"
+        self._about.content = f"**{_parameters(row)}**\n\n{table}"
         self._show_picture(row)
         options = (GEL, *press_files(self._root, row))
         kept = self._press.value if self._press.value in options else options[-1]
@@ -130,9 +131,10 @@ def _swept(rows: list[DesignRow]) -> list[str]:
 
 
 def _parameters(row: DesignRow, names: list[str] | None = None) -> str:
-    """Names and values, of all parameters when ``names`` is None or empty."""
+    """Values in words, of all parameters when ``names`` is None or empty."""
+    known = sensor_family(row.family).parameters_type.parameters()
     return ", ".join(
-        f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
+        known[name].worded(value)
         for name, value in row.parameters.items()
         if not names or name in names
     )

@@ -89,7 +89,7 @@ def _figures(
         yield "parallel", lambda: figures.draw_parallel(outcome, front, best)
     found = sensitivities(outcome)
     yield "sensitivities", lambda: figures_effects.draw_sensitivities(outcome, found)
-    yield "effects", lambda: figures_effects.draw_effects(outcome)
+    yield "effects", lambda: figures_effects.draw_effects(outcome, found)
     if figures_effects.has_maps(outcome):
         yield "maps", lambda: figures_effects.draw_maps(outcome)
     ends = _chosen(outcome, values["best"]), _chosen(outcome, values["worst"])

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.report.style import BLUE, INK, LIGHT, ORANGE, in_report_style, new_figure
+from taccel_lab.report.style import BLUE, GREY, INK, LIGHT, ORANGE, in_report_style, new_figure
 from taccel_lab.studies.report.figures import (
     color_norm,
     column,
@@ -15,7 +16,7 @@ from taccel_lab.studies.report.figures import (
     parameter_label,
     plain_log_ticks,
 )
-from taccel_lab.studies.report.sensitivity import Effect, Sensitivity
+from taccel_lab.studies.report.sensitivity import Effect, Sensitivity, with_partners
 from taccel_lab.studies.runner import Outcome
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def _number(value: float | None) -> float:
 
 
 def cell_text(effect: Effect) -> str:
-    """Of one parameter on one metric: ``+0.98  η² 64 %``."""
+    """Of one parameter on one metric: ``+0.98   η² 64 %``."""
     parts = []
     if effect.elasticity is not None:
         # Adding zero turns -0.0 round.
@@ -78,15 +79,20 @@ def cell_text(effect: Effect) -> str:
 
 
 @in_report_style
-def draw_effects(outcome: Outcome) -> Figure:
-    """A panel for each metric and parameter: all designs, and the means over levels of a grid."""
+def draw_effects(outcome: Outcome, found: dict[str, Sensitivity]) -> Figure:
+    """A panel for each metric and parameter: all designs, and the means over levels of a grid.
+
+    Designs that lack a partner at another level are hollow and not in the means; a level without
+    any design that could be compared is marked as a gap.
+    """
     designs = outcome.done
     metrics = list(outcome.study.metrics)[:MOST_METRICS]
     axes_list = outcome.study.axes
     grid = outcome.study.spec.sweep.kind == "grid"
+    holes = grid and any(found[metric].lacking for metric in metrics)
     figure, panels = new_figure(
         2.9 * len(axes_list) + 0.8,
-        1.65 * len(metrics) + 0.5,
+        (1.95 if holes else 1.65) * len(metrics) + 0.5,
         len(metrics),
         len(axes_list),
         squeeze=False,
@@ -98,21 +104,18 @@ def draw_effects(outcome: Outcome) -> Figure:
             panel = panels[row][col]
             panel.grid(True)
             panel.set_axisbelow(True)
-            if axis.numeric:
-                x = column(designs, axis.name)
-            else:
-                choices = list(dict.fromkeys(str(d.parameters[axis.name]) for d in designs))
-                x = np.array([choices.index(str(d.parameters[axis.name])) for d in designs], float)
+            choices = [] if axis.numeric else list(axis.values or ())
+
+            def at(value: Any, choices: list[Any] = choices) -> float:
+                return float(choices.index(value) if choices else value)
+
+            x = np.array([at(row.parameters[axis.name]) for row in designs])
+            if choices:
                 panel.set_xticks(range(len(choices)), choices)
-            panel.scatter(x, y, s=12, color=BLUE if not grid else LIGHT, linewidths=0, alpha=0.9)
             if grid:
-                levels = np.unique(x)
-                known = np.isfinite(y)
-                means = [
-                    y[known & (x == level)].mean() if (known & (x == level)).any() else np.nan
-                    for level in levels
-                ]
-                panel.plot(levels, means, "o-", color=ORANGE, markersize=4)
+                _draw_means(panel, x, y, found[metric], outcome, axis.name, at)
+            else:
+                panel.scatter(x, y, s=12, color=BLUE, linewidths=0, alpha=0.9)
             if axis.log:
                 panel.set_xscale("log")
                 plain_log_ticks(panel)
@@ -124,6 +127,42 @@ def draw_effects(outcome: Outcome) -> Figure:
     return figure
 
 
+def _draw_means(
+    panel: Any,
+    x: np.ndarray,
+    y: np.ndarray,
+    found: Sensitivity,
+    outcome: Outcome,
+    name: str,
+    at: Callable[[Any], float],
+) -> None:
+    """All designs at ``x``, ``y``, and the means over the levels of one parameter of a grid."""
+    known = np.flatnonzero(np.isfinite(y))
+    columns = {
+        axis.name: [outcome.done[i].parameters[axis.name] for i in known]
+        for axis in outcome.study.axes
+    }
+    compared = np.zeros(len(y), dtype=bool)
+    compared[known[with_partners(columns, name)]] = True
+    panel.scatter(x[compared], y[compared], s=12, color=LIGHT, linewidths=0, alpha=0.9)
+    panel.scatter(x[~compared], y[~compared], s=14, facecolors="none", edgecolors=GREY, lw=0.7)
+    effect = found.effects[name]
+    levels = sorted(effect.means.items(), key=lambda item: at(item[0]))
+    panel.plot(
+        [at(level) for level, _ in levels],
+        [_number(mean) for _, mean in levels],
+        "o-", color=ORANGE, markersize=4,
+    )  # fmt: skip
+    if found.lacking:
+        panel.set_title(f"{effect.compared} of {found.count + found.lacking} compared", fontsize=8)
+        for level in (level for level, mean in levels if mean is None):
+            panel.axvline(at(level), color=GREY, linewidth=0.8, linestyle=":")
+            panel.annotate(
+                "no mean", (at(level), 0.5), xycoords=("data", "axes fraction"), rotation=90,
+                va="center", ha="right", fontsize=7, color=GREY,
+            )  # fmt: skip
+
+
 @in_report_style
 def draw_maps(outcome: Outcome) -> Figure:
     """Each metric over the plane of a grid's two numeric parameters."""
@@ -133,8 +172,7 @@ def draw_maps(outcome: Outcome) -> Figure:
     columns = min(3, len(metrics))
     rows = -(-len(metrics) // columns)
     figure, panels = new_figure(3.3 * columns, 2.75 * rows, rows, columns, squeeze=False)
-    xs = sorted({row.parameters[first.name] for row in designs})
-    ys = sorted({row.parameters[second.name] for row in designs})
+    xs, ys = sorted(first.values or ()), sorted(second.values or ())
     for place, panel in enumerate(panels.flat):
         if place >= len(metrics):
             panel.set_visible(False)
@@ -151,6 +189,8 @@ def draw_maps(outcome: Outcome) -> Figure:
             norm=color_norm(cells, False),
         )
         plain_log_ticks(figure.colorbar(drawn, ax=panel).ax)
+        for y, x in zip(*np.nonzero(np.isnan(cells)), strict=True):
+            panel.text(x, y, "\N{MULTIPLICATION SIGN}", ha="center", va="center", color=GREY)
         panel.set_facecolor("#f3f4f6")
         panel.set_title(metric_label(outcome, metrics[place]), fontsize=9)
         for ticks, values in ((panel.set_xticks, xs), (panel.set_yticks, ys)):

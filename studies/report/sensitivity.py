@@ -6,8 +6,11 @@ Three figures, each with its own use:
 - **elasticity**: percent of the metric for a percent of the parameter: the coefficients of a least
   squares fit of log(metric) on the logs of all swept parameters (with its R^2). Parameters and
   metrics that are not positive throughout have none.
-- **share** (grids): part of the metric's variance that the parameter's levels explain, the
-  correlation ratio eta^2 = SS_between / SS_total (Fisher 1925). Also for choices.
+- **means** and **share** (grids): means of the metric by the parameter's levels, and the part of
+  its variance that they explain, the correlation ratio eta^2 = SS_between / SS_total (Fisher
+  1925). Also for choices. Where designs have no figure, means over what is left compare thin hard
+  gels with thick soft ones; so only designs count whose *partners*, the designs that differ from
+  them in this parameter alone, have figures at every level that has any.
 - **rank correlation** (random and optimiser-driven sweeps): Spearman's rho; an optimiser's designs
   crowd around its optimum, so that theirs holds near it only.
 """
@@ -30,9 +33,10 @@ class Effect:
     """eta^2, of grids."""
     rank: float | None
     """Spearman's rho, of other sweeps."""
-    low: float | None
-    high: float | None
-    """Of the metric: smallest and largest mean over a level of the parameter (grids)."""
+    means: dict[Any, float | None]
+    """Of grids: mean by level, over designs with partners; None for a level without."""
+    compared: int
+    """Designs with partners, of grids; all with a figure, of other sweeps."""
 
 
 @dataclass(frozen=True)
@@ -43,17 +47,20 @@ class Sensitivity:
     r2: float | None
     """Of the fit behind the elasticities."""
     count: int
-    """Designs that it rests on."""
+    """Designs with a figure."""
+    lacking: int
+    """Designs without."""
 
 
 def sensitivity(
     parameters: Mapping[str, Sequence[Any]], values: Sequence[float | None], *, grid: bool
 ) -> Sensitivity:
-    """Effects of parameters on a metric; designs without a value are left out.
+    """Effects of parameters on a metric.
 
     Args:
         parameters: Values by name, one for each design; numbers or texts.
-        values: Of the metric, one for each design.
+        values: Of the metric, one for each design; None where there is none. Of a grid with all
+            its designs, so that it is known which are lacking.
         grid: Whether parameters have levels.
     """
     known = [i for i, value in enumerate(values) if value is not None]
@@ -62,15 +69,32 @@ def sensitivity(
     elasticities, r2 = _elasticities(columns, y)
     effects = {}
     for name, column in columns.items():
-        means = _level_means(column, y) if grid else {}
+        pick = with_partners(columns, name) if grid else list(range(len(y)))
+        levels, figures = [column[i] for i in pick], y[pick]
+        means = _level_means(levels, figures) if grid else {}
         effects[name] = Effect(
             elasticity=elasticities.get(name),
-            share=_share(column, y) if grid else None,
+            share=_share(levels, figures) if grid else None,
             rank=None if grid else _rank(column, y),
-            low=min(means.values(), default=None),
-            high=max(means.values(), default=None),
+            means={level: means.get(level) for level in parameters[name]} if grid else {},
+            compared=len(pick),
         )
-    return Sensitivity(effects, r2, len(known))
+    return Sensitivity(effects, r2, len(known), len(values) - len(known))
+
+
+def with_partners(columns: Mapping[str, Sequence[Any]], name: str) -> list[int]:
+    """Places of the designs that have a partner at every level of ``name`` that comes up.
+
+    Partners have the same values of all other parameters. Of levels without any design nothing can
+    be compared; they take no other design out.
+    """
+    wanted = set(columns[name])
+    others = list(zip(*(c for n, c in columns.items() if n != name), strict=True))
+    others = others or [()] * len(columns[name])
+    found: dict[tuple[Any, ...], set[Any]] = {}
+    for rest, level in zip(others, columns[name], strict=True):
+        found.setdefault(rest, set()).add(level)
+    return [i for i, rest in enumerate(others) if found[rest] == wanted]
 
 
 def _numeric(column: Sequence[Any]) -> np.ndarray | None:

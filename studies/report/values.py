@@ -62,6 +62,7 @@ def report_values(outcome: Outcome) -> dict[str, Any]:
             "others": outcome.others,
         },
         "complete": outcome.complete,
+        "names": {row.id: study.name_of(row.parameters) for row in rows},
         "best": [row.id for row in best],
         "worst": [row.id for row in worst],
         "nearest": None
@@ -168,12 +169,13 @@ def _pareto(outcome: Outcome) -> dict[str, Any] | None:
 
 
 def sensitivities(outcome: Outcome) -> dict[str, Sensitivity]:
-    """By metric."""
-    rows = outcome.done
-    columns = {a.name: [row.parameters[a.name] for row in rows] for a in outcome.study.axes}
+    """By metric; of a grid over all its designs, those without a row too."""
     grid = outcome.study.spec.sweep.kind == "grid"
+    figures = {row.id: row.figures for row in outcome.rows}
+    designs = outcome.study.points() if grid else outcome.done
+    columns = {a.name: [d.parameters[a.name] for d in designs] for a in outcome.study.axes}
     return {
-        name: sensitivity(columns, [row.figures.get(name) for row in rows], grid=grid)
+        name: sensitivity(columns, [figures.get(d.id, {}).get(name) for d in designs], grid=grid)
         for name in outcome.study.metrics
     }
 

@@ -46,18 +46,10 @@ def study_verdict(outcome: Outcome, values: dict[str, Any]) -> Verdict:
         sentences.append(
             f"{counts['broken']} designs were lost to faults; the next run tries them again."
         )
+    sentences += _holes(outcome, values)
     if values["gaps"]:
         sentences.append("Some figures are missing; causes below.")
     return Verdict(good, headline, tuple(sentences))
-
-
-def _described(outcome: Outcome, design_id: str) -> str:
-    row = next(row for row in outcome.rows if row.id == design_id)
-    parts = []
-    for axis in outcome.study.axes:
-        unit = axis.parameter.unit if axis.parameter.unit != "1" else ""
-        parts.append(f"{axis.name} {format_number(row.parameters[axis.name])} {unit}".strip())
-    return ", ".join(parts)
 
 
 def _best_sentence(outcome: Outcome, values: dict[str, Any]) -> str:
@@ -65,8 +57,8 @@ def _best_sentence(outcome: Outcome, values: dict[str, Any]) -> str:
     metric = values["goal_metric"]
     unit = values["metrics"][metric]["unit"]
     return (
-        f"The {values['goal']} has design {row.id} with {format_number(row.figures[metric])} "
-        f"{unit}: {_described(outcome, row.id)}."
+        f"The {values['goal']}, {format_number(row.figures[metric])} {unit}, "
+        f"has {values['names'][row.id]}."
     )
 
 
@@ -89,10 +81,21 @@ def _nearest_sentence(outcome: Outcome, values: dict[str, Any]) -> str:
         f"{bounds[name]} is missed by {format_number(excess)} {values['metrics'][name]['unit']}"
         for name, excess in nearest["violations"].items()
     )
-    return (
-        f"Design {nearest['design']} comes nearest ({_described(outcome, nearest['design'])}): "
-        f"{missed}."
-    )
+    return f"Nearest comes {values['names'][nearest['design']]}: {missed}."
+
+
+def _holes(outcome: Outcome, values: dict[str, Any]) -> list[str]:
+    """What designs without figures take from the means of a grid."""
+    lacking = {name: found["lacking"] for name, found in values["sensitivities"].items()}
+    most = max(lacking.values(), default=0)
+    if outcome.study.spec.sweep.kind != "grid" or not most:
+        return []
+    metrics = ", ".join(name for name, count in lacking.items() if count == most)
+    return [
+        f"{most} of {values['counts']['designs']} designs have no {metrics}. Means over a "
+        "parameter compare only designs that have a figure at each of its values with all other "
+        "parameters the same; the sensitivities say how many those are."
+    ]
 
 
 def _strongest(values: dict[str, Any]) -> list[str]:

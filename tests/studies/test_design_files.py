@@ -22,7 +22,7 @@ from tests.geometry.vtu_files import read_mesh_vtu
 
 def files_of(folder: StudyFolder, output: Output, **parameters: float) -> tuple[dict, dict]:
     point = DesignPoint("x", "gelsight_r15", parameters)
-    return write_design_files(folder, DesignResult(point), output)
+    return write_design_files(folder, DesignResult(point), output, "as it is")
 
 
 def test_pads_that_are_the_same_share_their_files(tmp_path: Path) -> None:

@@ -175,7 +175,7 @@ def test_curves_too_deep_or_without_a_press_are_told(tmp_path: Path) -> None:
     )
     gels, problems = fit_measured(study, rows(study))
     assert len(gels) == 2 and len(problems) == 2
-    assert "deeper than design" in problems[0]
+    assert "reaches 1.6 mm in a gel 1 mm thick (thickness 1 mm)" in problems[0]
     assert "rows deeper than the press (0.5 mm) left out" in gels[0].curves[0].remarks[0]
 
 

@@ -42,9 +42,9 @@ def test_every_design_has_a_row_with_its_figures(tmp_path: Path) -> None:
     rows = rows_of(tmp_path)
     assert [row["design"] for row in rows] == [p.id for p in planned.points()]
     assert list(rows[0]) == [
-        "design", "thickness_mm", "young_modulus_mpa",
+        "thickness_mm", "young_modulus_mpa",
         *(n + end for n in ("stiffness", "range", "blur") for end in ("", " low", " high")),
-        "feasible", "status", "cause", "simulations", "seconds",
+        "feasible", "status", "cause", "simulations", "seconds", "design",
     ]  # fmt: skip
     for row, point in zip(rows, planned.points(), strict=True):
         figures = figures_of(point.parameters)

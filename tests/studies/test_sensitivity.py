@@ -31,7 +31,7 @@ def test_shares_of_a_sum_add_up() -> None:
     # Variances of the levels: 2/3 and 100.
     assert found.effects["t"].share == pytest.approx((2 / 3) / (100 + 2 / 3))
     assert found.effects["e"].share == pytest.approx(100 / (100 + 2 / 3))
-    assert (found.effects["e"].low, found.effects["e"].high) == (12, 32)
+    assert found.effects["e"].means == {10: 12, 30: 32}
     assert found.effects["e"].rank is None
 
 
@@ -58,3 +58,36 @@ def test_missing_and_constant_figures() -> None:
     assert same.share is None and same.elasticity is None and same.rank is None
     flat = sensitivity({"x": [0.0, 2.0, 3.0, 4.0]}, [5.0, 6.0, 7.0, 8.0], grid=False).effects["x"]
     assert flat.elasticity is None and flat.rank == pytest.approx(1)
+
+
+def test_holes_of_a_grid_do_not_bend_the_means() -> None:
+    """Thin hard gels break: plain means would make hardness look weaker at every thickness."""
+    points = grid([1, 2, 4], [10, 20, 40])
+    t, e = (list(column) for column in zip(*points, strict=True))
+    truth = {point: point[0] * point[1] for point in points}
+    values = [None if p in ((1, 40), (1, 20)) else float(truth[p]) for p in points]
+    found = sensitivity({"t": t, "e": e}, values, grid=True)
+    assert (found.count, found.lacking) == (7, 2)
+    # At 10 every thickness has a figure; at 2 and 4 every hardness.
+    assert found.effects["t"].means == {1: 10, 2: 20, 4: 40}
+    assert found.effects["t"].compared == 3
+    assert found.effects["e"].means == {10: 30, 20: 60, 40: 120}
+    assert found.effects["e"].compared == 6
+    plain = [np.mean([v for v, (_, h) in zip(values, points, strict=True) if h == at and v])
+             for at in (10, 20, 40)]  # fmt: skip
+    assert plain[2] / plain[0] > 5, "averages over holes make four times the hardness five times it"
+
+
+def test_a_level_without_designs_is_a_gap_and_takes_no_other_out() -> None:
+    points = grid([1, 2, 4], [10, 20])
+    t, e = (list(column) for column in zip(*points, strict=True))
+    values = [None if a == 1 else float(a * b) for a, b in points]
+    found = sensitivity({"t": t, "e": e}, values, grid=True)
+    assert found.effects["t"].means == {1: None, 2: 30, 4: 60} and found.effects["t"].compared == 4
+
+
+def test_designs_without_partners_have_no_share() -> None:
+    points = grid([1, 2], [10, 20])
+    t, e = (list(column) for column in zip(*points, strict=True))
+    found = sensitivity({"t": t, "e": e}, [1.0, None, None, 4.0], grid=True).effects["t"]
+    assert found.compared == 0 and found.share is None and found.means == {1: None, 2: None}

@@ -14,7 +14,7 @@ import pytest
 
 from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.runner import Outcome, run_study
-from tests.studies.fake_kit import study, table
+from tests.studies.fake_kit import evaluate_and_tear, study, table
 
 SQUARE = {
     "thickness_mm": {"min": 3, "max": 6, "count": 3},
@@ -101,7 +101,7 @@ def test_a_grid_of_two_parameters_has_everything(tmp_path: Path) -> None:
     effects = values["sensitivities"]["range"]["effects"]
     assert effects["thickness_mm"]["elasticity"] == pytest.approx(1)
     assert values["cost"]["simulations"] == 18
-    for name in (best.id, worst.id, "N/mm", "young_modulus_mpa", "designs.csv"):
+    for name in ("thickness 6 mm", "thickness 3 mm", "N/mm", "young_modulus_mpa", "designs.csv"):
         assert name in text
 
 
@@ -118,6 +118,42 @@ def test_failures_and_gaps_are_told_with_causes(tmp_path: Path) -> None:
     assert "the fillet does not fit" in text and "no edge was found" in text
 
 
+def test_means_over_holes_of_a_grid_are_not_taken(tmp_path: Path) -> None:
+    outcome = run_study(study(evaluate_and_tear, parameters=SQUARE), tmp_path, processes=0)
+    values = write_study_report(outcome)
+    found = values["sensitivities"]["range"]
+    assert (found["count"], found["lacking"]) == (8, 1)
+    thickness, modulus = (found["effects"][name] for name in SQUARE)
+    # Range 10 E t: of both parameters the six designs whose partners all stand.
+    assert thickness["compared"] == modulus["compared"] == 6
+    assert [thickness["means"][t] for t in (3.0, 4.5, 6.0)] == pytest.approx([4.5, 6.75, 9])
+    assert [modulus["means"][e] for e in (0.1, 0.2, 0.4)] == pytest.approx([5.25, 10.5, 21])
+    assert thickness["share"] == pytest.approx(modulus_free_share(outcome))
+    _, text = page_of(tmp_path)
+    assert "2 of 9 designs have no blur." in text and "compare only designs that" in text
+    assert "6 can be compared" in text and "8 of 9" in text
+    assert {"effects", "maps"} <= drawn(tmp_path)
+
+
+def modulus_free_share(outcome: Outcome) -> float:
+    """Share of the thickness in the variance of the range, of the designs at 0.1 and 0.2 MPa."""
+    kept = [row for row in outcome.rows if row.parameters["young_modulus_mpa"] < 0.4]
+    y = np.array([row.figures["range"] for row in kept], dtype=float).reshape(3, 2)
+    return float(y.mean(axis=1).var() / y.var())
+
+
+def test_designs_are_called_by_their_values(tmp_path: Path) -> None:
+    outcome, values = report(tmp_path, parameters=SQUARE)
+    best = values["names"][values["best"][0]]
+    assert best == "thickness 6 mm, young modulus 0.1 MPa"
+    assert f"has {best}." in values["verdict"]["sentences"][0]
+    _, text = page_of(tmp_path)
+    assert f"</span> {best}</h3>" in text
+    # A hash stands once, in the last column of the table of all designs: the design's folder.
+    for row in outcome.rows:
+        assert text.count(row.id) == 1 and f"<td><code>{row.id}</code></td></tr>" in text
+
+
 def test_constraints_that_no_design_keeps_name_the_nearest(tmp_path: Path) -> None:
     _, values = report(
         tmp_path, parameters=SQUARE, constraints=[{"metric": "stiffness", "max": 0.1}]
@@ -128,7 +164,7 @@ def test_constraints_that_no_design_keeps_name_the_nearest(tmp_path: Path) -> No
     # E / t of the softest and thickest: 10 x 0.1 / 6.
     assert nearest["violations"]["stiffness"] == pytest.approx(1 / 6 - 0.1)
     _, text = page_of(tmp_path)
-    assert "No design keeps the constraints" in text and nearest["design"] in text
+    assert "No design keeps the constraints" in text and values["names"][nearest["design"]] in text
 
 
 def test_an_unfinished_study_says_so(tmp_path: Path) -> None:
