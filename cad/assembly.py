@@ -102,12 +102,17 @@ class Assembly:
         }
 
 
+def overlapping(clearances: Sequence[Clearance]) -> list[Clearance]:
+    """Pairs that interpenetrate by more than the kernel's noise."""
+    return [c for c in clearances if c.overlap_mm3 > OVERLAP_MM3]
+
+
 def require_no_overlap(clearances: Sequence[Clearance]) -> list[str]:
     """Raise InputError when made parts interpenetrate; say in words which placeholders do.
 
     The size of a placeholder is an assumption, so that its overlaps are a warning only.
     """
-    bad = [c for c in clearances if c.overlap_mm3 > OVERLAP_MM3]
+    bad = overlapping(clearances)
     made = [c for c in bad if not c.placeholder]
     if made:
         words = ", ".join(f"{c.first} and {c.second} by {c.overlap_mm3:.3g} mm^3" for c in made)

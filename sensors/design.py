@@ -21,7 +21,7 @@ from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.profile import designed_profile
-from taccel_lab.sensors.workshop import WORKSHOP_PARTS, Workshop, check_parts
+from taccel_lab.sensors.workshop import WORKSHOP_PARTS, Workshop, check_parts, issue_of
 
 MESHERS = ("structured", "tetwild")
 DEFAULT_MESHER = "structured"
@@ -109,6 +109,7 @@ def design_sensor(
         with _hint(parts, "assembly"):
             assembly = sensor_parts(family.name, parameters, part)
     layers = gel_layers(pad, part)
+    issue = issue_of({"family": family.name, **parameters.values()})
     tell("files")
     out_dir = Path(out_dir)
     with atomic_directory(out_dir) as folder:
@@ -119,7 +120,8 @@ def design_sensor(
             surface=surface,
             layers=layers,
             assembly=assembly,
-            table=_table(pad),
+            table=_table(parameters),
+            issue=issue,
         )
         for kind in WORKSHOP_PARTS:
             if kind in parts:
@@ -136,6 +138,7 @@ def design_sensor(
             {
                 "sensor": family.name,
                 "title": family.title,
+                "revision": issue.revision,
                 "parameters": parameters.describe(),
                 "part": dimensions(part, pad),
                 "warnings": workshop.warnings,
@@ -163,9 +166,16 @@ def refused_folder(out_dir: Path | str) -> Path:
     return out_dir.with_name(f"{out_dir.name}_refused")
 
 
-def _table(pad: Pad) -> dict[str, tuple[float | int | str, str]]:
-    """Parameters of the pad for the table of a drawing."""
-    return {name: (item["value"], item["unit"]) for name, item in pad.describe().items()}
+def _table(parameters: FamilyParameters) -> dict[str, tuple[float | int | str, str]]:
+    """Parameters that shape the gel for the table of a drawing: the family's, as --set takes them.
+
+    Those of the gel's group, and those that the family has of its own.
+    """
+    return {
+        name: (item["value"], item["unit"])
+        for name, item in parameters.describe().items()
+        if item["group"] in ("gel", "")
+    }
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.design import StageClock, refused_folder
 from taccel_lab.sensors.imported_profile import imported_profile, like_parameters
-from taccel_lab.sensors.workshop import Workshop, check_parts
+from taccel_lab.sensors.workshop import Workshop, check_parts, issue_of
 
 if TYPE_CHECKING:
     from taccel_lab.cad.step_import import FaceSelection, ImportedGel
@@ -87,7 +87,10 @@ def import_design(
     tell("files")
     out_dir = Path(out_dir)
     with atomic_directory(out_dir) as folder:
-        workshop = Workshop(gel.name, folder, gel.part, gel.surface, {"gel": gel.part})
+        solid = {"body": gel.name, "thickness_mm": gel.thickness_mm, **dimensions(gel.part)}
+        workshop = Workshop(
+            gel.name, folder, gel.part, gel.surface, {"gel": gel.part}, issue=issue_of(solid)
+        )
         for kind in parts:
             tell(kind)
             workshop.write((kind,))

@@ -3,18 +3,23 @@
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.cad.mesh.quality import GateResult, MeshQuality
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.output import write_json
+from taccel_lab.output import content_id, write_json
+from taccel_lab.version import __version__
 
 if TYPE_CHECKING:
     from taccel_lab.cad.assembly import Assembly
+    from taccel_lab.cad.drawing.title import Issue
     from taccel_lab.cad.mesh.surface import LabelledSurface
     from taccel_lab.cad.parts.labelled_solid import LabelledSolid
     from taccel_lab.cad.parts.part import Part
@@ -36,6 +41,8 @@ class Workshop:
     assembly: Assembly | None = None
     table: Mapping[str, tuple[float | int | str, str]] = field(default_factory=dict)
     """Name -> (value, unit) for the table of a drawing."""
+    issue: Issue | None = None
+    """Revision and date on drawings."""
     files: dict[str, str] = field(default_factory=dict)
     """Names of the files written, by kind."""
     warnings: list[str] = field(default_factory=list)
@@ -117,7 +124,6 @@ class Workshop:
         from taccel_lab.cad.drawing.assembly_drawing import write_assembly_drawing
         from taccel_lab.cad.drawing.pad_drawing import write_pad_drawing
 
-        notes = () if not self.warnings else tuple(self.warnings)
         layers = dict(self.layers) if len(self.layers) > 1 else {}
         material = "silicone" + (f" ({' and '.join(self.layers)})" if layers else "")
         write_pad_drawing(
@@ -127,13 +133,15 @@ class Workshop:
             material=material,
             parameters=self.table,
             layers=layers,
+            issue=self.issue,
         )
         if self.assembly is not None:
             write_assembly_drawing(
                 self.assembly,
                 [self.path("assembly_drawing", "assembly.svg")],
                 title=f"{self.name}: assembly",
-                notes=notes,
+                notes=self.assembly.notes,
+                issue=self.issue,
             )
 
     def write_mesh(self, mesh: TetMesh, mesher: str) -> None:
@@ -164,6 +172,16 @@ class Workshop:
                 "seconds": seconds,
             },
         )
+
+
+def issue_of(content: Any) -> Issue:
+    """The issue of a design with this content, today: on the day of ``SOURCE_DATE_EPOCH`` [s since
+    1970, UTC] where that is set, as in builds that are to be repeated to the byte."""
+    from taccel_lab.cad.drawing.title import Issue
+
+    seconds = float(os.environ.get("SOURCE_DATE_EPOCH") or time.time())
+    day = datetime.fromtimestamp(seconds, UTC).date().isoformat()
+    return Issue(f"{content_id(content)[:8]}, taccel-lab {__version__}", day)
 
 
 def check_parts(parts: Sequence[str]) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taccel_lab.errors import InputError
-from taccel_lab.studies.design_point import DesignResult, content_id
+from taccel_lab.output import content_id
+from taccel_lab.studies.design_point import DesignResult
 from taccel_lab.studies.spec import Output
 from taccel_lab.studies.study_folder import StudyFolder
 

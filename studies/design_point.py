@@ -3,12 +3,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
-
-from taccel_lab.output import to_jsonable
 
 if TYPE_CHECKING:
     from taccel_lab.studies.press_record import PressRecord
@@ -63,9 +59,3 @@ class Fitted:
 
 class NoFigure(Exception):
     """A metric has no value for a design; the message says why."""
-
-
-def content_id(content: Any) -> str:
-    """Twelve hex digits that stand for ``content``: equal content, equal digits."""
-    text = json.dumps(to_jsonable(content), sort_keys=True, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -161,7 +161,7 @@ class _Problem:
     @property
     def name(self) -> str:
         """Of the Optuna study: another for another question, so that trials are not mixed."""
-        from taccel_lab.studies.design_point import content_id
+        from taccel_lab.output import content_id
 
         return content_id(
             [

@@ -13,12 +13,13 @@ from typing import Any, Protocol
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.envs import PHYSICS, Accuracy
 from taccel_lab.errors import InputError, naming
+from taccel_lab.output import content_id
 from taccel_lab.progress import Progress, silent
 from taccel_lab.reading.text_file import shown
 from taccel_lab.sensors.base import STIFFNESS, SensorFamily
 from taccel_lab.sensors.registry import sensor_families
 from taccel_lab.studies.axis import Axis, axis_of, significant
-from taccel_lab.studies.design_point import DesignPoint, DesignResult, content_id
+from taccel_lab.studies.design_point import DesignPoint, DesignResult
 from taccel_lab.studies.measured_curve import require_measured
 from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.readings import press_of, readings, split_name

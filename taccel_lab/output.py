@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -66,3 +67,9 @@ def write_json(target: Path | str, value: Any) -> None:
     """Write ``value`` as indented JSON, atomically; NaN and infinities become null."""
     with atomic_file(target) as staging:
         staging.write_text(json.dumps(to_jsonable(value), indent=2, allow_nan=False) + "\n")
+
+
+def content_id(content: Any) -> str:
+    """Twelve hex digits that stand for ``content``: equal content, equal digits."""
+    text = json.dumps(to_jsonable(content), sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An assembly in section: the plane y = 0 with numbered parts, overall sizes and a parts list."""
+"""An assembly: section y = 0 with numbered parts, plan with lights and camera, list of parts.
+
+Parts that overlap are drawn red in both views and named in a note.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.colors import to_hex
 
-from taccel_lab.cad.assembly import Assembly
-from taccel_lab.cad.drawing.sections import Section, section
-from taccel_lab.cad.drawing.sheet import THIN, Sheet, Xy
+from taccel_lab.cad.assembly import Assembly, Clearance, overlapping, require_no_overlap
+from taccel_lab.cad.drawing.sections import Section, plan_edges, section
+from taccel_lab.cad.drawing.sheet import THICK, THIN, Sheet, Xy
 from taccel_lab.cad.drawing.title import (
+    PART_TOLERANCES,
     SHEETS,
     TABLE_WIDTH_MM,
+    Issue,
     TitleBlock,
     mm_words,
     sheet_and_scale,
@@ -23,50 +28,73 @@ from taccel_lab.cad.drawing.title import (
 from taccel_lab.cad.parts.part import Part
 
 _HATCHES = ("////", "\\\\\\\\", "", "xx", "..", "//", "\\\\")
-_MARGINS = np.array([84.0, 52.0])
+_MARGINS = np.array([84.0, 62.0])
 _BALLOON_MM = 9.0
+_RED = "#c1121f"
 
 
 def write_assembly_drawing(
-    assembly: Assembly, paths: Sequence[Path], *, title: str, notes: Sequence[str] = ()
+    assembly: Assembly,
+    paths: Sequence[Path],
+    *,
+    title: str,
+    notes: Sequence[str] = (),
+    issue: Issue | None = None,
 ) -> None:
-    """Draw the section y = 0 of ``assembly`` (z up) and write it to ``paths``.
+    """Draw section y = 0 (z up) and plan (y up) of ``assembly`` and write them to ``paths``.
 
-    Parts that the plane misses are listed without a number in the section.
+    Parts that the plane misses are listed without a number in the section; the plan shows all
+    lights. Raises InputError when made parts interpenetrate.
     """
+    clearances = assembly.clearances()
+    overlaps = require_no_overlap(clearances)
+    clashing = {name for c in overlapping(clearances) for name in (c.first, c.second)}
     cuts = [(part, section(part.solid, "x")) for part in assembly.parts]
     every = np.concatenate([loop for _, cut in cuts for loops in cut.faces for loop in loops])
     low, high = every.min(axis=0), every.max(axis=0)
-    name, scale = sheet_and_scale(lambda s: s * (high - low) + _MARGINS, least=1.5)
+    outlines = [_outline(part) for part in assembly.parts]
+    plan_low = np.min([outline.min(axis=0) for outline in outlines], axis=0)
+    plan_high = np.max([outline.max(axis=0) for outline in outlines], axis=0)
+    depth = float(plan_high[1] - plan_low[1])
+    wide = max(high[0], plan_high[0]) - min(low[0], plan_low[0])
+    size = np.array([wide, high[1] - low[1] + depth])
+    name, scale = sheet_and_scale(lambda s: s * size + _MARGINS, least=1.5)
     sheet = Sheet(*SHEETS[name])
     room = np.array([sheet.width_mm - 16 - TABLE_WIDTH_MM, sheet.height_mm - 16])
-    origin = 8 + room / 2 - scale * (low + high) / 2
+    spare = (room - scale * size - _MARGINS)[1] / 2
+    middle = 8 + room[0] / 2 - scale * (low[0] + high[0]) / 2
+    origin = np.array([middle, 8 + spare + 24 - scale * low[1]])
+    plan = np.array([middle, origin[1] + scale * (high[1] - plan_low[1]) + 22])
 
     def at(u: float, v: float) -> Xy:
         return float(origin[0] + scale * u), float(origin[1] + scale * v)
 
     for k, (part, cut) in enumerate(cuts):
-        r, g, b = (0.55 + 0.45 * c for c in part.color)
-        fill = to_hex((r, g, b))
         for loops in cut.faces:
             sheet.area(
-                [origin + scale * loop for loop in loops], fill=fill, width=THIN * 1.4,
+                [origin + scale * loop for loop in loops], fill=_fill(part), width=THIN * 1.4,
                 hatch="" if part.placeholder else _HATCHES[k % len(_HATCHES)],
             )  # fmt: skip
+    for part, cut in cuts:
+        if part.name in clashing and part.placeholder:
+            for loops in cut.faces:
+                places = [origin + scale * loop for loop in loops]
+                sheet.area(places, fill=_fill(part), width=THICK, edge=_RED)
     sheet.line([at(0, low[1] - 2 / scale), at(0, high[1] + 4 / scale)], THIN / 1.5, "axis")
     sheet.dimension(at(low[0], low[1]), at(high[0], low[1]), -12,
                     mm_words(high[0] - low[0]), along="x")  # fmt: skip
     sheet.dimension(at(low[0], low[1]), at(low[0], high[1]), 14,
                     mm_words(high[1] - low[1]), along="y")  # fmt: skip
     _balloons(sheet, cuts, at, high, scale)
-    sheet.text(at(float(low[0]), float(high[1]) + 8 / scale), "section y = 0", bold=True)
+    sheet.text((at(float(low[0]), 0)[0], at(0, float(high[1]))[1] + 7), "section y = 0", bold=True)
+    _draw_plan(sheet, assembly, [plan + scale * outline for outline in outlines], clashing)
     write_title(
         sheet,
         TitleBlock(
             title=title, material="see the list of parts", scale=scale, sheet=name,
-            notes=(*_gap_notes(assembly), *notes), what="assembly",
+            notes=(*overlaps, *_gap_notes(clearances), *notes), what="assembly",
             volume_mm3=sum(p.solid.volume for p in assembly.parts if not p.placeholder),
-            heading=("part", "volume", "mm³"),
+            heading=("part", "volume", "mm³"), tolerances=PART_TOLERANCES, issue=issue,
             parameters={
                 f"{k + 1} {part.name} ({part.material})": (round(part.solid.volume, 1), "")
                 for k, part in enumerate(assembly.parts)
@@ -75,6 +103,42 @@ def write_assembly_drawing(
     )  # fmt: skip
     for path in paths:
         sheet.save(path)
+
+
+def _fill(part: Part) -> str:
+    r, g, b = (0.55 + 0.45 * c for c in part.color)
+    return to_hex((r, g, b))
+
+
+def _outline(part: Part) -> np.ndarray:
+    """Convex outline of a part seen along z, [n, 2] [mm]; parts are boxes, plates and discs."""
+    from scipy.spatial import ConvexHull
+
+    points = np.concatenate(plan_edges(part.solid.faces()))
+    return points[ConvexHull(points).vertices]
+
+
+def _draw_plan(
+    sheet: Sheet, assembly: Assembly, outlines: Sequence[np.ndarray], clashing: set[str]
+) -> None:
+    """Outlines of the made parts, above them camera and lights with their numbers."""
+    order = sorted(range(len(outlines)), key=lambda k: assembly.parts[k].placeholder)
+    for k in order:
+        part, outline = assembly.parts[k], outlines[k]
+        if not part.placeholder:
+            sheet.line(np.concatenate([outline, outline[:1]]), THIN,
+                       "" if part.gel or part.name == "housing" else "hidden")  # fmt: skip
+            continue
+        red = part.name in clashing
+        sheet.area([outline], fill=_fill(part), width=THICK if red else THIN,
+                   **({"edge": _RED} if red else {}))  # fmt: skip
+        middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
+        sheet.text((float(middle[0]), float(middle[1])), f"{k + 1}", size=2.2, align="center")
+    every = np.concatenate(outlines)
+    corner = float(every[:, 0].min()), float(every[:, 1].max()) + 5
+    sheet.text(corner, "plan, from the touched side", bold=True)
+    if clashing:
+        sheet.text((corner[0], corner[1] + 6), "red: overlaps another part", color=_RED)
 
 
 def _balloons(
@@ -104,7 +168,7 @@ def _right_end(cut: Section) -> tuple[float, float]:
     return float(right - inset), float((near[:, 1].min() + near[:, 1].max()) / 2)
 
 
-def _gap_notes(assembly: Assembly) -> tuple[str, ...]:
+def _gap_notes(clearances: Sequence[Clearance]) -> tuple[str, ...]:
     """Gaps between made parts, in words."""
-    made = [c for c in assembly.clearances() if not c.placeholder and c.gap_mm > 0]
+    made = [c for c in clearances if not c.placeholder and c.gap_mm > 0]
     return tuple(f"gap {c.first} - {c.second}: {c.gap_mm:.3f} mm" for c in made)

@@ -27,6 +27,7 @@ from taccel_lab.cad.drawing.sheet import THICK, THIN, Sheet, Xy
 from taccel_lab.cad.drawing.title import (
     SHEETS,
     TABLE_WIDTH_MM,
+    Issue,
     TitleBlock,
     mm_words,
     sheet_and_scale,
@@ -73,11 +74,12 @@ def write_pad_drawing(
     material: str = "silicone gel",
     parameters: Mapping[str, tuple[float | int | str, str]] | None = None,
     layers: Mapping[str, LabelledSolid] | None = None,
+    issue: Issue | None = None,
 ) -> None:
     """Draw ``gel`` and write it to each of ``paths`` (.svg, .pdf or .png).
 
-    ``parameters`` are name -> (value, unit) for the table; ``layers`` by name are
-    cut with a hatch each.
+    ``parameters`` are name -> (value, unit) for the table, named as ``--set`` takes them;
+    ``layers`` by name are cut with a hatch each.
     """
     box = gel.solid.bounding_box()
     size = np.array([box.size.X, box.size.Y, box.size.Z])
@@ -115,7 +117,7 @@ def write_pad_drawing(
         sheet,
         TitleBlock(
             title=title, material=material, scale=scale, sheet=name,
-            parameters=dict(parameters or {}), volume_mm3=gel.solid.volume,
+            parameters=dict(parameters or {}), volume_mm3=gel.solid.volume, issue=issue,
         ),
     )  # fmt: skip
     for path in paths:

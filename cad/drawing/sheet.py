@@ -60,8 +60,9 @@ class Sheet:
         )
 
     def area(
-        self, loops: Sequence[np.ndarray], *, fill: str = "white", hatch: str = "", width=THICK
-    ) -> None:
+        self, loops: Sequence[np.ndarray], *, fill: str = "white", hatch: str = "", width=THICK,
+        edge: str = _INK,
+    ) -> None:  # fmt: skip
         """A cut face bounded by closed loops, the first outside and holes after it."""
         codes, points = [], []
         for loop in loops:
@@ -75,7 +76,7 @@ class Sheet:
                 PathPatch(curve, facecolor="none", edgecolor="#8a8f98", hatch=hatch, linewidth=0)
             )
         self._axes.add_patch(
-            PathPatch(curve, facecolor="none", edgecolor=_INK, linewidth=width * _POINTS)
+            PathPatch(curve, facecolor="none", edgecolor=edge, linewidth=width * _POINTS)
         )
 
     def text(

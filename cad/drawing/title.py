@@ -20,6 +20,21 @@ _MARGIN = 8.0
 _NAME = 42
 
 
+GEL_TOLERANCES = "ISO 3302-1 class M2 (moulded rubber)"
+"""Where no other is stated: +-0.10 mm up to 4 mm, +-0.25 mm from 16 to 25 mm, in one mould half."""
+PART_TOLERANCES = "ISO 2768-1 medium; gel ISO 3302-1 class M2"
+
+
+@dataclass(frozen=True)
+class Issue:
+    """Which state of a design a drawing shows, and when it was made."""
+
+    revision: str
+    """Stands for all parameters: equal designs of one version of the program have one revision."""
+    date: str
+    """Year-month-day, UTC."""
+
+
 @dataclass(frozen=True)
 class TitleBlock:
     """What the column states."""
@@ -32,7 +47,9 @@ class TitleBlock:
     notes: tuple[str, ...] = ()
     volume_mm3: float = 0.0
     what: str = "gel"
-    heading: tuple[str, str, str] = ("parameter", "value", "unit")
+    heading: tuple[str, str, str] = ("option of --set", "value", "unit")
+    tolerances: str = GEL_TOLERANCES
+    issue: Issue | None = None
 
 
 def sheet_and_scale(needed_mm: Callable[[float], np.ndarray], *, least: float) -> tuple[str, float]:
@@ -97,9 +114,12 @@ def _table(sheet: Sheet, block: TitleBlock, left: float, y: float, bottom: float
 def _title(sheet: Sheet, block: TitleBlock, left: float) -> float:
     """Draw the title block; returns the height of its top edge."""
     right, y = sheet.width_mm - _MARGIN, _MARGIN
+    issue = block.issue
     rows = [
+        *([("revision", issue.revision), ("date", issue.date)] if issue else []),
         ("scale", f"{scale_words(block.scale)}   ({block.sheet})"),
         ("dimensions", "mm, third-angle projection"),
+        ("tolerances", block.tolerances),
         ("frame", "x right, y up as seen from the touched side; origin at the apex"
          if block.what == "gel" else "gel frame, z out of the gel"),
         ("volume", f"{block.volume_mm3:.1f} mm³"),

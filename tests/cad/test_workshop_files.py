@@ -19,6 +19,7 @@ from taccel_lab.cad.assembly import Assembly
 from taccel_lab.cad.drawing.assembly_drawing import write_assembly_drawing
 from taccel_lab.cad.drawing.pad_drawing import write_pad_drawing
 from taccel_lab.cad.drawing.sections import circle_through, section
+from taccel_lab.cad.drawing.title import Issue
 from taccel_lab.cad.export import (
     write_3mf,
     write_assembly_step,
@@ -31,6 +32,7 @@ from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.step_import.reader import read_step
+from taccel_lab.profile.optical_design import Light
 
 
 @pytest.fixture(scope="module")
@@ -180,6 +182,37 @@ def test_assembly_drawing_lists_parts_gaps_and_sizes(sensor: Assembly, tmp_path:
     assert "30" in words and "gap gel_pad - housing: 0.100 mm" in words
     assert any(text.startswith("2 window (clear acrylic") for text in words)
     assert "glue the gel" in words
+
+
+def test_drawings_state_revision_date_and_tolerances(
+    gel: LabelledSolid, sensor: Assembly, tmp_path: Path
+) -> None:
+    issue = Issue("0a1b2c3d, taccel-lab 9.9", "2031-02-03")
+    write_pad_drawing(gel, [tmp_path / "pad.svg"], title="pad", issue=issue)
+    write_assembly_drawing(sensor, [tmp_path / "all.svg"], title="all", issue=issue)
+    for name in ("pad.svg", "all.svg"):
+        words = texts(tmp_path / name)
+        assert issue.revision in words and issue.date in words, words
+        assert any("ISO 3302-1 class" in text for text in words)
+    assert any("ISO 2768-1 medium" in text for text in words)
+
+
+def test_overlapping_leds_are_red_in_the_plan_and_named(tmp_path: Path) -> None:
+    def bar(name: str, x: float, y: float) -> Light:
+        return Light((x, y, -20.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0), (6.0, 1.0), name=name)
+
+    apart, crossed = tmp_path / "apart.svg", tmp_path / "crossed.svg"
+    for path, shift in ((apart, 3.0), (crossed, 0.5)):
+        leds = (bar("one", 0.0, 8.0), bar("two", 0.0, 8.0 - shift))
+        write_assembly_drawing(small_sensor(leds=leds), [path], title="leds")
+    assert "red: overlaps another part" not in texts(apart) and "#c1121f" not in apart.read_text(
+        "utf-8"
+    )
+    words = texts(crossed)
+    assert "red: overlaps another part" in words
+    assert any(text.startswith("led_one and led_two interpenetrate by") for text in words)
+    # Both bars miss the section y = 0: the plan shows them.
+    assert crossed.read_text("utf-8").count("stroke: #c1121f") == 2
 
 
 def test_section_of_the_pad_is_its_profile(gel: LabelledSolid) -> None:

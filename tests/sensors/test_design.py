@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.profile import load_profile
 from taccel_lab.sensors.design import DesignResult, design_sensor
 from taccel_lab.sensors.gelsight.family import FAMILY
+from taccel_lab.sensors.workshop import issue_of
 from tests.geometry.vtu_files import read_mesh_vtu
 
 
@@ -37,6 +40,25 @@ def test_every_file_is_there(result: DesignResult) -> None:
         assert path.exists(), path
     assert result.files["preview"].read_bytes().startswith(b"\x89PNG")
     assert sorted(p.name for p in result.out_dir.parent.iterdir()) == ["gelsight"]
+
+
+def test_drawings_name_options_and_the_state_of_the_design(result: DesignResult) -> None:
+    root = ET.parse(result.files["drawing"]).getroot()
+    words = ["".join(n.itertext()).strip() for n in root.iter("{http://www.w3.org/2000/svg}text")]
+    start = words.index("unit") + 1
+    named = [word for word in words[start:] if word.endswith("_mm")]
+    assert "thickness_mm" in named and "rim_mm" in named
+    assert set(named) <= set(FAMILY.parameters_type.parameters()), "what --set does not take"
+    written = json.loads(result.files["parameters"].read_text())
+    assert written["revision"] in words
+    assert any(re.fullmatch(r"20\d\d-\d\d-\d\d", word) for word in words)
+
+
+def test_revisions_follow_the_parameters_and_dates_the_build(monkeypatch: Any) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
+    first, same, other = (issue_of({"thickness_mm": t}) for t in (4.0, 4.0, 4.5))
+    assert first == same and first.date == "1970-01-02"
+    assert other.revision != first.revision
 
 
 def test_quality_file_holds_the_measured_figures(result: DesignResult) -> None:
