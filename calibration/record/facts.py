@@ -152,6 +152,11 @@ class RecordFacts:
         }
         return found
 
+    def require_fit(self, width_px: int, height_px: int) -> None:
+        """InputError where images of this size cannot have the scale that was asked for."""
+        if self.scale == "catalogue":
+            self.catalogue_scale(width_px, height_px)
+
     def catalogue_scale(self, width_px: int, height_px: int) -> tuple[float, float]:
         """Scale of the family's usual view over images of this size [mm/px].
 
@@ -161,11 +166,20 @@ class RecordFacts:
         """
         grid = sensor_family(self.sensor).parameters().grid()
         factor = grid.width_px / width_px
-        if abs(height_px * factor / grid.height_px - 1) > SAME_SHAPE:
+
+        def alike(width: int, height: int) -> bool:
+            return abs(height * grid.width_px / width / grid.height_px - 1) <= SAME_SHAPE
+
+        if not alike(width_px, height_px):
+            advice = (
+                "the camera is turned by a quarter: turn it back"
+                if alike(height_px, width_px)
+                else "cut them with --crop"
+            )
             raise InputError(
                 f"--scale catalogue: {self.sensor} has images of {grid.width_px}x{grid.height_px} "
                 f"px, the camera's are {width_px}x{height_px} px and cannot show the same part of "
-                "the gel; cut them with --crop, or state --mm-per-px-x"
+                f"the gel; {advice}, or state --mm-per-px-x"
             )
         return grid.mm_per_px_x * factor, grid.mm_per_px_y * grid.height_px / height_px
 

@@ -134,6 +134,7 @@ def open_record(path: Path, facts: RecordFacts) -> Iterator[RecordFolder]:
         load_capture_folder(path)  # Refuses what is damaged, by name.
         manifest, notes = _read(path), _notes(path)
         facts.require_same(manifest, path)
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
     path.mkdir(parents=True, exist_ok=True)
     with _alone(path):
         for left in path.iterdir():
@@ -142,8 +143,10 @@ def open_record(path: Path, facts: RecordFacts) -> Iterator[RecordFolder]:
         try:
             yield RecordFolder(path, manifest, notes)
         finally:
-            if not any(path.iterdir()):  # Nothing came of it: no camera, no frame.
-                path.rmdir()
+            for folder in made:  # Nothing came of it: no camera, no frame that can be used.
+                if any(folder.iterdir()):
+                    break
+                folder.rmdir()
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -127,7 +127,14 @@ class Recorder:
         return self.status()
 
     def see(self, shot: Shot) -> Status:
-        """Take a frame in, and its picture where it is time."""
+        """Take a frame in, and its picture where it is time.
+
+        Raises:
+            InputError: Its size is not the folder's, or, at the first frame of a new folder, the
+                catalogue's scale cannot be taken for it.
+        """
+        if self._shot is None and self._background is None:
+            self.facts.require_fit(shot.image.shape[1], shot.image.shape[0])
         if self._background is not None and shot.image.shape != self._background.shape:
             raise InputError(
                 f"the camera gives {shot.image.shape[1]}x{shot.image.shape[0]} px, the folder "

@@ -144,8 +144,24 @@ def test_a_scale_of_the_catalogue_is_noted_as_assumed(tmp_path: Path) -> None:
     assert made.mm_per_px is not None and "mm_per_px" in made.assumed
     text = (tmp_path / "out" / "captures.toml").read_text()
     assert text.startswith("# a quick session, which leaves out:") and "# - force" in text
-    with pytest.raises(InputError, match="--crop"):
+    with pytest.raises(InputError, match="turned by a quarter: turn it back"):
         facts.catalogue_scale(240, 320)
+    with pytest.raises(InputError, match="--crop"):
+        facts.catalogue_scale(320, 320)
+
+
+def test_images_that_cannot_have_the_catalogues_scale_leave_nothing(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    (tmp_path / "turned").mkdir()
+    for k in range(80):
+        image = rng.normal(90.0, 1.0, (320, 240, 3)).round().astype(np.uint8)
+        write_image(tmp_path / "turned" / f"{k}.png", image)
+    facts = RecordFacts("gelsight_mini", radius_mm=2.0, scale="catalogue", quick=True)
+    watching, out = Watching(), tmp_path / "new" / "out"
+    with pytest.raises(InputError, match="turned by a quarter"), open_record(out, facts) as folder:
+        run_session(Recorder(folder, facts, 1), replaying(tmp_path / "turned"), [watching])
+    assert watching.seen == [], "refused at the first frame"
+    assert not (tmp_path / "new").exists()
 
 
 def test_lamps_say_what_is_wrong(tmp_path: Path) -> None:
