@@ -25,6 +25,7 @@ from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.check.block_findings import capture_check
 from taccel_lab.calibration.check.content import Readiness
 from taccel_lab.calibration.check.run import CaptureCheck
+from taccel_lab.calibration.recorded import with_session
 from taccel_lab.calibration.report.page import Page, Table, write_page
 from taccel_lab.calibration.report.profile_page import profile_page
 from taccel_lab.calibration.report.remarks import BLOCK_UNFIT
@@ -155,6 +156,7 @@ def calibrate(
     if not isinstance(folder, CaptureFolder):
         folder = load_capture_folder(folder)
     raw, profile = folder, base_profile(base, folder)
+    extended = None if base is None else profile
     ready = _readiness(capture_check(with_measured_scale(folder, profile), progress))
     outcomes: list[BlockOutcome] = []
     maps, rectified, notes = None, None, ()
@@ -180,6 +182,7 @@ def calibrate(
     if not any(outcome.state is State.DONE for outcome in outcomes):
         lines = "\n".join(f"  {o.name}: {o.message}" for o in outcomes)
         raise InputError(f"{raw.source}: nothing could be calibrated\n{lines}")
+    profile = with_session(extended, profile, raw)
     return Calibration(profile, tuple(outcomes), maps, notes, rectified)
 
 

@@ -225,6 +225,11 @@ def _print_overview(profile: SensorProfile, folder: Path) -> None:
         )
     console = Console()
     console.print(table)
+    for session in profile.sensor.recorded:
+        when = "" if session.begun is None else f" on {session.begun:%Y-%m-%d}"
+        short = "; a quick session, see --full for what that leaves out" if session.left_out else ""
+        words = f"{', '.join(session.blocks)}: recorded with {session.camera}{when}{short}"
+        console.print(Text(words), soft_wrap=True)
     console.print(
         Text(
             f"every value with its source and remarks: taccel-lab profile show {folder} --full; "
@@ -272,6 +277,8 @@ def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     for name, value in table.items():
         if isinstance(value, dict):
             flat |= _flat(value, f"{prefix}{name}.")
+        elif isinstance(value, list) and value and all(isinstance(one, dict) for one in value):
+            flat |= _flat({str(k + 1): one for k, one in enumerate(value)}, f"{prefix}{name}.")
         else:
             flat[prefix + name] = value
     return flat

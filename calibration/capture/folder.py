@@ -19,6 +19,7 @@ from taccel_lab.calibration.capture.schema import (
     BoardEntry,
     EdgeEntry,
     LandmarkEntry,
+    RecordedEntry,
     RecordEntry,
     VideoEntry,
 )
@@ -170,6 +171,8 @@ class CaptureFolder:
     """Parameters of the catalogue's design that were measured on this unit."""
     assumed: dict[str, str] = field(default_factory=dict)
     """What no file states, by the name of the value: what was taken, and why."""
+    recorded: RecordedEntry | None = None
+    """How it was recorded, where taccel-lab did that."""
 
     def split(self, holdout_every: int = HOLDOUT_EVERY) -> PressSplit:
         """Presses to fit and to hold out, by names and labels alone (``split_presses``)."""

@@ -150,6 +150,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         rectified=manifest.rectified,
         design=dict(manifest.design),
         assumed=manifest.assumed,
+        recorded=manifest.recorded,
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, AwareDatetime, Field
 
 from taccel_lab.inner_path import require_inner_name
 from taccel_lab.reading.strict_model import Flag, Number, StrictModel, Whole
@@ -195,6 +195,8 @@ class RecordedEntry(StrictModel):
     """Id by which the camera is found again, or the path of what was replayed."""
     controls: dict[str, str] = Field(default_factory=dict)
     """What was said of exposure, gain and white balance when they were locked."""
+    begun: AwareDatetime | None = Field(default=None, strict=True)
+    """When the untouched gel was taken, UTC; not known of folders of earlier versions."""
     framing: str = "whole images"
     """What was cut and made smaller before anything was written."""
     left_out: list[str] = Field(default_factory=list)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
@@ -146,6 +147,7 @@ class RecordFacts:
         found["license"] = self.license or "unknown"
         found["recorded"] = {
             "camera": self.camera.id,
+            "begun": datetime.now(UTC).replace(microsecond=0),
             "controls": {lock.name: lock.told for lock in self.locks},
             "framing": self.framing,
             "left_out": list(QUICK_LEAVES_OUT) if self.quick else [],

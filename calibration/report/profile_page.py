@@ -32,6 +32,7 @@ def profile_page(profile: SensorProfile) -> Page:
         remarks=tuple(_remarks(profile)),
         tables=(
             _overview(blocks),
+            *_recordings(profile),
             *(_block_table(key, b) for key, b in blocks.items()),
             *(t for key, b in blocks.items() if (t := _residual_table(key, b)) is not None),
         ),
@@ -55,6 +56,14 @@ def _remarks(profile: SensorProfile) -> list[Remark]:
     for key in ("background", "color"):
         if key not in blocks and profile.depth_response is None:
             found.append(remarks.MISSING_BLOCK(block=key))
+    found += [
+        remarks.QUICK_SESSION(
+            keys=", ".join(session.blocks),
+            left_out=", ".join(text.partition(":")[0] for text in session.left_out),
+        )
+        for session in profile.sensor.recorded
+        if session.left_out
+    ]
     return found
 
 
@@ -74,10 +83,30 @@ def _overview(blocks: dict[str, Block]) -> Table:
     return Table("Blocks", columns, rows)
 
 
+def _recordings(profile: SensorProfile) -> list[Table]:
+    """How the captures were recorded: a row a fact, a column for what it is about."""
+    rows: list[tuple[Any, ...]] = []
+    for session in profile.sensor.recorded:
+        begun = "not known" if session.begun is None else f"{session.begun:%Y-%m-%d %H:%M} UTC"
+        rows += [
+            ("blocks", ", ".join(session.blocks)),
+            ("begun", begun),
+            ("source", session.source or "not stated"),
+            ("camera", session.camera),
+            *session.controls.items(),
+            ("framing", session.framing),
+            *(("left out", text) for text in session.left_out),
+        ]
+    caption = "As taccel-lab capture record wrote it down, a session after another."
+    return [Table("Recordings", ("fact", "value"), rows, caption)] if rows else []
+
+
 def _block_table(key: str, block: Block) -> Table:
     where = block.provenance
     rows = []
-    for name, value in _flat(block.model_dump(mode="python", exclude={"provenance"})).items():
+    for name, value in _flat(
+        block.model_dump(mode="python", exclude={"provenance", "recorded"})
+    ).items():
         spread = where.spread.get(name)
         interval = where.interval.get(name)
         if interval is None and spread is not None and isinstance(value, (int, float)):

@@ -18,6 +18,11 @@ MISSING_BLOCK = RemarkKind(
     Severity.INFO,
     "{block}: missing, so no calibrated pictures; taccel-lab calibrate {block}",
 )
+QUICK_SESSION = RemarkKind(
+    "quick_session",
+    Severity.INFO,
+    "{keys}: recorded in a quick session, which leaves out {left_out}; see Recordings",
+)
 BLOCKS_DROPPED = RemarkKind(
     "blocks_dropped",
     Severity.WARNING,

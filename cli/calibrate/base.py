@@ -102,6 +102,7 @@ class BlockCommand(CalibrationFiles):
         """Refuse unusable outputs, fit, and write profile, report and figures."""
 
         from taccel_lab.calibration.capture.load import load_capture_folder
+        from taccel_lab.calibration.recorded import with_session
         from taccel_lab.cli.console import notes
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.warp_output import quiet_warp
@@ -114,10 +115,20 @@ class BlockCommand(CalibrationFiles):
         folder = load_capture_folder(self.captures)
         with stage_progress(console) as progress:
             fitted = self.fit(folder, progress)
-        write_results(fitted, self.out, report, console, json=self.json)
+        before = None if self.base is None else self.profile_to_extend(folder)
+        profile = with_session(before, fitted.result.apply_to(fitted.base), folder)
+        write_results(fitted, profile, self.out, report, console, json=self.json)
 
 
-def write_results(fitted: Fitted, out: Path, report: Path, console: Console, *, json: bool) -> None:
+def write_results(
+    fitted: Fitted,
+    profile: SensorProfile,
+    out: Path,
+    report: Path,
+    console: Console,
+    *,
+    json: bool,
+) -> None:
     """Save the extended profile and the report, say the verdict with its remarks, and give the
     figures: on standard output, as JSON or for people."""
     from rich.console import Console
@@ -128,7 +139,7 @@ def write_results(fitted: Fitted, out: Path, report: Path, console: Console, *, 
     from taccel_lab.profile import save_profile
 
     result = fitted.result
-    save_profile(result.apply_to(fitted.base), out)
+    save_profile(profile, out)
     write_page(fitted.page, report)
     for path, write in fitted.files.items():
         write(path)

@@ -65,7 +65,7 @@ class CalibrateForce(ForceOptions):
         with stage_progress(console) as progress:
             result = calibrate_force(self.datasets, base, self, progress)
         fitted = Fitted("force", base, result, force_page(result), partial(_print_errors, result))
-        write_results(fitted, self.out, report, console, json=self.json)
+        write_results(fitted, result.apply_to(base), self.out, report, console, json=self.json)
 
 
 def _print_errors(result: ForceCalibration, console: Console) -> None:

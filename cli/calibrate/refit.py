@@ -37,6 +37,7 @@ class CalibrateRefit:
 
     def run(self) -> None:
         from taccel_lab.calibration.capture import load_capture_folder
+        from taccel_lab.calibration.recorded import with_session
         from taccel_lab.calibration.refit.fit import RefitOptions, calibrate_refit
         from taccel_lab.calibration.refit.report import refit_page
         from taccel_lab.cli.calibrate.base import (
@@ -57,4 +58,5 @@ class CalibrateRefit:
         with stage_progress(console) as progress:
             result = calibrate_refit(folder, profile, RefitOptions(self.surface), progress)
         fitted = Fitted("refit", profile, result, refit_page(result, profile))
-        write_results(fitted, self.out, report, console, json=self.json)
+        fresh = with_session(profile, result.apply_to(profile), folder)
+        write_results(fitted, fresh, self.out, report, console, json=self.json)

@@ -108,10 +108,14 @@ def _toml_table(block: Block) -> dict[str, Any]:
     table = block.model_dump(mode="python")
     provenance = table.pop("provenance")
     table = {key: value for key, value in table.items() if value not in ((), None)}
-    table["provenance"] = {
-        key: value for key, value in provenance.items() if value not in ({}, (), None)
-    }
+    if sessions := table.get("recorded"):
+        table["recorded"] = [_known(session) for session in sessions]
+    table["provenance"] = _known(provenance)
     return table
+
+
+def _known(table: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if value not in ({}, (), None)}
 
 
 def _sha256(data: bytes) -> str:

@@ -69,6 +69,12 @@ def _add_force(document: Document) -> Document:
     return {**document, "schema_version": 7}
 
 
+def _add_sessions(document: Document) -> Document:
+    """Version 8 adds to the sensor how its captures were recorded, which a profile of version 7
+    does not know."""
+    return {**document, "schema_version": 8}
+
+
 STEPS: Mapping[int, Step] = {
     1: _add_optics_and_layers,
     2: _add_responses,
@@ -76,6 +82,7 @@ STEPS: Mapping[int, Step] = {
     4: _add_fitted_with,
     5: _add_height_errors,
     6: _add_force,
+    7: _add_sessions,
 }
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The blocks of a sensor profile, schema version 7; those of its optics are in ``optics_blocks``,
+"""The blocks of a sensor profile, schema version 8; those of its optics are in ``optics_blocks``,
 those of how it answers a touch in ``response_blocks``.
 
 Every block is frozen, refuses unknown keys, checks its bounds and says where it comes from
@@ -36,7 +36,7 @@ from taccel_lab.reading.strict_model import (
 )
 from taccel_lab.version import __version__
 
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
@@ -118,6 +118,25 @@ class Block(StrictModel):
                 raise InputError("\n".join(f"{self.key}.{line}" for line in lines)) from None
 
 
+class Session(StrictModel):
+    """A recording that blocks of a profile rest on."""
+
+    blocks: tuple[Name, ...] = Field(min_length=1)
+    """Keys of the blocks."""
+    camera: Text
+    """Id by which the camera is found again, or the path of what was replayed."""
+    begun: AwareDatetime | None = Field(default=None, strict=True)
+    """When the untouched gel was taken, UTC."""
+    source: Text | None = None
+    """Where and by whom, as it was stated."""
+    controls: dict[Name, Text] = Field(default_factory=dict)
+    """What was said of exposure, gain and white balance when they were locked."""
+    framing: Text
+    """What was cut from the camera's images and made smaller."""
+    left_out: tuple[Text, ...] = ()
+    """What a short session does without, in words."""
+
+
 class SensorBlock(Block):
     """Which sensor this is."""
 
@@ -129,6 +148,8 @@ class SensorBlock(Block):
     """Design family in the catalogue, e.g. ``gelsight``."""
     parameters: dict[Name, ConfigValue] = Field(default_factory=dict)
     """Design parameters of the family; names carry the unit (``width_mm``)."""
+    recorded: tuple[Session, ...] = ()
+    """How the captures of calibrated blocks were recorded, where taccel-lab did that."""
 
 
 class GelBlock(Block):

@@ -158,6 +158,15 @@ def test_version_6_has_no_force_model() -> None:
     assert profile.blocks() == load_profile(OLD / "v5").blocks()
 
 
+def test_version_7_does_not_know_how_captures_were_recorded() -> None:
+    """The stored folder is that of version 6, which had a force model to have."""
+    assert "schema_version = 7\n" in (OLD / "v7" / "profile.toml").read_text()
+    assert validate_profile(OLD / "v7") == []
+    profile = load_profile(OLD / "v7")
+    assert profile.sensor.recorded == ()
+    assert profile.blocks() == load_profile(OLD / "v6").blocks()
+
+
 def test_an_encoding_is_kept_by_a_round_trip(tmp_path: Path) -> None:
     profile = load_profile(OLD / "v3")
     assert profile.color is not None and profile.color_weights is not None
