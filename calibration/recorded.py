@@ -28,8 +28,8 @@ def with_session(
         if left:
             sessions.append(session.model_copy(update={"blocks": left}))
     if folder.recorded is not None and new:
-        stated = folder.recorded.model_dump() | {"left_out": tuple(folder.recorded.left_out)}
-        sessions.append(Session(blocks=new, source=folder.provenance.get("source"), **stated))
+        stated = {**folder.recorded.model_dump(), "source": folder.provenance.get("source")}
+        sessions.append(Session.model_validate({**stated, "blocks": new}))
     if tuple(sessions) == after.sensor.recorded:
         return after
     return after.with_block(after.sensor.replace(recorded=tuple(sessions)))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from taccel_lab.calibration.report import remarks
@@ -14,7 +15,7 @@ from taccel_lab.calibration.report.profile_figures import (
     draw_profile_discs,
     draw_profile_mesh,
 )
-from taccel_lab.calibration.result import NORMAL_95, Remark
+from taccel_lab.calibration.result import NORMAL_95, Remark, Severity
 from taccel_lab.profile import Block, SensorProfile
 
 CORE = ("gel", "material", "camera", "background", "color")
@@ -33,8 +34,12 @@ def profile_page(profile: SensorProfile) -> Page:
         tables=(
             _overview(blocks),
             *_recordings(profile),
-            *(_block_table(key, b) for key, b in blocks.items()),
-            *(t for key, b in blocks.items() if (t := _residual_table(key, b)) is not None),
+            *(
+                table
+                for key, block in blocks.items()
+                for table in (_block_table(key, block), _residual_table(key, block))
+                if table is not None
+            ),
         ),
         pictures=tuple(_pictures(profile)),
         figures={key: block.model_dump(mode="json") for key, block in blocks.items()},
@@ -51,8 +56,8 @@ def _remarks(profile: SensorProfile) -> list[Remark]:
         elif where.verdict == "usable":
             found.append(remarks.USABLE_BLOCK(block=key))
         elif where.kind == "assumed" and key in CORE:
-            found.append(remarks.ASSUMED_BLOCK(block=key, source=where.source))
-        found += [remarks.BLOCK_REMARK(block=key, remark=text) for text in where.remarks]
+            found.append(remarks.ASSUMED_BLOCK(block=key, how=_how_to_measure(key)))
+    found += _block_remarks(blocks)
     for key in ("background", "color"):
         if key not in blocks and profile.depth_response is None:
             found.append(remarks.MISSING_BLOCK(block=key))
@@ -64,6 +69,28 @@ def _remarks(profile: SensorProfile) -> list[Remark]:
         for session in profile.sensor.recorded
         if session.left_out
     ]
+    return found
+
+
+def _how_to_measure(key: str) -> str:
+    if key == "gel":
+        return "state what you measured on it under [design] of captures.toml"
+    return f"taccel-lab calibrate {key} measures it"
+
+
+def _block_remarks(blocks: dict[str, Block]) -> list[Remark]:
+    """Remarks of the blocks, once where several have the same; each as grave as it says."""
+    keys: dict[str, list[str]] = {}
+    for key, block in blocks.items():
+        for text in block.provenance.remarks:
+            keys.setdefault(text, []).append(key)
+    found = []
+    for text, of in keys.items():
+        severity, _, message = text.partition(": ")
+        if severity not in list(Severity):
+            severity, message = Severity.INFO, text
+        remark = remarks.BLOCK_REMARK(block=", ".join(of), remark=message)
+        found.append(replace(remark, severity=Severity(severity)))
     return found
 
 
@@ -113,7 +140,7 @@ def _block_table(key: str, block: Block) -> Table:
             interval = (value - NORMAL_95 * spread, value + NORMAL_95 * spread)
         rows.append((name, value, spread, _interval(interval), _interval(_valid(where, name))))
     columns = ("key", "value", "standard deviation", "95 % interval", "tested within")
-    return Table(key, columns, rows)
+    return Table(key, columns, rows, folded=True)
 
 
 def _valid(where: Any, name: str) -> tuple[float, float] | None:
@@ -131,7 +158,7 @@ def _residual_table(key: str, block: Block) -> Table | None:
     rows += [("correlation", name, value, None) for name, value in where.correlation.items()]
     if not rows:
         return None
-    return Table(f"{key}: evidence", ("kind", "quantity", "value", "to"), rows)
+    return Table(f"{key}: evidence", ("kind", "quantity", "value", "to"), rows, folded=True)
 
 
 def _interval(bounds: tuple[float, float] | None) -> str | None:

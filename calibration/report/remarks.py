@@ -10,9 +10,10 @@ BLOCK_UNFIT = RemarkKind("block_unfit", Severity.ERROR, "{block} {state}: {reaso
 WEAK_BLOCK = RemarkKind("weak_block", Severity.ERROR, "{block}: calibrated, but weak")
 USABLE_BLOCK = RemarkKind("usable_block", Severity.WARNING, "{block}: usable, with reservations")
 ASSUMED_BLOCK = RemarkKind(
-    "assumed_block", Severity.WARNING, "{block}: assumed, not measured ({source})"
+    "assumed_block", Severity.WARNING, "{block}: assumed, not measured; {how}"
 )
 BLOCK_REMARK = RemarkKind("block_remark", Severity.INFO, "{block}: {remark}")
+"""As grave as the block's own remark says."""
 MISSING_BLOCK = RemarkKind(
     "missing_block",
     Severity.INFO,

@@ -41,7 +41,8 @@ def study_verdict(outcome: Outcome, values: dict[str, Any]) -> Verdict:
     sentences += _strongest(values)
     sentences += [_measured_sentence(gel) for gel in values["measured"]]
     if counts["failed"]:
-        sentences.append(f"{counts['failed']} designs cannot be built or pressed; causes below.")
+        lost = f"{counts['failed']} design{'s' if counts['failed'] > 1 else ''}"
+        sentences.append(f"{lost} cannot be built or pressed; causes below.")
     if counts["broken"]:
         sentences.append(
             f"{counts['broken']} designs were lost to faults; the next run tries them again."

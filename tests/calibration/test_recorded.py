@@ -34,9 +34,9 @@ def test_the_profile_and_its_page_say_how_captures_were_recorded(tmp_path: Path)
 
     page = profile_page(profile)
     (table,) = [table for table in page.tables if table.title == "Recordings"]
-    told = dict(table.rows)
+    told = {row[0]: row[1] for row in table.rows}
     assert told["camera"] == str(path) and told["blocks"] == "background"
-    assert [v for k, v in table.rows if k == "left out"] == list(QUICK_LEAVES_OUT)
+    assert [row[1] for row in table.rows if row[0] == "left out"] == list(QUICK_LEAVES_OUT)
     (remark,) = [remark for remark in page.remarks if remark.code == "quick_session"]
     assert "leaves out scale, lens, force, presses, markers, time" in remark.message
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from taccel_lab.calibration.report import Page, Picture, Table, write_page
+from taccel_lab.calibration.report.page import to_do_first
 from taccel_lab.calibration.report.profile_page import profile_page
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
@@ -78,6 +80,54 @@ def test_the_page_of_a_profile_tells_each_block_and_its_evidence(tmp_path: Path)
         assert text in html
     for key in profile.blocks():
         assert f"<h2>{key}</h2>" in html
+
+
+def test_the_verdict_is_followed_by_three_things_to_do_at_most(tmp_path: Path) -> None:
+    remarks = [
+        Remark(Severity.INFO, "a", "just so"),
+        Remark(Severity.WARNING, "usable_block", "color: usable, with reservations"),
+        *(Remark(Severity.WARNING, "b", f"warning {k}") for k in range(4)),
+        Remark(Severity.ERROR, "c", "the worst"),
+    ]
+    first, others = to_do_first(remarks)
+    assert [r.message for r in first] == ["the worst", "warning 0", "warning 1"]
+    assert [r for r in remarks if r not in first] == others and len(others) == 4
+    write_page(Page("x", "", remarks=remarks), tmp_path / "out")
+    html = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    places = [html.index(t) for t in ("Verdict: weak", "To do first", "the worst", "4 more remarks",
+                                      "just so")]  # fmt: skip
+    assert places == sorted(places)
+    assert html.count("<ol>") == 1 and html.count("<li>") == len(remarks)
+
+
+def test_blocks_are_folded_after_the_pictures_and_long_sources_too(tmp_path: Path) -> None:
+    source = "measured on the bench by a person who writes long sentences, " * 3
+    tables = [
+        Table("Evidence", ("name", "value", "never known"), [("x", 1, None)], folded=True),
+        Table("Sources", ("of", "source"), [("y", source)]),
+    ]
+    pictures = [Picture("p", lambda: new_figure(2, 2)[0], "A picture.")]
+    write_page(Page("x", "", tables=tables, pictures=pictures), tmp_path / "out")
+    html = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    places = [html.index(text) for text in ("<h2>Sources", "A picture.", "<summary><h2>Evidence")]
+    assert places == sorted(places)
+    assert "never known" not in html
+    assert source in html and f"<td>{source}" not in html and '<details class="long">' in html
+
+
+def test_what_several_blocks_remark_is_said_once_and_as_grave_as_it_is() -> None:
+    profile = catalogue_profile("gelsight_mini")
+
+    def remarking(block: Any) -> Any:
+        where = block.provenance.model_copy(
+            update={"remarks": ("warning: the light drifts", "info: as always")}
+        )
+        return block.replace(provenance=where)
+
+    profile = profile.with_block(remarking(profile.camera)).with_block(remarking(profile.material))
+    said = {r.message: r.severity for r in profile_page(profile).remarks}
+    assert said["material, camera: the light drifts"] == Severity.WARNING
+    assert said["material, camera: as always"] == Severity.INFO
 
 
 def test_a_depth_curve_is_drawn(tmp_path: Path) -> None:
