@@ -173,7 +173,9 @@ class DatasetCheck:
         if self.json:
             print_json([vars(finding) for finding in findings])
         for finding in () if self.json else findings:
-            console.print(str(finding), highlight=False, markup=False, soft_wrap=True)
+            console.print(
+                f"{finding.severity}: {finding}", highlight=False, markup=False, soft_wrap=True
+            )
         errors = sum(finding.severity == "error" for finding in findings)
         console.print(f"{errors} errors, {len(findings) - errors} warnings", highlight=False)
         if errors:

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
+from taccel_lab.cli.camera_options import CameraOptions
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from taccel_lab.calibration.capture.camera import Camera
     from taccel_lab.calibration.live.latency import Latency
     from taccel_lab.calibration.live.reader import ForceTold, LiveReader, LiveReading
     from taccel_lab.calibration.live.run import LiveResult, LiveWatcher
@@ -26,7 +26,7 @@ PORT = 8092
 
 
 @dataclass(frozen=True, kw_only=True)
-class Live:
+class Live(CameraOptions):
     """Show depth, normals and markers of a camera's frames as they come.
 
     Reads what the profile's blocks allow: depth and normals with normals (colour sensors) or
@@ -36,8 +36,6 @@ class Live:
 
     profile: Positional[Path]
     """Profile folder of this sensor."""
-    camera: str
-    """The camera, as for capture record: an id, a serial number, or files to replay."""
     background: Literal["camera", "profile"] = "camera"
     """The untouched gel: taken from the camera's first frames, when nothing may touch it, or that
     of the profile."""
@@ -46,18 +44,6 @@ class Live:
     reads in 30 ms when left out."""
     frames: int | None = None
     """Stop after so many frames; the page's button or Ctrl-C stop it when left out."""
-    size: str | None = None
-    """WIDTHxHEIGHT that the camera is asked for."""
-    crop: str | None = None
-    """Part of the camera's images that is kept, as when it was recorded."""
-    resize: str | None = None
-    """WIDTHxHEIGHT that what is kept is made smaller to, likewise."""
-    exposure: float | None = None
-    """Exposure to lock at, in the camera's units; as it is when left out."""
-    gain: float | None = None
-    """Gain to lock at, likewise."""
-    white_balance: float | None = None
-    """White balance to lock at, likewise."""
     paced: bool = True
     """A replay keeps its frames' times; --no-paced shows them as fast as they are read."""
     page: bool = True
@@ -72,14 +58,7 @@ class Live:
     """Print the last reading's figures and the time of each stage as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.calibration.capture.camera import (
-            CameraLostError,
-            ControlValues,
-            Framing,
-            Replay,
-            open_camera,
-        )
-        from taccel_lab.calibration.capture.camera.framing import parse_size
+        from taccel_lab.calibration.capture.camera import CameraLostError
         from taccel_lab.calibration.live.page import LivePage
         from taccel_lab.calibration.live.reader import LiveReader
         from taccel_lab.calibration.live.run import run_live
@@ -94,8 +73,7 @@ class Live:
         if not 0.1 <= self.pictures_hz <= 100:
             raise InputError(f"--pictures-hz is {self.pictures_hz:g}; 0.1 to 100 are allowed")
         profile = load_profile(self.profile)
-        framing = Framing.parse(self.crop, self.resize)
-        size = None if self.size is None else parse_size(self.size, "--size")
+        framing, open_ = self.framing(), self.opener(self.paced)
         rest = profile.background_rgb if self.background == "profile" else None
         if self.background == "profile" and rest is None:
             raise InputError(f"{self.profile} has no background; leave --background profile away")
@@ -105,9 +83,6 @@ class Live:
         def make_reader(background: np.ndarray) -> LiveReader:
             force = None if profile.force is None else _forces(profile, background)
             return LiveReader(profile, background, detail=self.detail, force=force)
-
-        def open_() -> Camera:
-            return open_camera(self.camera, size, Replay(paced=self.paced))
 
         with ExitStack() as stack:
             watchers: list[LiveWatcher] = [_Lines(say)]
@@ -123,7 +98,7 @@ class Live:
                     watchers,
                     background=rest,
                     frames=self.frames,
-                    values=ControlValues(self.exposure, self.gain, self.white_balance),
+                    values=self.values(),
                     framing=framing,
                 )
             except CameraLostError as error:

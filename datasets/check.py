@@ -7,7 +7,6 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -15,24 +14,13 @@ from taccel_lab.datasets.folder import DatasetFolder
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
 from taccel_lab.output_folder import OUTPUT_MARKER
+from taccel_lab.profile import Finding
 from taccel_lab.progress import Progress, silent
 from taccel_lab.reading.json_file import read_json
 
 FORCE_TOLERANCE = 1e-5
 """Of the sum of patch forces beside the force, as a part of the largest force."""
 READ_ROWS = 256
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that was noticed."""
-
-    severity: Literal["error", "warning"]
-    where: str
-    message: str
-
-    def __str__(self) -> str:
-        return f"{self.severity}: {self.where}: {self.message}"
 
 
 def check_dataset(folders: Sequence[Path | str], progress: Progress = silent) -> list[Finding]:

@@ -60,15 +60,8 @@ class ForceReader:
         """
         with naming(profile_name):
             self.model = ForceModel.from_profile(profile)
-        if background is None:
-            if profile.background_rgb is None:
-                raise InputError(
-                    "the profile has no background; give an image of the untouched sensor "
-                    "(--background)"
-                )
-            background = profile.background_rgb
-        self.background, self.background_name = np.asarray(background), background_name
-        self._require_size(self.background, background_name)
+        self.background = profile.untouched(background, background_name)
+        self.background_name = background_name
 
     def _require_size(self, image: np.ndarray, name: str) -> None:
         config = self.model.config

@@ -143,21 +143,8 @@ class SurfaceReader:
         """
         self.profile, self.mask = profile, mask
         self.method = self._chosen(method)
-        if background is None:
-            if profile.background_rgb is None:
-                raise InputError(
-                    "the profile has no background; give an image of the untouched sensor "
-                    "(--background)"
-                )
-            background = profile.background_rgb
-        self.background = np.asarray(background, dtype=np.float32)
+        self.background = profile.untouched(background, background_name).astype(np.float32)
         grid = profile.grid()
-        expected = (grid.height_px, grid.width_px, 3)
-        if self.background.shape != expected:
-            raise InputError(
-                f"{background_name} is {self.background.shape[1]}x{self.background.shape[0]} px, "
-                f"the profile's camera {expected[1]}x{expected[0]} px"
-            )
         self._image_shape = self.background.shape
         self.grid = grid if shrink == 1 else _smaller(grid, shrink)
         """Of the maps that are read."""

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
+from taccel_lab.cli.camera_options import CameraOptions
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.capture.camera import Camera
     from taccel_lab.calibration.record.facts import RecordFacts
     from taccel_lab.calibration.record.session import Status
 
@@ -25,13 +25,9 @@ PORT = 8091
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Session:
+class _Session(CameraOptions):
     sensor: Positional[str]
     """Sensor of the catalogue (taccel-lab sensors list); flat_pad for any other."""
-    camera: str
-    """The camera: its id or serial number, or a part of either that no other has (taccel-lab
-    capture devices lists them); a number on macOS and Windows. The path of a video, of a folder of
-    images or of a capture folder is replayed instead."""
     out: Path
     """Capture folder to write, or to go on with."""
     radius_mm: float | None = None
@@ -45,18 +41,6 @@ class _Session:
     later leaves it open, for an edge or a board."""
     unit: str | None = None
     """Serial number or nickname of this sensor; that of the camera when left out."""
-    size: str | None = None
-    """WIDTHxHEIGHT that the camera is asked for; its own choice when left out."""
-    crop: str | None = None
-    """Part of the camera's images that is kept: LEFT,TOP,WIDTHxHEIGHT in pixels."""
-    resize: str | None = None
-    """WIDTHxHEIGHT that what is kept is made smaller to."""
-    exposure: float | None = None
-    """Exposure to lock at, in the camera's units; as it is when left out."""
-    gain: float | None = None
-    """Gain to lock at, likewise."""
-    white_balance: float | None = None
-    """White balance to lock at, likewise (mostly a temperature in kelvin)."""
     page: bool = True
     """Show the page in the browser; with --no-page the terminal alone says what to do."""
     port: int = PORT
@@ -72,14 +56,7 @@ class _Session:
 
     def run_as(self, presses: int | None, quick: bool) -> None:
         """Record; ``presses`` None: as many as the sensor's plan has."""
-        from taccel_lab.calibration.capture.camera import (
-            CameraLostError,
-            ControlValues,
-            Framing,
-            Replay,
-            open_camera,
-        )
-        from taccel_lab.calibration.capture.camera.framing import parse_size
+        from taccel_lab.calibration.capture.camera import CameraLostError
         from taccel_lab.calibration.capture.guide import capture_plan
         from taccel_lab.calibration.record.folder import open_record
         from taccel_lab.calibration.record.page import RecordPage
@@ -90,13 +67,9 @@ class _Session:
 
         if presses is not None and not 1 <= presses <= 1000:
             raise InputError(f"--presses is {presses}; 1 to 1000 are allowed")
-        facts, framing = self._facts(quick), Framing.parse(self.crop, self.resize)
-        size = None if self.size is None else parse_size(self.size, "--size")
+        facts, framing, open_ = self._facts(quick), self.framing(), self.opener(self.page)
         wanted = presses or capture_plan(self.sensor).press_count
         console = notes()
-
-        def open_() -> Camera:
-            return open_camera(self.camera, size, Replay(paced=self.page))
 
         with ExitStack() as stack, open_record(self.out, facts) as folder:
             recorder = Recorder(folder, facts, wanted)
@@ -114,7 +87,7 @@ class _Session:
                     recorder,
                     open_,
                     watchers,
-                    values=ControlValues(self.exposure, self.gain, self.white_balance),
+                    values=self.values(),
                     framing=framing,
                     ends_by_itself=not self.page,
                 )
@@ -147,13 +120,8 @@ class _Session:
             self.license,
             quick,
             self.origin or "",
-            framing=str(self._framing()),
+            framing=str(self.framing()),
         )
-
-    def _framing(self) -> object:
-        from taccel_lab.calibration.capture.camera import Framing
-
-        return Framing.parse(self.crop, self.resize)
 
     def _report(self, status: Status, facts: RecordFacts, quick: bool) -> None:
         from rich.console import Console

@@ -47,7 +47,7 @@ _HEADER = "# Sensor profile written by taccel-lab. The format is described in do
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing noticed about a profile folder."""
+    """One thing noticed about the folder of a profile or of a data set."""
 
     severity: Literal["error", "warning"]
     where: str

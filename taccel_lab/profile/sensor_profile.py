@@ -95,6 +95,25 @@ class SensorProfile:
         """The pixel grid of the tactile image."""
         return self.camera.grid()
 
+    def untouched(
+        self, given: np.ndarray | None = None, name: str = "the background"
+    ) -> np.ndarray:
+        """Image of the untouched sensor, RGB levels, shape [H, W, 3]: ``given``, which an error
+        calls ``name``, or the profile's; InputError without either, or for another size."""
+        image = self.background_rgb if given is None else np.asarray(given)
+        if image is None:
+            raise InputError(
+                "the profile has no background; give an image of the untouched sensor "
+                "(--background)"
+            )
+        width, height = self.camera.width_px, self.camera.height_px
+        if image.shape != (height, width, 3):
+            raise InputError(
+                f"{name} is {image.shape[1]}x{image.shape[0]} px, the profile's camera "
+                f"{width}x{height} px; give images of that size"
+            )
+        return image
+
     def blocks(self) -> dict[str, Block]:
         """The blocks that are present, by key, in the order of the file."""
         found = {block.key: getattr(self, block.key) for block in BLOCK_TYPES}

@@ -165,7 +165,7 @@ def test_check_finds_empty_constant_and_nan_columns(made: Path, tmp_path: Path) 
             zarr.open_group(part / "data.zarr", mode="r+")[name][:] = values
             (part / OUTPUT_MARKER).unlink()
             _write_marker(part)
-        told = [str(finding) for finding in check_dataset([broken])]
+        told = [f"{f.severity}: {f}" for f in check_dataset([broken])]
         assert any(line.startswith(message) for line in told), told
 
 

@@ -224,3 +224,14 @@ def test_blocks_hold_all_that_is_described(block: Any, described: Any) -> None:
     for name, field in fields.items():
         if field.default is not dataclasses.MISSING and not block.model_fields[name].is_required():
             assert block.model_fields[name].default == field.default
+
+
+def test_the_untouched_image_is_given_or_the_profiles(full_profile: SensorProfile) -> None:
+    own = full_profile.untouched()
+    assert own is full_profile.background_rgb
+    given = np.zeros_like(own)
+    assert np.array_equal(full_profile.untouched(given), given)
+    with pytest.raises(InputError, match=r"rest\.png is .* give images of that size"):
+        full_profile.untouched(given[:, :-1], "rest.png")
+    with pytest.raises(InputError, match="no background; give an image"):
+        full_profile.without("background").untouched()

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which camera, what is kept of its images, and where its controls are locked: for all commands
+that read one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from taccel_lab.calibration.capture.camera import Camera, ControlValues, Framing
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraOptions:
+    """Of a camera, or of files that are replayed in its place."""
+
+    camera: str
+    """The camera: its id or serial number, or a part of either that no other has (taccel-lab
+    capture devices lists them); a number on macOS and Windows. The path of a video, of a folder of
+    images or of a capture folder is replayed instead."""
+    size: str | None = None
+    """WIDTHxHEIGHT that the camera is asked for; its own choice when left out."""
+    crop: str | None = None
+    """Part of the camera's images that is kept: LEFT,TOP,WIDTHxHEIGHT in pixels; the
+    same in live as when the captures were recorded."""
+    resize: str | None = None
+    """WIDTHxHEIGHT that what is kept is made smaller to, likewise."""
+    exposure: float | None = None
+    """Exposure to lock at, in the camera's units; as it is when left out."""
+    gain: float | None = None
+    """Gain to lock at, likewise."""
+    white_balance: float | None = None
+    """White balance to lock at, likewise (mostly a temperature in kelvin)."""
+
+    def opener(self, paced: bool) -> Callable[[], Camera]:
+        """Opens the camera; a replay keeps its frames' times when ``paced``. Raises InputError for
+        a size that is none."""
+        from taccel_lab.calibration.capture.camera import Replay, open_camera
+        from taccel_lab.calibration.capture.camera.framing import parse_size
+
+        size = None if self.size is None else parse_size(self.size, "--size")
+        return lambda: open_camera(self.camera, size, Replay(paced=paced))
+
+    def framing(self) -> Framing:
+        """What is kept of each frame."""
+        from taccel_lab.calibration.capture.camera import Framing
+
+        return Framing.parse(self.crop, self.resize)
+
+    def values(self) -> ControlValues:
+        """Where the controls are locked."""
+        from taccel_lab.calibration.capture.camera import ControlValues
+
+        return ControlValues(self.exposure, self.gain, self.white_balance)
