@@ -103,6 +103,7 @@ class Press:
         from taccel_lab.model.devices import require_device
         from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.sensors.profile import load_sensor
+        from taccel_lab.signals.color_model import ColorModel
         from taccel_lab.signals.profile_options import image_painter
         from taccel_lab.signals.rest_surface import rest_surface
         from taccel_lab.signals.texture import Texture
@@ -122,6 +123,7 @@ class Press:
         if note is not None:
             console.print(f"note: {note}", highlight=False)
         check_depth(self.depth_mm, profile)
+        ColorModel.from_profile(profile)  # One that cannot paint is refused before the press.
         gel = self._mesh(profile, indenter, physics)
         material = profile_material(profile.material, gel)
         started = time.perf_counter()
