@@ -12,6 +12,7 @@ from typing import Any
 
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh, usual_edge_mm
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
+from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
@@ -63,9 +64,9 @@ def design_sensor(
 ) -> DesignResult:
     """Build a sensor of ``family`` and write everything to ``out_dir``, whole or not at all.
 
-    ``edge_mm`` is the target edge length of the mesh [mm], that of ``usual_edge_mm`` when None,
-    ``parts`` the files for the workshop (``WORKSHOP_PARTS``); mesh, quality, parameters, preview
-    and profile are always written.
+    ``edge_mm`` is the target edge length of the mesh [mm], that of ``sound_gel_mesh`` (tetwild:
+    ``usual_edge_mm``) when None, ``parts`` the files for the workshop (``WORKSHOP_PARTS``); mesh,
+    quality, parameters, preview and profile are always written.
     ``progress`` is told when each stage begins and ends. A mesh that fails its gate raises
     InputError and leaves a picture of where in ``refused_folder(out_dir)``.
     """
@@ -75,7 +76,6 @@ def design_sensor(
     require_replaceable(out_dir)
     parameters = family.parameters(overrides)
     pad = parameters.pad()
-    edge_mm = usual_edge_mm(pad) if edge_mm is None else edge_mm
     seconds: dict[str, float] = {}
     tell = StageClock(seconds, progress)
 
@@ -86,16 +86,22 @@ def design_sensor(
     from taccel_lab.sensors.assembly import gel_layers, sensor_parts
 
     part = labelled_solid(pad)
+    surface = tessellate_solid(part)
+    of_cad: dict[str, Any] = {"cad_volume_mm3": part.volume_mm3, "cad_surface": surface}
     tell("mesh")
+    quality = None
     if mesher == "tetwild":
         from taccel_lab.cad.mesh.tetrahedralize import tetwild_gel_mesh
 
+        edge_mm = usual_edge_mm(pad) if edge_mm is None else edge_mm
         mesh = tetwild_gel_mesh(pad, edge_mm, part=part, picture_folder=refused_folder(out_dir))
+    elif edge_mm is None:
+        mesh, quality, edge_mm = sound_gel_mesh(pad, **of_cad)
     else:
         mesh = gel_mesh(pad, edge_mm)
     tell("quality")
-    surface = tessellate_solid(part)
-    quality = measure_quality(mesh, pad, cad_volume_mm3=part.volume_mm3, cad_surface=surface)
+    if quality is None:
+        quality = measure_quality(mesh, pad, **of_cad)
     gate = QualityGate().at_edge(edge_mm)
     try:
         passed = require_quality(mesh, quality, gate, picture_folder=refused_folder(out_dir))

@@ -9,8 +9,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
-from taccel_lab.cad.mesh.gel_mesh import gel_mesh
-from taccel_lab.cad.mesh.quality import MeshQuality, measure_quality, require_quality
+from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, require_quality
+from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import (
@@ -164,9 +164,8 @@ def catalogue_profile(name: str, overrides: Mapping[str, Any] | None = None) -> 
     """
     family = sensor_family(name)
     parameters = family.parameters(overrides)
-    mesh = gel_mesh(parameters.pad())
-    quality = measure_quality(mesh, parameters.pad())
-    require_quality(mesh, quality)
+    mesh, quality, edge_mm = sound_gel_mesh(parameters.pad())
+    require_quality(mesh, quality, QualityGate().at_edge(edge_mm))
     return designed_profile(family, parameters, mesh, quality, mesher="structured")
 
 

@@ -16,7 +16,7 @@ from taccel_lab.cad.parts.rim_fillet import fillet_arc
 NODE_BUDGET = 12_000
 """Nodes of an even mesh at an edge of 1 mm or more; large pads get wider cells in plan."""
 _MAX_CORE = 64
-_FILLET_SAGITTA_MM = 0.0195
+_FILLET_SAGITTA_MM = 0.016
 _FILLET_EDGE = 0.74
 """Spacing along an outline with a fillet in units of the edge: its cells are short across."""
 
