@@ -71,7 +71,7 @@ class Press:
     element: Literal["linear", "quadratic"] | None = None
     """linear: only to see what it costs: forces tens of per cent too large near nu 0.5."""
     mesh: Literal["focused", "profile"] = "focused"
-    """focused: graded around the contact (sensors of the catalogue). profile: the stored mesh."""
+    """focused: fine around the contact. profile: the stored mesh as it is."""
     states: bool = False
     """Keep every step in states.npz, for taccel-lab view: gel, pressure, stress, forces, image."""
     device: str = "cpu"

@@ -27,7 +27,8 @@ class Preview:
     """
 
     sensor: Positional[str]
-    """Sensor of the catalogue, e.g. gelsight_mini."""
+    """Sensor of the catalogue, e.g. gelsight_mini, or the folder of a profile, such as that of
+    taccel-lab import-step."""
     out: Path
     """Folder to write; an earlier one is replaced when everything is done."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE")] = field(default=())
@@ -80,7 +81,7 @@ def print_preview(console: Console, preview: DesignPreview) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table("figure", "value", "unit", "what it is", title=preview.family.name)
+    table = Table("figure", "value", "unit", "what it is", title=preview.family.label)
     table.columns[1].justify = "right"
     for metric in preview.metrics:
         value = preview.result.figures.get(metric.name)

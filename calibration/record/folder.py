@@ -28,6 +28,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file
 from taccel_lab.reading.images import read_image
 from taccel_lab.reading.toml_file import read_toml
+from taccel_lab.sensors.registry import sensor_family
 
 _PRESS = re.compile(r"press_([0-9]+)\.png")
 _LEFT_BEHIND = re.compile(r"\.(press_[0-9]+|untouched_[0-9]+|background|captures)\..+\.(png|toml)")
@@ -128,7 +129,10 @@ def open_record(path: Path, facts: RecordFacts) -> Iterator[RecordFolder]:
             )
     if fresh:
         facts.require_complete()
-        manifest: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "sensor": facts.sensor}
+        manifest: dict[str, Any] = {
+            "schema_version": SCHEMA_VERSION,
+            "sensor": sensor_family(facts.sensor).name,
+        }
         notes = facts.notes()
     else:
         load_capture_folder(path)  # Refuses what is damaged, by name.

@@ -74,7 +74,8 @@ class CalibrationFiles:
     out: Path
     """Profile folder to write."""
     base: Path | None = None
-    """Profile to extend; the catalogue's design of the captures' sensor when left out."""
+    """Profile to extend; when left out, the one that the captures name as their sensor, or the
+    catalogue's design of it."""
     report: Path | None = None
     """Folder for the report (HTML, pictures, JSON); <out>_report when left out."""
     json: bool = False
