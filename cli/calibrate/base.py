@@ -36,7 +36,7 @@ def report_folder(out: Path, report: Path | None) -> Path:
 
 def require_outputs(out: Path, report: Path) -> None:
     """Refuse unusable output folders before any long work."""
-    from taccel_lab.output_folder import require_replaceable
+    from taccel_lab.output_folder import require_growable, require_replaceable
     from taccel_lab.profile import require_profile_folder
 
     inner, outer = Path(os.path.abspath(report)), Path(os.path.abspath(out))
@@ -46,6 +46,7 @@ def require_outputs(out: Path, report: Path) -> None:
             "else; name another folder with --report"
         )
     require_profile_folder(out)
+    require_growable(out)
     require_replaceable(report)
 
 
