@@ -203,6 +203,8 @@ def step_progress(console: Console, title: str) -> Any:
 
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+    from taccel_lab.warp_output import first_step
+
     @contextmanager
     def bar() -> Any:
         columns = (
@@ -213,7 +215,7 @@ def step_progress(console: Console, title: str) -> Any:
             TimeElapsedColumn(),
         )
         with Progress(*columns, console=console) as progress:
-            task = progress.add_task(title, total=None, note="compiling kernels")
+            task = progress.add_task(title, total=None, note=first_step())
 
             def update(done: int, total: int, step: Any) -> None:
                 report = step.report
