@@ -16,13 +16,16 @@ from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile, load_profile
 from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.sensors.profile_family import IMPORTED
+from taccel_lab.sensors.registry import is_of_sensor, profile_folder
 
 MEASURED = ("calibrated", "measured")
 """Kinds of blocks that say something about the unit at hand."""
 
 
 def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder) -> SensorProfile:
-    """The profile to extend: given, in a profile folder, or the catalogue's design of the sensor.
+    """The profile to extend: given, in a profile folder, that which the captures name as their
+    sensor, or the catalogue's design of the sensor.
 
     A design has the dimensions that the captures' ``[design]`` states, and takes their image size
     and scale where these state a scale.
@@ -31,6 +34,7 @@ def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder)
         InputError: The profile is of another family than the captures, or has other dimensions
             than they state.
     """
+    base = base or profile_folder(folder.sensor)
     if base is None:
         with naming(folder.source):
             if folder.mm_per_px is None or folder.background is None:
@@ -39,11 +43,12 @@ def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder)
             design = fitted_design(folder.sensor, grid, folder.design)
             return on_grid(design, grid, folder.provenance, rectified=folder.rectified)
     profile = base if isinstance(base, SensorProfile) else load_profile(base)
-    if profile.sensor.family != folder.sensor:
+    if not is_of_sensor(profile, folder.sensor):
         name = "to extend" if isinstance(base, SensorProfile) else base
         raise InputError(
             f"the captures are of a {folder.sensor}, the profile {name} is of a "
             f"{profile.sensor.family}"
+            + (", another gel" if profile.sensor.family == IMPORTED else "")
         )
     for key, value in folder.design.items():
         known = profile.sensor.parameters.get(key)

@@ -42,7 +42,7 @@ from taccel_lab.envs.physics import SURFACE_PHYSICS, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
-from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.sensors.registry import profile_parameters
 from taccel_lab.signals.rest_surface import rest_surface
 from taccel_lab.warp_output import quiet_warp
 
@@ -250,7 +250,9 @@ def press_batches(
 ) -> list[PressBatch]:
     """The presses, or those ``wanted``, in batches of ``size`` or ``BATCH``, each of one ball, in
     order."""
-    size = size or BATCH
+    pad = profile_parameters(profile).pad()
+    # Environments of one scene have one connectivity.
+    size = (size or BATCH) if pad.one_connectivity else 1
     grid = captures.grid
     at_mm = grid.gel_from_pixel(np.array([[c.u_px, c.v_px] for c in circles]))
     target_mm = np.array([c.radius_px for c in circles]) * grid.mm_per_px_x
@@ -266,8 +268,7 @@ def press_batches(
             target_mm=target_mm[chosen],
             tolerance_mm=RADIUS_TOLERANCE_PX * grid.mm_per_px_x,
             ball_radius_mm=ball_mm,
-            family=profile.sensor.family,
-            parameters=dict(profile.sensor.parameters),
+            pad=pad,
             material=profile.material,
             friction=friction_coefficient,
             physics=physics,
@@ -279,8 +280,7 @@ def press_batches(
 
 def _require_view_on_pad(captures: CaptureSet, profile: SensorProfile) -> None:
     """Refuse captures that show more than the pad: there is no surface under those pixels."""
-    grid, family = captures.grid, sensor_family(profile.sensor.family)
-    pad = family.parameters(profile.sensor.parameters).pad()
+    grid, pad = captures.grid, profile_parameters(profile).pad()
     last = np.array([grid.width_px - 1, grid.height_px - 1])
     corners = grid.gel_from_pixel(np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * last)
     if pad.inside_distance_mm(corners).min() < 0:

@@ -19,7 +19,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import NoReturn, Protocol
 
@@ -160,10 +160,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # File names may hold bytes that no text has, and a terminal may know ASCII alone.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    from taccel_lab.cli.console import only_json
+
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
+    words = sys.argv[1:] if arguments is None else arguments
+    as_json = "--json" in words and not {"-h", "--help"} & set(words)
     try:
-        with _terminable():
-            parse(arguments).run()
+        with _terminable(), only_json() if as_json else nullcontext():
+            parse(words).run()
     except InputError as error:
         return _fail(2, f"error: {error}")
     except BrokenPipeError:

@@ -3,9 +3,13 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
+from typing import IO, TYPE_CHECKING, Any
 
 from taccel_lab.output import to_jsonable
 
@@ -13,6 +17,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 _told = {"quiet": False}
+_results: list[IO[str]] = []
+"""Where ``print_json`` writes when standard output is for it alone; empty otherwise."""
 
 
 def be_quiet(quiet: bool) -> None:
@@ -29,4 +35,36 @@ def notes() -> Console:
 
 def print_json(value: Any) -> None:
     """Write ``value`` as indented JSON to standard output; NaN and infinities become null."""
-    sys.stdout.write(json.dumps(to_jsonable(value), indent=2, allow_nan=False) + "\n")
+    out = _results[-1] if _results else sys.stdout
+    out.write(json.dumps(to_jsonable(value), indent=2, allow_nan=False) + "\n")
+    out.flush()
+
+
+@contextmanager
+def only_json() -> Iterator[None]:
+    """Standard output is for ``print_json`` alone: all else goes to standard error, whoever writes
+    it, a table, Warp, a library in C or a process of ours."""
+    sys.stdout.flush()
+    try:
+        number = sys.stdout.fileno()
+        kept = os.dup(number)
+    except (io.UnsupportedOperation, OSError):
+        # No file, as where the output of a call is collected.
+        _results.append(sys.stdout)
+        try:
+            with redirect_stdout(sys.stderr):
+                yield
+        finally:
+            _results.pop()
+        return
+    os.dup2(2, number)
+    with os.fdopen(os.dup(kept), "w", errors="backslashreplace") as out:
+        _results.append(out)
+        try:
+            yield
+        finally:
+            _results.pop()
+            with suppress(OSError):
+                sys.stdout.flush()
+            os.dup2(kept, number)
+            os.close(kept)

@@ -73,6 +73,7 @@ class Design:
 
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.progress import stage_words
         from taccel_lab.sensors.design import design_sensor
         from taccel_lab.sensors.registry import sensor_family
 
@@ -87,7 +88,7 @@ class Design:
         if self.page:
             self._serve(family, overrides)
             return
-        with console.status("starting") as status:
+        with stage_words(console) as say:
             result = design_sensor(
                 family,
                 overrides,
@@ -95,7 +96,7 @@ class Design:
                 self.mesher,
                 self.edge_mm,
                 parts=self.parts,
-                progress=lambda stage, _, __: status.update(_STAGES[stage]),
+                progress=lambda stage, _, __: say(_STAGES[stage]),
             )
         if self.json:
             figures = {"quality": result.quality.to_json(), "files": result.files}

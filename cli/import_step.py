@@ -76,6 +76,7 @@ class ImportStep:
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cad.step_import import FaceSelection, list_faces, listing
         from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.progress import stage_words
         from taccel_lab.sensors.imported import import_design
 
         console = Console()
@@ -91,7 +92,7 @@ class ImportStep:
         stated = FaceSelection.from_toml(self.select).model_dump(exclude_unset=True)
         flags = {name: value for name, value in given.items() if value}
         selection = FaceSelection(**(stated | flags))
-        with notes().status("starting") as status:
+        with stage_words(notes()) as say:
             result = import_design(
                 self.step,
                 selection,
@@ -100,7 +101,7 @@ class ImportStep:
                 like=self.like,
                 overrides=parse_overrides(self.set),
                 parts=self.parts,
-                progress=lambda stage, _, __: status.update(_STAGES[stage]),
+                progress=lambda stage, _, __: say(_STAGES[stage]),
             )
         assumed = selection.assumed()
         if self.json:

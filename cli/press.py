@@ -71,7 +71,7 @@ class Press:
     element: Literal["linear", "quadratic"] | None = None
     """linear: only to see what it costs: forces tens of per cent too large near nu 0.5."""
     mesh: Literal["focused", "profile"] = "focused"
-    """focused: graded around the contact (sensors of the catalogue). profile: the stored mesh."""
+    """focused: fine around the contact. profile: the stored mesh as it is."""
     states: bool = False
     """Keep every step in states.npz, for taccel-lab view: gel, pressure, stress, forces, image."""
     device: str = "cpu"
@@ -203,6 +203,8 @@ def step_progress(console: Console, title: str) -> Any:
 
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+    from taccel_lab.warp_output import first_step
+
     @contextmanager
     def bar() -> Any:
         columns = (
@@ -213,7 +215,7 @@ def step_progress(console: Console, title: str) -> Any:
             TimeElapsedColumn(),
         )
         with Progress(*columns, console=console) as progress:
-            task = progress.add_task(title, total=None, note="compiling kernels")
+            task = progress.add_task(title, total=None, note=first_step())
 
             def update(done: int, total: int, step: Any) -> None:
                 report = step.report

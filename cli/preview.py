@@ -21,13 +21,15 @@ class Preview:
     """Show a design before it is built: camera picture, photometric figures, stiffness.
 
     The picture comes from the family's camera, lights and coating, ray-cast against the gel; the
-    presses are simulated. One design in seconds; many are a study (taccel-lab study).
+    presses are simulated. Sections through the sensor are drawn first, and can be looked at while
+    the rest is computed. One design in seconds; many are a study (taccel-lab study).
 
     Example: taccel-lab preview gelsight_mini --set thickness_mm=3 --out out/thin
     """
 
     sensor: Positional[str]
-    """Sensor of the catalogue, e.g. gelsight_mini."""
+    """Sensor of the catalogue, e.g. gelsight_mini, or the folder of a profile, such as that of
+    taccel-lab import-step."""
     out: Path
     """Folder to write; an earlier one is replaced when everything is done."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE")] = field(default=())
@@ -45,28 +47,38 @@ class Preview:
     def run(self) -> None:
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.progress import stage_words
         from taccel_lab.model.devices import require_device
         from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.sensors.registry import sensor_family
-        from taccel_lab.studies.preview import preview_design, write_preview
-        from taccel_lab.warp_output import quiet_warp
+        from taccel_lab.studies.preview import draw_sections, preview_design, write_preview
+        from taccel_lab.warp_output import first_step, quiet_warp
 
         quiet_warp()
         require_replaceable(self.out)
         require_device(self.device)
         console = notes()
         family, overrides = sensor_family(self.sensor), parse_overrides(self.set)
-        with console.status("meshing and casting rays") as status:
+        with stage_words(console) as say, atomic_directory(self.out) as folder:
+            say("drawing the sections")
+            first = draw_sections(family, family.parameters(overrides), folder)
+            console.print(f"first look: {first}", highlight=False, soft_wrap=True)
+
+            def tell(what: str, done: int, total: int) -> None:
+                begins = f"; {first_step()}" if total and not done else ""
+                say(f"{what}: {done} of {total} presses done{begins}")
+
+            say("meshing")
             preview = preview_design(
                 family,
                 overrides,
                 presses=self.presses,
                 size_px=self.size_px,
                 device=self.device,
-                progress=lambda what, done, total: status.update(f"{what}: {done}/{total} done"),
+                progress=tell,
             )
-            with atomic_directory(self.out) as folder:
-                files = write_preview(preview, folder)
+            say("drawing")
+            files = {"sections": first, **write_preview(preview, folder)}
         if self.json:
             print_json(preview.to_json())
         else:
@@ -80,7 +92,7 @@ def print_preview(console: Console, preview: DesignPreview) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table("figure", "value", "unit", "what it is", title=preview.family.name)
+    table = Table("figure", "value", "unit", "what it is", title=preview.family.label)
     table.columns[1].justify = "right"
     for metric in preview.metrics:
         value = preview.result.figures.get(metric.name)

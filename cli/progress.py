@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +44,28 @@ def _beats(console: Console, title: str) -> Iterator[dict[str, str]]:
     finally:
         stop.set()
         thread.join()
+
+
+@contextmanager
+def stage_words(console: Console) -> Iterator[Callable[[str], None]]:
+    """Yield what says the stage that begins: a clock runs beside it, a log gets a line of each."""
+    from rich.progress import Progress as Bars
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    if not console.is_terminal:
+        said: list[str] = []
+
+        def note(words: str) -> None:
+            if said[-1:] != [words]:
+                said.append(words)
+                console.print(f"{words} ...", highlight=False, markup=False, soft_wrap=True)
+
+        yield note
+        return
+    columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
+    with Bars(*columns, console=console, transient=True) as bars:
+        task = bars.add_task("starting", total=None)
+        yield lambda words: bars.update(task, description=words)
 
 
 @contextmanager

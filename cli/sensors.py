@@ -73,7 +73,7 @@ class SensorsShow:
     """Show a sensor: what its parameters make, and their defaults, bounds and sources."""
 
     sensor: Positional[str]
-    """Sensor of the catalogue, e.g. gelsight_mini."""
+    """Sensor of the catalogue, e.g. gelsight_mini, or the folder of a profile."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE")] = field(default=())
     """Parameters other than the defaults, e.g. thickness_mm=3 window_thickness_mm=4."""
     json: bool = False

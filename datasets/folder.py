@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 from taccel_lab.datasets.part import EPISODES, STEPS
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file, write_json
+from taccel_lab.output_folder import require_growable
 from taccel_lab.reading.json_file import read_json
 
 if TYPE_CHECKING:
@@ -47,9 +48,8 @@ class DatasetFolder:
 
     def require_usable(self, plan: Plan) -> None:
         """Refuse a folder of somebody else, or of another data set than ``plan``."""
-        for path in (self.root, *self.root.parents):
-            if path.exists() and not path.is_dir():
-                raise InputError(f"{path} is a file; an output folder is needed")
+        if not self.root.is_dir():
+            require_growable(self.root)
         if not self.root.is_dir() or all(p.name.startswith(LOCK) for p in self.root.iterdir()):
             return
         if not (self.root / ABOUT).is_file():

@@ -99,7 +99,7 @@ def sensor_of(
     Raises:
         InputError: The profile states no measured spread, but units are to differ.
     """
-    from taccel_lab.sensors.registry import sensor_family
+    from taccel_lab.sensors.registry import profile_parameters
 
     width, height = size_px or (profile.camera.width_px, profile.camera.height_px)
     grid = profile.grid().resized(width, height)
@@ -113,7 +113,7 @@ def sensor_of(
     sensor = Sensor(
         name=profile.sensor.name,
         digest=profile_digest(profile),
-        pad=sensor_family(profile.sensor.family).parameters(profile.sensor.parameters).pad(),
+        pad=profile_parameters(profile).pad(),
         mesh=profile.mesh,
         material_of=lambda mesh: profile_material(profile.material, mesh),
         friction_coefficient=profile.material.friction_coefficient,

@@ -79,6 +79,16 @@ class SensorFamily:
     references: tuple[str, ...] = ()
     """Publications and data the family rests on."""
 
+    @property
+    def label(self) -> str:
+        """Name in titles."""
+        return self.name
+
+    @property
+    def identity(self) -> str:
+        """Stands for all of a design that its parameters do not say."""
+        return self.name
+
     def parameters(self, overrides: Mapping[str, Any] | None = None) -> FamilyParameters:
         """Parameters of the family, the defaults where ``overrides`` says nothing.
 

@@ -16,7 +16,9 @@ from taccel_lab.output_folder import atomic_directory, require_replaceable
 from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.design import StageClock, refused_folder
-from taccel_lab.sensors.imported_profile import imported_profile, like_parameters
+from taccel_lab.sensors.imported_profile import imported_profile
+from taccel_lab.sensors.profile_family import require_no_shape
+from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.sensors.workshop import Workshop, check_parts, issue_of
 
 if TYPE_CHECKING:
@@ -60,7 +62,9 @@ def import_design(
     selected and how the file's frame became the gel frame, and a profile with camera, lights and
     material of the family ``like``, ``overrides`` in place of some of its parameters.
     """
-    like_parameters(like, overrides or {})
+    family = sensor_family(like)
+    require_no_shape(family, overrides or {})
+    family.parameters(overrides)
     check_parts(parts)
     if "assembly" in parts:
         raise InputError(

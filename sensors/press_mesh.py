@@ -19,6 +19,7 @@ from taccel_lab.cad.mesh.convex_polygon import (
 )
 from taccel_lab.cad.mesh.focus import MIN_FOCUS_EDGE_MM, FocusOptions
 from taccel_lab.cad.mesh.gel_mesh import focused_gel_mesh
+from taccel_lab.cad.mesh.mesh_pad import MeshPad
 from taccel_lab.cad.mesh.pad_plan_focused import rim_distances_mm, rim_rings
 from taccel_lab.cad.mesh.template import FoldedMeshError, growth_factor
 from taccel_lab.cad.parts.dome_pad import DomePad
@@ -33,7 +34,7 @@ from taccel_lab.geometry.press_mesh_options import (
     PressMeshOptions,
 )
 from taccel_lab.geometry.tool_section import ToolSection
-from taccel_lab.sensors.registry import IMPORTED, sensor_family
+from taccel_lab.sensors.registry import profile_parameters, sensor_family
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
@@ -86,11 +87,8 @@ def profile_press_mesh(
     contact: float | ToolSection,
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
 ) -> TetMesh:
-    """As ``press_mesh``, of a profile; an imported gel, which no family describes, is its own mesh
-    with the tets around the contact bisected."""
-    if profile.sensor.family != IMPORTED:
-        return press_mesh(profile.sensor.family, profile.sensor.parameters, at_mm, contact, options)
-    return _bisected_around(profile.mesh, at_mm, contact, options)
+    """As ``press_mesh``, of a profile."""
+    return pad_press_mesh(profile_parameters(profile).pad(), at_mm, contact, options)
 
 
 def _bisected_around(
@@ -152,7 +150,12 @@ def pad_press_mesh(
     contact: float | ToolSection,
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
 ) -> TetMesh:
-    """As ``press_mesh``, of a pad that need not be in the catalogue."""
+    """As ``press_mesh``, of a pad that need not be in the catalogue.
+
+    The tets of a pad that is a mesh are bisected around the contact, which keeps no connectivity.
+    """
+    if isinstance(pad, MeshPad):
+        return _bisected_around(pad.mesh, at_mm, contact, options)
     if not isinstance(contact, ToolSection):
         return focused_gel_mesh(pad, _disc_focus(at_mm, contact, pad.thickness_mm, options))
     outline = options.outline if contact.filled >= LEAST_FILLED else options.scattered

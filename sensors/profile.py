@@ -33,7 +33,7 @@ from taccel_lab.profile import (
 )
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
-from taccel_lab.sensors.registry import sensor_families, sensor_family
+from taccel_lab.sensors.registry import profile_folder, sensor_families, sensor_family
 
 _GRID = ("width_px", "height_px", "mm_per_px", "mm_per_px_y")
 _METHOD = "defaults of the catalogue's family, with the overrides given"
@@ -46,12 +46,8 @@ def designed_profile(
     quality: MeshQuality,
     *,
     mesher: str,
-    thickness_mm: float | None = None,
 ) -> SensorProfile:
-    """Profile with all blocks that the family describes; each states what it rests on.
-
-    ``thickness_mm``: of a gel that is not the family's pad.
-    """
+    """Profile with all blocks that the family describes; each states what it rests on."""
     origin = _Origin(family, parameters)
     pad, materials = parameters.pad(), parameters.layer_materials()
     gel = materials[0]
@@ -67,7 +63,7 @@ def designed_profile(
             ),
         ),
         gel=GelBlock(
-            thickness_mm=thickness_mm or pad.thickness_mm,
+            thickness_mm=pad.thickness_mm,
             node_count=mesh.node_count,
             tet_count=mesh.tet_count,
             min_dihedral_deg=quality.min_dihedral_deg,
@@ -170,11 +166,12 @@ def catalogue_profile(name: str, overrides: Mapping[str, Any] | None = None) -> 
 
 
 def load_sensor(name: str) -> SensorProfile:
-    """A profile folder, or the default design of a catalogue sensor."""
-    if Path(name).exists():
-        return load_profile(Path(name))
+    """A profile, see ``profile_folder``, or the default design of a catalogue sensor."""
     if name in sensor_families():
         return catalogue_profile(name)
+    folder = profile_folder(name)
+    if folder is not None or Path(name).exists():
+        return load_profile(folder or name)
     raise InputError(
         f"{name!r} is neither a profile folder nor a sensor of the catalogue "
         f"({', '.join(sorted(sensor_families()))})"

@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The families known here: the built-in ones and those of installed packages.
+"""The sensors known here: the built-in families, those of installed packages, and any profile.
 
 A package adds a family with an entry point of the group ``taccel_lab.sensors`` whose object is a
 ``SensorFamily`` (docs/sensors.md shows one). A package that cannot be loaded takes nothing from the
 others: it is kept aside with the reason, which whoever asks for its sensor is told.
+
+``sensor_family`` is the one place that says what the name of a sensor means: a family of the
+catalogue, or a profile, whose sensor then has the parameters of its family with the profile's
+values, or the profile's own gel where that was imported.
 """
 
 from __future__ import annotations
@@ -14,14 +18,19 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from taccel_lab.errors import InputError
-from taccel_lab.sensors.base import SensorFamily
+from taccel_lab.sensors.base import FamilyParameters, SensorFamily
+from taccel_lab.sensors.profile_family import ProfileFamily, like_name, profile_family
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
 
 ENTRY_POINT_GROUP = "taccel_lab.sensors"
-IMPORTED = "imported"
-"""Family, in a profile, of a gel that no family describes: it is the profile's mesh."""
 
+_PROFILE_FILE = "profile.toml"
 _BUILT_IN = (
     "digit",
     "digit_360",
@@ -80,10 +89,12 @@ def sensor_families() -> dict[str, SensorFamily]:
 
 
 def sensor_family(name: str) -> SensorFamily:
-    """The family called ``name``.
+    """The sensor called ``name``: a family of the catalogue, or that of a profile (see
+    ``profile_folder``).
 
     Raises:
-        InputError: Unknown, with the known names; or its package cannot be loaded, with the reason.
+        InputError: Unknown, with the known names; or its package or profile cannot be loaded, with
+            the reason.
     """
     known = catalogue()
     if name in known.families:
@@ -91,8 +102,68 @@ def sensor_family(name: str) -> SensorFamily:
     if name in known.broken:
         found = known.broken[name]
         raise InputError(f"the sensor {name} of the package {found.package}: {found.reason}")
+    folder = profile_folder(name)
+    if folder is not None:
+        return _of_folder(folder, _changed_ns(str(folder / _PROFILE_FILE)))
     also = "; flat_pad stands for any flat gel" if "flat_pad" in known.families else ""
-    raise InputError(f"no sensor {name!r}; known: {', '.join(known.families)}{also}")
+    raise InputError(
+        f"no sensor {name!r}; known: {', '.join(known.families)}{also}; the folder of a profile "
+        "(taccel-lab import-step, taccel-lab design) is a sensor, too"
+    )
+
+
+def known_sensor(name: str) -> SensorFamily | None:
+    """As ``sensor_family``, None where nothing is called so."""
+    if name not in catalogue().families and profile_folder(name) is None:
+        return None
+    return sensor_family(name)
+
+
+def profile_folder(name: Path | str) -> Path | None:
+    """The folder of the profile that ``name`` means, absolute: the folder itself, its profile.toml,
+    or an output folder with a profile in it; None where there is none, or where it is the name of a
+    family of the catalogue (``./gelsight`` is a folder of that name)."""
+    if str(name) in catalogue().families:
+        return None
+    path = Path(os.path.abspath(name))
+    if path.name == _PROFILE_FILE:
+        path = path.parent
+    for folder in (path, path / "profile"):
+        if (folder / _PROFILE_FILE).is_file():
+            return folder
+    return None
+
+
+def profile_sensor(profile: SensorProfile, name: str = "") -> ProfileFamily:
+    """The sensor of a profile; ``name`` is that of the profile when empty.
+
+    Raises:
+        InputError: Its family is not in the catalogue.
+    """
+    like = sensor_family(like_name(profile))
+    return profile_family(profile, name or profile.sensor.name, like)
+
+
+def profile_parameters(profile: SensorProfile) -> FamilyParameters:
+    """What the sensor of a profile is made of; raises InputError as ``profile_sensor``."""
+    return profile_sensor(profile).parameters()
+
+
+def is_of_sensor(profile: SensorProfile, name: str) -> bool:
+    """Whether ``profile`` is of the sensor called ``name``: of that family, or of that very gel."""
+    folder = profile_folder(name)
+    if folder is None:
+        return profile.sensor.family == name
+    other = _of_folder(folder, _changed_ns(str(folder / _PROFILE_FILE)))
+    return profile_sensor(profile).identity == other.identity
+
+
+@lru_cache(maxsize=16)
+def _of_folder(folder: Path, changed_ns: int) -> ProfileFamily:
+    """Read once for the many that ask for it."""
+    from taccel_lab.profile import load_profile
+
+    return profile_sensor(load_profile(folder), str(folder))
 
 
 @lru_cache(maxsize=1)

@@ -30,7 +30,8 @@ def write_design_files(
     from taccel_lab.sensors.registry import sensor_family
 
     family = result.point.family
-    parameters = sensor_family(family).parameters(result.point.parameters)
+    sensor = sensor_family(family)
+    parameters = sensor.parameters(result.point.parameters)
     pad = parameters.pad()
     files: dict[str, str] = {}
     causes: dict[str, str] = {}
@@ -44,7 +45,7 @@ def write_design_files(
             continue
         path.parent.mkdir(exist_ok=True)
         try:
-            write(pad, path, family)
+            write(pad, path, sensor.label)
         except InputError as error:
             causes[f"file {kind}"] = str(error)
             del files[kind]
@@ -52,7 +53,7 @@ def write_design_files(
         from taccel_lab.studies.pictures import write_picture
 
         file = f"designs/{result.point.id}/{PICTURE}"
-        title = f"{family}, {name}"
+        title = f"{sensor.label}, {name}"
         if write_picture(parameters, result.records, folder.root / file, title) is not None:
             files["picture"] = file
     return files, causes

@@ -104,7 +104,8 @@ def preview_design(
     metrics = tuple(
         reading
         for metric in METRICS.values()
-        if not metric.presses or {*metric.presses, *metric.also} & set(by_name)
+        if not metric.runs_task
+        and (not metric.presses or {*metric.presses, *metric.also} & set(by_name))
         for reading in readings(metric, (), by_name, (LOAD_N,))
     )
     point = DesignPoint("design", family.name, dict(overrides or {}))
@@ -127,6 +128,15 @@ def preview_design(
         result=result,
         metrics=metrics,
     )
+
+
+def draw_sections(family: SensorFamily, parameters: FamilyParameters, folder: Path) -> Path:
+    """The sensor to scale, from its dimensions alone: there before anything is meshed."""
+    from taccel_lab.studies.sensor_picture import draw_sensor
+
+    path = folder / "sections.png"
+    save_figure(draw_sensor(family, parameters), path)
+    return path
 
 
 def write_preview(preview: DesignPreview, folder: Path) -> dict[str, Path]:
@@ -156,7 +166,7 @@ def draw_preview(preview: DesignPreview) -> Figure:
     _draw_forces(axes[1, 2], preview)
     given = preview.result.point.parameters
     changed = ", ".join(f"{name} = {value}" for name, value in given.items()) or "defaults"
-    name = preview.family.name
+    name = preview.family.label
     figure.suptitle(f"{name}, {changed}: predicted by the optical model, not captured")
     return figure
 
@@ -193,9 +203,11 @@ def _draw_maps(figure: Figure, size: Any, evenness: Any, preview: DesignPreview)
     from taccel_lab.optics.photometry import pixel_footprint
 
     across, down, _ = pixel_footprint(preview.light.points_mm)
-    shown = size.imshow(np.sqrt(across * down), cmap="viridis")
+    # The picture has other pixels than the camera.
+    scale = preview.light.points_mm.shape[1] / preview.parameters.grid().width_px
+    shown = size.imshow(scale * np.sqrt(across * down), cmap="viridis")
     figure.colorbar(shown, ax=size, shrink=0.8)
-    size.set_title("size of a pixel on the gel [mm]")
+    size.set_title("size of a pixel of the camera on the gel [mm]")
     light = preview.light.irradiance().mean(axis=-1)
     light = np.where(preview.light.mask, light, np.nan)
     shown = evenness.imshow(light / np.nanmean(light), cmap="magma", vmin=0)

@@ -8,6 +8,7 @@ catalogue.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
@@ -66,7 +67,8 @@ class StudyBlock(StrictModel):
 
     name: Name
     sensor: Name
-    """Family of the catalogue."""
+    """Family of the catalogue, or the folder of a profile, beside the study file if it is not
+    absolute."""
     metrics: list[MetricName] = Field(default_factory=list)
     """Columns of the table; the objective's and the constraints' are added."""
     presses: list[PlainName] = Field(default_factory=list)
@@ -360,7 +362,11 @@ def load_spec(path: Path | str) -> StudySpec:
     path = Path(path)
     spec = spec_of(read_toml(path), str(path))
     beside = [m.model_copy(update={"file": str(path.parent / m.file)}) for m in spec.measured]
-    return spec.model_copy(update={"measured": beside})
+    sensor = spec.study.sensor
+    if "/" in sensor:
+        sensor = os.path.abspath(path.parent / sensor)
+    study = spec.study.model_copy(update={"sensor": sensor})
+    return spec.model_copy(update={"measured": beside, "study": study})
 
 
 def spec_of(table: dict[str, Any], source: str = "study") -> StudySpec:

@@ -17,7 +17,7 @@ from taccel_lab.output import content_id
 from taccel_lab.progress import Progress, silent
 from taccel_lab.reading.text_file import shown
 from taccel_lab.sensors.base import STIFFNESS, SensorFamily
-from taccel_lab.sensors.registry import sensor_families
+from taccel_lab.sensors.registry import known_sensor, sensor_families
 from taccel_lab.studies.axis import Axis, axis_of, significant
 from taccel_lab.studies.design_point import DesignPoint, DesignResult
 from taccel_lab.studies.measured_curve import require_measured
@@ -120,7 +120,7 @@ class Study:
         defaults = {name: spec.default for name, spec in self.parameters.items()}
         return content_id(
             {
-                "family": self.family.name,
+                "family": self.family.identity,
                 "parameters": {**defaults, **parameters},
                 "version": self.kit.version,
             }
@@ -158,9 +158,10 @@ def make_study(spec: StudySpec, kit: Kit) -> Study:
     Raises InputError for an unknown sensor, parameter, press or metric (with the nearest known),
     and for values outside the family's bounds.
     """
-    families = sensor_families()
-    require_known("sensor", spec.study.sensor, families)
-    family = families[spec.study.sensor]
+    family = known_sensor(spec.study.sensor)
+    if family is None:
+        require_known("sensor", spec.study.sensor, sensor_families())
+    assert family is not None
     known = family.parameters_type.parameters()
     for table in ("parameters", "fixed", "tied"):
         for name in getattr(spec, table):

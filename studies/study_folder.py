@@ -24,6 +24,7 @@ from typing import IO
 
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file, write_json
+from taccel_lab.output_folder import require_growable
 from taccel_lab.reading.shard import Shard
 from taccel_lab.studies.design_row import DesignRow, read_row
 
@@ -48,14 +49,14 @@ class StudyFolder:
 
     def require_usable(self) -> None:
         """Refuse a path with a file in the way, or a folder with files of somebody else."""
-        for path in (self.root, *self.root.parents):
-            if path.exists() and not path.is_dir():
-                raise InputError(f"{path} is a file; an output folder is needed")
         if not self.is_study() and self.root.is_dir() and any(self.root.iterdir()):
             raise InputError(
                 f"{self.root} holds files and no study; name a new folder, an empty one, or that "
                 "of an earlier study to go on with it"
             )
+        if self.is_study() or not self.root.is_dir():
+            # Not into an empty folder: a shard that begins there too would take it for foreign.
+            require_growable(self.root)
 
     def is_study(self) -> bool:
         """Whether a study has been begun here."""

@@ -20,8 +20,14 @@ import numpy as np
 def atomic_file(target: Path | str) -> Iterator[Path]:
     """Yield a temporary file name (same suffix, same folder) renamed to ``target`` on success."""
     target = Path(target)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    fd, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        fd, name = tempfile.mkstemp(
+            prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent
+        )
+    except OSError as error:
+        # By the name that somebody gave, not by the hidden one.
+        raise OSError(error.errno, error.strerror, str(target)) from error
     os.close(fd)
     staging = Path(name)
     try:

@@ -51,6 +51,14 @@ def require_replaceable(target: Path | str) -> None:
     _require_writable(target)
 
 
+def require_growable(target: Path | str) -> None:
+    """Refuse a folder that grows file by file where nothing can be written; commands call this
+    first, before any long work. What is in it is theirs to judge."""
+    target = Path(os.path.abspath(target))
+    _refuse_files(target)
+    _require_writable(target, beside=False)
+
+
 @contextmanager
 def atomic_directory(target: Path | str, check: Check | None = None) -> Iterator[Path]:
     """Yield a hidden folder that takes the place of ``target`` when the block ends without error.
@@ -93,12 +101,16 @@ def _folder_path(target: Path | str) -> Path:
         target = Path(os.path.abspath(target))
     if target.is_symlink():
         target = target.resolve()
-    for path in (target, *target.parents):
-        if path.is_file():
-            raise InputError(f"{path} is a file; an output folder is needed")
+    _refuse_files(target)
     if os.path.ismount(target):
         raise InputError(f"{target} is a mounted drive; name a folder inside it")
     return target
+
+
+def _refuse_files(target: Path) -> None:
+    for path in (target, *target.parents):
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path} is a file; an output folder is needed")
 
 
 # What may be replaced -------------------------------------------------------------------------
@@ -199,9 +211,11 @@ def _identity(folder: Path) -> tuple[int, int] | None:
     return stat.st_dev, stat.st_ino
 
 
-def _require_writable(target: Path) -> None:
-    """Try to write beside ``target``: permissions alone do not tell what a file system allows."""
-    parent = next(path for path in target.parents if path.exists())
+def _require_writable(target: Path, beside: bool = True) -> None:
+    """Try to write beside ``target``, or in it: permissions alone do not tell what a file system
+    allows."""
+    places = target.parents if beside else (target, *target.parents)
+    parent = next(path for path in places if path.exists())
     try:
         probe = Path(tempfile.mkdtemp(prefix=_prefix(target) + "new-", dir=parent))
         try:

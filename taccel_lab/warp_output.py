@@ -6,6 +6,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+from pathlib import Path
 
 import warp as wp
 
@@ -28,6 +29,15 @@ def quiet_warp() -> None:
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
+
+
+def first_step() -> str:
+    """What a press does before its first step: in a cache of kernels without a solver it compiles
+    one, which needs no second time on this machine."""
+    cache = Path(wp.config.kernel_cache_dir or "")
+    if any(cache.glob("wp_taccel_lab.solvers.*")):
+        return "first step"
+    return "compiling the solver, once on this machine: about 30 s"
 
 
 def _loads(library: str) -> bool:

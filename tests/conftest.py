@@ -4,8 +4,11 @@
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
 from collections.abc import Iterator
 from functools import lru_cache
+from pathlib import Path
 
 # Before numpy or torch start their thread pools: tests run in parallel processes.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -67,3 +70,15 @@ def _catalogue_is_meshed_once() -> Iterator[None]:
         patch.setattr(profile, "gel_mesh", mesh_of)
         patch.setattr(profile, "measure_quality", quality)
         yield
+
+
+@pytest.fixture
+def small_drive(tmp_path: Path) -> Iterator[Path]:
+    """A file system with room for 64 KiB."""
+    drive = tmp_path / "drive"
+    drive.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(drive)]
+    if not shutil.which("mount") or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("this user may not mount a file system")
+    yield drive
+    subprocess.run(["umount", str(drive)], check=True)

@@ -5,13 +5,11 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
 import stat
 import subprocess
 import sys
 import textwrap
 import threading
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -390,18 +388,6 @@ def test_folder_names_without_a_name(
         f"here/{OUTPUT_MARKER}": "",
         "here/a.txt": "new",
     }
-
-
-@pytest.fixture
-def small_drive(tmp_path: Path) -> Iterator[Path]:
-    """A file system with room for 64 KiB."""
-    drive = tmp_path / "drive"
-    drive.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(drive)]
-    if not shutil.which("mount") or subprocess.run(mount, capture_output=True).returncode:
-        pytest.skip("this user may not mount a file system")
-    yield drive
-    subprocess.run(["umount", str(drive)], check=True)
 
 
 @pytest.mark.parametrize("how", ["file", "array"])

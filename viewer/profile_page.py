@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.sensors.registry import sensor_families
+from taccel_lab.sensors.registry import sensor_families, sensor_family
 from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.gel_states import SensorImages
 from taccel_lab.viewer.parts_view import (
@@ -57,8 +57,8 @@ def fill_profile_page(server: ViserServer, profile: SensorProfile) -> threading.
             seen = OpticalModel(design, profile.mesh, size_px=size, markers=markers).render().rgb
             draw_sensor(server, profile.mesh, design, seen)
             panel.show(SensorImages(seen[None]), 0)
-        family = sensor_families().get(profile.sensor.family)
-        if family is not None:
+        if profile.sensor.family in sensor_families():
+            family = sensor_family(profile.sensor.family)
             note.content = "*CAD builds the housing …*"
             try:
                 parameters = family.parameters(profile.sensor.parameters)

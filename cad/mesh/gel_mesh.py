@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from taccel_lab.cad.mesh.dome_mesh import even_dome_mesh, focused_dome_mesh
 from taccel_lab.cad.mesh.focus import FocusOptions
+from taccel_lab.cad.mesh.mesh_pad import MeshPad
 from taccel_lab.cad.mesh.pad_mesh import even_pad_mesh, focused_pad_mesh
 from taccel_lab.cad.mesh.quality_gate import DEFAULT_EDGE_MM
 from taccel_lab.cad.parts.dome_pad import DomePad
@@ -34,10 +35,13 @@ def gel_mesh(pad: Pad, edge_mm: float | None = None, *, counts_of: Pad | None = 
     None.
 
     ``counts_of`` names the pad whose dimensions choose how many cells there are: with the same one
-    every pad of a sweep has the same connectivity. So far for pads with a flat back.
+    every pad of a sweep has the same connectivity. So far for pads with a flat back. A pad that is
+    a mesh has that one.
 
     Raises InputError for an edge out of bounds, or when cells fold over.
     """
+    if isinstance(pad, MeshPad):
+        return pad.mesh
     edge_mm = usual_edge_mm(pad) if edge_mm is None else edge_mm
     if isinstance(pad, HeightPad) and (counts_of is None or isinstance(counts_of, HeightPad)):
         return even_pad_mesh(pad, edge_mm, counts_of)

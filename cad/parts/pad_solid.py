@@ -57,7 +57,10 @@ def labelled_solid(pad: Pad) -> LabelledSolid:
 
     Raises InputError when the CAD kernel cannot build the combination; says which bound it breaks.
     """
-    raise InputError(f"no solid is known for {type(pad).__name__}")
+    raise InputError(
+        f"no CAD solid is known for a {type(pad).__name__}; that of an imported gel is the STEP "
+        "file that it came from"
+    )
 
 
 @labelled_solid.register

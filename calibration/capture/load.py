@@ -26,6 +26,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path
 from taccel_lab.reading.images import image_size, read_grey, read_image
 from taccel_lab.reading.regular_file import file_sha256
+from taccel_lab.sensors.registry import profile_folder
 
 MIN_SIZE_PX = 32
 _Sized = tuple[str, tuple[int, int]]
@@ -65,6 +66,19 @@ def load_capture_folder(path: Path | str) -> CaptureFolder:
             "taccel-lab capture import makes one of a folder in another layout"
         )
     return _load_folder(manifest_path)
+
+
+def _sensor(manifest_path: Path, name: str) -> str:
+    """The name of a family as it is, the folder of a profile absolute."""
+    if "/" not in name:
+        return name
+    folder = profile_folder(manifest_path.parent / name)
+    if folder is None:
+        raise InputError(
+            f"{manifest_path}: sensor = {name!r} is no folder of a profile; name one, relative to "
+            "this file, or a sensor of the catalogue (taccel-lab sensors list)"
+        )
+    return str(folder)
 
 
 def _load_folder(manifest_path: Path) -> CaptureFolder:
@@ -118,7 +132,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
     return CaptureFolder(
         source=str(manifest_path),
         root=folder,
-        sensor=manifest.sensor,
+        sensor=_sensor(manifest_path, manifest.sensor),
         unit=manifest.unit,
         background=background,
         untouched=tuple(_frame(folder, name, like) for name in manifest.untouched),

@@ -207,8 +207,11 @@ class CaptureManifest(StrictModel):
     """Contents of ``captures.toml``, version 2; every part is optional but ``sensor``."""
 
     schema_version: Literal[1, 2]
-    sensor: str = Field(min_length=1, pattern=r"^[a-z0-9_]+$")
-    """Sensor family in the catalogue, such as ``gelsight``."""
+    sensor: str = Field(
+        min_length=1, max_length=1000, pattern=r"^([a-z0-9_]+|[^\x00-\x1f]*/[^\x00-\x1f]*)$"
+    )
+    """Sensor family in the catalogue, such as ``gelsight``, or the folder of a profile beside the
+    manifest, such as ``../mine/profile``: it has a slash."""
     unit: str | None = Field(default=None, min_length=1)
     """Serial number or nickname of this very sensor."""
     background: FileName | None = None

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.sensors import sensor_families
+from taccel_lab.sensors.registry import known_sensor
 
 GENERIC = ("flat_pad",)
 """Families that stand for any sensor: their figures contradict nothing."""
@@ -40,13 +40,13 @@ class SensorFacts:
 
 
 def sensor_facts(name: str, design: Mapping[str, Any] | None = None) -> SensorFacts | None:
-    """Figures of the family called ``name``, with what ``design`` states otherwise; None when the
-    catalogue has no such family.
+    """Figures of the sensor called ``name``, with what ``design`` states otherwise; None when there
+    is no such family or profile.
 
     Raises:
         InputError: The family has no such parameter, or cannot be built so.
     """
-    family = sensor_families().get(name)
+    family = known_sensor(name)
     if family is None:
         return None
     parameters = family.parameters(design)
@@ -63,7 +63,7 @@ def sensor_facts(name: str, design: Mapping[str, Any] | None = None) -> SensorFa
         family=name,
         pad_mm=(float(size[0]), float(size[1])),
         # A shell on a hard dome is thinner than it is high.
-        thickness_mm=float(getattr(parameters, "thickness_mm", size[2])),
+        thickness_mm=float(parameters.values().get("thickness_mm", size[2])),
         view_mm=float(view),
         image_px=(grid.width_px, grid.height_px),
         drop_mm=_drop_mm(pad, size, grid),

@@ -12,7 +12,7 @@ from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import COMMANDS
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.printable import counted
-from taccel_lab.sensors import sensor_families
+from taccel_lab.sensors.registry import known_sensor
 
 
 class Readiness(StrEnum):
@@ -94,7 +94,7 @@ def block_statuses(
 
 def _scale_for_size(folder: CaptureFolder) -> str:
     """What a background of another size than the catalogue's images needs; empty for nothing."""
-    family = sensor_families().get(folder.sensor)
+    family = known_sensor(folder.sensor)
     if family is None or folder.mm_per_px is not None or _scale_sources(folder):
         return ""
     height, width = folder.require_background().image().shape[:2]

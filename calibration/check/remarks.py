@@ -16,7 +16,7 @@ SENSOR_UNKNOWN = RemarkKind(
     "sensor_unknown",
     Severity.ERROR,
     "the catalogue has no sensor {sensor!r} (taccel-lab sensors list); flat_pad stands for any "
-    "flat gel",
+    "flat gel, and the folder of a profile for a gel of your own",
     ("color", "normals", "material"),
 )
 BALL_RADIUS_UNSTATED = RemarkKind(

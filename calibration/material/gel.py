@@ -23,8 +23,8 @@ from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import MaterialBlock, SensorProfile
-from taccel_lab.sensors.press_mesh import press_mesh
-from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.sensors.press_mesh import Pad, pad_press_mesh
+from taccel_lab.sensors.registry import profile_parameters
 
 UNIT_MODULUS_PA = 1e6
 COMPARED = {
@@ -58,11 +58,10 @@ class Tool:
 
 @dataclass(frozen=True)
 class Gel:
-    """The gel of a profile: its pad by family and parameters, its material but for scale, and how
-    its presses are simulated."""
+    """The gel of a profile: its pad, its material but for scale, and how its presses are
+    simulated."""
 
-    family: str
-    parameters: dict[str, Any]
+    pad: Pad
     material: MaterialBlock
     thickness_mm: float
     device: str = "cpu"
@@ -85,8 +84,7 @@ class Gel:
             except InputError as error:
                 raise InputError(f"the law {model!r} is not known: {error}") from error
         return cls(
-            profile.sensor.family,
-            dict(profile.sensor.parameters),
+            profile_parameters(profile).pad(),
             material,
             profile.gel.thickness_mm,
             device,
@@ -121,8 +119,7 @@ class Gel:
         """All of the gel but its law's ratios that forces of 1 MPa depend on, for a cache key."""
         unit = self.unit_material()
         return {
-            "family": self.family,
-            "parameters": self.parameters,
+            "pad": repr(self.pad),
             "model": unit.model,
             "layers": [layer.model_dump() for layer in unit.layers],
         }
@@ -130,8 +127,7 @@ class Gel:
     def tool(self, entry: ToolEntry, default_radius_mm: float | None = None) -> Tool:
         """The tool of a record, checked against the pad."""
         x, y = entry.center_mm
-        family = sensor_family(self.family)
-        low, high = family.parameters(self.parameters).pad().bounds_mm()[:, :2]
+        low, high = self.pad.bounds_mm()[:, :2]
         if not (low[0] <= x <= high[0] and low[1] <= y <= high[1]):
             raise InputError(
                 f"the tool comes down at ({x:g}, {y:g}) mm, beside the pad: x must lie in "
@@ -158,4 +154,4 @@ class Gel:
     def mesh(self, tool: Tool, depth_mm: float) -> TetMesh:
         """The pad as ``taccel-lab press`` meshes it for this tool and depth."""
         contact = tool.indenter().contact(depth_mm)
-        return press_mesh(self.family, self.parameters, tool.at_mm, contact, self.physics.mesh)
+        return pad_press_mesh(self.pad, tool.at_mm, contact, self.physics.mesh)

@@ -32,7 +32,6 @@ from taccel_lab.calibration.material.tool_path import ToolPath
 from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
-from taccel_lab.sensors.registry import sensor_family
 
 MIN_MARKERS = 6
 
@@ -181,9 +180,7 @@ def _remarks(name: str, solution: Solution, rms_mm: float, moved_mm: float) -> l
 
 def _on_pad(gel: Gel, points_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Markers that lie on the pad, half a millimetre or more from its edge, and which they are."""
-    family = sensor_family(gel.family)
-    pad = family.parameters(gel.parameters).pad()
-    inside = pad.inside_distance_mm(points_mm) > 0.5
+    inside = gel.pad.inside_distance_mm(points_mm) > 0.5
     if inside.sum() < MIN_MARKERS:
         raise InputError(
             f"{int(inside.sum())} of {len(points_mm)} markers lie on the pad; check the scale and "

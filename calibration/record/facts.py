@@ -115,7 +115,8 @@ class RecordFacts:
             "--unit": manifest.get("unit"),
         }
         x, y = self.mm_per_px or (None, None)
-        now = dict(zip(begun, (self.sensor, self.radius_mm, x, y, self.unit), strict=True))
+        sensor = sensor_family(self.sensor).name
+        now = dict(zip(begun, (sensor, self.radius_mm, x, y, self.unit), strict=True))
         differing = [
             f"{key} was {begun[key]} and is {now[key]}"
             for key in begun

@@ -26,8 +26,10 @@ from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file
+from taccel_lab.output_folder import require_growable
 from taccel_lab.reading.images import read_image
 from taccel_lab.reading.toml_file import read_toml
+from taccel_lab.sensors.registry import sensor_family
 
 _PRESS = re.compile(r"press_([0-9]+)\.png")
 _LEFT_BEHIND = re.compile(r"\.(press_[0-9]+|untouched_[0-9]+|background|captures)\..+\.(png|toml)")
@@ -119,6 +121,7 @@ def open_record(path: Path, facts: RecordFacts) -> Iterator[RecordFolder]:
     """
     if path.is_file():
         raise InputError(f"{path} is a file; --out names a folder")
+    require_growable(path)
     fresh = not (path / MANIFEST_NAME).is_file()
     if fresh and path.is_dir():
         others = sorted(p.name for p in path.iterdir() if not _LEFT_BEHIND.fullmatch(p.name))
@@ -128,7 +131,10 @@ def open_record(path: Path, facts: RecordFacts) -> Iterator[RecordFolder]:
             )
     if fresh:
         facts.require_complete()
-        manifest: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "sensor": facts.sensor}
+        manifest: dict[str, Any] = {
+            "schema_version": SCHEMA_VERSION,
+            "sensor": sensor_family(facts.sensor).name,
+        }
         notes = facts.notes()
     else:
         load_capture_folder(path)  # Refuses what is damaged, by name.

@@ -36,6 +36,7 @@ from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.sensors.registry import is_of_sensor
 
 MIN_FRAMES = 3
 MAX_RESPONSE_SIGMA = 0.25
@@ -66,7 +67,7 @@ def calibrate_refit(
         InputError: Captures of another sensor or image size, a profile without a background, and
             whatever ``refit_profile`` refuses.
     """
-    if folder.sensor != base.sensor.family:
+    if not is_of_sensor(base, folder.sensor):
         raise InputError(
             f"the captures are of a {folder.sensor}, the profile is of a {base.sensor.family}"
         )

@@ -14,7 +14,7 @@ from taccel_lab.calibration.surfaces.press_surface import PressSurface, Simulati
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.profile import MaterialBlock
-from taccel_lab.sensors.press_mesh import press_mesh
+from taccel_lab.sensors.press_mesh import Pad, pad_press_mesh
 
 if TYPE_CHECKING:
     from taccel_lab.envs import Indenter, PressEnv
@@ -41,8 +41,7 @@ class PressBatch:
     """Contact radii [mm], shape [press]."""
     tolerance_mm: float
     ball_radius_mm: float
-    family: str
-    parameters: dict[str, Any]
+    pad: Pad
     material: MaterialBlock
     friction: float
     physics: PressPhysics
@@ -55,8 +54,7 @@ class PressBatch:
             "target_mm": self.target_mm,
             "tolerance_mm": self.tolerance_mm,
             "ball_radius_mm": self.ball_radius_mm,
-            "family": self.family,
-            "parameters": self.parameters,
+            "pad": repr(self.pad),
             "material": self.material.model_dump(mode="json", exclude=left_out),
             "friction": self.friction,
             "physics": self.physics.record(),
@@ -65,13 +63,7 @@ class PressBatch:
     def meshes(self) -> list[TetMesh]:
         """The gel of each press, at rest."""
         return [
-            press_mesh(
-                self.family,
-                self.parameters,
-                (float(x), float(y)),
-                float(radius),
-                self.physics.mesh,
-            )
+            pad_press_mesh(self.pad, (float(x), float(y)), float(radius), self.physics.mesh)
             for (x, y), radius in zip(self.at_mm, self.target_mm, strict=True)
         ]
 

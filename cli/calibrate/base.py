@@ -36,7 +36,7 @@ def report_folder(out: Path, report: Path | None) -> Path:
 
 def require_outputs(out: Path, report: Path) -> None:
     """Refuse unusable output folders before any long work."""
-    from taccel_lab.output_folder import require_replaceable
+    from taccel_lab.output_folder import require_growable, require_replaceable
     from taccel_lab.profile import require_profile_folder
 
     inner, outer = Path(os.path.abspath(report)), Path(os.path.abspath(out))
@@ -46,6 +46,7 @@ def require_outputs(out: Path, report: Path) -> None:
             "else; name another folder with --report"
         )
     require_profile_folder(out)
+    require_growable(out)
     require_replaceable(report)
 
 
@@ -74,7 +75,8 @@ class CalibrationFiles:
     out: Path
     """Profile folder to write."""
     base: Path | None = None
-    """Profile to extend; the catalogue's design of the captures' sensor when left out."""
+    """Profile to extend; when left out, the one that the captures name as their sensor, or the
+    catalogue's design of it."""
     report: Path | None = None
     """Folder for the report (HTML, pictures, JSON); <out>_report when left out."""
     json: bool = False

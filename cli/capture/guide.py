@@ -19,7 +19,8 @@ class CaptureGuide:
     """
 
     sensor: Positional[str]
-    """Sensor of the catalogue (taccel-lab sensors list); flat_pad for any other."""
+    """Sensor of the catalogue (taccel-lab sensors list), or the folder of a profile; flat_pad for
+    any other."""
     out: Path | None = None
     """Write the captures.toml to this file as well; an existing file is never overwritten."""
     json: bool = False

@@ -28,7 +28,8 @@ class CaptureImport:
     """Layout of the source: auto, taxim, fots, 9dtact, feats, py3dcal, gs-sdk, cube-edges, rvsathu,
     ruihangao, gelslim, osaka, markers or plain (described in docs/captures.md)."""
     sensor: str | None = None
-    """Sensor of the catalogue; that of the layout when left out, flat_pad for an unknown one."""
+    """Sensor of the catalogue, or the folder of a profile; that of the layout when left out,
+    flat_pad for an unknown one."""
     unit: str | None = None
     """Serial number or nickname of this particular sensor."""
     radius_mm: float | None = None

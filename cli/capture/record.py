@@ -27,7 +27,8 @@ PORT = 8091
 @dataclass(frozen=True, kw_only=True)
 class _Session(CameraOptions):
     sensor: Positional[str]
-    """Sensor of the catalogue (taccel-lab sensors list); flat_pad for any other."""
+    """Sensor of the catalogue (taccel-lab sensors list), or the folder of a profile; flat_pad for
+    any other."""
     out: Path
     """Capture folder to write, or to go on with."""
     radius_mm: float | None = None

@@ -41,6 +41,8 @@ class Metric:
     """The one that it is read of; empty for the press's first."""
     load_n: float = LOAD_N
     """Load at which it is read, where it is read at a load."""
+    runs_task: bool = False
+    """Whether a whole task is simulated for it, which takes longer than all presses."""
 
     @property
     def base(self) -> str:
@@ -71,6 +73,7 @@ def metric(
     *,
     also: tuple[str, ...] = (),
     each_tool: bool = True,
+    runs_task: bool = False,
 ) -> Callable[[_Compute], _Compute]:
     """Register the decorated function as a metric.
 
@@ -83,8 +86,9 @@ def metric(
             raise InputError(f"there are two metrics called {name!r}")
         at_load = "{load}" in description
         METRICS[name] = Metric(
-            name, unit, description, better, presses, compute, also, at_load, each_tool
-        )
+            name, unit, description, better, presses, compute, also, at_load, each_tool,
+            runs_task=runs_task,
+        )  # fmt: skip
         return compute
 
     return register

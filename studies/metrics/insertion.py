@@ -14,7 +14,7 @@ from taccel_lab.tasks.result import success_interval
 @metric(
     "insertion_success", "%",
     "part of the starts of the task touch-insertion from which a fixed policy that sees the "
-    "design's markers gets a peg into its hole", "higher", (),
+    "design's markers gets a peg into its hole", "higher", (), runs_task=True,
 )  # fmt: skip
 def insertion_success(evidence: Evidence) -> float:
     """Of all seeds of the task."""
@@ -24,7 +24,7 @@ def insertion_success(evidence: Evidence) -> float:
 
 @metric(
     "insertion_low", "%", "lower end of the 95 % interval of insertion_success (Wilson)",
-    "higher", (),
+    "higher", (), runs_task=True,
 )  # fmt: skip
 def insertion_low(evidence: Evidence) -> float:
     """What to rank designs by that were tried from few starts."""
@@ -34,7 +34,7 @@ def insertion_low(evidence: Evidence) -> float:
 
 @metric(
     "insertion_high", "%", "upper end of the 95 % interval of insertion_success (Wilson)",
-    "higher", (),
+    "higher", (), runs_task=True,
 )  # fmt: skip
 def insertion_high(evidence: Evidence) -> float:
     """Designs whose intervals lie apart differ."""
@@ -45,7 +45,7 @@ def insertion_high(evidence: Evidence) -> float:
 @metric(
     "insertion_force", "N",
     "largest force of the hole on the peg in the task touch-insertion, median of the starts",
-    "lower", (),
+    "lower", (), runs_task=True,
 )  # fmt: skip
 def insertion_force(evidence: Evidence) -> float:
     """What the policy does not feel it pushes on."""

@@ -61,6 +61,8 @@ def test_bad_input_is_told_without_a_traceback(
     out = str(tmp_path / "out")
     assert main(["import-step", str(step), "--out", out, "--contact", "name:top"]) == 2
     told = capsys.readouterr().err
+    stage, told = told.split("\n", 1)
+    assert stage == "reading and checking the STEP file ..."
     assert told.startswith("error: ") and "names in the file: bond, contact, side, window" in told
     assert main(["import-step", str(tmp_path / "no.step")]) == 2
     assert main(["import-step", str(step), "--out", out, "--select", "no.toml"]) == 2

@@ -30,6 +30,8 @@ def test_without_presses_there_are_pictures_and_photometry(tmp_path: Path) -> No
     found = preview_design(sensor_family("digit"), {"mid_radius_mm": 25}, presses=(), size_px=96)
     assert found.pressed is None and found.result.simulations == 0
     assert {metric.name for metric in found.metrics} >= {"visible_fraction", "pixel_size"}
+    # Nobody asked for the 32 starts of a task.
+    assert not any(metric.runs_task for metric in found.metrics)
     files = write_preview(found, tmp_path)
     assert set(files) == {"figures", "overview", "rest"}
     stored = json.loads(files["figures"].read_text())

@@ -34,7 +34,7 @@ from taccel_lab.output import write_image
 from taccel_lab.printable import printable
 from taccel_lab.reading.images import MAX_FILE_BYTES, read_image
 from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
-from taccel_lab.sensors import sensor_families
+from taccel_lab.sensors.registry import known_sensor, profile_folder, sensor_family
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 COPIED_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -189,10 +189,10 @@ class Draft:
     def apply(self, options: ImportOptions, root: Path) -> None:
         """Let what a person states replace what the layout says."""
         if options.sensor is not None:
-            self.sensor = options.sensor
+            self.sensor = sensor_family(options.sensor).name
             self.assumed.pop("sensor", None)
-        family = sensor_families().get(self.sensor)
-        if family is not None:
+        family = known_sensor(self.sensor)
+        if family is not None and profile_folder(self.sensor) is None:
             thickness = getattr(family.parameters(), "thickness_mm", None)
             thick = "" if thickness is None else f", {thickness:g} mm thick"
             self.assume(

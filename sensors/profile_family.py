@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sensor of a profile as a family: what a study, a preview and a calibration vary and build.
+
+Its parameters are those of the profile's family, with the profile's values as defaults. Of an
+imported gel, which no family describes, camera, lights, coating, markers and material are those of
+the family that it is like; the shape of the gel is that of the profile's mesh and stays.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from taccel_lab.cad.mesh.mesh_pad import MeshPad
+from taccel_lab.cad.parameters import Parameter
+from taccel_lab.errors import InputError
+from taccel_lab.sensors.base import STIFFNESS, FamilyParameters, GelMaterial, SensorFamily
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import MaterialBlock, SensorProfile
+
+IMPORTED = "imported"
+"""Family, in a profile, of a gel that no family describes: it is the profile's mesh."""
+LIKE_KEY = "like"
+"""Parameter of such a profile: the family that its sensor is like but for the gel."""
+SHAPES = ("gel", "housing")
+"""Groups of parameters of no use to an imported gel: the file says its shape, and there is no
+housing."""
+_MATERIAL = {
+    "young_modulus_mpa": lambda block: 1e-6 * block.young_modulus_pa,
+    "poisson_ratio": lambda block: block.poisson_ratio,
+    "density_kg_m3": lambda block: block.density_kg_m3,
+    "friction": lambda block: block.friction_coefficient,
+}
+"""Parameters that a material which was measured states."""
+_MEASURED = ("calibrated", "measured")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProfileFamily(SensorFamily):
+    """A family whose defaults are the values of a profile."""
+
+    like: SensorFamily
+    """Of the catalogue."""
+    defaults: Mapping[str, Any]
+    """Values other than those of ``like``."""
+    gel: MeshPad | None = None
+    """The gel, where it is not the pad of ``like``."""
+
+    @property
+    def label(self) -> str:
+        return self.title.partition(":")[0]
+
+    @property
+    def identity(self) -> str:
+        """Stands for what the parameters do not say."""
+        return self.like.name if self.gel is None else f"{self.like.name} {self.gel.digest}"
+
+    def parameters(self, overrides: Mapping[str, Any] | None = None) -> FamilyParameters:
+        """As of any family; an imported gel refuses the parameters of a shape."""
+        given = dict(overrides or {})
+        if self.gel is not None:
+            require_no_shape(self.like, given)
+        known = dict(self.defaults)
+        if any(given.get(name) for name in STIFFNESS):
+            known = {name: value for name, value in known.items() if name not in STIFFNESS}
+        return super().parameters({**known, **given})
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # The type of the parameters is made here and found in no module.
+        return _made, (self.name, self.title, self.references, self.like, self.defaults, self.gel)
+
+
+def profile_family(profile: SensorProfile, name: str, like: SensorFamily) -> ProfileFamily:
+    """The sensor of ``profile``, which is called ``name``; ``like``: see ``like_name``."""
+    imported = profile.sensor.family == IMPORTED
+    known = like.parameters_type.parameters()
+    values = {key: value for key, value in profile.sensor.parameters.items() if key in known}
+    if profile.material.provenance.kind in _MEASURED:
+        values |= _measured(profile.material, known)
+    defaults = {key: value for key, value in values.items() if value != known[key].default}
+    pad = MeshPad(profile.gel.thickness_mm, mesh=profile.mesh) if imported else None
+    what = f"a gel of its own, all else like {like.name}" if imported else like.title
+    return _made(name, f"{profile.sensor.name}: {what}", like.references, like, defaults, pad)
+
+
+def like_name(profile: SensorProfile) -> str:
+    """The family of the catalogue whose parameters a profile has.
+
+    Raises:
+        InputError: An imported gel of a version that did not keep it.
+    """
+    if profile.sensor.family != IMPORTED:
+        return profile.sensor.family
+    like = profile.sensor.parameters.get(LIKE_KEY)
+    if not isinstance(like, str):
+        raise InputError(
+            f"the profile of {profile.sensor.name} does not say which sensor it is like: it was "
+            "made by an earlier version; run taccel-lab import-step again"
+        )
+    return like
+
+
+def imported_gel(like: SensorFamily, gel: MeshPad) -> ProfileFamily:
+    """A sensor that is ``like`` one of the catalogue but for its gel."""
+    return _made(IMPORTED, f"a gel of its own, all else like {like.name}", (), like, {}, gel)
+
+
+def require_no_shape(like: SensorFamily, names: Mapping[str, Any]) -> None:
+    """InputError for parameters of ``like`` that say a shape."""
+    specs = like.parameters_type.parameters()
+    useless = [name for name in names if name in specs and _group(specs[name]) in SHAPES]
+    if useless:
+        allowed = sorted({_group(spec) for spec in specs.values()} - {*SHAPES})
+        raise InputError(
+            f"{', '.join(useless)}: of no use beside a file, which gives the gel's shape; "
+            f"parameters of {', '.join(allowed)} can be set"
+        )
+
+
+def _made(
+    name: str,
+    title: str,
+    references: tuple[str, ...],
+    like: SensorFamily,
+    defaults: Mapping[str, Any],
+    gel: MeshPad | None,
+) -> ProfileFamily:
+    kind = _parameters_type(like, defaults, gel)
+    return ProfileFamily(
+        name=name,
+        title=title,
+        parameters_type=kind,
+        references=references,
+        like=like,
+        defaults=defaults,
+        gel=gel,
+    )
+
+
+def _parameters_type(
+    like: SensorFamily, defaults: Mapping[str, Any], gel: MeshPad | None
+) -> type[FamilyParameters]:
+    """The parameters of ``like`` with other defaults, and on another gel where one is given."""
+
+    class Stated(like.parameters_type):  # type: ignore[name-defined,misc]
+        @classmethod
+        def parameters(cls) -> dict[str, Parameter]:
+            return {
+                name: dataclasses.replace(spec, default=defaults[name], source="the profile's")
+                if name in defaults
+                else spec
+                for name, spec in super().parameters().items()
+                if gel is None or _group(spec) not in SHAPES
+            }
+
+    if gel is None:
+        return Stated
+
+    class OnGel(Stated):
+        def pad(self) -> MeshPad:
+            return gel
+
+        @cached_property
+        def _built_pad(self) -> MeshPad:
+            return gel
+
+        def gel_depth_mm(self) -> float:
+            return gel.thickness_mm
+
+        def layer_materials(self) -> tuple[GelMaterial, ...]:
+            # One material: a file of a shape does not say where a skin would be.
+            return (self.material(),)
+
+        def housing(self) -> None:
+            return None
+
+    return OnGel
+
+
+def _measured(block: MaterialBlock, known: Mapping[str, Parameter]) -> dict[str, Any]:
+    found = {name: read(block) for name, read in _MATERIAL.items() if name in known}
+    return found | {name: 0.0 for name in STIFFNESS[1:] if name in known}
+
+
+def _group(spec: Parameter) -> str:
+    return spec.group or "gel"

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Outputs that cannot be written are refused before any work, by every command that writes one."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from taccel_lab.cli.app import main
+from taccel_lab.profile import save_profile
+from tests.calibration.synthetic import synthetic_captures, write_captures
+from tests.sensors.imported_profiles import imported
+
+STUDY = """
+[study]
+name = "two"
+sensor = "flat_pad"
+metrics = ["pixel_size"]
+[sweep]
+kind = "grid"
+[parameters.mm_per_px]
+values = [0.05, 0.06]
+"""
+COMMANDS = {
+    "press": "press gelsight --depth-mm 0.5 --out OUT",
+    "preview": "preview gelsight --out OUT",
+    "design": "design gelsight --out OUT",
+    "study": "study STUDY --processes 1 --out OUT",
+    "calibrate color": "calibrate color CAPTURES --out OUT",
+    "calibrate color's profile": "calibrate color CAPTURES --report FREE --out OUT",
+    "calibrate all": "calibrate all CAPTURES --out OUT",
+    "export": "export PROFILE --to taxim --out OUT",
+    "capture check": "capture check CAPTURES --report OUT",
+    "capture review": "capture review CAPTURES --out OUT",
+    "capture import": "capture import CAPTURES OUT --layout plain",
+    "capture guide": "capture guide gelsight --out OUT/x.toml",
+    "sensors show": "sensors show flat_pad --picture OUT/x.png",
+    "profile report": "profile report PROFILE --out OUT",
+    "depth": "depth PROFILE IMAGE --out OUT",
+    "demo": "demo --out OUT",
+    "task run": "task run touch-insertion --output OUT",
+}
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    folder = tmp_path_factory.mktemp("outputs")
+    save_profile(imported(), folder / "profile")
+    write_captures(folder / "captures", synthetic_captures(count=3)[0])
+    (folder / "study.toml").write_text(STUDY)
+    return {
+        "PROFILE": str(folder / "profile"),
+        "CAPTURES": str(folder / "captures"),
+        "IMAGE": str(folder / "captures" / "background.png"),
+        "STUDY": str(folder / "study.toml"),
+    }
+
+
+@pytest.mark.parametrize("bad", ["/proc/x", "FILE", "FILE/inside"])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_it_is_refused_before_any_work(
+    command: str,
+    bad: str,
+    places: dict[str, str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    out = bad.replace("FILE", str(tmp_path / "file"))
+    words = COMMANDS[command].split()
+    known = {**places, "OUT": out, "FREE": str(tmp_path / "free")}
+    for name, value in known.items():
+        words = [word.replace(name, value) for word in words]
+    started = time.process_time()
+    assert main(words) == 2
+    assert time.process_time() - started < 15
+    noted = capsys.readouterr().err
+    assert out.partition("/inside")[0] in noted.replace("\n", ""), noted
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert (tmp_path / "file").read_text() == "mine"

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of a profile is a sensor wherever a name of the catalogue is one."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.base_profile import base_profile
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.load import load_capture_folder
+from taccel_lab.calibration.capture.sensor_facts import sensor_facts
+from taccel_lab.calibration.simulate import press_batches
+from taccel_lab.cli.app import main
+from taccel_lab.envs.physics import SURFACE_PHYSICS
+from taccel_lab.errors import InputError
+from taccel_lab.profile import Provenance, load_profile, save_profile
+from taccel_lab.scene import Element
+from taccel_lab.sensors.profile import catalogue_profile, load_sensor
+from taccel_lab.sensors.registry import (
+    known_sensor,
+    profile_folder,
+    profile_parameters,
+    sensor_family,
+)
+from taccel_lab.studies.evaluate import evaluate_designs
+from taccel_lab.studies.metrics import METRICS
+from taccel_lab.studies.press_batch import simulate
+from taccel_lab.studies.press_job import press_jobs
+from taccel_lab.studies.spec import load_spec
+from taccel_lab.studies.study import default_kit, make_study
+from tests.calibration.synthetic import BALL_RADIUS_MM, synthetic_captures, write_captures
+from tests.sensors.imported_profiles import SIZE, crowned, imported
+from tests.studies.coarse_presses import coarse
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """As import-step leaves it: an output with the profile in it."""
+    out = tmp_path_factory.mktemp("sensors") / "out"
+    out.mkdir()
+    save_profile(imported(young_modulus_mpa=0.2, width_px=96, height_px=72), out / "profile")
+    return out
+
+
+def test_a_folder_its_profile_and_the_file_in_it_are_one_sensor(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inside = folder / "profile"
+    for name in (folder, inside, inside / "profile.toml"):
+        assert sensor_family(str(name)).name == str(inside)
+        assert load_sensor(str(name)).sensor.name == "mine"
+    monkeypatch.chdir(folder.parent)
+    (folder.parent / "digit").symlink_to(folder)
+    assert sensor_family("digit").name == "digit" and profile_folder("digit") is None
+    assert sensor_family("./digit").label == "mine"
+    assert known_sensor("no_such") is None
+    with pytest.raises(InputError, match="folder of a profile"):
+        sensor_family("no_such")
+
+
+def test_camera_and_material_can_be_set_and_the_gel_stays(folder: Path) -> None:
+    family = sensor_family(str(folder))
+    defaults = family.parameters()
+    assert defaults.material().young_modulus_pa == pytest.approx(2e5)
+    assert defaults.grid().width_px == 96 and defaults.housing() is None
+    assert len(defaults.layer_materials()) == 1
+    pad = defaults.pad()
+    assert pad.thickness_mm == pytest.approx(4.0, abs=0.05)
+    assert pad.top_mm(np.zeros(2)) == pytest.approx(0.0, abs=1e-3)
+    softer = family.parameters({"shore_00": 30, "camera_distance_mm": 30})
+    assert softer.material().young_modulus_pa != pytest.approx(2e5)
+    assert repr(softer.pad()) == repr(pad)
+    assert "thickness_mm" not in family.parameters_type.parameters()
+    with pytest.raises(InputError, match="length_x_mm: of no use"):
+        family.parameters({"length_x_mm": 20})
+    with pytest.raises(InputError, match="puts the camera inside"):
+        sensor_family("flat_pad").parameters({"thickness_mm": 9, "camera_distance_mm": 14})
+    again = pickle.loads(pickle.dumps(family))
+    assert again.parameters().values() == defaults.values() and again.identity == family.identity
+
+
+@pytest.mark.parametrize(
+    "like",
+    ["digit", "digit_360", "flat_pad", "gelsight", "gelsight_40", "gelsight_mini", "gelsight_r15",
+     "gelsight_wedge", "9dtact", "rtac"],
+)  # fmt: skip
+def test_a_gel_can_be_like_every_sensor_of_the_catalogue(like: str) -> None:
+    found = profile_parameters(imported(like))
+    assert found.optics() is not None and found.pad().one_connectivity is False
+    assert found.grid() == sensor_family(like).parameters().grid()
+
+
+def test_what_was_measured_is_where_a_study_begins(folder: Path, tmp_path: Path) -> None:
+    profile = load_profile(folder / "profile")
+    measured = Provenance(
+        kind="calibrated",
+        method="presses",
+        source="a press",
+        inputs={"press.csv": "0" * 64},
+        residuals={"rms_relative": 0.01},
+        valid_region={"depth_mm": (0.0, 1.0)},
+    )
+    stiff = profile.material.replace(young_modulus_pa=3.1e5, provenance=measured)
+    save_profile(replace(profile, material=stiff), tmp_path / "stiff")
+    parameters = sensor_family(str(tmp_path / "stiff")).parameters()
+    assert parameters.material().young_modulus_pa == pytest.approx(3.1e5)
+
+
+def test_a_profile_of_the_catalogue_is_that_sensor_with_its_values(tmp_path: Path) -> None:
+    save_profile(catalogue_profile("gelsight", {"thickness_mm": 5.0}), tmp_path / "thick")
+    family = sensor_family(str(tmp_path / "thick"))
+    assert family.parameters().pad().thickness_mm == 5.0
+    assert family.parameters({"thickness_mm": 4.5}).pad().thickness_mm == 4.5
+
+
+STUDY = """
+[study]
+name = "mine"
+sensor = "./out"
+metrics = ["stiffness_secant"]
+load_n = 0.05
+[sweep]
+kind = "grid"
+[parameters.young_modulus_mpa]
+values = [0.1, 0.2]
+"""
+
+
+def test_a_study_takes_the_folder_beside_its_file(folder: Path) -> None:
+    path = folder.parent / "study.toml"
+    path.write_text(STUDY)
+    study = make_study(load_spec(path), default_kit())
+    designs = study.points()
+    assert len({point.id for point in designs}) == 2
+    ball = coarse("sphere", depth_fraction=0.1, steps=2)
+    ball = replace(ball, physics=replace(ball.physics, element=Element.LINEAR))
+    results = evaluate_designs(designs, [ball], [METRICS["contact_area"]])
+    soft, stiff = (result.records["sphere"][0].normal_n for result in results)
+    assert stiff == pytest.approx(2 * soft) and soft.min() > 0
+    # One simulation serves both, as of any sensor.
+    assert [result.simulations for result in results] == [1, 0]
+    path.write_text(STUDY.replace("young_modulus_mpa", "thickness_mm"))
+    with pytest.raises(InputError, match=r"no parameter of .*'thickness_mm'"):
+        make_study(load_spec(path), default_kit())
+
+
+def test_a_study_of_another_gel_has_other_designs(folder: Path, tmp_path: Path) -> None:
+    other = imported(size={**SIZE, "crown_radius_mm": 30.0}, young_modulus_mpa=0.2, width_px=96,
+                     height_px=72)  # fmt: skip
+    save_profile(other, tmp_path / "out" / "profile")
+    ids = []
+    for place in (folder.parent, tmp_path):
+        (place / "ids.toml").write_text(STUDY)
+        points = make_study(load_spec(place / "ids.toml"), default_kit()).points()
+        ids.append({point.id for point in points})
+    assert not ids[0] & ids[1]
+
+
+def test_a_preview_of_it(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ["preview", str(folder), "--out", str(out), "--size-px", "96", "--presses", "--json"]
+    assert main(words) == 0
+    stored = json.loads((out / "preview.json").read_text())
+    assert stored["figures"]["pixel_size"]["value"] == pytest.approx(0.06, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_curved_pad_and_its_mesh_press_alike() -> None:
+    """The parametric pad, and its mesh as an imported gel: forces of one ball."""
+    ball = coarse("sphere", depth_fraction=0.1, steps=2, mesh=SURFACE_PHYSICS.mesh)
+    forces = []
+    for parameters in (crowned(), profile_parameters(imported())):
+        (job,) = press_jobs(ball, parameters)
+        job = replace(job, poisson_ratios=(0.46,), friction=0.0)
+        forces.append(simulate([job])[0].record.normal_n)
+    assert forces[1] == pytest.approx(forces[0], rel=0.05)
+
+
+def captures_of(folder: Path, name: str) -> Path:
+    captures, _ = synthetic_captures(count=4)
+    write_captures(folder / name.replace("/", "_"), captures)
+    folder /= name.replace("/", "_")
+    manifest = folder / "captures.toml"
+    lines = [line for line in manifest.read_text().splitlines() if not line.startswith("sensor")]
+    manifest.write_text("\n".join([f'sensor = "{name}"', *lines]))
+    return folder
+
+
+def test_captures_name_the_folder_as_their_sensor(folder: Path, tmp_path: Path) -> None:
+    captures = load_capture_folder(captures_of(tmp_path, str(folder)))
+    assert captures.sensor == str(folder / "profile")
+    base = base_profile(None, captures)
+    assert base.sensor.name == "mine" and base_profile(folder / "profile", captures) is not None
+    facts = sensor_facts(captures.sensor)
+    assert facts is not None and facts.thickness_mm == pytest.approx(4.0, abs=0.05)
+    another = imported(size={**SIZE, "crown_radius_mm": 30.0})
+    with pytest.raises(InputError, match="another gel"):
+        base_profile(another, captures)
+    with pytest.raises(InputError, match="no folder of a profile"):
+        load_capture_folder(captures_of(tmp_path, "../nowhere"))
+
+
+def test_presses_of_captures_are_meshed_one_by_one(folder: Path) -> None:
+    captures, _ = synthetic_captures(count=3)
+    circles = [ContactCircle(70.0 + 8 * k, 60.0, 10.0) for k in range(3)]
+    profile = load_profile(folder / "profile")
+    batches = press_batches(captures, circles, profile, SURFACE_PHYSICS, 0.0)
+    assert [batch.presses for batch in batches] == [(0,), (1,), (2,)]
+    assert all(batch.ball_radius_mm == BALL_RADIUS_MM for batch in batches)
+    (mesh,) = batches[0].meshes()
+    assert mesh.tet_count > profile.mesh.tet_count

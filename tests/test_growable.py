@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Folders that grow file by file: refused before any work where nothing can be written."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from taccel_lab.errors import InputError
+from taccel_lab.output_folder import require_growable
+
+
+def test_a_folder_that_grows_is_refused_before_any_work(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    for place in (tmp_path / "file", tmp_path / "file" / "inside"):
+        with pytest.raises(InputError, match="file is a file; an output folder is needed"):
+            require_growable(place)
+    with pytest.raises(InputError, match="/proc/x cannot be written"):
+        require_growable("/proc/x")
+    (tmp_path / "begun").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    for place in (tmp_path / "begun", tmp_path / "new" / "one"):
+        require_growable(place)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_full_drive_takes_no_more_of_a_folder_that_grows(small_drive: Path) -> None:
+    (small_drive / "begun").mkdir()
+    with suppress(OSError):
+        (small_drive / "big").write_bytes(bytes(1_000_000))
+    with pytest.raises(InputError, match="begun cannot be written: No space left on device"):
+        require_growable(small_drive / "begun")
