@@ -18,11 +18,8 @@ import pytest
 import warp as wp
 from hypothesis import HealthCheck, settings
 
-from taccel_lab.cad.mesh.gel_mesh import gel_mesh
-from taccel_lab.cad.mesh.quality import MeshQuality, measure_quality
-from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
 from taccel_lab.file_cache import CACHE_VARIABLE
-from taccel_lab.geometry import TetMesh
 from taccel_lab.sensors import profile
 
 # Shared machines stall now and then, which says nothing about the code: no deadlines. Examples are
@@ -57,18 +54,8 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 def _catalogue_is_meshed_once() -> Iterator[None]:
     """Hundreds of tests start from a sensor of the catalogue, whose mesh takes a third of a second;
     it depends on the pad alone."""
-    mesh_of = lru_cache(gel_mesh)
-
-    @lru_cache
-    def quality_of(pad: Pad) -> MeshQuality:
-        return measure_quality(mesh_of(pad), pad)
-
-    def quality(mesh: TetMesh, pad: Pad) -> MeshQuality:
-        return quality_of(pad) if mesh is mesh_of(pad) else measure_quality(mesh, pad)
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(profile, "gel_mesh", mesh_of)
-        patch.setattr(profile, "measure_quality", quality)
+        patch.setattr(profile, "sound_gel_mesh", lru_cache(sound_gel_mesh))
         yield
 
 
