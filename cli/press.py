@@ -151,7 +151,8 @@ class Press:
                 rest, states = outcome.mesh.nodes_m, outcome.states
                 seen = zip(states.surfaces, states.moved_m, strict=True)
                 frames = [paint(one, rest + moved) for one, moved in seen]
-                frames.insert(0, np.asarray(profile.background_rgb))
+                assert profile.background_rgb is not None
+                frames.insert(0, profile.background_rgb)
         with atomic_directory(self.out) as folder:
             about = {
                 "sensor": self.sensor,

@@ -95,10 +95,8 @@ print(
 print(f"{reference_s:.1f} s; closed form {layer_n:.4f} N ({layer_n / reference_n - 1:+.1%})")
 print("                      nodes  seconds  force [N]  off by  it says")
 for name, (force_n, error_n, seconds, nodes) in found.items():
-    off = force_n / reference_n - 1
-    print(
-        f"{name:<21} {nodes:6} {seconds:8.2f} {force_n:10.4f} {off:+7.1%} +-{error_n / reference_n:.1%}"
-    )
+    off, says = force_n / reference_n - 1, error_n / reference_n
+    print(f"{name:<21} {nodes:6} {seconds:8.2f} {force_n:10.4f} {off:+7.1%} +-{says:.1%}")
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(12, 4.2))

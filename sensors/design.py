@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -86,8 +87,11 @@ def design_sensor(
     from taccel_lab.sensors.assembly import gel_layers, sensor_parts
 
     part = labelled_solid(pad)
-    surface = tessellate_solid(part)
-    of_cad: dict[str, Any] = {"cad_volume_mm3": part.volume_mm3, "cad_surface": surface}
+
+    @cache
+    def of_cad() -> dict[str, Any]:
+        return {"cad_volume_mm3": part.volume_mm3, "cad_surface": tessellate_solid(part)}
+
     tell("mesh")
     quality = None
     if mesher == "tetwild":
@@ -96,12 +100,12 @@ def design_sensor(
         edge_mm = usual_edge_mm(pad) if edge_mm is None else edge_mm
         mesh = tetwild_gel_mesh(pad, edge_mm, part=part, picture_folder=refused_folder(out_dir))
     elif edge_mm is None:
-        mesh, quality, edge_mm = sound_gel_mesh(pad, **of_cad)
+        mesh, quality, edge_mm = sound_gel_mesh(pad, **of_cad())
     else:
         mesh = gel_mesh(pad, edge_mm)
     tell("quality")
     if quality is None:
-        quality = measure_quality(mesh, pad, **of_cad)
+        quality = measure_quality(mesh, pad, **of_cad())
     gate = QualityGate().at_edge(edge_mm)
     try:
         passed = require_quality(mesh, quality, gate, picture_folder=refused_folder(out_dir))
@@ -123,7 +127,7 @@ def design_sensor(
             name=family.name,
             folder=folder,
             gel=part,
-            surface=surface,
+            surface=of_cad()["cad_surface"],
             layers=layers,
             assembly=assembly,
             table=_table(parameters),

@@ -216,7 +216,7 @@ def test_the_page_shows_every_press(
         "coverage.png", "heldout.png", "loss.png",
     }  # fmt: skip
     html = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
-    assert all(f"<td>p{i}</td>" in html for i in range(12))
+    assert all(f'<td class="short">p{i}</td>' in html for i in range(12))
     (presses,) = [table for table in page.tables if table.title.startswith("Presses")]
     values = [row[5] for row in presses.rows]
     assert values == sorted(values)
