@@ -34,7 +34,7 @@ def _lift_kernel(
     corners: wp.array(dtype=wp.int32),
     starts: wp.array(dtype=wp.int32),
     middles: wp.array(dtype=wp.int32),
-    shares: wp.array(dtype=wp.float64),
+    shares: wp.array2d(dtype=wp.float64),
     # In and out
     positions: wp.array2d(dtype=wp.vec3d),
 ):
@@ -46,7 +46,7 @@ def _lift_kernel(
         if wp.length_sq(gradient) == wp.float64(0.0):
             return
         load -= gradient
-        total += shares[k] * positions[env, middles[k]]
+        total += shares[env % shares.shape[0], k] * positions[env, middles[k]]
     if wp.dot(positions[env, corners[i]] - total, load) > wp.float64(0.0):
         positions[env, corners[i]] = total
 
@@ -57,11 +57,17 @@ class HangingCorners:
     def __init__(self, model: Model, gel: int) -> None:
         mesh = model.scene.soft_bodies[gel].nodal_mesh
         rings = _rings(mesh) if isinstance(mesh, QuadraticMesh) else {}
-        xy = mesh.nodes_m[:, :2]
-        shares = [_shares(xy[ring] - xy[corner]) for corner, ring in rings.items()]
-        starts = np.cumsum([0, *map(len, shares)])
         first = int(model.bodies[gel].nodes[0])
-        middles = [first + node for ring in rings.values() for node in ring]
+        middles = np.array([node for ring in rings.values() for node in ring], dtype=np.int32)
+        starts = np.cumsum([0, *map(len, rings.values())])
+        # Gels of environments may be graded for contacts of their own.
+        xy = model.rest_positions.numpy()[:, first : first + mesh.node_count, :2]
+        shares = np.empty((len(xy), len(middles)))
+        for size in {len(ring) for ring in rings.values()}:
+            alike = [i for i, ring in enumerate(rings.values()) if len(ring) == size]
+            where = starts[alike][:, None] + np.arange(size)
+            corners = np.array(list(rings))[alike]
+            shares[:, where] = _shares(xy[:, middles[where]] - xy[:, corners, None])
 
         def on_device(values: object, dtype: type) -> wp.array:
             return wp.array(np.asarray(values), dtype=dtype, device=model.device)
@@ -70,8 +76,8 @@ class HangingCorners:
         self._arrays = [
             on_device([first + corner for corner in rings], wp.int32),
             on_device(starts, wp.int32),
-            on_device(middles, wp.int32),
-            on_device(np.concatenate([*shares, np.empty(0)]), wp.float64),
+            on_device(first + middles, wp.int32),
+            on_device(shares, wp.float64),
         ]
 
     def lift(self, positions: wp.array, contact_gradient: wp.array) -> None:
@@ -104,7 +110,10 @@ def _rings(mesh: QuadraticMesh) -> dict[int, list[int]]:
 
 
 def _shares(offsets: np.ndarray) -> np.ndarray:
-    """Weights of values at ``offsets`` [n, 2] in the least-squares paraboloid through them, at
-    (0, 0)."""
-    x, y = offsets.T / np.abs(offsets).max()
-    return np.linalg.pinv(np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y]))[0]
+    """Weights of values at ``offsets`` [..., n, 2] in the least-squares paraboloid through them, at
+    (0, 0), [..., n]."""
+    x, y = np.moveaxis(offsets / np.abs(offsets).max(axis=(-2, -1), keepdims=True), -1, 0)
+    design = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    # Squared, as they are here, a ring on a conic has an eigenvalue of rounding.
+    normal = np.linalg.pinv(np.swapaxes(design, -1, -2) @ design, rcond=1e-10, hermitian=True)
+    return (design @ normal)[..., 0]

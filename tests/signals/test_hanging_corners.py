@@ -67,6 +67,27 @@ def test_a_corner_at_the_rim_of_the_contact_stays() -> None:
     assert (lifted(moved, right_side, Element.QUADRATIC)[corner] == moved[corner]).all()
 
 
+def test_environments_with_gels_of_their_own_shape() -> None:
+    """The same cells, graded otherwise in the second environment."""
+    mesh = quadratic()
+    graded = np.sign(MESH.nodes_m) * np.abs(MESH.nodes_m) ** [1.3, 1.2, 1.0]
+    graded *= np.abs(MESH.nodes_m).max(axis=0) / np.abs(graded).max(axis=0)
+    rests = np.stack([MESH.nodes_m, graded])
+    soft = SoftBody(MESH, Material(1e5, 0.45), rest_positions_m=rests)
+    model = Scene(soft_bodies=[soft], env_count=2).finalize(device="cpu")
+    right = np.stack([bowl(rest) for rest in model.rest_positions.numpy()])
+    face = mesh.region_nodes(Region.CONTACT)
+    inner = np.abs(mesh.nodes_m[face, :2]).max(axis=1) < 1.6e-3
+    hangs = face[inner & (face < mesh.base.node_count)][[3, 10]]
+    moved = right.copy()
+    moved[:, hangs, 2] -= 4e-5
+    carries = np.isin(np.arange(mesh.node_count), face)
+    gradient = np.broadcast_to(np.where(carries[:, None], [0.0, 0.0, 1e-3], 0.0), moved.shape)
+    positions = wp.array(moved, dtype=wp.vec3d)
+    HangingCorners(model, 0).lift(positions, wp.array(gradient.copy(), dtype=wp.vec3d))
+    assert positions.numpy() == pytest.approx(right, abs=1e-12)
+
+
 def test_linear_elements_have_none() -> None:
     moved = bowl(MESH.nodes_m)
     assert (lifted(moved, np.ones(len(moved), bool), Element.LINEAR) == moved).all()
