@@ -15,6 +15,7 @@ import hashlib
 import json
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -109,8 +110,10 @@ def _folder_path(target: Path | str) -> Path:
 
 def _refuse_files(target: Path) -> None:
     for path in (target, *target.parents):
-        if path.exists() and not path.is_dir():
-            raise InputError(f"{path} is a file; an output folder is needed")
+        # One look: between two, another process may put a folder away and back.
+        with suppress(OSError):
+            if not stat.S_ISDIR(path.stat().st_mode):
+                raise InputError(f"{path} is a file; an output folder is needed")
 
 
 # What may be replaced -------------------------------------------------------------------------
@@ -196,8 +199,8 @@ def _held(folder: Path) -> Iterator[tuple[int, int] | None]:
         yield None
         return
     try:
-        stat = os.fstat(handle)
-        yield stat.st_dev, stat.st_ino
+        status = os.fstat(handle)
+        yield status.st_dev, status.st_ino
     finally:
         os.close(handle)
 
@@ -205,10 +208,10 @@ def _held(folder: Path) -> Iterator[tuple[int, int] | None]:
 def _identity(folder: Path) -> tuple[int, int] | None:
     """Tells whether a path leads to another folder than before; None if there is none."""
     try:
-        stat = folder.stat()
+        status = folder.stat()
     except FileNotFoundError:
         return None
-    return stat.st_dev, stat.st_ino
+    return status.st_dev, status.st_ino
 
 
 def _require_writable(target: Path, beside: bool = True) -> None:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
@@ -207,6 +208,25 @@ def test_writers_side_by_side(tmp_path: Path) -> None:
     assert errors == []
     assert os.listdir(tmp_path) == ["out"]
     require_replaceable(target)
+
+
+def test_a_folder_that_others_put_away_and_back_is_no_file(tmp_path: Path) -> None:
+    target, stop = tmp_path / "out", threading.Event()
+    target.mkdir()
+
+    def swap() -> None:
+        while not stop.is_set():
+            target.rename(tmp_path / "away")
+            (tmp_path / "away").rename(target)
+
+    with ThreadPoolExecutor(1) as others:
+        swaps = others.submit(swap)
+        try:
+            for _ in range(1000):
+                require_replaceable(target)
+        finally:
+            stop.set()
+        swaps.result()
 
 
 READER = """
