@@ -15,6 +15,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_json
+from taccel_lab.output_folder import require_growable
 from taccel_lab.report.machine import describe_run
 
 SCHEMA = "taccel-lab benchmark 1"
@@ -34,8 +35,10 @@ class ResultFile:
         settings: dict[str, Any],
         budget_s: float | None = None,
     ) -> None:
-        """``out``: a folder, or a JSON file; ``budget_s``: see ``measure``."""
+        """``out``: a folder, or a JSON file, refused where nothing can be written; ``budget_s``:
+        see ``measure``."""
         self.path = result_path(suite, out)
+        require_growable(self.path.parent)
         self.deadline = Deadline(budget_s)
         self._started = time.perf_counter()
         self._document: dict[str, Any] = {

@@ -96,6 +96,15 @@ def test_unusable_input_ends_with_code_two(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_result_that_cannot_be_written_is_refused_before_anything_is_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    monkeypatch.setattr(Speed, "measure_rows", lambda *_: pytest.fail("measured"))
+    assert main(["speed", "--out", str(tmp_path / "file" / "out")]) == 2
+    assert "is a file" in capsys.readouterr().err
+
+
 def test_settings_are_read() -> None:
     assert parse_settings(("dhat_m=1e-5", "max_newton_iterations=7", "precision=mixed")) == {
         "dhat_m": 1e-5,
