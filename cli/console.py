@@ -14,6 +14,8 @@ from typing import IO, TYPE_CHECKING, Any
 from taccel_lab.output import to_jsonable
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
 
 _told = {"quiet": False}
@@ -38,6 +40,11 @@ def print_json(value: Any) -> None:
     out = _results[-1] if _results else sys.stdout
     out.write(json.dumps(to_jsonable(value), indent=2, allow_nan=False) + "\n")
     out.flush()
+
+
+def say_first_look(console: Console, picture: Path) -> None:
+    """Tell where a picture lies that can be looked at while the command goes on."""
+    console.print(f"first look: {picture}", highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager

@@ -18,10 +18,11 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from taccel_lab.sensors.base import SensorFamily
+    from taccel_lab.sensors.base import FamilyParameters, SensorFamily
     from taccel_lab.sensors.design import DesignResult
 
 _STAGES = {
+    "sections": "drawing the sections",
     "cad": "building the solid",
     "mesh": "meshing",
     "quality": "measuring the mesh",
@@ -36,6 +37,8 @@ _STAGES = {
 @dataclass(frozen=True)
 class Design:
     """Build a sensor: gel, assembly, moulds, drawings, labelled tet mesh (VTU), profile.
+
+    Sections through the sensor are drawn first, and can be looked at while the rest is built.
 
     With --page: a page in the browser with sliders of all parameters, which shows what a change
     does and writes nothing until asked. Ctrl-C closes it, exit code 0.
@@ -72,10 +75,11 @@ class Design:
         from rich.console import Console
 
         from taccel_lab.cad.parameters import parse_overrides
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import notes, print_json, say_first_look
         from taccel_lab.cli.progress import stage_words
         from taccel_lab.sensors.design import design_sensor
         from taccel_lab.sensors.registry import sensor_family
+        from taccel_lab.studies.sensor_picture import write_sections
 
         console = notes()
         name, overrides = self.sensor, parse_overrides(self.set)
@@ -88,6 +92,12 @@ class Design:
         if self.page:
             self._serve(family, overrides)
             return
+
+        def first_look(parameters: FamilyParameters, folder: Path) -> Path:
+            path = write_sections(family, parameters, folder)
+            say_first_look(console, path)
+            return path
+
         with stage_words(console) as say:
             result = design_sensor(
                 family,
@@ -96,6 +106,7 @@ class Design:
                 self.mesher,
                 self.edge_mm,
                 parts=self.parts,
+                first_look=first_look,
                 progress=lambda stage, _, __: say(_STAGES[stage]),
             )
         if self.json:

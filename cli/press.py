@@ -25,7 +25,8 @@ class Press:
     """Press an indenter into a gel: height map, normals, image, force and wrench, mesh, figures.
 
     Lengths are in mm in the gel frame: x right and y down in the image, z out of the gel; the
-    origin is the middle of the contact face. Example: taccel-lab press gelsight --indenter
+    origin is the middle of the contact face. What is about to be pressed is drawn first (scene.png)
+    and can be looked at while the press is computed. Example: taccel-lab press gelsight --indenter
     sphere:2.0 --depth-mm 0.8 --shear-mm 0.3 0 --out out/press
     """
 
@@ -96,6 +97,7 @@ class Press:
         """Press, write the files and return what was read and the image, if there is one."""
         import time
 
+        from taccel_lab.cli.console import say_first_look
         from taccel_lab.envs import PressPath, parse_indenter, profile_material, simulate_press
         from taccel_lab.envs.fitted_physics import physics_difference
         from taccel_lab.envs.press import check_depth
@@ -103,10 +105,11 @@ class Press:
         from taccel_lab.model.devices import require_device
         from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.sensors.profile import load_sensor
+        from taccel_lab.sensors.registry import profile_sensor
         from taccel_lab.signals.color_model import ColorModel
-        from taccel_lab.signals.profile_options import image_painter
         from taccel_lab.signals.rest_surface import rest_surface
         from taccel_lab.signals.texture import Texture
+        from taccel_lab.studies.press_picture import write_scene
 
         require_replaceable(self.out)
         require_device(self.device)
@@ -124,36 +127,31 @@ class Press:
             console.print(f"note: {note}", highlight=False)
         check_depth(self.depth_mm, profile)
         ColorModel.from_profile(profile)  # One that cannot paint is refused before the press.
-        gel = self._mesh(profile, indenter, physics)
-        material = profile_material(profile.material, gel)
-        started = time.perf_counter()
-        with step_progress(console, f"pressing {self.indenter}") as progress:
-            outcome = simulate_press(
-                gel,
-                material,
-                indenter,
-                self.at_mm,
-                path,
-                profile.grid(),
-                friction_coefficient=friction,
-                physics=physics,
-                designed_rest=rest_surface(profile.mesh, profile.grid()),
-                device=self.device,
-                progress=progress,
-                keep_states=self.states,
-            )
-        seconds = time.perf_counter() - started
-        rgb = frames = None
-        paint = image_painter(profile, outcome.mesh)
-        if paint is not None:
-            rgb = paint(outcome, outcome.positions_m)
-            if outcome.states is not None:
-                rest, states = outcome.mesh.nodes_m, outcome.states
-                seen = zip(states.surfaces, states.moved_m, strict=True)
-                frames = [paint(one, rest + moved) for one, moved in seen]
-                assert profile.background_rgb is not None
-                frames.insert(0, profile.background_rgb)
         with atomic_directory(self.out) as folder:
+            gel = self._mesh(profile, indenter, physics)
+            # All of this without a kernel, which may have to be compiled: a picture within seconds.
+            family, aim = profile_sensor(profile), f"{self.depth_mm:g} mm"
+            scene = write_scene(folder, family, gel, indenter, self.at_mm, self.depth_mm, aim)
+            say_first_look(console, scene)
+            material = profile_material(profile.material, gel)
+            started = time.perf_counter()
+            with step_progress(console, f"pressing {self.indenter}") as progress:
+                outcome = simulate_press(
+                    gel,
+                    material,
+                    indenter,
+                    self.at_mm,
+                    path,
+                    profile.grid(),
+                    friction_coefficient=friction,
+                    physics=physics,
+                    designed_rest=rest_surface(profile.mesh, profile.grid()),
+                    device=self.device,
+                    progress=progress,
+                    keep_states=self.states,
+                )
+            seconds = time.perf_counter() - started
+            rgb, frames = _painted(profile, outcome)
             about = {
                 "sensor": self.sensor,
                 "indenter": self.indenter,
@@ -196,6 +194,24 @@ class Press:
             raise InputError(
                 f"{self.sensor} cannot be meshed for a press at ({x:g}, {y:g}) mm: {error}"
             ) from error
+
+
+def _painted(
+    profile: SensorProfile, outcome: PressOutcome
+) -> tuple[np.ndarray | None, list[np.ndarray] | None]:
+    """The tactile image and those of all states that were kept, where colours are known."""
+    from taccel_lab.signals.profile_options import image_painter
+
+    paint = image_painter(profile, outcome.mesh)
+    if paint is None:
+        return None, None
+    rgb = paint(outcome, outcome.positions_m)
+    if outcome.states is None:
+        return rgb, None
+    rest, states = outcome.mesh.nodes_m, outcome.states
+    seen = zip(states.surfaces, states.moved_m, strict=True)
+    assert profile.background_rgb is not None
+    return rgb, [profile.background_rgb, *(paint(one, rest + moved) for one, moved in seen)]
 
 
 def step_progress(console: Console, title: str) -> Any:

@@ -46,12 +46,13 @@ class Preview:
 
     def run(self) -> None:
         from taccel_lab.cad.parameters import parse_overrides
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import notes, print_json, say_first_look
         from taccel_lab.cli.progress import stage_words
         from taccel_lab.model.devices import require_device
         from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.sensors.registry import sensor_family
-        from taccel_lab.studies.preview import draw_sections, preview_design, write_preview
+        from taccel_lab.studies.preview import preview_design, write_preview
+        from taccel_lab.studies.sensor_picture import write_sections
         from taccel_lab.warp_output import first_step, quiet_warp
 
         quiet_warp()
@@ -61,8 +62,8 @@ class Preview:
         family, overrides = sensor_family(self.sensor), parse_overrides(self.set)
         with stage_words(console) as say, atomic_directory(self.out) as folder:
             say("drawing the sections")
-            first = draw_sections(family, family.parameters(overrides), folder)
-            console.print(f"first look: {first}", highlight=False, soft_wrap=True)
+            first = write_sections(family, family.parameters(overrides), folder)
+            say_first_look(console, first)
 
             def tell(what: str, done: int, total: int) -> None:
                 begins = f"; {first_step()}" if total and not done else ""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -31,6 +31,8 @@ DEFAULT_MESHER = "structured"
 dihedral angle 19.9 and 8.6 deg, volume error -0.08 and -0.14 %, Hausdorff 0.022 and 0.013 mm,
 meshing 0.4 and 21 s; back, window and contact nodes exact and the same on every run against
 approximate and different."""
+FirstLook = Callable[[FamilyParameters, Path], Path]
+"""Draws parameters into a folder and returns the picture's path."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,8 @@ class DesignResult:
     mesher: str
     out_dir: Path
     files: dict[str, Path]
-    """Written files by kind: mesh, quality, parameters, preview, profile, those of the workshop."""
+    """Written files by kind: mesh, quality, parameters, preview, profile, those of the workshop,
+    and the sections where a first look was asked for."""
     seconds: dict[str, float]
     """Time of each stage [s]."""
     warnings: list[str]
@@ -61,13 +64,15 @@ def design_sensor(
     edge_mm: float | None = None,
     *,
     parts: Sequence[str] = WORKSHOP_PARTS,
+    first_look: FirstLook | None = None,
     progress: Progress = silent,
 ) -> DesignResult:
     """Build a sensor of ``family`` and write everything to ``out_dir``, whole or not at all.
 
     ``edge_mm`` is the target edge length of the mesh [mm], that of ``sound_gel_mesh`` (tetwild:
     ``usual_edge_mm``) when None, ``parts`` the files for the workshop (``WORKSHOP_PARTS``); mesh,
-    quality, parameters, preview and profile are always written.
+    quality, parameters, preview and profile are always written. ``first_look`` draws the design
+    before anything is built, such as ``studies.sensor_picture.write_sections``.
     ``progress`` is told when each stage begins and ends. A mesh that fails its gate raises
     InputError and leaves a picture of where in ``refused_folder(out_dir)``.
     """
@@ -77,52 +82,60 @@ def design_sensor(
     require_replaceable(out_dir)
     parameters = family.parameters(overrides)
     pad = parameters.pad()
+    out_dir = Path(out_dir)
     seconds: dict[str, float] = {}
     tell = StageClock(seconds, progress)
 
-    tell("cad")
-    from taccel_lab.cad.export import dimensions
-    from taccel_lab.cad.mesh.tessellate import tessellate_solid
-    from taccel_lab.cad.parts.pad_solid import labelled_solid
-    from taccel_lab.sensors.assembly import gel_layers, sensor_parts
-
-    part = labelled_solid(pad)
-
-    @cache
-    def of_cad() -> dict[str, Any]:
-        return {"cad_volume_mm3": part.volume_mm3, "cad_surface": tessellate_solid(part)}
-
-    tell("mesh")
-    quality = None
-    if mesher == "tetwild":
-        from taccel_lab.cad.mesh.tetrahedralize import tetwild_gel_mesh
-
-        edge_mm = usual_edge_mm(pad) if edge_mm is None else edge_mm
-        mesh = tetwild_gel_mesh(pad, edge_mm, part=part, picture_folder=refused_folder(out_dir))
-    elif edge_mm is None:
-        mesh, quality, edge_mm = sound_gel_mesh(pad, **of_cad())
-    else:
-        mesh = gel_mesh(pad, edge_mm)
-    tell("quality")
-    if quality is None:
-        quality = measure_quality(mesh, pad, **of_cad())
-    gate = QualityGate().at_edge(edge_mm)
-    try:
-        passed = require_quality(mesh, quality, gate, picture_folder=refused_folder(out_dir))
-    except InputError as error:
-        other = "another edge_mm" if mesher == "tetwild" else "the mesher tetwild (takes longer)"
-        raise InputError(f"{error}. Try {other}, or dimensions nearer to the defaults") from error
-    profile = designed_profile(family, parameters, mesh, quality, mesher=mesher)
-    tell("assembly")
-    assembly = None
-    if "assembly" in parts:
-        with _hint(parts, "assembly"):
-            assembly = sensor_parts(family.name, parameters, part)
-    layers = gel_layers(pad, part)
-    issue = issue_of({"family": family.name, **parameters.values()})
-    tell("files")
-    out_dir = Path(out_dir)
     with atomic_directory(out_dir) as folder:
+        drawn: dict[str, str] = {}
+        if first_look is not None:
+            tell("sections")
+            drawn["sections"] = first_look(parameters, folder).name
+        tell("cad")
+        from taccel_lab.cad.export import dimensions
+        from taccel_lab.cad.mesh.tessellate import tessellate_solid
+        from taccel_lab.cad.parts.pad_solid import labelled_solid
+        from taccel_lab.sensors.assembly import gel_layers, sensor_parts
+
+        part = labelled_solid(pad)
+
+        @cache
+        def of_cad() -> dict[str, Any]:
+            return {"cad_volume_mm3": part.volume_mm3, "cad_surface": tessellate_solid(part)}
+
+        tell("mesh")
+        quality = None
+        if mesher == "tetwild":
+            from taccel_lab.cad.mesh.tetrahedralize import tetwild_gel_mesh
+
+            edge_mm = usual_edge_mm(pad) if edge_mm is None else edge_mm
+            mesh = tetwild_gel_mesh(pad, edge_mm, part=part, picture_folder=refused_folder(out_dir))
+        elif edge_mm is None:
+            mesh, quality, edge_mm = sound_gel_mesh(pad, **of_cad())
+        else:
+            mesh = gel_mesh(pad, edge_mm)
+        tell("quality")
+        if quality is None:
+            quality = measure_quality(mesh, pad, **of_cad())
+        gate = QualityGate().at_edge(edge_mm)
+        try:
+            passed = require_quality(mesh, quality, gate, picture_folder=refused_folder(out_dir))
+        except InputError as error:
+            other = (
+                "another edge_mm" if mesher == "tetwild" else "the mesher tetwild (takes longer)"
+            )
+            raise InputError(
+                f"{error}. Try {other}, or dimensions nearer to the defaults"
+            ) from error
+        profile = designed_profile(family, parameters, mesh, quality, mesher=mesher)
+        tell("assembly")
+        assembly = None
+        if "assembly" in parts:
+            with _hint(parts, "assembly"):
+                assembly = sensor_parts(family.name, parameters, part)
+        layers = gel_layers(pad, part)
+        issue = issue_of({"family": family.name, **parameters.values()})
+        tell("files")
         workshop = Workshop(
             name=family.name,
             folder=folder,
@@ -133,6 +146,7 @@ def design_sensor(
             table=_table(parameters),
             issue=issue,
         )
+        workshop.files |= drawn
         for kind in WORKSHOP_PARTS:
             if kind in parts:
                 tell(kind)

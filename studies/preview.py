@@ -130,15 +130,6 @@ def preview_design(
     )
 
 
-def draw_sections(family: SensorFamily, parameters: FamilyParameters, folder: Path) -> Path:
-    """The sensor to scale, from its dimensions alone: there before anything is meshed."""
-    from taccel_lab.studies.sensor_picture import draw_sensor
-
-    path = folder / "sections.png"
-    save_figure(draw_sensor(family, parameters), path)
-    return path
-
-
 def write_preview(preview: DesignPreview, folder: Path) -> dict[str, Path]:
     """Write pictures and figures into a folder; names by kind."""
     from PIL import Image

@@ -7,11 +7,12 @@ family's formulas say; nothing is meshed or built.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.report.style import BLUE, GREY, INK, LIGHT, ORANGE, in_report_style
+from taccel_lab.report.style import BLUE, GREY, INK, LIGHT, ORANGE, in_report_style, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,6 +25,16 @@ if TYPE_CHECKING:
 
 _GEL, _SKIN, _GLASS, _BOX = "#f4c9a8", "#4b3b36", "#cfe8f1", "#9aa1ab"
 _SAMPLES = 801
+_FRONT_SAMPLES = 301
+"""Along each side of the view from the front, where every point is one of the gel's formula: 801
+take a DIGIT 5 s."""
+
+
+def write_sections(family: SensorFamily, parameters: FamilyParameters, folder: Path) -> Path:
+    """The sensor to scale, from its dimensions alone: there before anything is built or meshed."""
+    path = folder / "sections.png"
+    save_figure(draw_sensor(family, parameters), path)
+    return path
 
 
 @in_report_style
@@ -289,7 +300,7 @@ def _draw_front(
                 edgecolor=GREY,
             )
         )
-    x, y = (np.linspace(low[k] - 0.01, high[k] + 0.01, _SAMPLES) for k in (0, 1))
+    x, y = (np.linspace(low[k] - 0.01, high[k] + 0.01, _FRONT_SAMPLES) for k in (0, 1))
     xy = np.stack(np.meshgrid(x, y), axis=-1)
     height = pad.top_mm(xy)
     inside = np.isfinite(height).astype(float)

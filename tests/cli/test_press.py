@@ -30,6 +30,7 @@ FILES = {
     "gel.vtu",
     "height_map.png",
     "normals.png",
+    "scene.png",
     "press.json",
     "signals.npz",
 }
