@@ -12,10 +12,13 @@ from tyro.conf import Positional
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import numpy as np
     from rich.console import Console
 
-    from taccel_lab.envs import Indenter, PressOutcome, PressPhysics
+    from taccel_lab.envs import Indenter, PressOutcome, PressPath, PressPhysics
+    from taccel_lab.envs.press_force import Told
     from taccel_lab.geometry import TetMesh
     from taccel_lab.profile import SensorProfile
 
@@ -35,8 +38,12 @@ class Press:
     the one that the optical model predicts (predicted.png)."""
     out: Path
     """Folder to write; an earlier one is replaced when everything is done."""
-    depth_mm: float
-    """Depth past first touch [mm]."""
+    depth_mm: float | None = None
+    """Depth past first touch [mm]; or give --force-n."""
+    force_n: float | None = None
+    """In place of a depth: press until the normal force is this, within 1 per cent [N]. The depth
+    is found by presses of their own, two to four; --shear-mm and --twist-deg follow at that depth,
+    where the force changes again."""
     indenter: str = "sphere:2.0"
     """sphere:RADIUS, cylinder:RADIUS, box:XxY, roller:RADIUSxLENGTH, edge:ANGLExLENGTH[xRADIUS],
     grating:PITCHxRIDGESxLENGTH, pair:RADIUSxGAP or mesh:FILE[@AXIS] (STL, PLY, OBJ), in mm and
@@ -96,12 +103,14 @@ class Press:
     def execute(self, console: Console) -> tuple[PressOutcome, np.ndarray | None]:
         """Press, write the files and return what was read and the image, if there is one."""
         import time
+        from functools import cache, partial
 
         from taccel_lab.cli.console import say_first_look
-        from taccel_lab.envs import PressPath, parse_indenter, profile_material, simulate_press
+        from taccel_lab.envs import parse_indenter, profile_material, simulate_press
         from taccel_lab.envs.fitted_physics import physics_difference
-        from taccel_lab.envs.press import check_depth
+        from taccel_lab.envs.press import check_depth, deepest_mm
         from taccel_lab.envs.press_files import write_press
+        from taccel_lab.envs.press_force import FIRST_SHARE, check_force
         from taccel_lab.model.devices import require_device
         from taccel_lab.output_folder import atomic_directory, require_replaceable
         from taccel_lab.sensors.profile import load_sensor
@@ -113,7 +122,10 @@ class Press:
 
         require_replaceable(self.out)
         require_device(self.device)
-        path = PressPath(self.depth_mm, self.shear_mm, self.twist_deg, self.step_mm, self.step_deg)
+        if (self.depth_mm is None) == (self.force_n is None):
+            raise InputError("say how far to press: either --depth-mm or --force-n, not both")
+        if self.force_n is not None:
+            check_force(self.force_n)
         texture = None
         if self.texture is not None:
             texture = Texture.from_image(self.texture, *self.texture_mm)
@@ -125,31 +137,45 @@ class Press:
         note = physics_difference(profile.material, physics, friction)
         if note is not None:
             console.print(f"note: {note}", highlight=False)
-        check_depth(self.depth_mm, profile)
-        ColorModel.from_profile(profile)  # One that cannot paint is refused before the press.
+        first_mm = FIRST_SHARE * profile.gel.thickness_mm
+        if self.depth_mm is not None:
+            first_mm = self.depth_mm
+        self._path(first_mm)  # Refused before a mesh is made for it, as is what cannot be painted.
+        check_depth(first_mm, profile)
+        ColorModel.from_profile(profile)
+        mesh = cache(partial(self._mesh, profile, indenter))
         with atomic_directory(self.out) as folder:
-            gel = self._mesh(profile, indenter, physics)
             # All of this without a kernel, which may have to be compiled: a picture within seconds.
-            family, aim = profile_sensor(profile), f"{self.depth_mm:g} mm"
-            scene = write_scene(folder, family, gel, indenter, self.at_mm, self.depth_mm, aim)
+            gel, family = mesh(physics, first_mm), profile_sensor(profile)
+            aim = f"{self.depth_mm:g} mm" if self.force_n is None else f"to {self.force_n:g} N"
+            scene = write_scene(folder, family, gel, indenter, self.at_mm, first_mm, aim)
             say_first_look(console, scene)
-            material = profile_material(profile.material, gel)
             started = time.perf_counter()
-            with step_progress(console, f"pressing {self.indenter}") as progress:
-                outcome = simulate_press(
+            rest = rest_surface(profile.mesh, profile.grid())
+
+            def press(physics: PressPhysics, path: PressPath, told: Told) -> PressOutcome:
+                gel = mesh(physics, path.depth_mm)
+                return simulate_press(
                     gel,
-                    material,
+                    profile_material(profile.material, gel),
                     indenter,
                     self.at_mm,
                     path,
                     profile.grid(),
                     friction_coefficient=friction,
                     physics=physics,
-                    designed_rest=rest_surface(profile.mesh, profile.grid()),
+                    designed_rest=rest,
                     device=self.device,
-                    progress=progress,
+                    progress=told,
                     keep_states=self.states,
                 )
+
+            with step_progress(console, f"pressing {self.indenter} {aim}") as progress:
+                if self.force_n is None:
+                    outcome = press(physics, self._path(first_mm), progress)
+                else:
+                    limit_mm = deepest_mm(gel, self.at_mm)
+                    outcome = self._to_force(self.force_n, press, physics, limit_mm, progress)
             seconds = time.perf_counter() - started
             rgb, frames = _painted(profile, outcome)
             about = {
@@ -158,12 +184,51 @@ class Press:
                 "texture": None if texture is None else str(self.texture),
                 "texture_mm": None if texture is None else self.texture_mm,
                 "at_mm": self.at_mm,
+                "asked_force_n": self.force_n,
                 "friction_coefficient": friction,
                 "differs_from_calibration": note,
                 "seconds": seconds,
             }
             write_press(folder, outcome, profile, rgb, about, indenter, frames)
         return outcome, rgb
+
+    def _to_force(
+        self,
+        force_n: float,
+        press: Callable[[PressPhysics, PressPath, Told], PressOutcome],
+        physics: PressPhysics,
+        limit_mm: float,
+        told: Told,
+    ) -> PressOutcome:
+        """About how deep, by presses straight down of low accuracy; then as asked for."""
+        from dataclasses import replace
+
+        from taccel_lab.envs import PHYSICS, Accuracy
+        from taccel_lab.envs.press_force import ROUGH_TOLERANCE, press_to_force
+
+        first_mm = None
+        if physics.accuracy != Accuracy.FAST:
+            rough = replace(PHYSICS[Accuracy.FAST], element=physics.element)
+            first_mm = press_to_force(
+                force_n,
+                lambda depth_mm, told: press(rough, self._path(depth_mm, aside=False), told),
+                limit_mm,
+                tolerance=ROUGH_TOLERANCE,
+                told=told,
+            ).path.depth_mm
+        return press_to_force(
+            force_n,
+            lambda depth_mm, told: press(physics, self._path(depth_mm), told),
+            limit_mm,
+            first_mm=first_mm,
+            told=told,
+        )
+
+    def _path(self, depth_mm: float, aside: bool = True) -> PressPath:
+        from taccel_lab.envs import PressPath
+
+        shear_mm, twist_deg = (self.shear_mm, self.twist_deg) if aside else ((0.0, 0.0), 0.0)
+        return PressPath(depth_mm, shear_mm, twist_deg, self.step_mm, self.step_deg)
 
     def _physics(self) -> PressPhysics:
         """That of the accuracy, but for what is set here."""
@@ -181,13 +246,15 @@ class Press:
             physics = replace(physics, element=Element(self.element))
         return physics
 
-    def _mesh(self, profile: SensorProfile, indenter: Indenter, physics: PressPhysics) -> TetMesh:
+    def _mesh(
+        self, profile: SensorProfile, indenter: Indenter, physics: PressPhysics, depth_mm: float
+    ) -> TetMesh:
         if self.mesh == "profile":
             return profile.mesh
         from taccel_lab.sensors.press_mesh import profile_press_mesh
 
         try:
-            contact = indenter.contact(self.depth_mm)
+            contact = indenter.contact(depth_mm)
             return profile_press_mesh(profile, self.at_mm, contact, physics.mesh)
         except InputError as error:
             x, y = self.at_mm
@@ -256,6 +323,7 @@ def _print_outcome(console: Console, outcome: PressOutcome) -> None:
     moment = figures["wrench"]["moment_nm"] * 1e3
     table = Table("figure", "value", "unit", title="press", title_justify="left")
     for name, value, unit in (
+        ("depth past first touch", f"{outcome.path.depth_mm:.4g}", "mm"),
         ("force of the gel on the indenter", "  ".join(f"{v:.4f}" for v in force), "N"),
         ("moment about the gel's origin", "  ".join(f"{v:.4f}" for v in moment), "N mm"),
         ("error of the force, estimated", f"{figures['force_error_n']:.4f}", "N"),

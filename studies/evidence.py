@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from taccel_lab.envs.press_force import by_power_law
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.signals import (
@@ -48,6 +48,10 @@ class Evidence:
     """The one that figures are read of; empty for a press's first."""
     press: str = ""
     """That of figures which can be read from several."""
+    changes: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = field(
+        default_factory=dict, repr=False
+    )
+    """What ``picture_change`` has found, with the motion that it was of, by its id and steps."""
 
     def of(self, press: str, indenter: str, load_n: float) -> Evidence:
         """The same design as one tool shows it at one load."""
@@ -90,10 +94,13 @@ class Evidence:
         return run_task(task, range(task.parameters.seeds), self.device)
 
     def picture_change(self, record: PressRecord, steps: list[int]) -> np.ndarray:
-        """See ``camera_view.picture_change``."""
-        return picture_change(
-            view_model(self.parameters, record, device=record.device), record, steps
-        )
+        """See ``camera_view.picture_change``. Gels of other moduli that move alike look alike: the
+        pictures are rendered once for the figure and both ends of its interval."""
+        key = (id(record.moved_m), *steps)
+        if key not in self.changes:
+            model = view_model(self.parameters, record, device=record.device)
+            self.changes[key] = picture_change(model, record, steps), record.moved_m
+        return self.changes[key][0]
 
     def marker_points_mm(self) -> np.ndarray:
         """Gel xy of the markers that the camera sees, shape [marker, 2].
@@ -141,10 +148,7 @@ def at_load(record: PressRecord, values: np.ndarray, load_n: float) -> float:
         )
     if not (values > 0).all():
         return float(np.interp(load_n, np.append(0.0, force), np.append(0.0, values)))
-    x, y = np.log(force), np.log(values)
-    k = int(np.clip(np.searchsorted(x, math.log(load_n)) - 1, 0, len(x) - 2))
-    slope = (y[k + 1] - y[k]) / (x[k + 1] - x[k])
-    return float(math.exp(y[k] + slope * (math.log(load_n) - x[k])))
+    return by_power_law(force, values, load_n)
 
 
 def dent_mm(record: PressRecord) -> np.ndarray:

@@ -116,11 +116,12 @@ def preview_design(
         on_press = look(record)
         rest_of_press = on_press.render(record.rest_m)
         pressed = on_press.render(record.positions_m(record.down.stop - 1))
+    light = model.light_field()
     return DesignPreview(
         family=family,
         parameters=parameters,
-        rest=model.render(),
-        light=model.light_field(),
+        rest=model.picture(light),
+        light=light,
         photometry=photometry(parameters, device),
         pressed=pressed,
         rest_of_press=rest_of_press,

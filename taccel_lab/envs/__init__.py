@@ -5,6 +5,7 @@ from taccel_lab.envs.fitted_physics import physics_difference
 from taccel_lab.envs.indenter import Indenter, parse_indenter
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
 from taccel_lab.envs.press import PressEnv
+from taccel_lab.envs.press_force import press_to_force
 from taccel_lab.envs.press_frame import normal_frame
 from taccel_lab.envs.press_outcome import PressOutcome, PressStep, simulate_press
 from taccel_lab.envs.press_path import PressPath
@@ -24,6 +25,7 @@ __all__ = [
     "normal_frame",
     "parse_indenter",
     "physics_difference",
+    "press_to_force",
     "profile_material",
     "simulate_press",
 ]

@@ -386,6 +386,17 @@ class PressEnv:
         )
 
 
+def deepest_mm(mesh: TetMesh, at_mm: tuple[float, float]) -> float:
+    """Deepest press of a gel at a place, but for what its mesh changes, which goes with the depth.
+
+    ``mesh`` is in the gel frame, ``at_mm`` the gel xy.
+    """
+    contact = mesh.region_faces(Region.CONTACT)
+    bonded = mesh.region_faces(Region.BOND, Region.WINDOW)
+    thickness_m = gel_below_m(mesh.nodes_m, contact, bonded, 1e-3 * np.asarray(at_mm))
+    return 0.99 * MAX_DEPTH_FRACTION * 1e3 * thickness_m
+
+
 def check_depth(depth_mm: float, profile: SensorProfile) -> None:
     """Refuse a depth that no place of the pad allows, before a mesh is made for it."""
     thickness_mm = profile.gel.thickness_mm

@@ -180,6 +180,40 @@ def test_a_texture_shows_in_the_heights(
     assert not (tmp_path / "bad").exists()
 
 
+def test_a_press_to_a_force_is_one_to_its_depth(unit: Path, tmp_path: Path) -> None:
+    assert press(unit, tmp_path / "force", "--force-n", "0.6", *QUICK) == 0
+    found = read(tmp_path / "force")
+    assert found["asked_force_n"] == 0.6
+    assert found["press"]["force_n"] == pytest.approx(0.6, rel=0.01)
+    depth = repr(found["path"]["depth_mm"])
+    assert press(unit, tmp_path / "depth", "--depth-mm", depth, *QUICK) == 0
+    again = read(tmp_path / "depth")
+    assert again["asked_force_n"] is None
+    assert again["press"]["wrench"] == found["press"]["wrench"]
+    assert again["mesh"] == found["mesh"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ([], "either --depth-mm or --force-n"),
+        (["--depth-mm", "0.3", "--force-n", "1"], "either --depth-mm or --force-n, not both"),
+        (["--force-n", "0"], "must be above 0 N"),
+        (["--force-n", "nan"], "must be above 0 N"),
+    ],
+)
+def test_a_press_goes_to_a_depth_or_to_a_force(
+    unit: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    words: str,
+) -> None:
+    assert press(unit, tmp_path / "out", *options, *QUICK) == 2
+    assert words in " ".join(capsys.readouterr().err.split())
+    assert everything_below(tmp_path) == {}
+
+
 def test_options_reach_the_solver(unit: Path, tmp_path: Path) -> None:
     common = ["--depth-mm", "0.3", "--friction", "0", "--step-mm", "0.1", "--accuracy", "fast"]
     assert press(unit, tmp_path / "a", *common) == 0
