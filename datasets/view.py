@@ -20,7 +20,6 @@ from taccel_lab.optics.render import OpticalModel
 from taccel_lab.outputs import Outputs
 from taccel_lab.outputs.surface_load import SurfaceLoad
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
-from taccel_lab.signals.dots import DotPainter
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.signals.markers import MarkerLayout
@@ -63,8 +62,10 @@ class View:
         self._tactile: dict[PixelGrid, SignalTactile] = {}
         self._fine: dict[PixelGrid, FineSurface] = {}
         self._optical: dict[int, OpticalModel] = {}
-        self._layouts: dict[int, MarkerLayout] = {}
-        self._painters: dict[int, DotPainter] = {}
+        body = env.model.scene.soft_body(0)
+        self._layout = MarkerLayout.from_points(
+            body.nodal_mesh, sensor.marker_places_mm(), body.nodal_rest_m
+        )
         self.who = np.zeros(0, dtype=np.int64)
         self.step = 0
         self.touching = False
@@ -213,7 +214,13 @@ class View:
             model, background = (self._images and self.sensor.color) or (None, None)
             self._fine[grid] = fine
             self._tactile[grid] = SignalTactile.from_solver(
-                self.env.solver, grid, fine=fine, color_model=model, background_rgb=background
+                self.env.solver,
+                grid,
+                fine=fine,
+                color_model=model,
+                background_rgb=background,
+                markers=self._layout,
+                dots=None if model is None else self.sensor.dots,
             )
         return self._tactile[grid]
 
@@ -252,7 +259,7 @@ class View:
         if self.sensor.color is None:
             images = np.stack([self._predicted(env) for env in self.who.tolist()])
         else:
-            images = self._dotted(self.tactile("rgb_levels"))
+            images = self.tactile("rgb_levels")
         images = images.astype(np.float32)
         for row, env in enumerate(self.who.tolist()):
             for light in self._lights(env):
@@ -263,17 +270,6 @@ class View:
         touch = self.touches[env]
         lights = (self.sensor.units[touch.unit].light, touch.light)
         return [light for light in lights if light is not None]
-
-    def _dotted(self, images: np.ndarray) -> np.ndarray:
-        """Images with the dots of the sensor, where it has any."""
-        if self.sensor.dots is None:
-            return images
-        for row, env in enumerate(self.who.tolist()):
-            if env not in self._painters:
-                given = self._layout(env), self.meshes[env], self.grid(env)
-                self._painters[env] = DotPainter(self.sensor.dots, *given)
-            images[row] = self._painters[env].painted(images[row], self.positions_m[row])
-        return images
 
     def _predicted(self, env: int) -> np.ndarray:
         """The image that the optical model expects."""
@@ -292,15 +288,11 @@ class View:
     @cached_property
     def markers_px(self) -> np.ndarray:
         """Where the markers are (u, v), [row, marker, 2]."""
+        nodes, weights = self._layout.by_rest()
         found = []
         for row, env in enumerate(self.who.tolist()):
-            layout = self._layout(env)
-            points = (self.positions_m[row][layout.nodes] * layout.weights[..., None]).sum(axis=1)
+            gel = env % len(nodes)
+            corners = self.positions_m[row][nodes[gel]]
+            points = (corners * weights[gel][..., None]).sum(axis=1)
             found.append(self.grid(env).pixel_from_gel(points[:, :2] * 1e3))
         return np.stack(found)
-
-    def _layout(self, env: int) -> MarkerLayout:
-        if env not in self._layouts:
-            places = self.sensor.marker_places_mm()
-            self._layouts[env] = MarkerLayout.from_points(self.meshes[env], places)
-        return self._layouts[env]

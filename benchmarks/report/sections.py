@@ -14,6 +14,7 @@ from taccel_lab.benchmarks.peers import read_field
 from taccel_lab.benchmarks.report.capture_sections import (
     captures,
     check_errors,
+    forces,
 )
 from taccel_lab.benchmarks.report.figures import NOTHING, Document, Results, number
 from taccel_lab.benchmarks.report.headline import headline
@@ -401,5 +402,6 @@ SECTIONS: dict[str, Section] = {
     "study": partial(of_each_result, "study", study),
     "captures": partial(of_each_result, "captures", captures),
     "check_errors": partial(of_each_result, "check_errors", check_errors),
+    "force": partial(of_each_result, "force", forces),
 }
 """Parts of the page by the name in its markers."""

@@ -11,7 +11,7 @@ import numpy as np
 from taccel_lab.calibration.force.options import ForceOptions
 from taccel_lab.calibration.force.samples import Samples, Split
 from taccel_lab.calibration.force.score import Errors, Imposters, as_json
-from taccel_lab.calibration.force.train import Told, Trained
+from taccel_lab.calibration.force.train import COMPARED, Told, Trained
 from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.profile import ForceBlock, Provenance, SensorProfile
 from taccel_lab.signals.force_settings import (
@@ -59,7 +59,7 @@ class ForceCalibration:
         return sum(
             value.size
             for name, value in self.trained.weights.items()
-            if not name.startswith(("features.", "statistics."))
+            if not name.startswith(COMPARED)
         )
 
     def headline(self) -> str:
@@ -99,9 +99,11 @@ class ForceCalibration:
             "limits": {
                 "distance_of_features": self.config.distance_limits[0],
                 "distance_of_statistics": self.config.distance_limits[1],
+                "distance_of_colors": self.config.distance_limits[2],
                 "fz_n": self.config.most[0],
                 "shear_n": self.config.most[1],
                 "area_mm2": self.config.most[2],
+                "patch_n": self.config.most[3],
             },
             "curve": [list(point) for point in self.trained.curve],
             "device": self.options.device,

@@ -14,7 +14,9 @@ import numpy as np
 import torch
 
 from taccel_lab.calibration.force.samples import Samples
-from taccel_lab.calibration.force.train import BATCH, Told, told_of
+from taccel_lab.calibration.force.train import BATCH, BEYOND, Told, told_of
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.likeness import unlike
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.signals.force_settings import (
     ForceModelConfig,
@@ -140,17 +142,20 @@ def sigma_factors(samples: Samples, told: Told) -> tuple[float, ...]:
     )
 
 
-def limits_of(told: Told) -> tuple[float, float]:
-    """Distances that all but ``OUTSIDE_SHARE`` of the images stay below."""
-    low, high = np.quantile(told.distances.astype(float), 1 - OUTSIDE_SHARE, axis=0)
-    return max(float(low), 1e-6), max(float(high), 1e-6)
+def limits_of(told: Told) -> tuple[float, ...]:
+    """Distances that all but ``OUTSIDE_SHARE`` of the images stay below; colours may go a little
+    beyond the training's in any case."""
+    least = (1e-6, 1e-6, BEYOND)
+    found = np.quantile(told.distances.astype(float), 1 - OUTSIDE_SHARE, axis=0)
+    return tuple(max(float(value), low) for value, low in zip(found, least, strict=True))
 
 
 def outside_rows(told: Told, config: ForceModelConfig) -> np.ndarray:
     """Which images are outside, bool, [step]; as ``ForceModel`` judges."""
     far = (told.distances > np.array(config.distance_limits)).any(axis=1)
     shear = np.hypot(told.targets[:, 0], told.targets[:, 1])
-    reached = np.column_stack([told.targets[:, 2], shear, told.targets[:, 6]])
+    patch = told.patches_n[:, 2].max(axis=(1, 2))
+    reached = np.column_stack([told.targets[:, 2], shear, told.targets[:, 6], patch])
     return np.asarray(far | (reached > np.array(config.most)).any(axis=1))
 
 
@@ -161,7 +166,8 @@ def found_imposters(
     centers_mm: np.ndarray,
     seed: int,
 ) -> list[Imposters]:
-    """Images made of held-out ones that a user may give by mistake, and how many are found.
+    """Images made of held-out ones that a user may give by mistake, and how many are found, by the
+    model or, before it, by what ``ForceReader`` asks of any image (``light.likeness``).
 
     Markers, where the network sees them, stay as they are: only the image is wrong.
     """
@@ -184,7 +190,8 @@ def found_imposters(
     moved = None if samples.moved is None else torch.from_numpy(samples.moved[rows])
     found = []
     for name, make in made.items():
-        change, outside = make() - rest, []
+        shown, outside = make(), []
+        change = shown - rest
         for start in range(0, len(rows), BATCH):
             part = slice(start, start + BATCH)
             with torch.no_grad():
@@ -192,16 +199,13 @@ def found_imposters(
                     change[part], None if moved is None else moved[part], config, tensors, centers
                 )
             arrays = {key: value.numpy() for key, value in told.items()}
-            outside.append(
-                outside_rows(
-                    Told(
-                        arrays["targets"], arrays["sigma"], arrays["patches"], arrays["features"],
-                        arrays["statistics"], arrays["distances"],
-                    ),
-                    config,
-                )
-            )  # fmt: skip
-        found.append(Imposters(name, len(rows), float(np.concatenate(outside).mean())))
+            outside.append(outside_rows(Told.of(arrays), config))
+        noticed = np.concatenate(outside)
+        for row in np.flatnonzero(~noticed).tolist():
+            levels, untouched = (a[row].permute(1, 2, 0).numpy() for a in (shown, rest))
+            light = fit_light(levels, untouched, gradient=False)
+            noticed[row] = unlike(levels, untouched, light) is not None
+        found.append(Imposters(name, len(rows), float(noticed.mean())))
     return found
 
 

@@ -9,7 +9,7 @@ and a gradient of each channel that the background does not have, drawn from the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 
@@ -22,11 +22,12 @@ from taccel_lab.calibration.training import descend, one_thread
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.force_network import (
+    color_reach,
+    distances,
     expected_shapes,
     forward,
     image_statistics,
     layer_names,
-    mahalanobis,
 )
 from taccel_lab.signals.force_settings import (
     LEVELS,
@@ -49,6 +50,9 @@ RIDGE = 1e-3
 """Of the covariances, over their mean variance."""
 BEYOND = 1.05
 """Largest values of the training count up to this factor."""
+COMPARED = ("features.", "statistics.", "colors.")
+"""Arrays that images are compared with; the others are trained."""
+_OUTPUTS = {"patches_n": "patches"}
 
 
 @dataclass(frozen=True)
@@ -75,8 +79,15 @@ class Told:
     """[step, hidden]."""
     statistics: np.ndarray
     """[step, STATISTICS]."""
+    colors: np.ndarray
+    """``color_reach``, [step, 26]."""
     distances: np.ndarray
-    """Of features and statistics, [step, 2]; before limits."""
+    """Of features, statistics and colours, [step, 3]; before limits."""
+
+    @classmethod
+    def of(cls, told: Mapping[str, np.ndarray]) -> Told:
+        """From outputs of ``told_of``."""
+        return cls(**{name: told[_OUTPUTS.get(name, name)] for name in cls.__dataclass_fields__})
 
 
 @dataclass(frozen=True)
@@ -187,8 +198,12 @@ def train_force_model(
         values = getattr(told, name).astype(np.float64)
         weights[f"{name}.mean"] = values.mean(axis=0).astype(np.float32)
         weights[f"{name}.whiten"] = whitening(values).astype(np.float32)
+    weights["colors.most"] = np.maximum(told.colors.max(axis=0), 1.0)
     shear = np.hypot(samples.targets[:, 0], samples.targets[:, 1])
-    largest = (samples.targets[:, 2].max(), shear.max(), samples.targets[:, 6].max())
+    largest = (
+        samples.targets[:, 2].max(), shear.max(), samples.targets[:, 6].max(),
+        samples.patches_n[:, 2].max(),
+    )  # fmt: skip
     most = tuple(BEYOND * max(float(value), 1e-6) for value in largest)
     return Trained(replace(config, most=most), weights, curve)
 
@@ -253,7 +268,7 @@ def _initial(config: ForceModelConfig, generator: torch.Generator) -> dict[str, 
     """Weights as He et al. (2015) draw them, small ones where outputs are made, biases of zero."""
     found = {}
     for name, shape in expected_shapes(config).items():
-        if name.startswith(("features.", "statistics.")):
+        if name.startswith(COMPARED):
             continue
         if name.endswith(".bias"):
             found[name] = torch.zeros(shape)
@@ -298,10 +313,7 @@ def tell(
             moved = None if loader.moved is None else loader.moved[rows]
             parts.append(told_of(change, moved, config, tensors, centers))
     joined = {name: torch.cat([part[name] for part in parts]).cpu().numpy() for name in parts[0]}
-    return Told(
-        joined["targets"], joined["sigma"], joined["patches"], joined["features"],
-        joined["statistics"], joined["distances"],
-    )  # fmt: skip
+    return Told.of(joined)
 
 
 def told_of(
@@ -314,11 +326,10 @@ def told_of(
     """The network's outputs for changes of colour [levels], with statistics and distances; these
     are zero where nothing to compare with is known yet."""
     found = forward(tensors, config, change / LEVELS, moved, centers)
-    found["statistics"] = image_statistics(change)
+    found["statistics"], found["colors"] = image_statistics(change), color_reach(change)
     assert found["statistics"].shape[1] == STATISTICS and found["targets"].shape[1] == len(TARGETS)
     if "features.mean" in tensors:
-        both = [mahalanobis(found[name], tensors, name) for name in ("features", "statistics")]
-        found["distances"] = torch.stack(both, dim=1)
+        found["distances"] = distances(change, found["features"], tensors)
     else:
-        found["distances"] = torch.zeros((len(change), 2), device=change.device)
+        found["distances"] = torch.zeros((len(change), 3), device=change.device)
     return found

@@ -148,6 +148,17 @@ class SoftBody:
         faces that touch (signals, outputs) goes by this one."""
         return nodal_mesh(self.mesh, self.element)
 
+    @cached_property
+    def nodal_rest_m(self) -> np.ndarray:
+        """Rest positions of all nodes of ``nodal_mesh``, float64, shape [rest_count, node, 3]:
+        one for all environments, or one each."""
+        corners = (
+            self.mesh.nodes_m[None] if self.rest_positions_m is None else self.rest_positions_m
+        )
+        corners = np.ascontiguousarray(corners, dtype=np.float64)
+        mesh = self.nodal_mesh
+        return mesh.with_middles(corners) if isinstance(mesh, QuadraticMesh) else corners
+
 
 def nodal_mesh(mesh: TetMesh, element: Element) -> TetMesh | QuadraticMesh:
     """A mesh with all the nodes that its elements have."""

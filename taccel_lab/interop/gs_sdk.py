@@ -114,8 +114,9 @@ def export_gs_sdk(
         record.left_out["normals"] = (
             "its inputs are not gs_sdk's; the network was made from the colour model instead"
         )
+    record.dots_stand_still(profile)
     if profile.markers is not None:
-        record.left_out["markers"] = "gs_sdk has none; marked gels confuse its network"
+        record.notes.append("dots of a gel confuse gs_sdk's network")
     return record
 
 

@@ -84,6 +84,7 @@ def export_isaac_lab(profile: SensorProfile, folder: Path) -> ExportRecord:
     record.left_out["elastomer"] = (
         "USD assets are not written; the surface is in the urdf export, which Isaac Sim imports"
     )
+    record.dots_stand_still(profile)
     return record
 
 

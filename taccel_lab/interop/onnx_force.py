@@ -14,6 +14,7 @@ from taccel_lab.signals.force_model import (
 )
 from taccel_lab.signals.force_network import (
     area_matrix,
+    color_ways,
 )
 from taccel_lab.signals.force_settings import (
     LEVELS,
@@ -41,7 +42,7 @@ def force_graph(
         "change": "image minus background, levels of 255, RGB planes",
         "targets": list(TARGETS),
         "patch_centers_mm": model.centers_mm.tolist(),
-        "fz_n_shear_n_area_mm2_of_the_training": list(config.most),
+        "fz_n_shear_n_area_mm2_patch_n_of_the_training": list(config.most),
         "young_modulus_pa": config.young_modulus_pa,
     }
     if config.markers:
@@ -168,13 +169,20 @@ def _graph(model: ForceModel) -> Any:
     )
     found = []
     for name, values, limit in zip(
-        ("features", "statistics"), (features, statistics), config.distance_limits, strict=True
+        ("features", "statistics"), (features, statistics), config.distance_limits, strict=False
     ):
         off = graph.add("Sub", values, graph.constant(weights[f"{name}.mean"]))
         white = graph.add("MatMul", off, graph.constant(weights[f"{name}.whiten"].T.copy()))
         distance = graph.add("Sqrt", graph.add(
             "ReduceMean", graph.add("Mul", white, white), axes=[1], keepdims=1))  # fmt: skip
         found.append(graph.add("Div", distance, graph.constant(limit)))
+    # Colours, as ``color_reach``.
+    mean = graph.add("AveragePool", levels, kernel_shape=[3, 3])
+    ways = graph.constant(color_ways()[:, :, None, None])
+    reach = graph.add("ReduceMax", graph.add("Conv", mean, ways), axes=[2, 3], keepdims=0)
+    most = weights["colors.most"] * np.float32(config.distance_limits[2])
+    reach = graph.add("Div", reach, graph.constant(most))
+    found.append(graph.add("ReduceMax", reach, axes=[1], keepdims=1))
     graph.add("Concat", *found, axis=1, output="distances")
 
     inputs: dict[str, list] = {"change": ["n", 3, config.height_px, config.width_px]}
@@ -186,7 +194,7 @@ def _graph(model: ForceModel) -> Any:
         "area_mm2": ["n", 1],
         "sigma": ["n", len(TARGETS)],
         "patch_forces_n": ["n", 3, config.rows, config.columns],
-        "distances": ["n", 2],
+        "distances": ["n", 3],
     }
     return graph.model("force_model", inputs, outputs)
 

@@ -52,6 +52,14 @@ class ExportRecord:
             if getattr(profile, key) is not None:
                 self.left_out[key] = "the format has no place for it"
 
+    def dots_stand_still(self, profile: SensorProfile) -> None:
+        """For formats that paint on one background image: the gel's dots are part of it."""
+        if profile.markers is not None and profile.background_rgb is not None:
+            self.left_out["markers"] = (
+                "the format has no place for their motion: dots are in the background, where they "
+                "stand still while the gel moves; SignalTactile.from_profile moves them"
+            )
+
 
 def required(profile: SensorProfile, key: str, wanted_for: str, value: T | None) -> T:
     """``value`` of the block ``key``; an InputError that says what makes it when it is None."""

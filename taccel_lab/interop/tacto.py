@@ -119,6 +119,7 @@ def export_tacto(profile: SensorProfile, folder: Path) -> ExportRecord:
     record.leave_out_missing(profile, "background", "perturbation")
     record.left_out["lights.shape"] = "size, direction and lobe of an LED have no place"
     record.no_place_for(profile, "material", "color", "coating", "window", "markers")
+    record.dots_stand_still(profile)
     return record
 
 

@@ -118,6 +118,7 @@ def export_taxim(profile: SensorProfile, folder: Path, table: Path | None = None
         "in it"
     )
     record.no_place_for(profile, "material", "optics", "lights", "markers")
+    record.dots_stand_still(profile)
     return record
 
 

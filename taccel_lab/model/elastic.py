@@ -160,16 +160,11 @@ def _face_shares(faces: np.ndarray, corner_count: int) -> np.ndarray:
 
 def discretize(body: SoftBody) -> SoftDiscretization:
     """Nodes and elements of a soft body; refuses flat and inverted tets."""
-    rest = (
-        body.mesh.nodes_m[None]
-        if body.rest_positions_m is None
-        else np.ascontiguousarray(body.rest_positions_m, dtype=np.float64)
-    )
-    _, volumes = shape_gradients(rest, body.mesh.tets)
+    rest = body.nodal_rest_m
+    _, volumes = shape_gradients(rest[:, : body.mesh.node_count], body.mesh.tets)
     tet_masses = volumes * body.material.density_kg_m3
     mesh = body.nodal_mesh
     if isinstance(mesh, QuadraticMesh):
-        rest = mesh.with_middles(rest)
         # The edges of bond faces, or what the user's corners enclose.
         given = body.bonded_nodes is not None
         bonded = mesh.held_with(body.bonded()) if given else mesh.bonded_nodes()

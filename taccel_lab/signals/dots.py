@@ -120,9 +120,9 @@ def _paint_kernel(
     positions: wp.array2d(dtype=wp.vec3d),
     frames: wp.array(dtype=wp.transformd),
     envs: wp.array(dtype=wp.int32),
-    nodes: wp.array2d(dtype=wp.int32),
-    weights: wp.array(dtype=wp.vec3d),
-    at_rest: wp.array(dtype=wp.mat22d),
+    nodes: wp.array3d(dtype=wp.int32),
+    weights: wp.array2d(dtype=wp.vec3d),
+    at_rest: wp.array2d(dtype=wp.mat22d),
     shares: wp.array4d(dtype=wp.float32),
     centers: wp.array(dtype=wp.vec2d),
     reach: int,
@@ -135,10 +135,11 @@ def _paint_kernel(
 ):
     row, dot, j, i = wp.tid()
     env = chosen_env(envs, row)
-    a = pixel_of(grid, in_gel_frame(frames, env, positions[env, nodes[dot, 0]]))
-    b = pixel_of(grid, in_gel_frame(frames, env, positions[env, nodes[dot, 1]]))
-    c = pixel_of(grid, in_gel_frame(frames, env, positions[env, nodes[dot, 2]]))
-    w = weights[dot]
+    gel = env % nodes.shape[0]
+    a = pixel_of(grid, in_gel_frame(frames, env, positions[env, nodes[gel, dot, 0]]))
+    b = pixel_of(grid, in_gel_frame(frames, env, positions[env, nodes[gel, dot, 1]]))
+    c = pixel_of(grid, in_gel_frame(frames, env, positions[env, nodes[gel, dot, 2]]))
+    w = weights[gel, dot]
     middle = w[0] * a + w[1] * b + w[2] * c
     u = int(wp.round(middle[0])) - reach + i
     v = int(wp.round(middle[1])) - reach + j
@@ -146,7 +147,7 @@ def _paint_kernel(
         return
     ab = b - a
     ac = c - a
-    stretch = wp.mat22d(ab[0], ac[0], ab[1], ac[1]) * at_rest[dot]
+    stretch = wp.mat22d(ab[0], ac[0], ab[1], ac[1]) * at_rest[gel, dot]
     way = wp.vec2d(wp.float64(u), wp.float64(v)) - middle
     if wp.determinant(stretch) > _LEAST_AREA:
         way = wp.inverse(stretch) * way
@@ -170,6 +171,7 @@ class DotPainter:
         mesh: TetMesh | QuadraticMesh,
         grid: PixelGrid,
         *,
+        rest_positions_m: np.ndarray | None = None,
         first_node: int = 0,
         device: Any = "cpu",
     ) -> None:
@@ -179,22 +181,28 @@ class DotPainter:
             layout: Where they are painted, as many and in the same order.
             mesh: Gel pad at rest.
             grid: Pixels of the image.
+            rest_positions_m: As the layout was made with.
             first_node: Of this gel in the arrays of positions.
             device: Warp device.
 
         Raises:
-            InputError: Other dots than those of the layout.
+            InputError: Other dots than those of the layout, or other rest shapes.
         """
         if len(dots.shares) != layout.count:
             raise InputError(f"{len(dots.shares)} dots for {layout.count} markers")
-        corners = grid.pixel_from_gel(1e3 * mesh.nodes_m[layout.nodes][..., :2])
-        sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=-1)
+        nodes, weights = layout.by_rest()
+        rest = mesh.nodes_m[None] if rest_positions_m is None else rest_positions_m
+        if len(nodes) not in (1, len(rest)):
+            raise InputError(f"markers of {len(nodes)} shapes of the gel, of which {len(rest)} are")
+        corners = np.stack([at[of] for at, of in zip(rest, nodes, strict=False)])
+        corners = grid.pixel_from_gel(1e3 * corners[..., :2])
+        sides = corners[..., 1:, :] - corners[..., :1, :]
         self._grid, self._size = grid_map(grid), (grid.height_px, grid.width_px)
         self._reach = int(np.ceil(_STRETCHED * dots.shares.shape[1] / 2))
         self._arrays = [
-            wp.array(layout.nodes + first_node, dtype=wp.int32, device=device),
-            wp.array(layout.weights, dtype=wp.vec3d, device=device),
-            wp.array(np.linalg.inv(sides), dtype=wp.mat22d, device=device),
+            wp.array(nodes + first_node, dtype=wp.int32, device=device),
+            wp.array(weights, dtype=wp.vec3d, device=device),
+            wp.array(np.linalg.inv(np.swapaxes(sides, -1, -2)), dtype=wp.mat22d, device=device),
             wp.array(dots.shares, dtype=wp.float32, device=device),
             wp.array(dots.centers_px, dtype=wp.vec2d, device=device),
         ]
@@ -221,7 +229,7 @@ class DotPainter:
         side = 2 * self._reach + 1
         wp.launch(
             _paint_kernel,
-            dim=(shown.shape[0], len(self._arrays[1]), side, side),
+            dim=(shown.shape[0], self._arrays[1].shape[1], side, side),
             inputs=[positions, frames, envs, *self._arrays, self._reach, self._grid],
             outputs=[image, levels, *self._size],
             device=shown.device,

@@ -11,9 +11,10 @@ Forces of an elastic gel under a given motion are proportional to its modulus, w
 The network tells them for the modulus that it was trained with; ``ForceModel`` scales them to the
 profile's, and adds what is not known of it to the standard deviations.
 
-Whether an image is like those of the training is asked three ways: the Mahalanobis distance of the
+Whether an image is like those of the training is asked four ways: the Mahalanobis distance of the
 network's last features from the training's (Lee et al., NeurIPS 2018), that of simple statistics of
-the change of colour, and whether what is told lies beyond anything that was trained.
+the change of colour, whether a colour, and whether what is told lies beyond anything that was
+trained.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.force_network import (
+    color_ways,
+    distances,
     expected_shapes,
     forward,
-    image_statistics,
-    mahalanobis,
     marker_planes,
     patch_centers_mm,
     reduced,
@@ -62,7 +63,7 @@ class ForceReading:
     patch_centers_mm: np.ndarray
     """Gel xy, [row, column, 2]."""
     distances: np.ndarray
-    """Of features and of statistics from the training's, over their limits, [2]."""
+    """Of features, statistics and colours from the training's, over their limits, [3]."""
     outside: tuple[str, ...]
     """Why the image is not like those of the training, in sentences; empty when it is."""
 
@@ -96,6 +97,7 @@ class ForceReading:
             "patch_centers_mm": self.patch_centers_mm.tolist(),
             "distance_of_features": float(self.distances[0]),
             "distance_of_statistics": float(self.distances[1]),
+            "distance_of_colors": float(self.distances[2]),
             "inside_training": not self.outside,
             "outside": list(self.outside),
         }
@@ -122,6 +124,8 @@ class ForceModel:
         self.weights = {
             name: np.array(value, dtype=np.float32, order="C") for name, value in weights.items()
         }
+        # Older blocks have no limit of colours.
+        self.weights.setdefault("colors.most", np.ones(len(color_ways()), np.float32))
         expected = expected_shapes(config)
         found = {name: value.shape for name, value in self.weights.items()}
         if found != expected:
@@ -196,21 +200,15 @@ class ForceModel:
             levels = torch.from_numpy(change.transpose(2, 0, 1)[None].copy())
             centers = torch.from_numpy(self.centers_mm.astype(np.float32))
             told = forward(self.tensors, config, levels / LEVELS, moved, centers)
-            statistics = image_statistics(levels)
-            distances = torch.stack(
-                [
-                    mahalanobis(told["features"], self.tensors, "features"),
-                    mahalanobis(statistics, self.tensors, "statistics"),
-                ]
-            )[:, 0]
-        return self._reading(told, distances.numpy() / np.array(config.distance_limits))
+            away = distances(levels, told["features"], self.tensors)[0].numpy()
+        return self._reading(told, away / np.array(config.distance_limits))
 
     def _reading(self, told: Mapping[str, torch.Tensor], distances: np.ndarray) -> ForceReading:
         config, factor = self.config, self.stiffness
         patches = told["patches"][0].permute(1, 2, 0).numpy().astype(np.float64) * factor
         targets = told["targets"][0].numpy().astype(np.float64)
         sigma = told["sigma"][0].numpy() * np.array(config.sigma_factor, dtype=np.float64)
-        outside = self._outside(targets, distances)
+        outside = self._outside(targets, float(told["patches"][0, 2].amax()), distances)
         targets[:6] *= factor
         sigma[:6] *= factor
         sigma[:6] = np.hypot(sigma[:6], config.stiffness_relative * np.abs(targets[:6]))
@@ -225,7 +223,7 @@ class ForceModel:
             outside=tuple(outside),
         )
 
-    def _outside(self, targets: np.ndarray, distances: np.ndarray) -> list[str]:
+    def _outside(self, targets: np.ndarray, patch_n: float, distances: np.ndarray) -> list[str]:
         said = []
         if not distances[1] <= 1:
             said.append(
@@ -237,8 +235,17 @@ class ForceModel:
                 f"pattern: what the network sees is {distances[0]:.1f} times as far from the "
                 "training's as its limit"
             )
-        reached = (targets[2], math.hypot(targets[0], targets[1]), targets[6])
-        names = (("force along z", "N"), ("force along the face", "N"), ("area", "mm2"))
+        if not distances[2] <= 1:
+            said.append(
+                f"reach of colours: one changes {distances[2]:.2f} times as much as the limit, "
+                "which is the most of the training's touches and a margin; is it a steeper or "
+                "deeper touch than those?"
+            )
+        reached = (targets[2], math.hypot(targets[0], targets[1]), targets[6], patch_n)
+        names = (
+            ("force along z", "N"), ("force along the face", "N"), ("area", "mm2"),
+            ("force of a patch", "N"),
+        )  # fmt: skip
         for (name, unit), value, most in zip(names, reached, self.config.most, strict=True):
             if not value <= most:
                 said.append(

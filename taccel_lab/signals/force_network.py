@@ -116,6 +116,43 @@ def mahalanobis(
     return white.square().mean(dim=1).sqrt()
 
 
+def color_ways() -> np.ndarray:
+    """Changes of colour that ``color_reach`` goes along: single channels, sums and differences of
+    two and of three, unit vectors of RGB, float32, [26, 3]."""
+    ways = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    ways = ways[np.abs(ways).sum(axis=1) > 0]
+    return (ways / np.linalg.norm(ways, axis=1, keepdims=True)).astype(np.float32)
+
+
+def color_reach(levels: torch.Tensor) -> torch.Tensor:
+    """How far changes of colour [levels], [n, 3, h, w], go along each of ``color_ways`` anywhere in
+    the image, means of 3 x 3 px: [n, 26]."""
+    import torch
+    from torch.nn import functional
+
+    mean = functional.avg_pool2d(levels, 3, stride=1)
+    ways = torch.from_numpy(color_ways()).to(mean.device, mean.dtype)
+    return torch.stack([(mean * way[:, None, None]).sum(dim=1).amax(dim=(1, 2)) for way in ways], 1)
+
+
+def distances(
+    levels: torch.Tensor, features: torch.Tensor, tensors: Mapping[str, torch.Tensor]
+) -> torch.Tensor:
+    """From the training's, of changes of colour [levels], [n, 3, h, w], whose features [n, hidden]
+    the network told: Mahalanobis distances of features and of statistics, and colours over the
+    farthest that were trained, [n, 3]; before limits."""
+    import torch
+
+    return torch.stack(
+        [
+            mahalanobis(features, tensors, "features"),
+            mahalanobis(image_statistics(levels), tensors, "statistics"),
+            (color_reach(levels) / tensors["colors.most"]).amax(dim=1),
+        ],
+        dim=1,
+    )
+
+
 def layer_names(config: ForceModelConfig) -> list[str]:
     """Names of the network's layers in order."""
     down = [f"down{k}" for k in range(len(config.widths))]
@@ -144,6 +181,7 @@ def expected_shapes(config: ForceModelConfig) -> dict[str, tuple[int, ...]]:
     for name, count in (("features", config.hidden), ("statistics", STATISTICS)):
         shapes[f"{name}.mean"] = (count,)
         shapes[f"{name}.whiten"] = (count, count)
+    shapes["colors.most"] = (len(color_ways()),)
     return shapes
 
 

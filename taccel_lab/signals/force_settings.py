@@ -60,10 +60,12 @@ class ForceModelConfig:
     """Of the gel that forces are told for."""
     stiffness_relative: float = 0.0
     """Standard deviation of a unit's modulus, as a part of it."""
-    most: tuple[float, ...] = (math.inf,) * 3
-    """Largest force along z [N], force along the face [N] and area [mm2] of the training."""
-    distance_limits: tuple[float, ...] = (math.inf, math.inf)
-    """Mahalanobis distances of features and of statistics from which an image is outside."""
+    most: tuple[float, ...] = (math.inf,) * 4
+    """Largest force along z [N], force along the face [N], area [mm2] and force of a patch along z
+    [N] of the training."""
+    distance_limits: tuple[float, ...] = (math.inf,) * 3
+    """From which an image is outside: Mahalanobis distances of features and of statistics, and
+    ``color_reach`` over the training's largest."""
 
     def __post_init__(self) -> None:
         sizes = (self.width_px, self.height_px, self.columns, self.rows, self.patch_px, self.hidden)
@@ -81,7 +83,7 @@ class ForceModelConfig:
             raise InputError(f"force model has {self.rows * self.columns} patches; 65536 at most")
         lengths = {
             "patch_scale_n": 3, "target_scale": len(TARGETS), "sigma_factor": len(TARGETS),
-            "most": 3, "distance_limits": 2,
+            "most": 4, "distance_limits": 3,
         }  # fmt: skip
         for name, count in lengths.items():
             values = getattr(self, name)
@@ -118,6 +120,9 @@ class ForceModelConfig:
                 "patch_scale_n", "target_scale", "sigma_factor", "most", "distance_limits",
             ):  # fmt: skip
                 read[name] = tuple(float(value) for value in values[name])
+            # Older blocks know no limits of a patch's force and of colours.
+            for name, count in (("most", 4), ("distance_limits", 3)):
+                read[name] += (math.inf,) * max(0, count - len(read[name]))
             return cls(
                 **read,
                 markers=bool(values["markers"]),

@@ -35,26 +35,40 @@ class MarkerLayout:
     """Which point of which contact face each marker is."""
 
     nodes: np.ndarray
-    """Mesh nodes of the marker's face, int32, shape [marker, 3]."""
+    """Mesh nodes of the marker's face, int32, shape [marker, 3]; [rest_count, marker, 3] where
+    environments have gels of other shapes, whose cells lie elsewhere."""
     weights: np.ndarray
-    """Their weights, sum one, float64, shape [marker, 3]."""
+    """Their weights, sum one, float64, of the same shape."""
 
     @property
     def count(self) -> int:
-        return len(self.nodes)
+        return self.nodes.shape[-2]
+
+    def by_rest(self) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes and weights, [rest_count, marker, 3] both."""
+        if self.nodes.ndim == 2:
+            return self.nodes[None], self.weights[None]
+        return self.nodes, self.weights
 
     @classmethod
-    def from_points(cls, mesh: TetMesh | QuadraticMesh, xy_mm: np.ndarray) -> MarkerLayout:
+    def from_points(
+        cls,
+        mesh: TetMesh | QuadraticMesh,
+        xy_mm: np.ndarray,
+        rest_positions_m: np.ndarray | None = None,
+    ) -> MarkerLayout:
         """Place markers on the undeformed contact face.
 
         Args:
             mesh: Gel pad; a face of region CONTACT must lie under each marker.
             xy_mm: Gel xy of the markers [mm], shape [marker, 2].
+            rest_positions_m: Nodes at rest where they are not those of ``mesh``, shape
+                [rest_count, node, 3]: ``SoftBody.nodal_rest_m``.
 
         Raises:
             InputError: Wrong shape, or a marker beside the contact face.
         """
-        layout, on_face = cls.where_on(mesh, xy_mm)
+        layout, on_face = cls.where_on(mesh, xy_mm, rest_positions_m)
         if not on_face.all():
             index = int(np.argmin(on_face))
             raise InputError(
@@ -64,9 +78,14 @@ class MarkerLayout:
 
     @classmethod
     def where_on(
-        cls, mesh: TetMesh | QuadraticMesh, xy_mm: np.ndarray
+        cls,
+        mesh: TetMesh | QuadraticMesh,
+        xy_mm: np.ndarray,
+        rest_positions_m: np.ndarray | None = None,
     ) -> tuple[MarkerLayout, np.ndarray]:
-        """Place the markers that lie on the undeformed contact face.
+        """Place the markers that lie on the undeformed contact face, in every environment.
+
+        Arguments are those of ``from_points``.
 
         Returns:
             Layout of those markers, and which they are, bool, shape [marker].
@@ -74,29 +93,46 @@ class MarkerLayout:
         points = np.asarray(xy_mm, dtype=np.float64) * 1e-3
         if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
             raise InputError(f"xy_mm must be finite, shape [marker, 2], got {points.shape}")
-        faces = mesh.region_faces(Region.CONTACT)
-        corners = mesh.nodes_m[faces]
-        a, ab, ac = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-        up = area > 0
-        faces, a, ab, ac, area = faces[up], a[up], ab[up], ac[up], area[up]
-        z = corners[up, :, 2]
-        chosen = np.full(len(points), -1)
-        weights = np.empty((len(points), 3))
-        for index, point in enumerate(points):
-            ap = point - a[:, :2]
-            second = (ap[:, 0] * ac[:, 1] - ap[:, 1] * ac[:, 0]) / area
-            third = (ab[:, 0] * ap[:, 1] - ab[:, 1] * ap[:, 0]) / area
-            bary = np.stack([1.0 - second - third, second, third], axis=1)
-            inside = np.flatnonzero(bary.min(axis=1) >= _INSIDE)
-            if len(inside) == 0:
-                continue
-            # The camera looks through the gel and meets the lowest layer first.
-            height = (bary[inside] * z[inside]).sum(axis=1)
-            chosen[index] = inside[np.argmin(height)]
-            weights[index] = bary[chosen[index]]
-        on_face = chosen >= 0
-        return cls(faces[chosen[on_face]].astype(np.int32), weights[on_face]), on_face
+        faces = mesh.region_faces(Region.CONTACT).astype(np.int32)
+        rests = mesh.nodes_m[None] if rest_positions_m is None else rest_positions_m
+        # Many environments share a shape.
+        alike: dict[bytes, int] = {}
+        corners = [rest[faces] for rest in rests]
+        which = [alike.setdefault(at.tobytes(), row) for row, at in enumerate(corners)]
+        found = {row: _placed(corners[row], faces, points) for row in alike.values()}
+        if len(found) == 1:
+            nodes, weights = found[0]
+        else:
+            nodes, weights = (np.stack([found[row][k] for row in which]) for k in range(2))
+        on_face: np.ndarray = np.all(nodes >= 0, axis=(*range(nodes.ndim - 2), -1))
+        return cls(nodes[..., on_face, :], weights[..., on_face, :]), on_face
+
+
+def _placed(
+    corners: np.ndarray, faces: np.ndarray, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes of the face under each of ``points`` [marker, 2], -1 where there is none, and weights,
+    [marker, 3] both; ``corners`` [face, 3, 3] are where ``faces`` have their nodes."""
+    a, ab, ac = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    up = area > 0
+    faces, a, ab, ac, area = faces[up], a[up], ab[up], ac[up], area[up]
+    z = corners[up, :, 2]
+    chosen = np.full(len(points), -1)
+    weights = np.zeros((len(points), 3))
+    for index, point in enumerate(points):
+        ap = point - a[:, :2]
+        second = (ap[:, 0] * ac[:, 1] - ap[:, 1] * ac[:, 0]) / area
+        third = (ab[:, 0] * ap[:, 1] - ab[:, 1] * ap[:, 0]) / area
+        bary = np.stack([1.0 - second - third, second, third], axis=1)
+        inside = np.flatnonzero(bary.min(axis=1) >= _INSIDE)
+        if len(inside) == 0:
+            continue
+        # The camera looks through the gel and meets the lowest layer first.
+        height = (bary[inside] * z[inside]).sum(axis=1)
+        chosen[index] = inside[np.argmin(height)]
+        weights[index] = bary[chosen[index]]
+    return np.where((chosen >= 0)[:, None], faces[chosen], np.int32(-1)), weights
 
 
 @wp.func
@@ -112,18 +148,19 @@ def _project_markers_kernel(
     positions: wp.array2d(dtype=wp.vec3d),
     frames: wp.array(dtype=wp.transformd),
     envs: wp.array(dtype=wp.int32),
-    nodes: wp.array2d(dtype=wp.int32),
-    weights: wp.array(dtype=wp.vec3d),
+    nodes: wp.array3d(dtype=wp.int32),
+    weights: wp.array2d(dtype=wp.vec3d),
     grid: GridMap,
     # Out
     markers_px: wp.array2d(dtype=wp.vec2f),
 ):
     row, marker = wp.tid()
     env = chosen_env(envs, row)
-    w = weights[marker]
-    point = w[0] * positions[env, nodes[marker, 0]]
-    point += w[1] * positions[env, nodes[marker, 1]]
-    point += w[2] * positions[env, nodes[marker, 2]]
+    gel = env % nodes.shape[0]
+    w = weights[gel, marker]
+    point = w[0] * positions[env, nodes[gel, marker, 0]]
+    point += w[1] * positions[env, nodes[gel, marker, 1]]
+    point += w[2] * positions[env, nodes[gel, marker, 2]]
     point = in_gel_frame(frames, env, point)
     pixel = pixel_of(grid, point)
     markers_px[row, marker] = wp.vec2f(wp.float32(pixel[0]), wp.float32(pixel[1]))
@@ -142,10 +179,16 @@ class MarkerProjection:
             env_count: Number of environments.
             first_node: Of the gel in the arrays of positions.
             device: Warp device.
+
+        Raises:
+            InputError: The layout is of another number of gels.
         """
         self._grid = grid_map(grid)
-        self._nodes = wp.array(layout.nodes + first_node, dtype=wp.int32, device=device)
-        self._weights = wp.array(layout.weights, dtype=wp.vec3d, device=device)
+        nodes, weights = layout.by_rest()
+        if len(nodes) not in (1, env_count):
+            raise InputError(f"markers of {len(nodes)} gels, but there are {env_count}")
+        self._nodes = wp.array(nodes + first_node, dtype=wp.int32, device=device)
+        self._weights = wp.array(weights, dtype=wp.vec3d, device=device)
         self.markers_px = wp.empty((env_count, layout.count), dtype=wp.vec2f, device=device)
         """Columns and rows (u, v) [px], vec2f, shape [env, marker]."""
 

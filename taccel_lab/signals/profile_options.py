@@ -19,12 +19,16 @@ if TYPE_CHECKING:
 
 
 def profile_options(
-    profile: SensorProfile, mesh: TetMesh | QuadraticMesh, own: Mapping[str, Any] | None = None
+    profile: SensorProfile,
+    mesh: TetMesh | QuadraticMesh,
+    own: Mapping[str, Any] | None = None,
+    rest_positions_m: np.ndarray | None = None,
 ) -> dict[str, Any]:
     """Arguments of ``SignalTactile``: ``color_model`` and ``background_rgb`` where the profile has
     both, ``markers`` where it has dots: those that the camera sees and that lie on ``mesh``; and
     ``dots``, cut out of the background, where it has all of them. What is given in ``own`` goes
-    first; dots are then its own as well."""
+    first; dots are then its own as well. ``rest_positions_m``: nodes at rest [rest_count, node, 3],
+    where they are not those of ``mesh``."""
     own = own or {}
     found: dict[str, Any] = {}
     model, grid = ColorModel.from_profile(profile), profile.grid()
@@ -33,7 +37,7 @@ def profile_options(
     if profile.markers is not None:
         points = profile.markers.grid().points_mm()
         points = points[grid.contains(points)]
-        found["markers"], on_gel = MarkerLayout.where_on(mesh, points)
+        found["markers"], on_gel = MarkerLayout.where_on(mesh, points, rest_positions_m)
         if "background_rgb" in found and own.keys().isdisjoint(found):
             dots = PaintedDots.cut_out(
                 found["background_rgb"],

@@ -92,7 +92,7 @@ class SignalTactile:
             env_count: Number of environments.
             color_model: For ``rgb`` and ``rgb_levels``.
             background_rgb: Image of the untouched sensor, levels, [height_px, width_px, 3].
-            markers: For ``markers_px``.
+            markers: For ``markers_px``; in each gel's rest shape where these differ.
             dots: Of the markers, to be seen in ``rgb`` and ``rgb_levels``; the background is then
                 their ``clean_rgb``.
             mode: How the surface between the nodes is rebuilt.
@@ -132,9 +132,9 @@ class SignalTactile:
         """Environments computed at a time."""
         self._dots: DotPainter | None = None
         if dots is not None and markers is not None:
-            self._dots = DotPainter(
-                dots, markers, mesh, grid, first_node=first_node, device=self.device
-            )
+            rest = None if solver is None else solver.model.scene.soft_body(gel).nodal_rest_m
+            options = {"rest_positions_m": rest, "first_node": first_node, "device": self.device}
+            self._dots = DotPainter(dots, markers, mesh, grid, **options)
         self._sampler: SurfaceSampler | None = None
         self._painter: DeviceColorModel | None = None
         self._projection: MarkerProjection | None = None
@@ -209,8 +209,8 @@ class SignalTactile:
             InputError: Neither ``env_count`` nor ``solver``, or no such gel.
         """
         if solver is not None:
-            mesh = solver.model.scene.soft_body(options.get("gel", 0)).nodal_mesh
-            given = profile_options(profile, mesh, options)
+            body = solver.model.scene.soft_body(options.get("gel", 0))
+            given = profile_options(profile, body.nodal_mesh, options, body.nodal_rest_m)
             return cls.from_solver(solver, profile.grid(), **given)
         if env_count is None:
             raise InputError("how many environments? Give env_count, or the solver that has them")

@@ -113,7 +113,7 @@ def with_force(profile: SensorProfile, *, markers: bool = False) -> SensorProfil
         320, 240, columns=5, rows=3, patch_px=8, widths=(4, 6, 5), blocks=2, hidden=7,
         markers=markers, stiffness_relative=0.1,
         young_modulus_pa=0.5 * profile.material.young_modulus_pa,
-        most=(4.0, 2.0, 30.0), distance_limits=(2.0, 3.0),
+        most=(4.0, 2.0, 30.0, 1.0), distance_limits=(2.0, 3.0, 1.2),
         patch_scale_n=(0.1, 0.2, 0.3), target_scale=(1.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
         sigma_factor=(1.5,) * 7,
     )  # fmt: skip
@@ -122,6 +122,7 @@ def with_force(profile: SensorProfile, *, markers: bool = False) -> SensorProfil
         name: rng.normal(0, 0.3, shape).astype(np.float32)
         for name, shape in force_shapes(config).items()
     }
+    weights["colors.most"] = rng.uniform(20, 60, 26).astype(np.float32)
     return profile.with_block(
         ForceBlock(architecture=config.to_dict(), provenance=MADE_UP), weights
     )

@@ -112,3 +112,14 @@ def test_a_failure_leaves_nothing(
 def test_unknown_formats_are_refused(mini: SensorProfile, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="taccel, tacto, taxim"):
         export_profile(mini, "unity", tmp_path / "out")
+
+
+@pytest.mark.parametrize("to", ["taxim", "isaac-lab", "gs-sdk", "tacto"])
+def test_dots_in_a_background_are_said_to_stand_still(
+    to: str, mini: SensorProfile, tmp_path: Path
+) -> None:
+    assert mini.markers is not None and mini.background_rgb is not None
+    found = export_profile(mini, to, tmp_path / "with")
+    assert "stand still" in found["left_out"]["markers"]
+    bare = export_profile(mini.without("markers"), to, tmp_path / "without")
+    assert "stand still" not in bare["left_out"].get("markers", "")

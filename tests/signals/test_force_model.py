@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.force_model import ForceModel
 from taccel_lab.signals.force_network import (
     area_matrix,
+    color_reach,
+    color_ways,
     expected_shapes,
     image_statistics,
     marker_planes,
@@ -32,12 +35,13 @@ GRID = PixelGrid(40, 30, 0.1, 0.12, 18.0, 15.0)
 def made_up(seed: int = 0, **changes: Any) -> ForceModel:
     settings_: dict[str, Any] = {
         "columns": 4, "rows": 3, "patch_px": 4, "widths": (3, 5), "blocks": 2, "hidden": 6,
-        "stiffness_relative": 0.2, "young_modulus_pa": 2e5, "most": (1e3, 1e3, 1e3),
-        "distance_limits": (50.0, 50.0),
+        "stiffness_relative": 0.2, "young_modulus_pa": 2e5, "most": (1e3, 1e3, 1e3, 1e3),
+        "distance_limits": (50.0, 50.0, 1e3),
     }  # fmt: skip
     config = ForceModelConfig(GRID.width_px, GRID.height_px, **(settings_ | changes))
     rng = np.random.default_rng(seed)
     weights = {n: rng.normal(0, 0.4, s) for n, s in expected_shapes(config).items()}
+    weights["colors.most"] = np.full(26, 100.0)
     return ForceModel(config, weights, GRID)
 
 
@@ -119,13 +123,39 @@ def test_an_unchanged_image_has_statistics() -> None:
 def test_what_lies_beyond_the_training_is_said() -> None:
     near = made_up().read(picture(0), picture(1))
     assert not near.outside
-    few = made_up(distance_limits=(1e-3, 50.0)).read(picture(0), picture(1))
+    few = made_up(distance_limits=(1e-3, 50.0, 1e3)).read(picture(0), picture(1))
     assert [reason.split(":")[0] for reason in few.outside] == ["pattern"]
-    odd = made_up(distance_limits=(50.0, 1e-3)).read(picture(0), picture(1))
+    odd = made_up(distance_limits=(50.0, 1e-3, 1e3)).read(picture(0), picture(1))
     assert [reason.split(":")[0] for reason in odd.outside] == ["colours"]
-    large = made_up(most=(1e3, 1e3, 1e-6)).read(picture(0), picture(1))
+    large = made_up(most=(1e3, 1e3, 1e-6, 1e3)).read(picture(0), picture(1))
     assert [reason.split(":")[0] for reason in large.outside] == ["area"]
     assert np.array_equal(large.force_n, near.force_n)
+    hard = made_up(most=(1e3, 1e3, 1e3, 1e-9)).read(picture(0), picture(1))
+    assert [reason.split(":")[0] for reason in hard.outside] == ["force of a patch"]
+    steep = made_up(distance_limits=(50.0, 50.0, 1e-3)).read(picture(0), picture(1))
+    assert [reason.split(":")[0] for reason in steep.outside] == ["reach of colours"]
+
+
+def test_colours_reach_as_far_as_their_farthest_place() -> None:
+    levels = torch.zeros(1, 3, 12, 10)
+    levels[0, :, 4:7, 2:5] = torch.tensor([30.0, -40.0, 0.0])[:, None, None]
+    reach = color_reach(levels)[0].numpy()
+    ways = color_ways()
+    assert len(ways) == 26
+    # Nothing changes beside it: ways against the change reach 0.
+    np.testing.assert_allclose(reach, np.maximum(ways @ [30.0, -40.0, 0.0], 0.0), atol=1e-4)
+
+
+def test_blocks_without_the_newer_limits_are_read() -> None:
+    model = made_up()
+    values = model.config.to_dict()
+    values["most"], values["distance_limits"] = values["most"][:3], values["distance_limits"][:2]
+    config = ForceModelConfig.from_dict(values)
+    assert config.most[3] == config.distance_limits[2] == math.inf
+    weights = {name: value for name, value in model.weights.items() if name != "colors.most"}
+    older = ForceModel(config, weights, GRID).read(picture(0), picture(1))
+    assert not older.outside
+    assert np.array_equal(older.force_n, model.read(picture(0), picture(1)).force_n)
 
 
 def test_settings_are_kept_and_checked() -> None:
@@ -137,7 +167,7 @@ def test_settings_are_kept_and_checked() -> None:
         ({"patch_px": 8}, "patch_px must be 4"),
         ({"rows": 0}, "sizes"),
         ({"widths": (3, 0)}, "widths"),
-        ({"most": (1.0, 2.0)}, "most needs 3"),
+        ({"most": (1.0, 2.0)}, "most needs 4"),
         ({"sigma_factor": (0.0,) * 7}, "sigma_factor"),
         ({"young_modulus_pa": 0.0}, "young_modulus_pa"),
         ({"rows": 2000, "columns": 2000}, "patches"),

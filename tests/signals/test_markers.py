@@ -11,7 +11,21 @@ from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, quadratic_mesh
+from taccel_lab.profile import (
+    BackgroundBlock,
+    CameraBlock,
+    ColorBlock,
+    GelBlock,
+    MarkersBlock,
+    MaterialBlock,
+    Provenance,
+    SensorBlock,
+    SensorProfile,
+)
+from taccel_lab.scene import Element, Material, Scene, SoftBody
 from taccel_lab.signals import MarkerLayout, SignalTactile
+from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
+from taccel_lab.solvers import SolverIPC
 from tests.signals.pressed_surface import extrude, flat_pad
 
 GRID = PixelGrid(96, 72, 0.05, 0.04, 40.0, 30.0)
@@ -24,6 +38,44 @@ def markers_px(mesh, positions: np.ndarray, points_mm: np.ndarray = POINTS_MM) -
     signal = SignalTactile(mesh, GRID, env_count=len(positions), markers=layout)
     signal.update(wp.array(positions, dtype=wp.vec3d, device="cpu"))
     return signal.markers_px.numpy()
+
+
+SAID = Provenance(kind="assumed", method="made up for a test", source="none")
+
+
+def dotted_profile() -> SensorProfile:
+    """``MESH`` with 5 x 4 dark dots and colours that no press changes."""
+    markers = MarkersBlock(
+        rows=4, columns=5, pitch_x_mm=0.8, pitch_y_mm=0.7, radius_mm=0.15, provenance=SAID
+    )
+    v, u = np.mgrid[: GRID.height_px, : GRID.width_px]
+    image = np.full((*u.shape, 3), 150.0, np.float32)
+    for place in GRID.pixel_from_gel(markers.grid().points_mm()):
+        image[np.hypot(u - place[0], v - place[1]) <= 3.0] = 30.0
+    config = ColorModelConfig(GRID.width_px, GRID.height_px, hidden=(8, 8))
+    still = {name: np.zeros(shape, np.float32) for name, shape in expected_shapes(config).items()}
+    profile = SensorProfile(
+        sensor=SensorBlock(name="dotted", family="gelsight", provenance=SAID),
+        gel=GelBlock(
+            thickness_mm=1.0,
+            node_count=MESH.node_count,
+            tet_count=MESH.tet_count,
+            min_dihedral_deg=1.0,
+            provenance=SAID,
+        ),
+        material=MaterialBlock(
+            young_modulus_pa=1e5,
+            poisson_ratio=0.45,
+            density_kg_m3=1e3,
+            friction_coefficient=0.5,
+            provenance=SAID,
+        ),
+        camera=CameraBlock.from_grid(GRID, SAID),
+        mesh=MESH,
+    )
+    profile = profile.with_block(BackgroundBlock(provenance=SAID), image)
+    profile = profile.with_block(ColorBlock(architecture=config.to_dict(), provenance=SAID), still)
+    return profile.with_block(markers)
 
 
 def test_markers_at_rest_are_where_they_were_put():
@@ -75,3 +127,40 @@ def test_markers_beside_the_face_are_refused():
         MarkerLayout.from_points(MESH, np.array([0.0, 0.0]))
     with pytest.raises(InputError, match="xy_mm"):
         MarkerLayout.from_points(MESH, np.array([[np.nan, 0.0]]))
+
+
+def test_gels_of_other_shapes_have_their_markers_in_the_same_places():
+    """The same cells, graded otherwise in the second and third environments."""
+    graded = MESH.nodes_m.copy()
+    half = np.abs(graded[:, :2]).max(axis=0)
+    graded[:, :2] += [0.1, -0.08] * half * np.sin(np.pi * graded[:, :2] / half)
+    rests = np.stack([MESH.nodes_m, graded, graded])
+    profile = dotted_profile()
+    assert profile.markers is not None
+    points = profile.markers.grid().points_mm()
+    for element in (Element.LINEAR, Element.QUADRATIC):
+        soft = SoftBody(MESH, Material(1e5, 0.45), rest_positions_m=rests, element=element)
+        model = Scene(soft_bodies=[soft], env_count=3).finalize(device="cpu")
+        solver = SolverIPC(model)
+        signal = SignalTactile.from_profile(profile, solver=solver)
+        positions = model.rest_positions.numpy()
+        signal.update(wp.array(positions, dtype=wp.vec3d, device="cpu"))
+        found, image = (array.numpy() for array in signal.read("markers_px", "rgb_levels"))
+        assert np.abs(found - GRID.pixel_from_gel(points)).max() < 1e-4
+        assert np.abs(image - profile.background_rgb).max() < 0.6
+        # Any motion of the gel that keeps it plane moves them alike, whatever its cells are.
+        turn = np.array([[1.03, 0.05], [-0.02, 0.96]])
+        positions[..., :2] = positions[..., :2] @ turn.T
+        signal.update(wp.array(positions, dtype=wp.vec3d, device="cpu"))
+        found, image = (array.numpy() for array in signal.read("markers_px", "rgb_levels"))
+        assert np.abs(found - GRID.pixel_from_gel(points @ turn.T)).max() < 1e-4
+        assert np.abs(image[1:] - image[0]).max() < 1e-2
+
+
+def test_markers_of_another_number_of_gels_are_refused():
+    rests = np.stack([MESH.nodes_m, MESH.nodes_m * [1.01, 1.0, 1.0]])
+    layout = MarkerLayout.from_points(MESH, POINTS_MM, rests)
+    signal = SignalTactile(MESH, GRID, env_count=3, markers=layout)
+    signal.update(wp.array(MESH.nodes_m[None].repeat(3, 0), dtype=wp.vec3d, device="cpu"))
+    with pytest.raises(InputError, match="markers of 2 gels, but there are 3"):
+        _ = signal.markers_px

@@ -25,7 +25,14 @@ TEST = "sphere:4"
 ROWS, COLUMNS = 3, 4
 
 
-def planned(profile: Path, *, episodes: int = 120, held_out: bool = True, **output: Any) -> Plan:
+def planned(
+    profile: Path,
+    *,
+    episodes: int = 120,
+    held_out: bool = True,
+    depth_mm: tuple[float, float] = (0.2, 0.8),
+    **output: Any,
+) -> Plan:
     """Touches of five balls by four units; a ball and a unit are for tests, where wanted."""
     channels = output.pop("channels", ["rgb", "patch_forces_n", "markers_px"])
     return plan(
@@ -36,7 +43,9 @@ def planned(profile: Path, *, episodes: int = 120, held_out: bool = True, **outp
             {"tool": tool, "split": "test" if tool == TEST and held_out else "train"}
             for tool in TOOLS
         ],
-        motions=[{"kind": "shear", "depth_mm": [0.2, 0.8], "shear_mm": [0.2, 0.5], "step_mm": 0.3}],
+        motions=[
+            {"kind": "shear", "depth_mm": list(depth_mm), "shear_mm": [0.2, 0.5], "step_mm": 0.3}
+        ],
         randomise={"young_modulus_factor": [0.7, 1.4]},
         output={"channels": channels, "patches": [COLUMNS, ROWS], "episodes_per_part": 64},
     )

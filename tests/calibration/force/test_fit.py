@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +18,13 @@ from taccel_lab.calibration.force.read_force import ForceReader
 from taccel_lab.calibration.force.report import force_page
 from taccel_lab.calibration.force.result import ForceCalibration
 from taccel_lab.calibration.force.samples import read_samples, split_touches
-from taccel_lab.calibration.force.train import LightDraw, LightSpread, whitening
+from taccel_lab.calibration.force.score import outside_rows
+from taccel_lab.calibration.force.train import LightDraw, LightSpread, tell, whitening
 from taccel_lab.calibration.report import write_page
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
 from taccel_lab.profile import CameraBlock, load_profile, save_profile
+from taccel_lab.signals.force_network import patch_centers_mm
 from tests.calibration.force.conftest import QUICK
 from tests.calibration.force.small_touches import TEST, planned, write_touches
 
@@ -44,9 +47,29 @@ def test_it_tells_forces_of_balls_and_units_that_it_never_saw(trained: ForceCali
 
 def test_what_is_not_of_this_sensor_is_noticed(trained: ForceCalibration) -> None:
     found = {row.name: row.outside for row in trained.imposters}
-    for name in ("black frame", "white frame", "noise", "red and blue swapped"):
+    for name in ("black frame", "white frame", "noise", "red and blue swapped", "turned by half"):
         assert found[name] > 0.95, name
     assert trained.false_alarms < 0.15
+
+
+def test_touches_deeper_than_the_trainings_are_noticed(
+    sensor: Path, trained: ForceCalibration, tmp_path: Path
+) -> None:
+    """At twice the depth, by what was not asked before: colours and forces of single patches."""
+    deep = planned(sensor, episodes=24, depth_mm=(1.5, 1.7))
+    data = Dataset(write_touches(deep, tmp_path / "deep"))
+    config, grid = trained.config, load_profile(sensor).grid()
+    samples = read_samples(data, np.arange(len(data.episodes)), config)
+    centers = patch_centers_mm(config, grid)
+    told = tell(samples, config, trained.trained.weights, centers, LightSpread(), QUICK, seed=1)
+    beyond = samples.about["depth_mm"] > 1.2
+    assert beyond.sum() > 20
+    assert outside_rows(told, config)[beyond].mean() > 0.7
+    # Not by the force and the area alone, which flatter tools may have reached.
+    for changes in ({"most": (math.inf,) * 4}, {"distance_limits": (math.inf,) * 3}):
+        limits = {"most": (*[math.inf] * 3, config.most[3]), **changes}
+        limits = {"distance_limits": (*[math.inf] * 2, config.distance_limits[2]), **limits}
+        assert outside_rows(told, dataclasses.replace(config, **limits))[beyond].mean() > 0.7
 
 
 def test_labels_are_nominal_and_patches_add_up(touches: Path, trained: ForceCalibration) -> None:

@@ -55,9 +55,10 @@ def with_force(given: Path) -> None:
     """A profile with a force model."""
     config = ForceModelConfig(
         GRID.width_px, GRID.height_px, columns=3, rows=2, patch_px=2, widths=(3,), blocks=1,
-        hidden=3, most=(1.0, 1.0, 1.0), distance_limits=(1.0, 1.0),
+        hidden=3, most=(1.0, 1.0, 1.0, 1.0), distance_limits=(1.0, 1.0, 1.0),
     )  # fmt: skip
     weights = _weights(force_network.expected_shapes(config), np.random.default_rng(5))
+    weights["colors.most"] = np.full(26, 50.0, np.float32)
     block = ForceBlock(architecture=config.to_dict(), provenance=CALIBRATED)
     save_profile(_profile().with_block(block, weights), given / "profile")
 
