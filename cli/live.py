@@ -154,9 +154,10 @@ def _forces(profile: SensorProfile, background: np.ndarray) -> ForceTold:
             return {}
         if found.outside:
             return {}
-        names = ("Fx [N]", "Fy [N]", "Fz [N]")
-        forces = dict(zip(names, map(float, found.force_n), strict=True))
-        return forces | {"Fz +- [N]": float(found.sigma[2]), "area [mm2]": found.area_mm2}
+        forces = {}
+        for axis, force, sigma in zip("xyz", found.force_n, found.sigma[:3], strict=True):
+            forces[f"F{axis} [N]"], forces[f"F{axis} +- [N]"] = float(force), float(sigma)
+        return forces | {"contact area [mm2]": float(found.area_mm2)}
 
     return told
 

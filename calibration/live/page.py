@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from taccel_lab.calibration.live.latency import Latency
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 FIGURES_EVERY_S = 0.25
+STAGES = {"wait": "wait for camera", "frame": "crop", "age": "taken to shown"}
+"""Stages whose short name says too little."""
+SPREAD = " +-"
+"""Ends the name of a standard deviation, before its unit."""
 
 
 class LivePage:
@@ -82,12 +87,25 @@ def figures_text(reading: LiveReading, reader: LiveReader) -> str:
         )
     elif reader.no_markers:
         lines.append(f"markers are not followed: {reader.no_markers}")
-    lines += [f"{name}: {value:.3g}" for name, value in reading.forces.items()]
-    if not reading.forces:
-        lines.append(
-            "no force: no model of this profile tells it, or the frame is outside its range"
-        )
+    lines += _force_lines(reading.forces)
+    if reader.force is None:
+        lines.append("no force: the profile has no force model (taccel-lab calibrate force)")
+    elif not reading.forces:
+        lines.append("no force: this frame is not like those that the force model knows")
     return "\n\n".join(lines)
+
+
+def _force_lines(forces: Mapping[str, float]) -> list[str]:
+    """A line for each force, ``Fz +- [N]`` behind the ``Fz [N]`` that it belongs to."""
+    lines = []
+    for name, value in forces.items():
+        quantity, _, unit = name.partition(" [")
+        if quantity.endswith(SPREAD):
+            continue
+        spread = forces.get(f"{quantity}{SPREAD} [{unit}")
+        band = "" if spread is None else f" ± {spread:.2f}"
+        lines.append(f"{quantity}: **{value:.2f}{band}** {unit.removesuffix(']')}".rstrip())
+    return lines
 
 
 def latency_text(latency: Latency, reader: LiveReader) -> str:
@@ -96,7 +114,11 @@ def latency_text(latency: Latency, reader: LiveReader) -> str:
     if not found["frames"]:
         return ""
     rows = [("all work", found["busy_ms"]), *found["stages_ms"].items()]
-    table = [f"| {name} | {ms['median']:.1f} | {ms['p95']:.1f} |" for name, ms in rows if ms]
+    table = [
+        f"| {STAGES.get(name, name)} | {ms['median']:.1f} | {ms['p95']:.1f} |"
+        for name, ms in rows
+        if ms
+    ]
     grid = reader.grid
     return "\n".join(
         [

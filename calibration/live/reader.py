@@ -31,7 +31,8 @@ REFUSED_SHARE = 0.5
 """Part of what is touched beyond the calibration from which no depth is given."""
 
 ForceTold = Callable[[np.ndarray, np.ndarray], Mapping[str, float]]
-"""Image and background, RGB uint8, in; named forces out, such as ``{"normal_n": 1.2}``."""
+"""Image and background, RGB uint8, in; forces by name and unit out, such as ``{"Fz [N]": 1.2,
+"Fz +- [N]": 0.1}``: what ends in +- is the standard deviation of the one before."""
 
 
 @dataclass(frozen=True)

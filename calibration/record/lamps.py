@@ -78,7 +78,9 @@ def drift_lamp(light: Light, background: np.ndarray) -> Lamp:
     shift = light.shift(background.reshape(-1, 3).astype(np.float64).mean(axis=0))
     apart = float(np.abs(shift - shift.mean()).max())
     worst = float(np.abs(shift).max())
-    told = "red {:+.1f}, green {:+.1f}, blue {:+.1f} levels since the background".format(*shift)
+    told = "red {:+.1f}, green {:+.1f}, blue {:+.1f} levels since the background".format(
+        *(np.round(shift, 1) + 0.0)  # No -0.0.
+    )
     if apart > BALANCE_LEVELS and apart > BALANCE_SHARE * worst:
         return Lamp(
             "drift", "bad", f"{told}: the channels part. Switch the automatic white balance off"

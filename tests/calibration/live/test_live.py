@@ -130,10 +130,16 @@ def test_a_depth_that_is_mostly_beyond_is_refused() -> None:
 def test_forces_come_from_whoever_tells_them(grey: tuple[CaptureSet, SensorProfile]) -> None:
     captures, profile = grey
     background = np.asarray(captures.background, np.float32)
-    reader = LiveReader(profile, background, detail=1, force=lambda image, rest: {"normal_n": 1.5})
+    told = {"Fz [N]": 1.5, "Fz +- [N]": 0.12, "contact area [mm2]": 7.0}
+    reader = LiveReader(profile, background, detail=1, force=lambda image, rest: told)
     reading = reader.read(captures.presses[0].image())
-    assert reading.forces == {"normal_n": 1.5} and "force" in reading.stages_s
-    assert "normal_n: 1.5" in figures_text(reading, reader)
+    assert reading.forces == told and "force" in reading.stages_s
+    text = figures_text(reading, reader)
+    assert "Fz: **1.50 ± 0.12** N" in text and "contact area: **7.00** mm2" in text
+    assert "+-" not in text and "no force" not in text
+    assert "frame is not like" in figures_text(replace(reading, forces={}), reader)
+    plain = LiveReader(profile, background, detail=1)
+    assert "has no force model" in figures_text(plain.read(captures.presses[0].image()), plain)
 
 
 def test_images_and_profiles_that_do_not_fit_are_refused(

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+
+import numpy as np
 
 from taccel_lab.calibration.capture.camera import Camera, CameraLostError, Replay, Shot
 from taccel_lab.calibration.capture.camera.camera import CameraInfo, ControlLock, ControlValues
-from taccel_lab.calibration.capture.camera.replay import open_replay
+from taccel_lab.calibration.capture.camera.replay import ReplayCamera, open_replay
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.calibration.record.run import Order
 from taccel_lab.calibration.record.session import Status
@@ -37,6 +39,20 @@ class Watching:
     def orders(self) -> list[Order]:
         order = self._orders.get(len(self.seen))
         return [] if order is None else [order]
+
+
+class SteeredCamera(ReplayCamera):
+    """Shows one image, in its own time, until it is given another."""
+
+    def __init__(self, path: Path, image: np.ndarray, noise: float = 0.0) -> None:
+        """Of an RGB uint8 image; ``path`` is the camera's name."""
+        self.image = image
+
+        def frames() -> Iterator[np.ndarray]:
+            while True:
+                yield self.image
+
+        super().__init__(path, frames, Replay(paced=True, noise_levels=noise))
 
 
 class UnpluggedCamera:
