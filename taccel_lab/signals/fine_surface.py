@@ -169,9 +169,11 @@ class FineSurface:
         self._nodes = (int(model.bodies[gel].nodes[0]), int(model.bodies[gel].nodes[1]))
         self._object = ObjectHeights(model, body, fine, rows=rows, texture=texture)
         self._texture = texture
-        rest = np.broadcast_to(model.rest_positions.numpy(), (model.env_count, model.node_count, 3))
-        at_rest = wp.array(np.ascontiguousarray(rest), dtype=wp.vec3d, device=device)
-        first = self._nodes[0]
+        first, last = self._nodes
+        # In the gel's frame: the model has gels that are mounted in the frame of their mount.
+        rest = np.zeros((model.env_count, model.node_count, 3))
+        rest[:, first:last] = soft.nodal_rest_m
+        at_rest = wp.array(rest, dtype=wp.vec3d, device=device)
         self._gel: SurfaceSampler | DeformedFace
         if is_ball(model, body):
             self._gel = SurfaceSampler(mesh, fine, env_count=rows, first_node=first, device=device)

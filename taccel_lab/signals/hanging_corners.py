@@ -55,13 +55,14 @@ class HangingCorners:
     """Corners of the contact face of one gel of a model; none where its elements are linear."""
 
     def __init__(self, model: Model, gel: int) -> None:
-        mesh = model.scene.soft_bodies[gel].nodal_mesh
+        body = model.scene.soft_bodies[gel]
+        mesh = body.nodal_mesh
         rings = _rings(mesh) if isinstance(mesh, QuadraticMesh) else {}
         first = int(model.bodies[gel].nodes[0])
         middles = np.array([node for ring in rings.values() for node in ring], dtype=np.int32)
         starts = np.cumsum([0, *map(len, rings.values())])
         # Gels of environments may be graded for contacts of their own.
-        xy = model.rest_positions.numpy()[:, first : first + mesh.node_count, :2]
+        xy = body.nodal_rest_m[..., :2]
         shares = np.empty((len(xy), len(middles)))
         for size in {len(ring) for ring in rings.values()}:
             alike = [i for i, ring in enumerate(rings.values()) if len(ring) == size]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -14,12 +15,23 @@ from taccel_lab.envs import PressEnv, PressPath, parse_indenter, simulate_press
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.scene import KinematicBody, Material, Scene, SoftBody, TriangleMesh, box_mesh
+from taccel_lab.scene import (
+    AffineBody,
+    KinematicBody,
+    Material,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    TriangleMesh,
+    box_mesh,
+)
 from taccel_lab.signals import SignalTactile
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.object_heights import ObjectHeights
 from taccel_lab.signals.texture import Texture
+from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import initial_state
+from tests.verification.blocks import pose
 
 GRID = PixelGrid(64, 56, 0.06, 0.06)
 PIXEL_M2 = 0.06e-3**2
@@ -119,6 +131,22 @@ def test_a_texture_turns_and_goes_with_its_body() -> None:
     np.testing.assert_allclose(height[1, :-6, 4:], height[0, 6:, :-4], atol=1e-12)
     # x goes to y: what was at (x, y) is at (-y, x).
     np.testing.assert_allclose(height[2], height[0].T[:, ::-1], atol=1e-12)
+
+
+def test_a_gel_is_at_rest_as_drawn_however_it_is_mounted() -> None:
+    gel = SoftBody(block_mesh((8, 8, 2), (6e-3, 6e-3, 2e-3), jitter=0.1), Material(1e5, 0.45))
+    tool = KinematicBody(box_mesh((2e-3, 2e-3, 1e-3)), name="tool")
+    link = AffineBody(box_mesh((2e-2, 2e-2, 2e-2)), name="link")
+    turned = replace(gel, mount="link", mount_pose=pose(0, 0, 1e-2, (1, 2, -1), 70))
+    drawn, mounted = (
+        FineSurface(SolverIPC(scene.finalize("cpu")), "tool", GRID).rest_samples.numpy()
+        for scene in (
+            Scene(gel, tool),
+            Scene(turned, tool, affine_bodies=link, time=TimeStepping(quasi_static=False)),
+        )
+    )
+    assert np.isfinite(drawn).all()
+    np.testing.assert_allclose(mounted, drawn, atol=1e-12)
 
 
 def test_images_of_many_environments_are_those_of_each() -> None:

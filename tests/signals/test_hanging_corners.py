@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import warp as wp
 
 from taccel_lab.geometry import QuadraticMesh, Region
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.scene import Element, Material, Scene, SoftBody
+from taccel_lab.scene import AffineBody, Element, Material, Scene, SoftBody, TimeStepping, box_mesh
 from taccel_lab.signals.hanging_corners import HangingCorners
+from tests.verification.blocks import pose
 
 MESH = block_mesh((8, 8, 2), (4e-3, 4e-3, 1e-3), jitter=0.2, seed=1)
 
@@ -22,14 +25,25 @@ def bowl(nodes: np.ndarray) -> np.ndarray:
     return nodes + np.column_stack([0 * x, 0 * x, down])
 
 
-def lifted(moved_m: np.ndarray, carries: np.ndarray, element: Element) -> np.ndarray:
+def lifted(
+    moved_m: np.ndarray, carries: np.ndarray, element: Element, mounted: bool = False
+) -> np.ndarray:
     """Nodes after ``lift``, of loads along -z on the nodes that carry."""
     soft = SoftBody(MESH, Material(1e5, 0.45), element=element)
-    model = Scene(soft_bodies=[soft]).finalize(device="cpu")
-    gradient = np.where(carries[:, None], [0.0, 0.0, 1e-3], 0.0)
-    positions = wp.array(moved_m[None], dtype=wp.vec3d)
-    HangingCorners(model, 0).lift(positions, wp.array(gradient[None], dtype=wp.vec3d))
-    return positions.numpy()[0]
+    links = []
+    if mounted:
+        soft = replace(soft, mount="link", mount_pose=pose(0, 0, 1e-2, (1, 0, 0), 90))
+        links = [AffineBody(box_mesh((2e-2, 2e-2, 2e-2)), name="link")]
+    model = Scene(soft, affine_bodies=links, time=TimeStepping(quasi_static=not mounted)).finalize(
+        device="cpu"
+    )
+    first, last = (int(node) for node in model.bodies[0].nodes)
+    gradient, positions = np.zeros((2, 1, model.node_count, 3))
+    gradient[0, first:last][carries, 2] = 1e-3
+    positions[0, first:last] = moved_m
+    moved = wp.array(positions, dtype=wp.vec3d)
+    HangingCorners(model, 0).lift(moved, wp.array(gradient, dtype=wp.vec3d))
+    return moved.numpy()[0, first:last]
 
 
 def quadratic() -> QuadraticMesh:
@@ -38,7 +52,8 @@ def quadratic() -> QuadraticMesh:
     return mesh
 
 
-def test_only_a_corner_that_hangs_is_moved_and_to_the_paraboloid() -> None:
+@pytest.mark.parametrize("mounted", [False, True])
+def test_only_a_corner_that_hangs_is_moved_and_to_the_paraboloid(mounted: bool) -> None:
     mesh = quadratic()
     right = bowl(mesh.nodes_m)
     face = mesh.region_nodes(Region.CONTACT)
@@ -48,7 +63,7 @@ def test_only_a_corner_that_hangs_is_moved_and_to_the_paraboloid() -> None:
     moved[hangs, 2] -= 4e-5
     moved[stands, 2] += 4e-5
     carries = np.isin(np.arange(mesh.node_count), face)
-    found = lifted(moved, carries, Element.QUADRATIC)
+    found = lifted(moved, carries, Element.QUADRATIC, mounted)
     assert found[hangs] == pytest.approx(right[hangs], abs=1e-12)
     assert found[stands] == pytest.approx(moved[stands], abs=0)
     # The others hang by rounding at most.
