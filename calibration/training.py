@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -18,6 +19,19 @@ import torch
 Layers = Sequence[tuple[torch.Tensor, torch.Tensor]]
 LEAST_SCHEDULE = 11
 """Steps that the learning rate is planned for at least."""
+
+
+class Keeper(Protocol):
+    """Keeps a training, so that a later one goes on with it."""
+
+    def restore(self, **parts: Any) -> int:
+        """Put back what was kept of torch's ``optimizer`` and ``schedule`` and of all else;
+        returns the number of steps done."""
+        ...
+
+    def keep(self, step: int, **parts: Any) -> None:
+        """Told after each step."""
+        ...
 
 
 @contextmanager
@@ -66,6 +80,7 @@ def descend(
     steps: int,
     learning_rate: float,
     warm_up: float,
+    keeper: Keeper | None = None,
 ) -> None:
     """Lower ``loss`` over the layers' values.
 
@@ -76,6 +91,7 @@ def descend(
         steps: Number of steps.
         learning_rate: Its peak.
         warm_up: Share of the steps in which it rises.
+        keeper: Goes on with what was kept of an interrupted training, and keeps this one.
     """
     optimizer = torch.optim.Adam(
         [tensor for layer in layers for tensor in layer], lr=learning_rate, fused=True
@@ -84,10 +100,13 @@ def descend(
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, learning_rate, total_steps=max(steps + 1, LEAST_SCHEDULE), pct_start=warm_up
     )
-    for step in range(1, steps + 1):
+    done = 0 if keeper is None else keeper.restore(optimizer=optimizer, schedule=schedule)
+    for step in range(done + 1, steps + 1):
         value = loss()
         optimizer.zero_grad()
         value.backward()
         optimizer.step()
         schedule.step()
         after_step(step, value)
+        if keeper is not None:
+            keeper.keep(step, optimizer=optimizer, schedule=schedule)

@@ -44,6 +44,7 @@ from taccel_lab.calibration.force.train import (
     torch_device,
     train_force_model,
 )
+from taccel_lab.calibration.force.training_file import TrainingFile
 from taccel_lab.calibration.result import Remark
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.sensor import profile_digest
@@ -68,6 +69,7 @@ def calibrate_force(
     base: SensorProfile | None = None,
     options: ForceOptions = ForceOptions(),
     progress: Progress = silent,
+    kept: TrainingFile | None = None,
 ) -> ForceCalibration:
     """Train a force model on a data set.
 
@@ -76,6 +78,7 @@ def calibrate_force(
         base: Profile that the block is for; the data set's own when None.
         options: Of the training.
         progress: Told of reading and training.
+        kept: Where the training is kept and gone on with; for the caller to remove at the end.
 
     Raises:
         InputError: No data set, channels that it lacks, images of another view than the profile's,
@@ -96,7 +99,7 @@ def calibrate_force(
         return read_samples(data, touches, config, f"touches for {name}", progress)
 
     train = read("training", split.train)
-    trained = train_force_model(train, config, centers, light, options, progress)
+    trained = train_force_model(train, config, centers, light, options, progress, kept)
 
     def told(samples: Samples, seed: int, strength: float = options.light) -> Told:
         drawn = dataclasses.replace(options, light=strength)
@@ -138,7 +141,7 @@ def calibrate_force(
         markers_tell=config.markers,
         inputs=_inputs(data),
         source=_source(data),
-        seconds=time.perf_counter() - begun,
+        seconds=time.perf_counter() - begun + (0.0 if kept is None else kept.earlier_s),
     )
     return dataclasses.replace(result, remarks=_remarks(result, data, split, profile, own, light))
 

@@ -18,6 +18,7 @@ import torch
 
 from taccel_lab.calibration.force.options import ForceOptions
 from taccel_lab.calibration.force.samples import Samples, spread_of
+from taccel_lab.calibration.force.training_file import Keeper, TrainingFile, training_key
 from taccel_lab.calibration.training import descend, one_thread
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
@@ -155,6 +156,37 @@ class LightDraw:
         # A camera's levels end at 0 and 255.
         return (found + rest).clamp(0.0, 255.0) - rest
 
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Where its lights are."""
+        return {"generator": self.generator.get_state()}
+
+    def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
+        """Go on from there."""
+        self.generator.set_state(state["generator"])
+
+
+class _Batches:
+    """Samples in a drawn order, in another one when they are through."""
+
+    def __init__(self, count: int, batch: int, generator: torch.Generator) -> None:
+        self.count, self.batch, self.generator = count, batch, generator
+        self.order, self.used = torch.randperm(count, generator=generator), 0
+
+    def next_rows(self) -> torch.Tensor:
+        if self.used + self.batch > self.count and self.used:
+            self.order, self.used = torch.randperm(self.count, generator=self.generator), 0
+        rows = self.order[self.used : self.used + self.batch]
+        self.used += self.batch
+        return rows
+
+    def state_dict(self) -> dict[str, torch.Tensor | int]:
+        generator = self.generator.get_state()
+        return {"order": self.order, "used": self.used, "generator": generator}
+
+    def load_state_dict(self, state: dict) -> None:
+        self.order, self.used = state["order"], state["used"]
+        self.generator.set_state(state["generator"])
+
 
 class _Loader:
     """Samples on a device."""
@@ -180,10 +212,13 @@ def train_force_model(
     light: LightSpread,
     options: ForceOptions,
     progress: Progress = silent,
+    kept: TrainingFile | None = None,
 ) -> Trained:
     """Train on ``samples``; the same on the same machine for the same seed.
 
-    ``config`` has the sizes; scales are those of the samples.
+    ``config`` has the sizes; scales are those of the samples. A training that ``kept`` holds is
+    gone on with, and ends as it would have without the interrupt; its file stays for the caller to
+    remove.
     """
     device = torch_device(options.device)
     config = replace(
@@ -192,7 +227,9 @@ def train_force_model(
         target_scale=spread_of(samples.targets),
     )
     with _repeatable(device):
-        weights, curve = _train(samples, config, centers_mm, light, options, device, progress)
+        weights, curve = _train(
+            samples, config, centers_mm, light, options, device, progress, kept
+        )  # fmt: skip
         told = tell(samples, config, weights, centers_mm, light, options, seed=options.seed + 1)
     for name in ("features", "statistics"):
         values = getattr(told, name).astype(np.float64)
@@ -216,6 +253,7 @@ def _train(
     options: ForceOptions,
     device: torch.device,
     progress: Progress,
+    kept: TrainingFile | None,
 ) -> tuple[dict[str, np.ndarray], list[tuple[int, float]]]:
     generator = torch.Generator().manual_seed(options.seed)
     tensors = {
@@ -228,14 +266,10 @@ def _train(
     scale = torch.tensor(config.target_scale, device=device)
     patch_scale = torch.tensor(config.patch_scale_n, device=device)[:, None, None]
     curve: list[tuple[int, float]] = []
-    order, used = torch.randperm(loader.count, generator=generator), 0
+    batches = _Batches(loader.count, options.batch, generator)
 
     def loss() -> torch.Tensor:
-        nonlocal order, used
-        if used + options.batch > loader.count and used:
-            order, used = torch.randperm(loader.count, generator=generator), 0
-        rows = order[used : used + options.batch].to(device)
-        used += options.batch
+        rows = batches.next_rows().to(device)
         change, rest = loader.images(rows)
         moved = None if loader.moved is None else loader.moved[rows]
         told = forward(tensors, config, draw.lit(change, rest) / LEVELS, moved, centers)
@@ -257,9 +291,14 @@ def _train(
             curve.append((step, number))
             progress(TASK, step, options.steps)
 
+    keeper = None
+    if kept is not None:
+        key = training_key(samples, config, centers_mm, light, options, device)
+        parts = {"batches": batches, "lights": draw}
+        keeper = Keeper(kept, key, options.steps, tensors, curve, parts)
     descend(
         layers, loss, after_step,
-        steps=options.steps, learning_rate=options.learning_rate, warm_up=WARM_UP,
+        steps=options.steps, learning_rate=options.learning_rate, warm_up=WARM_UP, keeper=keeper,
     )  # fmt: skip
     return {name: value.detach().cpu().numpy().copy() for name, value in tensors.items()}, curve
 

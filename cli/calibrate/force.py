@@ -27,7 +27,9 @@ class CalibrateForce(ForceOptions):
     The data set (taccel-lab dataset) is made with the profile of your sensor and units drawn from
     its spread; it needs rgb and patch_forces_n among its channels. Whole objects and units are held
     out before an image is read; the report has the errors on them by depth, shear and place.
-    `taccel-lab force` then reads images. Not part of calibrate all.
+    The training is kept every 10 s beside the profile to come: the same command goes on after an
+    interrupt and ends with the same model. `taccel-lab force` then reads images. Not part of
+    calibrate all.
     """
 
     datasets: Positional[tuple[Path, ...]]
@@ -44,6 +46,7 @@ class CalibrateForce(ForceOptions):
     def run(self) -> None:
         from taccel_lab.calibration.force.fit import calibrate_force
         from taccel_lab.calibration.force.report import force_page
+        from taccel_lab.calibration.force.training_file import TrainingFile
         from taccel_lab.cli.console import notes
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.datasets.reading import Dataset
@@ -62,10 +65,23 @@ class CalibrateForce(ForceOptions):
             else load_profile(self.profile)
         )
         console = notes()
-        with stage_progress(console) as progress:
-            result = calibrate_force(self.datasets, base, self, progress)
+
+        def say(words: str) -> None:
+            console.print(words, highlight=False, markup=False, soft_wrap=True)
+
+        kept = TrainingFile.beside(self.out, say)
+        try:
+            with stage_progress(console) as progress:
+                result = calibrate_force(self.datasets, base, self, progress, kept)
+        except KeyboardInterrupt:
+            if kept.step is None:
+                say("interrupted before anything of the training was kept")
+            else:
+                say(f"interrupted; the same command goes on after step {kept.step:,}")
+            raise SystemExit(130) from None
         fitted = Fitted("force", base, result, force_page(result), partial(_print_errors, result))
         write_results(fitted, result.apply_to(base), self.out, report, console, json=self.json)
+        kept.remove()
 
 
 def _print_errors(result: ForceCalibration, console: Console) -> None:

@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from taccel_lab.calibration.force.training_file import TrainingFile
 from taccel_lab.cli.app import main
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.profile import load_profile, save_profile
@@ -17,15 +20,19 @@ from tests.datasets.small import saved_profile
 from tests.fuzz.samples.captures import write_image
 
 
+def training(root: Path, out: Path) -> list[str]:
+    words = ["calibrate", "force", str(root / "data"), "--profile", str(root / "pad")]
+    options = ["--steps", "60", "--batch", "32", "--light", "0.3", "--stiffness", "0.1"]
+    return [*words, "--out", str(out), *options]
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A profile with a force model, and images."""
     root = tmp_path_factory.mktemp("force_command")
-    sensor = saved_profile(root / "pad")
-    data = write_touches(planned(sensor, episodes=60), root / "data")
-    words = ["calibrate", "force", str(data), "--profile", str(sensor), "--out", str(root / "p")]
-    options = ["--steps", "60", "--batch", "32", "--light", "0.3", "--stiffness", "0.1"]
-    assert main([*words, *options]) == 0
+    write_touches(planned(saved_profile(root / "pad"), episodes=60), root / "data")
+    assert main(training(root, root / "p")) == 0
+    data = root / "data"
     images = Dataset(data).read("rgb", [0, 2])
     write_image(root / "rest.png", images[0])
     write_image(root / "press.png", images[1])
@@ -59,6 +66,36 @@ def test_figures_and_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert called(*words) in (0, 1)
     said = capsys.readouterr().out
     assert "Fz" in said and "+-" in said and "N mm" in said and "mm2" in said
+
+
+def test_an_interrupted_training_goes_on_with_the_same_command(
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    save = TrainingFile.save
+
+    def interrupted(self: TrainingFile, key: str, step: int, state: Mapping[str, Any]) -> None:
+        save(self, key, step, state)
+        if step == 30:
+            raise KeyboardInterrupt
+
+    words = training(folder, tmp_path / "new" / "p")
+    with monkeypatch.context() as patch:
+        patch.setattr(TrainingFile, "save", interrupted)
+        patch.setattr(TrainingFile, "due", lambda self: True)
+        assert called(*words) == 130
+    assert "the same command goes on after step 30" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "new").iterdir()] == [".p.training.pt"]
+    assert called(*words) == 0
+    assert "goes on after step 30" in capsys.readouterr().err
+    assert {path.name for path in (tmp_path / "new").iterdir()} == {"p", "p_report"}
+    whole, found = load_profile(folder / "p"), load_profile(tmp_path / "new" / "p")
+    assert whole.force_weights is not None and found.force_weights is not None
+    assert whole.force_weights.keys() == found.force_weights.keys()
+    for name, weights in whole.force_weights.items():
+        assert np.array_equal(weights, found.force_weights[name]), name
 
 
 def test_images_of_something_else_are_marked(

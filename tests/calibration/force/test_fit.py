@@ -229,7 +229,7 @@ def test_lights_are_those_of_the_profile_and_leave_a_dark_pixel_dark() -> None:
     assert lit[:, 0].std() == pytest.approx(10, rel=0.3)
     assert lit[:, 1].std() == pytest.approx(2, rel=0.3) and not lit[:, 2].any()
     assert torch.equal(LightDraw(spread, 0.0, 5).lit(change, rest), change)
-    bright = LightDraw(LightSpread(offset=(50.0,) * 3), 1.0, 5).lit(change, rest + 150)
+    bright = LightDraw(LightSpread(offset=(50.0, 50.0, 50.0)), 1.0, 5).lit(change, rest + 150)
     assert float((bright + rest + 150).max()) <= 255
 
 
