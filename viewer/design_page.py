@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 
 PRESS, SOLID = "press", "solid"
 """What may be shown in the middle."""
+WIDE_MODAL = "<style>.mantine-Modal-content { flex: 0 0 min(95vw, 100vh); }</style>"
+"""As wide as an A4 sheet fits the page: viser's modals are hardly wider than its panels, and have
+no width to set."""
 
 
 @contextmanager
@@ -215,6 +218,7 @@ class DesignPage:
         if self.shown is None or self.shown.drawing_rgb is None:
             return
         with self._server.gui.add_modal("Drawing of the gel") as modal:
+            self._server.gui.add_html(WIDE_MODAL)
             self._server.gui.add_image(self.shown.drawing_rgb, format="png")
             self._server.gui.add_button("Close").on_click(lambda _: modal.close())
 
@@ -227,7 +231,10 @@ class DesignPage:
             except (InputError, OSError) as error:
                 self._exported.content = f"**Not written:** {error}"
                 return
-            self._exported.content = "\n".join(f"- `{path}`" for path in files.values())
+            # Below the folder that is named above: whole paths would break over lines.
+            self._exported.content = "\n".join(
+                f"- `{path.relative_to(self._out)}`" for path in files.values()
+            )
 
 
 def _untouched(mesh: Any) -> GelStates:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.design_page import DesignPage
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 from taccel_lab.viewer.gel_view import GelView
-from tests.viewer.browser import chromium_page, middle, wait_for
+from tests.viewer.browser import chromium_page, middle, picture, wait_for
 
 pytest.importorskip("viser", reason="the extra view is not installed")
 HERE = PageOptions(port=0, browser=False)
@@ -94,6 +95,39 @@ def test_sliders_of_the_design_page_change_its_numbers(tmp_path: Path) -> None:
         finally:
             page_of.work.close()
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_dark_design_page_enlarges_its_drawing_and_writes_files(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with live_page("Design", replace(HERE, dark=True)) as server:
+        page_of = DesignPage(server, sensor_family("flat_pad"), {}, out)
+        try:
+            with chromium_page(page_address(server), (1400, 800)) as page:
+                page.get_by_role("tab", name="Drawing").click()
+                enlarge = page.get_by_role("button", name="Enlarge")
+                wait_for(page, lambda: page_of.shown and page_of.shown.drawing_rgb is not None, 60)
+                enlarge.click()
+                sheet = page.get_by_role("dialog").locator("img")
+                # Larger than in the panel, and whole: its button below is on the page.
+                wait_for(page, lambda: sheet.bounding_box()["width"] > 600)
+                close = page.get_by_role("dialog").get_by_role("button", name="Close").last
+                box = close.bounding_box()
+                assert box["y"] + box["height"] < 800
+                close.click()
+                page.get_by_role("tab", name="Export").click()
+                for kind, file in (
+                    ("STEP, STL, 3MF, DXF", "pad/pad.step"),
+                    ("drawing", "drawing/drawing.pdf"),
+                    ("profile and mesh", "profile/pad.vtu"),
+                    ("parameters (TOML)", "parameters/design.toml"),
+                ):
+                    page.get_by_role("button", name=kind, exact=True).click()
+                    page.get_by_text(file, exact=True).wait_for(timeout=60_000)
+                    assert (out / file).stat().st_size > 0
+                assert np.median(picture(page)) < 64
+        finally:
+            page_of.work.close()
 
 
 @pytest.mark.slow
