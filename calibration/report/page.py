@@ -21,6 +21,7 @@ from taccel_lab.report.style import save_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from taccel_lab.report.mesh_view import MeshView
 
 MOST_TO_DO = 3
 VERDICT_CODES = ("weak_block", "usable_block")
@@ -56,6 +57,8 @@ class Picture:
     name: str
     draw: Callable[[], Figure]
     caption: str
+    view: MeshView | None = None
+    """What the reader can turn in its place; print and pages without scripts show the picture."""
 
 
 @dataclass(frozen=True)

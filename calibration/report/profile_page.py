@@ -17,6 +17,7 @@ from taccel_lab.calibration.report.profile_figures import (
 )
 from taccel_lab.calibration.result import NORMAL_95, Remark, Severity
 from taccel_lab.profile import Block, SensorProfile
+from taccel_lab.report.mesh_view import mesh_view
 
 CORE = ("gel", "material", "camera", "background", "color")
 """Blocks without which a sensor cannot be simulated with pictures."""
@@ -180,8 +181,14 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _pictures(profile: SensorProfile) -> list[Picture]:
+    mesh = profile.mesh
     pictures = [
-        Picture("mesh", lambda: draw_profile_mesh(profile), "The gel's mesh, faces by region.")
+        Picture(
+            "mesh",
+            lambda: draw_profile_mesh(profile),
+            "The gel's mesh, faces by region.",
+            mesh_view(mesh.nodes_m, mesh.faces, mesh.face_regions),
+        )
     ]
     if profile.background_rgb is not None:
         pictures.append(

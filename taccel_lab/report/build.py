@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes a report: one self-contained HTML page, its figures as PNG files, and the JSON.
 
-The page embeds every figure, loads nothing and runs no script, so it can be mailed as one file.
+The page embeds every figure and its one script, and loads nothing, so it can be mailed as one file.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.output import atomic_file, write_json
 from taccel_lab.report import figures, figures_color, figures_mesh
+from taccel_lab.report.mesh_view import mesh_view
 from taccel_lab.report.model import PressSection, Report
 from taccel_lab.report.style import save_figure
 from taccel_lab.report.values import report_values, worst_first
@@ -49,7 +50,14 @@ def write_report(report: Report, directory: Path | str) -> dict[str, Any]:
     page = (
         report_environment()
         .get_template("report.html.j2")
-        .render(report=report, values=values, results=results, verdict=verdict, images=images)
+        .render(
+            report=report,
+            values=values,
+            results=results,
+            verdict=verdict,
+            images=images,
+            view=mesh_view(report.mesh.nodes_m, report.mesh.faces, report.mesh.face_regions),
+        )
     )
     with atomic_file(directory / "report.html") as staging:
         staging.write_text(page, encoding="utf-8", errors="backslashreplace")

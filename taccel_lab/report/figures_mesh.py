@@ -14,7 +14,7 @@ from taccel_lab.report.style import BLUE, INK, ORANGE, in_report_style, new_figu
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_REGION_COLORS = {
+REGION_COLORS = {
     Region.SIDE: "#e5e7eb",
     Region.CONTACT: "#8ecae6",
     Region.BOND: "#f4a261",
@@ -37,7 +37,7 @@ def draw_mesh(mesh: MeshSection) -> Figure:
     top.add_collection(
         PolyCollection(
             corners[contact][:, :, :2].tolist(),
-            facecolor=_REGION_COLORS[Region.CONTACT],
+            facecolor=REGION_COLORS[Region.CONTACT],
             edgecolor=INK,
             linewidth=0.25,
         )
@@ -50,7 +50,7 @@ def draw_mesh(mesh: MeshSection) -> Figure:
     top.set_ylabel("y [mm]")
     # Seen from the front: faces nearest to the viewer (largest y) hide the others.
     order = np.argsort(corners[:, :, 1].mean(axis=1))
-    colors = [_REGION_COLORS[Region(int(mesh.face_regions[face]))] for face in order]
+    colors = [REGION_COLORS[Region(int(mesh.face_regions[face]))] for face in order]
     side.add_collection(
         PolyCollection(
             corners[order][:, :, [0, 2]].tolist(), facecolor=colors, edgecolor=INK, linewidth=0.25
@@ -63,7 +63,7 @@ def draw_mesh(mesh: MeshSection) -> Figure:
     side.set_ylabel("z [mm]")
     used = [region for region in Region if (mesh.face_regions == int(region)).any()]
     figure.legend(
-        handles=[Patch(color=_REGION_COLORS[r], label=r.name.lower()) for r in used],
+        handles=[Patch(color=REGION_COLORS[r], label=r.name.lower()) for r in used],
         loc="outside lower center",
         ncols=len(used),
     )

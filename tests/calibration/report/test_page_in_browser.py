@@ -8,12 +8,13 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from taccel_lab.calibration.report import write_page
 from taccel_lab.calibration.report.profile_page import profile_page
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.viewer.browser import chromium_page
+from tests.viewer.browser import chromium_page, picture
 
 WIDER = """() => [document.documentElement, ...document.querySelectorAll('.scroll, section, main')]
   .filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.className + ' ' + e.scrollWidth)"""
@@ -66,8 +67,61 @@ def test_a_click_opens_a_picture_and_another_closes_it(address: str) -> None:
         return page.query_selector("figure img").bounding_box()["width"]
 
     with chromium_page(address, (1280, 900)) as page:
+        # As without scripts: the mesh's still picture is the only one of this page.
+        page.evaluate("document.querySelector('.has-view').classList.remove('has-view')")
         small = width(page)
         page.click("figure .zoom")
         assert width(page) >= 1240 > small
         page.click("figure .zoom", position={"x": 300, "y": 300})
         assert width(page) == small
+
+
+def test_the_gel_turns_under_mouse_and_keys_and_prints_still(address: str) -> None:
+    pixels = "() => document.querySelector('canvas').toDataURL()"
+    with chromium_page(address, (1280, 900)) as page:
+        canvas = page.query_selector(".mesh-view canvas")
+        canvas.scroll_into_view_if_needed()
+        page.wait_for_timeout(300)
+        box = canvas.bounding_box()
+        left, top, right, bottom = (
+            round(v)
+            for v in (box["x"], box["y"], box["x"] + box["width"], box["y"] + box["height"])
+        )
+        seen = picture(page)[top:bottom, left:right].astype(int)
+        drawn = np.abs(seen - seen[0, 0]).max(axis=2) > 20
+        assert 0.1 < drawn.mean() < 0.9
+        views = [page.evaluate(pixels)]
+
+        def changed() -> bool:
+            page.wait_for_timeout(200)
+            views.append(page.evaluate(pixels))
+            return views[-1] not in views[:-1]
+
+        page.mouse.move(left + 200, top + 150)
+        assert not changed()
+        page.mouse.down()
+        page.mouse.move(left + 300, top + 180)
+        page.mouse.up()
+        assert changed()
+        page.mouse.wheel(0, -200)
+        assert changed()
+        canvas.focus()
+        page.keyboard.press("ArrowLeft")
+        assert changed()
+        page.keyboard.press("0")
+        page.wait_for_timeout(200)
+        assert page.evaluate(pixels) == views[0]
+        assert not page.is_visible(".still")
+        page.emulate_media(media="print")
+        assert page.is_visible(".still") and not page.is_visible(".mesh-view")
+
+
+def test_open_all_opens_every_block_and_folds_them_again(address: str) -> None:
+    closed = "() => document.querySelectorAll('details:not([open])').length"
+    with chromium_page(address) as page:
+        count = page.evaluate(closed)
+        assert count > 0
+        page.click(".open-all")
+        assert page.evaluate(closed) == 0
+        page.click(".open-all")
+        assert page.evaluate(closed) == count
