@@ -14,7 +14,7 @@ for (const view of document.querySelectorAll(".mesh-view")) {
     wanted = false;
     const scale = window.devicePixelRatio || 1, box = canvas.getBoundingClientRect();
     canvas.width = Math.max(1, box.width * scale); canvas.height = Math.max(1, box.height * scale);
-    const size = at.zoom * 0.4 * Math.min(canvas.width, canvas.height * 1.6) / 32767;
+    const size = at.zoom * 0.37 * Math.min(canvas.width, canvas.height * 1.6) / 32767;
     const [ct, st, cp, sp] = [Math.cos(at.turn), Math.sin(at.turn), Math.cos(at.tilt), Math.sin(at.tilt)];
     for (let i = 0; i < nodes.length; i += 3) {
       const x = ct * nodes[i] - st * nodes[i + 1], y = st * nodes[i] + ct * nodes[i + 1], z = nodes[i + 2];

@@ -4,12 +4,15 @@ open, few sheets."""
 
 from __future__ import annotations
 
+import base64
+import io
 import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from taccel_lab.calibration.report import write_page
 from taccel_lab.calibration.report.profile_page import profile_page
@@ -32,6 +35,13 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def levels(color: str) -> list[int]:
     return [int(part) for part in re.findall(r"\d+", color)[:3]]
+
+
+def canvas_pixels(page: Any) -> np.ndarray:
+    """The drawn mesh, int [height, width, 4]."""
+    text = page.evaluate("() => document.querySelector('canvas').toDataURL()")
+    with Image.open(io.BytesIO(base64.b64decode(text.split(",")[1]))) as file:
+        return np.asarray(file.convert("RGBA")).astype(int)
 
 
 def test_nothing_runs_over_on_screen_nor_in_print(address: str) -> None:
@@ -77,7 +87,6 @@ def test_a_click_opens_a_picture_and_another_closes_it(address: str) -> None:
 
 
 def test_the_gel_turns_under_mouse_and_keys_and_prints_still(address: str) -> None:
-    pixels = "() => document.querySelector('canvas').toDataURL()"
     with chromium_page(address, (1280, 900)) as page:
         canvas = page.query_selector(".mesh-view canvas")
         canvas.scroll_into_view_if_needed()
@@ -90,12 +99,16 @@ def test_the_gel_turns_under_mouse_and_keys_and_prints_still(address: str) -> No
         seen = picture(page)[top:bottom, left:right].astype(int)
         drawn = np.abs(seen - seen[0, 0]).max(axis=2) > 20
         assert 0.1 < drawn.mean() < 0.9
-        views = [page.evaluate(pixels)]
+        views = [canvas_pixels(page)]
 
         def changed() -> bool:
+            """Whether the picture is none of those before."""
             page.wait_for_timeout(200)
-            views.append(page.evaluate(pixels))
-            return views[-1] not in views[:-1]
+            seen = canvas_pixels(page)
+            # Rounding of edges aside: Chromium draws a canvas that was read in another way.
+            new = all((np.abs(seen - old) > 16).mean() > 1e-3 for old in views)
+            views.append(seen)
+            return new
 
         page.mouse.move(left + 200, top + 150)
         assert not changed()
@@ -109,8 +122,8 @@ def test_the_gel_turns_under_mouse_and_keys_and_prints_still(address: str) -> No
         page.keyboard.press("ArrowLeft")
         assert changed()
         page.keyboard.press("0")
-        page.wait_for_timeout(200)
-        assert page.evaluate(pixels) == views[0]
+        del views[1:]
+        assert not changed()
         assert not page.is_visible(".still")
         page.emulate_media(media="print")
         assert page.is_visible(".still") and not page.is_visible(".mesh-view")
