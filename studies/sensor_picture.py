@@ -261,7 +261,8 @@ def _dimension(ax: Axes, axis: int, pad: Pad, design: OpticalDesign | None) -> N
     above = _width_line(pad)
     ax.annotate("", xy=(low[axis], above), xytext=(high[axis], above), arrowprops=style)
     width = float(high[axis] - low[axis])
-    ax.text((low[axis] + high[axis]) / 2, above, f"{width:.4g}", ha="center", va="bottom")
+    # Not in the middle, where a tool may stand.
+    ax.text(low[axis] + width / 5, above, f"{width:.4g}", ha="center", va="bottom")
     # The gel's thickness stands on the axis, where it counts.
     back = -pad.thickness_mm
     ax.annotate("", xy=(0, 0), xytext=(0, back), arrowprops={**style, "color": INK}, zorder=9)
