@@ -34,6 +34,8 @@ def change_tile(page: Any) -> np.ndarray:
     """The lower of the two pictures, without its edge and title, float [h, w, 3]."""
     seen = picture(page)[428:, :960].astype(float)
     rows, columns = np.nonzero(seen.min(axis=-1) < 190)
+    if not len(rows):  # no picture has come yet
+        return np.full((1, 1, 3), np.nan)
     return seen[rows.min() + 3 : rows.max() - 3, columns.min() + 3 : columns.max() - 3]
 
 
@@ -58,6 +60,14 @@ def cells(page: Any) -> np.ndarray:
     high, wide = seen.shape[0] // CELLS[1], seen.shape[1] // CELLS[0]
     blocks = seen[: high * CELLS[1], : wide * CELLS[0]]
     return blocks.reshape(CELLS[1], high, CELLS[0], wide, 3).transpose(0, 2, 1, 3, 4)
+
+
+def odd_cell(page: Any) -> tuple[int, int]:
+    """Column and row of the cell whose colour is farthest from that of most."""
+    colors = np.median(cells(page), axis=(2, 3))
+    apart = np.abs(colors - np.median(colors.reshape(-1, 3), axis=0)).max(axis=-1)
+    row, column = np.unravel_index(apart.argmax(), apart.shape)
+    return int(column), int(row)
 
 
 def framed_cell(page: Any) -> tuple[int, int]:
@@ -105,7 +115,8 @@ def test_the_page_shows_all_there_is_to_see_and_its_buttons_work(tmp_path: Path)
             wait_for(page, lambda: np.ptp(change_tile(page), axis=-1).max() < 40, 60)
             wait_for(page, lambda: framed_cell(page) == (0, 0), 60)
             assert lamp(page, "camera")[0] == "unknown"
-            assert [lamp(page, name)[0] for name in ("saturation", "blur", "drift")] == ["ok"] * 3
+            seen = "saturation", "blur", "drift"
+            wait_for(page, lambda: [lamp(page, name)[0] for name in seen] == ["ok"] * 3, 60)
             # Pressed: colours in the change, no circle before it is taken.
             camera.image = pressed
             told("Hold still")
@@ -115,27 +126,24 @@ def test_the_page_shows_all_there_is_to_see_and_its_buttons_work(tmp_path: Path)
             told("took press_000.png")
             told("1 of 5")
             wait_for(page, lambda: ring(page) is not None, 60)
-            found = ring(page)
-            assert found is not None
             wanted = circle.u_px, circle.v_px, circle.radius_px
-            assert found == pytest.approx(wanted, abs=1.5)
+            assert ring(page) == pytest.approx(wanted, abs=1.5)
             # Its cell is another colour than those that are empty; the next one is named.
             camera.image = rest
             told("Press next")
             place = cell_of(circle, GRID.width_px, GRID.height_px)
-            colors = np.median(cells(page), axis=(2, 3))
-            apart = np.abs(colors - np.median(colors.reshape(-1, 3), axis=0)).max(axis=-1)
-            assert np.unravel_index(apart.argmax(), apart.shape) == (place[1], place[0])
-            column, row = framed_cell(page)
-            assert cell_name(column, row) in page.get_by_text("Press next").inner_text()
+            wait_for(page, lambda: odd_cell(page) == place, 60)
+            asked = page.get_by_text("Press next")
+            wait_for(page, lambda: cell_name(*framed_cell(page)) in asked.inner_text(), 60)
             # What would spoil the captures lights its lamp.
             camera.image = np.where(rest.sum(-1, keepdims=True) > 200, 255, rest).astype(np.uint8)
             wait_for(page, lambda: lamp(page, "saturation")[0] == "bad", 60)
             assert "turn the exposure down" in lamp(page, "saturation")[1]
             camera.image = np.clip(rest.astype(int) + [14, 0, 0], 0, 255).astype(np.uint8)
-            wait_for(page, lambda: lamp(page, "drift")[0] == "bad", 60)
-            assert "white balance" in lamp(page, "drift")[1]
+            # Burnt out, it had drifted too: the lamp is bad before this picture is looked at.
+            wait_for(page, lambda: "white balance" in lamp(page, "drift")[1], 60)
             camera.image = pressed
+            told("Hold still")
             assert page.locator("text=What a quick session leaves out").count() == 1
             page.click("text=Undo last")
             told("took press_000.png out")
