@@ -155,6 +155,8 @@ def _lattice(order: int) -> np.ndarray:
 
 _SAMPLES = _lattice(6)
 """Where the volume of a curved tet is looked at: corners, middles of edges and of faces, more."""
+_STRAIGHT = 1e-12
+"""Farthest that the middle of a straight edge lies off, over the size of its tet: rounding."""
 
 
 def _volume_ratios(nodes: np.ndarray) -> np.ndarray:
@@ -171,13 +173,25 @@ def _volume_ratios(nodes: np.ndarray) -> np.ndarray:
         by_each[:, b, 4 + edge] = 4 * _SAMPLES[:, a]
     weights = by_each[:, 1:] - by_each[:, :1]
     origin = nodes[:, :1]
-    tangents = (weights.reshape(-1, 10) @ (nodes - origin)).reshape(len(nodes), -1, 3, 3)
+    tangents = (weights.reshape(-1, 10) @ (nodes - origin)).reshape(len(nodes), len(_SAMPLES), 3, 3)
     return np.linalg.det(tangents)
+
+
+def _bent(nodes: np.ndarray) -> np.ndarray:
+    """Which tets of ten nodes [n, 10, 3] have an edge that is not straight, bool [n]."""
+    ends = nodes[:, np.array(TET_EDGES)]
+    off = np.abs(nodes[:, 4:] - ends.mean(axis=2)).max(axis=(1, 2))
+    return off > _STRAIGHT * np.ptp(nodes[:, :4], axis=1).max(axis=1)
 
 
 def _inverted_tets(name: str, nodes: np.ndarray) -> list[Intersection]:
     """Inverted tets [n, 4, 3], or of ten nodes [n, 10, 3] those inverted at any sample."""
-    bad = np.flatnonzero(~(_volume_ratios(nodes) > 0).all(axis=1))
+    right = _volume_ratios(nodes[:, :4])[:, 0] > 0
+    if nodes.shape[1] == 10:
+        # Straight tets, as all are at rest, have one determinant.
+        bent = _bent(nodes)
+        right[bent] = (_volume_ratios(nodes[bent]) > 0).all(axis=1)
+    bad = np.flatnonzero(~right)
     if len(bad) == 0:
         return []
     place, where = nodes[bad[0]].mean(axis=0), f"tets {first_of(bad)}"

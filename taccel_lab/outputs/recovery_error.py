@@ -19,7 +19,7 @@ from taccel_lab.geometry.quadratic import TET_EDGES
 
 _OTHER = (5 - 5**0.5) / 20
 _POINTS = _OTHER + 5**-0.5 * np.eye(4)
-"""Barycentric coordinates of the quadrature points of ten-node tets, row by row."""
+"""Barycentric coordinates of the quadrature points of ten-node tets, row by row (symmetric)."""
 
 
 def relative_energy_error(
@@ -35,49 +35,58 @@ def relative_energy_error(
     are Green's, so that rigid motion does not count.
     """
     tets = mesh.tets
-    corners = rest_m[tets[:, :4]]
-    edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
-    inverse = np.linalg.inv(edges)
+    corner = tets[:, :4]
+    edges = rest_m[corner[:, 1:]] - rest_m[corner[:, :1]]
+    inverse = np.swapaxes(np.linalg.inv(edges), 1, 2)
     gradients = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
     volumes = np.linalg.det(edges) / 6
-    moved = (positions_m - rest_m)[tets]
-    at_corners = [_green_strain(_slope(moved, gradients, point)) for point in np.eye(4)]
-    sums, weights = np.zeros((mesh.node_count, 3, 3)), np.zeros(mesh.node_count)
-    for corner in range(4):
-        np.add.at(sums, tets[:, corner], at_corners[corner] * volumes[:, None, None])
-        np.add.at(weights, tets[:, corner], volumes)
-    smooth = sums / np.maximum(weights, np.finfo(float).tiny)[:, None, None]
+    slopes = _corner_slopes((positions_m - rest_m)[tets], gradients)
+    at_corners = volumes[:, None] * _green_strain(slopes)
+    count = mesh.node_count
+    weights = np.bincount(corner.ravel(), np.repeat(volumes, 4), count)
+    sums = np.stack([np.bincount(corner.ravel(), part.ravel(), count) for part in at_corners])
+    smooth = (sums / np.maximum(weights, np.finfo(float).tiny))[:, corner]
+    # A field of second order has slopes that are linear in each tet.
+    strains = _green_strain(slopes @ _POINTS)
     shear = volumes * shear_modulus_pa
     bulk = 0.5 * volumes * (lame_lambda_pa + 2 / 3 * np.asarray(shear_modulus_pa))
     if tets.shape[1] != 4:
         bulk = 0.0 * bulk
 
     def energy(strain: np.ndarray) -> float:
-        volumetric = np.trace(strain, axis1=1, axis2=2)
-        deviator = strain - volumetric[:, None, None] / 3 * np.eye(3)
-        return float((shear * (deviator**2).sum(axis=(1, 2)) + bulk * volumetric**2).sum())
+        volumetric = strain[:3].sum(axis=0)
+        squares = (strain[:3] ** 2).sum(axis=0) + 2 * (strain[3:] ** 2).sum(axis=0)
+        deviatoric = squares - volumetric**2 / 3
+        return float((shear[:, None] * deviatoric + bulk[:, None] * volumetric**2).sum())
 
-    error = whole = 0.0
-    for point in _POINTS:
-        strain = _green_strain(_slope(moved, gradients, point))
-        error += energy(np.tensordot(point, smooth[tets[:, :4]], axes=(0, 1)) - strain)
-        whole += energy(strain)
+    whole = energy(strains)
     # Rigid motion leaves strains of rounding.
-    return error / whole if whole > 1e-24 * shear.sum() else 0.0
+    return energy(smooth @ _POINTS - strains) / whole if whole > 1e-24 * shear.sum() else 0.0
 
 
-def _slope(moved: np.ndarray, gradients: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Displacement gradient at barycentric coordinates ``point``, [tet, 3, 3]; ``moved`` [m] is
-    [tet, 4 or 10, 3], ``gradients`` those of the coordinates [1/m], [tet, 4, 3]."""
-    if moved.shape[1] == 4:
-        shapes = gradients
-    else:
-        middles = [point[j] * gradients[:, i] + point[i] * gradients[:, j] for i, j in TET_EDGES]
-        own = (4 * point[:, None] - 1) * gradients
-        shapes = np.concatenate([own, 4 * np.stack(middles, axis=1)], axis=1)
-    return np.einsum("tni,tnj->tij", moved, shapes)
+def _corner_slopes(moved: np.ndarray, gradients: np.ndarray) -> np.ndarray:
+    """Displacement gradients at the corners, [3, 3, tet, corner]; ``moved`` [m] is [tet, 4 or 10,
+    3], ``gradients`` those of the barycentric coordinates [1/m], [tet, 4, 3]."""
+    tets, nodes = moved.shape[:2]
+    by_coordinate = np.zeros((4, 4, nodes))
+    """Derivatives of the shapes by the barycentric coordinates at each corner."""
+    for at in range(4):
+        by_coordinate[at, :, :4] = np.eye(4)
+        if nodes > 4:
+            by_coordinate[at, range(4), range(4)] = 4.0 * np.eye(4)[at] - 1.0
+            for middle, (a, b) in enumerate(TET_EDGES, start=4):
+                by_coordinate[at, a, middle] = 4.0 * (at == b)
+                by_coordinate[at, b, middle] = 4.0 * (at == a)
+    values = np.swapaxes(moved, 1, 2).reshape(-1, nodes) @ by_coordinate.reshape(16, nodes).T
+    slopes = values.reshape(tets, 12, 4) @ gradients
+    return np.ascontiguousarray(slopes.reshape(tets, 3, 4, 3).transpose(1, 3, 0, 2))
 
 
 def _green_strain(slope: np.ndarray) -> np.ndarray:
-    """Green's strain of displacement gradients, [tet, 3, 3]."""
-    return 0.5 * (slope + np.swapaxes(slope, 1, 2) + np.einsum("tki,tkj->tij", slope, slope))
+    """Green's strains xx, yy, zz, xy, yz, xz of displacement gradients [3, 3, ...]."""
+    return np.stack(
+        [
+            0.5 * (slope[i, j] + slope[j, i] + (slope[:, i] * slope[:, j]).sum(axis=0))
+            for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
+        ]
+    )
