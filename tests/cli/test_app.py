@@ -9,10 +9,10 @@ import itertools
 import json
 import os
 import re
+import resource
 import subprocess
 import sys
 import textwrap
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -230,6 +230,12 @@ def test_every_option_is_explained() -> None:
     assert names >= {"Demo", "Design", "Press", "CalibrateColor", "ProfileShow", "Doctor"}
 
 
+def _seconds_of_children() -> float:
+    """That finished processes worked; what others do on this machine does not count [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def test_help_is_fast_and_light() -> None:
     code = (
         "import sys\n"
@@ -243,7 +249,7 @@ def test_help_is_fast_and_light() -> None:
     )
     best = float("inf")
     for _ in range(3):
-        start = time.perf_counter()
+        start = _seconds_of_children()
         done = subprocess.run(
             [sys.executable, "-c", code],
             cwd=ROOT,
@@ -252,7 +258,7 @@ def test_help_is_fast_and_light() -> None:
             encoding="utf-8",
             check=False,
         )
-        best = min(best, time.perf_counter() - start)
+        best = min(best, _seconds_of_children() - start)
         assert done.returncode == 0, f"help imports {done.stderr}"
         assert "calibrate" in done.stdout
     assert best < 1.0, f"help took {best:.2f} s"

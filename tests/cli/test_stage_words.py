@@ -22,8 +22,8 @@ def test_every_stage_is_said(terminal: bool) -> None:
     with stage_words(console) as say:
         for words in ("meshing", "meshing", "press [1]"):
             say(words)
-            if terminal:
-                time.sleep(0.15)
+            while terminal and words not in out.getvalue():
+                time.sleep(0.01)
     assert "meshing" in out.getvalue() and "press [1]" in out.getvalue()
     if terminal:
         assert "0:00:0" in out.getvalue()

@@ -151,9 +151,9 @@ def test_a_thousand_gel_faces_against_five_thousand_in_a_second() -> None:
     model = scene(mesh, KinematicBody(body), env_count=4).finalize()
     poses = np.stack([pose(0, 0, 2.005e-3 + 1e-6 * env) for env in range(4)])
     state = initial_state(model, poses[:, None])
-    started = time.perf_counter()
+    started = time.process_time()
     assert find_intersections(model, state) == [[]] * 4
-    assert time.perf_counter() - started < 4
+    assert time.process_time() - started < 4
 
 
 def test_of_a_thousand_equal_environments_one_is_looked_at() -> None:

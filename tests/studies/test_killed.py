@@ -21,13 +21,6 @@ from tests.studies.run_fake import CHANGES
 ROOT = Path(__file__).parents[2]
 
 
-def wait_until(holds, seconds: float = 60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < deadline, "waited in vain"
-        time.sleep(0.02)
-
-
 def children_of(pid: int) -> list[int]:
     path = Path(f"/proc/{pid}/task/{pid}/children")
     return (
@@ -39,17 +32,20 @@ def children_of(pid: int) -> list[int]:
 def test_a_killed_sweep_goes_on(tmp_path: Path, processes: int) -> None:
     folder = StudyFolder(tmp_path)
     command = [sys.executable, "-m", "tests.studies.run_fake", str(tmp_path), str(processes)]
-    environment = {**os.environ, "FAKE_SECONDS": "0.1", "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "FAKE_HOLD_AT": "8", "PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(command, cwd=ROOT, env=environment)
     try:
-        wait_until(lambda: len(folder.ids()) >= 4)
+        while len(folder.ids()) < 4:
+            assert process.poll() is None
+            time.sleep(0.02)
         children = children_of(process.pid)
     finally:
         process.send_signal(signal.SIGKILL)
         process.wait()
     if processes:
         assert children
-        wait_until(lambda: not any(Path(f"/proc/{child}").exists() for child in children))
+        while any(Path(f"/proc/{child}").exists() for child in children):
+            time.sleep(0.02)
     before = {name: (folder.design(name) / RESULT).read_bytes() for name in folder.ids()}
     assert 4 <= len(before) < 12
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -48,10 +49,9 @@ def middle(page: Any) -> np.ndarray:
     return seen[height // 4 : -height // 8, width * 3 // 8 : width * 5 // 8]
 
 
-def wait_for(page: Any, true: Any, seconds: float = 20.0) -> None:
+def wait_for(page: Any, true: Any, seconds: float = 60.0) -> None:
     """Wait until ``true()`` holds, while the page goes on."""
-    for _ in range(int(seconds / 0.1)):
-        if true():
-            return
+    limit = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < limit, f"not so after {seconds:g} s"
         page.wait_for_timeout(100)
-    raise AssertionError(f"not so after {seconds:g} s")

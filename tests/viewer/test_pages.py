@@ -63,7 +63,7 @@ def test_a_gel_is_seen_with_section_arrows_and_states() -> None:
             page.get_by_text("first", exact=True).click()
             page.get_by_text("untouched", exact=True).wait_for()
             assert view.time.state == 0
-            assert page.get_by_text("An arrow of").is_visible()
+            page.get_by_text("An arrow of").wait_for()
             page.get_by_text("[kPa]").wait_for()
 
 

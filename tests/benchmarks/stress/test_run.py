@@ -70,11 +70,11 @@ def test_the_budget_is_what_ends_work_that_says_so_in_other_words() -> None:
 
 
 def test_the_budget_is_kept() -> None:
-    started = time.perf_counter()
+    started = time.process_time()
     with pytest.raises(BudgetOverrun), time_limit(0.05):
         while True:
             pass
-    assert time.perf_counter() - started < 1
+    assert time.process_time() - started < 1
     assert run_case("pile", 2, seconds=0.05)["outcome"] == "budget"
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -47,12 +48,22 @@ class SteeredCamera(ReplayCamera):
     def __init__(self, path: Path, image: np.ndarray, noise: float = 0.0) -> None:
         """Of an RGB uint8 image; ``path`` is the camera's name."""
         self.image = image
+        self.time_stands = False
+        """Whether frames have the time of the last one: what takes its time does not end."""
+        self._time_s = 0.0
 
         def frames() -> Iterator[np.ndarray]:
             while True:
                 yield self.image
 
         super().__init__(path, frames, Replay(paced=True, noise_levels=noise))
+
+    def read(self) -> Shot | None:
+        shot = super().read()
+        assert shot is not None, "there is no end of frames"
+        if not self.time_stands:
+            self._time_s = shot.time_s
+        return replace(shot, time_s=self._time_s)
 
 
 class UnpluggedCamera:

@@ -17,7 +17,7 @@ from PIL import Image
 from taccel_lab.calibration.report import write_page
 from taccel_lab.calibration.report.profile_page import profile_page
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.viewer.browser import chromium_page, picture
+from tests.viewer.browser import chromium_page, picture, wait_for
 
 WIDER = """() => [document.documentElement, ...document.querySelectorAll('.scroll, section, main')]
   .filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.className + ' ' + e.scrollWidth)"""
@@ -90,7 +90,7 @@ def test_the_gel_turns_under_mouse_and_keys_and_prints_still(address: str) -> No
     with chromium_page(address, (1280, 900)) as page:
         canvas = page.query_selector(".mesh-view canvas")
         canvas.scroll_into_view_if_needed()
-        page.wait_for_timeout(300)
+        wait_for(page, lambda: (canvas_pixels(page)[..., 3] > 0).mean() > 0.1)
         box = canvas.bounding_box()
         left, top, right, bottom = (
             round(v)
@@ -99,31 +99,32 @@ def test_the_gel_turns_under_mouse_and_keys_and_prints_still(address: str) -> No
         seen = picture(page)[top:bottom, left:right].astype(int)
         drawn = np.abs(seen - seen[0, 0]).max(axis=2) > 20
         assert 0.1 < drawn.mean() < 0.9
-        views = [canvas_pixels(page)]
+        first = canvas_pixels(page)
+        views = [first]
 
-        def changed() -> bool:
-            """Whether the picture is none of those before."""
-            page.wait_for_timeout(200)
-            seen = canvas_pixels(page)
+        def is_drawn(view: np.ndarray) -> bool:
             # Rounding of edges aside: Chromium draws a canvas that was read in another way.
-            new = all((np.abs(seen - old) > 16).mean() > 1e-3 for old in views)
-            views.append(seen)
-            return new
+            return bool((np.abs(canvas_pixels(page) - view) > 16).mean() <= 1e-3)
+
+        def wait_for_another() -> None:
+            """Until the picture is none of those before."""
+            wait_for(page, lambda: not any(is_drawn(view) for view in views))
+            views.append(canvas_pixels(page))
 
         page.mouse.move(left + 200, top + 150)
-        assert not changed()
+        page.wait_for_timeout(200)
+        assert is_drawn(first)
         page.mouse.down()
         page.mouse.move(left + 300, top + 180)
         page.mouse.up()
-        assert changed()
+        wait_for_another()
         page.mouse.wheel(0, -200)
-        assert changed()
+        wait_for_another()
         canvas.focus()
         page.keyboard.press("ArrowLeft")
-        assert changed()
+        wait_for_another()
         page.keyboard.press("0")
-        del views[1:]
-        assert not changed()
+        wait_for(page, lambda: is_drawn(first))
         assert not page.is_visible(".still")
         page.emulate_media(media="print")
         assert page.is_visible(".still") and not page.is_visible(".mesh-view")
