@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One page that shows a data set: sampled touches with their images and forces, and what is in it.
 
-The page embeds its pictures, loads nothing and runs no script.
+The page embeds its pictures and the one script that turns its gels, and loads nothing.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file
 from taccel_lab.report.build import report_environment
+from taccel_lab.report.mesh_view import MeshView, mesh_view
 from taccel_lab.report.style import BLUE, GREEN, GREY, ORANGE, in_report_style, new_figure
 
 STRIP = 7
@@ -45,10 +46,23 @@ def write_page(folders: Sequence[Path | str], out: Path | str, touches: int = 12
             sensors=data.about[0]["sensors"],
             overview=_png(_overview(data)),
             touches=[_touch(data, episode) for episode in chosen],
+            gels=_gels(data),
         )
     )
     with atomic_file(out) as staging:
         staging.write_text(page, encoding="utf-8", errors="backslashreplace")
+
+
+def _gels(data: Dataset) -> list[tuple[str, MeshView]]:
+    """Name and gel of every sensor, untouched, as in its profile."""
+    first = {row["sensor"]: place for place, row in reversed(list(enumerate(data.episodes)))}
+    found = []
+    for name, place in sorted(first.items()):
+        mesh = data.profile(place).mesh
+        view = mesh_view(mesh.nodes_m, mesh.faces, mesh.face_regions)
+        if view is not None:
+            found.append((str(name), view))
+    return found
 
 
 def _sampled(data: Dataset, count: int) -> list[int]:

@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from taccel_lab.errors import InputError
 from taccel_lab.output import write_json
 from taccel_lab.report.build import data_url, report_environment
+from taccel_lab.report.mesh_view import MeshView, mesh_view
 from taccel_lab.report.style import save_figure
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.report import (
@@ -118,6 +120,20 @@ def _cards(outcome: Outcome, values: dict[str, Any]) -> list[dict[str, Any]]:
                     "good": good,
                     "row": row,
                     "picture": data_url(path) if path is not None and path.is_file() else None,
+                    "view": None if cards else _gel_view(row),
                 }
             )
     return cards
+
+
+def _gel_view(row: DesignRow) -> MeshView | None:
+    """The untouched gel of a design, at the resolution of profiles; only the first card has one,
+    since each is some 100 KB."""
+    from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+    from taccel_lab.sensors.registry import sensor_family
+
+    try:
+        mesh = gel_mesh(sensor_family(row.family).parameters(row.parameters).pad())
+    except InputError:  # Its sensor is a package or a profile that is no longer there.
+        return None
+    return mesh_view(mesh.nodes_m, mesh.faces, mesh.face_regions)

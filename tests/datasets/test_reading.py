@@ -192,7 +192,10 @@ def test_lite_keeps_every_object(made: Path, tmp_path: Path) -> None:
 def test_the_page_shows_all_motions(made: Path, tmp_path: Path) -> None:
     write_page([made], tmp_path / "page.html", 4)
     page = (tmp_path / "page.html").read_text("utf-8")
-    assert "<script" not in page and "http" not in page.replace("http-equiv", "")
+    assert "<script src" not in page and "http" not in page.replace("http-equiv", "")
+    gel = Dataset(made).profile(0).gel
+    assert page.count('class="mesh-view"') == 1 and "The untouched gel of flat_pad" in page
+    assert f"x {gel.thickness_mm:.3g} mm. Drag" in page
     assert page.count('<article class="touch">') == 4
     for row in Dataset(made).episodes[:1]:
         assert f"{row['motion']} of {row['object']} on flat_pad" in page

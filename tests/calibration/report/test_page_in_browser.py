@@ -118,7 +118,9 @@ def test_the_gel_turns_under_mouse_and_keys_and_prints_still(address: str) -> No
         page.mouse.move(left + 300, top + 180)
         page.mouse.up()
         wait_for_another()
+        page.keyboard.down("Control")
         page.mouse.wheel(0, -200)
+        page.keyboard.up("Control")
         wait_for_another()
         canvas.focus()
         page.keyboard.press("ArrowLeft")
@@ -128,6 +130,67 @@ def test_the_gel_turns_under_mouse_and_keys_and_prints_still(address: str) -> No
         assert not page.is_visible(".still")
         page.emulate_media(media="print")
         assert page.is_visible(".still") and not page.is_visible(".mesh-view")
+
+
+def test_the_bare_wheel_scrolls_the_page_and_says_what_zooms(address: str) -> None:
+    with chromium_page(address, (1280, 900)) as page:
+        canvas = page.query_selector(".mesh-view canvas")
+        canvas.scroll_into_view_if_needed()
+        wait_for(page, lambda: (canvas_pixels(page)[..., 3] > 0).mean() > 0.1)
+        box = canvas.bounding_box()
+        page.mouse.move(box["x"] + 200, box["y"] + 150)
+        # Also after a click into it: whoever turned the gel scrolls on.
+        page.mouse.down()
+        page.mouse.up()
+        before, seen = page.evaluate("scrollY"), canvas_pixels(page)
+        assert not page.is_visible(".mesh-view .hint")
+        page.mouse.wheel(0, -120)
+        page.wait_for_selector(".mesh-view .hint:has-text('Ctrl')")
+        wait_for(page, lambda: page.evaluate("scrollY") < before)
+        assert (np.abs(canvas_pixels(page) - seen) > 16).mean() < 1e-3
+        page.wait_for_selector(".mesh-view .hint", state="hidden")
+
+
+def test_fingers_scroll_the_page_turn_and_zoom(address: str) -> None:
+    with chromium_page("about:blank") as first:
+        context = first.context.browser.new_context(
+            viewport={"width": 400, "height": 700}, has_touch=True
+        )
+        page = context.new_page()
+        page.goto(address)
+        canvas = page.query_selector(".mesh-view canvas")
+        canvas.scroll_into_view_if_needed()
+        wait_for(page, lambda: (canvas_pixels(page)[..., 3] > 0).mean() > 0.1)
+        touch = context.new_cdp_session(page)
+        box = canvas.bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+        def move(*paths: tuple[tuple[float, float], tuple[float, float]]) -> None:
+            """Fingers from points to points, about the canvas' middle."""
+            for step in range(4):
+                points = [
+                    {"x": x + a[0] + step / 3 * (b[0] - a[0]),
+                     "y": y + a[1] + step / 3 * (b[1] - a[1]), "id": k}
+                    for k, (a, b) in enumerate(paths)
+                ]  # fmt: skip
+                kind = "touchMove" if step else "touchStart"
+                touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+                page.wait_for_timeout(16)
+            touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+        def changed(seen: np.ndarray) -> bool:
+            return bool((np.abs(canvas_pixels(page) - seen) > 16).mean() > 1e-3)
+
+        seen, at = canvas_pixels(page), page.evaluate("scrollY")
+        move(((-60, 0), (60, 0)))
+        wait_for(page, lambda: changed(seen))
+        assert page.evaluate("scrollY") == at
+        seen = canvas_pixels(page)
+        move(((-30, 0), (-90, 0)), ((30, 0), (90, 0)))
+        wait_for(page, lambda: changed(seen))
+        assert page.evaluate("scrollY") == at
+        move(((0, -60), (0, 100)))
+        wait_for(page, lambda: page.evaluate("scrollY") < at)
 
 
 def test_open_all_opens_every_block_and_folds_them_again(address: str) -> None:
