@@ -109,9 +109,12 @@ def _light(
     s = float(x - wp.float64(i))
     t = float(y - wp.float64(j))
     for c in range(3):
-        upper = (1.0 - s) * shares[dot, j, i, c] + s * shares[dot, j, i + 1, c]
-        lower = (1.0 - s) * shares[dot, j + 1, i, c] + s * shares[dot, j + 1, i + 1, c]
-        found[c] = (1.0 - t) * upper + t * lower
+        # Exactly 1 between ones.
+        upper = shares[dot, j, i, c]
+        upper += s * (shares[dot, j, i + 1, c] - upper)
+        lower = shares[dot, j + 1, i, c]
+        lower += s * (shares[dot, j + 1, i + 1, c] - lower)
+        found[c] = upper + t * (lower - upper)
     return found
 
 
@@ -153,6 +156,9 @@ def _paint_kernel(
         way = wp.inverse(stretch) * way
     place = centers[dot] + way
     share = _light(shares, dot, place[0], place[1])
+    if share[0] == 1.0 and share[1] == 1.0 and share[2] == 1.0:
+        # Corners of squares lie in those of other dots, which are painted at the same time.
+        return
     for k in range(3):
         if image:
             shown = wp.round(float(image[row, v, u, k]) * share[k])

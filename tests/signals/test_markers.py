@@ -129,8 +129,12 @@ def test_markers_beside_the_face_are_refused():
         MarkerLayout.from_points(MESH, np.array([[np.nan, 0.0]]))
 
 
-def test_gels_of_other_shapes_have_their_markers_in_the_same_places():
-    """The same cells, graded otherwise in the second and third environments."""
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])
+def test_gels_of_other_shapes_have_their_markers_in_the_same_places(device: str):
+    """The same cells, graded otherwise in the second and third environments. On a GPU squares about
+    neighbouring dots, which overlap, are painted at the same time."""
+    if device != "cpu" and not wp.is_cuda_available():
+        pytest.skip("no CUDA device")
     graded = MESH.nodes_m.copy()
     half = np.abs(graded[:, :2]).max(axis=0)
     graded[:, :2] += [0.1, -0.08] * half * np.sin(np.pi * graded[:, :2] / half)
@@ -140,18 +144,18 @@ def test_gels_of_other_shapes_have_their_markers_in_the_same_places():
     points = profile.markers.grid().points_mm()
     for element in (Element.LINEAR, Element.QUADRATIC):
         soft = SoftBody(MESH, Material(1e5, 0.45), rest_positions_m=rests, element=element)
-        model = Scene(soft_bodies=[soft], env_count=3).finalize(device="cpu")
+        model = Scene(soft_bodies=[soft], env_count=3).finalize(device=device)
         solver = SolverIPC(model)
         signal = SignalTactile.from_profile(profile, solver=solver)
         positions = model.rest_positions.numpy()
-        signal.update(wp.array(positions, dtype=wp.vec3d, device="cpu"))
+        signal.update(wp.array(positions, dtype=wp.vec3d, device=device))
         found, image = (array.numpy() for array in signal.read("markers_px", "rgb_levels"))
         assert np.abs(found - GRID.pixel_from_gel(points)).max() < 1e-4
         assert np.abs(image - profile.background_rgb).max() < 0.6
         # Any motion of the gel that keeps it plane moves them alike, whatever its cells are.
         turn = np.array([[1.03, 0.05], [-0.02, 0.96]])
         positions[..., :2] = positions[..., :2] @ turn.T
-        signal.update(wp.array(positions, dtype=wp.vec3d, device="cpu"))
+        signal.update(wp.array(positions, dtype=wp.vec3d, device=device))
         found, image = (array.numpy() for array in signal.read("markers_px", "rgb_levels"))
         assert np.abs(found - GRID.pixel_from_gel(points @ turn.T)).max() < 1e-4
         assert np.abs(image[1:] - image[0]).max() < 1e-2
