@@ -100,7 +100,14 @@ class Plan:
     # What is checked -------------------------------------------------------------------------
 
     def _check(self) -> None:
+        gap_mm = 1e3 * self.physics.dhat_m
         for number, motion in enumerate(self.spec.motions):
+            if motion.depth_mm[1] < gap_mm:
+                raise InputError(
+                    f"motions[{number}]: depth_mm ends at {motion.depth_mm[1]:g} mm; contact "
+                    f"begins at a gap of {gap_mm:g} mm, so that touches must be deeper than that "
+                    "(is the depth in metres?)"
+                )
             for profile in self.profiles:
                 with naming(f"motions[{number}] on {profile.sensor.name}"):
                     check_depth(motion.depth_mm[1], profile)

@@ -16,6 +16,8 @@ from taccel_lab.reading.plain_values import first_repeated
 from taccel_lab.reading.strict_model import Number, StrictModel, Whole
 
 MAX_EPISODES = 10_000_000
+MAX_STEPS = 1000
+"""Of a touch; one takes a second and more of a core."""
 DEFAULT_CHANNELS = ("rgb", "depth_mm", "contact_mask", "markers_px", "patch_forces_n")
 Range = tuple[Number, Number]
 """Drawn evenly between both; equal ends hold it."""
@@ -154,7 +156,24 @@ class MotionEntry(StrictModel):
             ends = getattr(self, name)
             if ends is not None and max(abs(ends[0]), abs(ends[1])) > most:
                 raise ValueError(f"{name} must lie within +-{most} degrees")
+        steps = self._most_steps()
+        if steps > MAX_STEPS:
+            raise ValueError(
+                f"a touch would take {steps:.3g} steps of step_mm = {self.step_mm:g} mm and "
+                f"step_deg = {self.step_deg:g} degrees; at most {MAX_STEPS}"
+            )
         return self
+
+    def _most_steps(self) -> float:
+        """Of the longest touch."""
+        turns = [
+            abs(end) for ends in (self.twist_deg, self.roll_deg) if ends is not None for end in ends
+        ]
+        side = max(
+            0.0 if self.shear_mm is None else self.shear_mm[1] / self.step_mm,
+            max(turns, default=0.0) / self.step_deg,
+        )
+        return self.depth_mm[1] / self.step_mm + side
 
 
 class Randomise(StrictModel):

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.bodies.mesh_checks import check_edges
+from taccel_lab.bodies.mesh_checks import check_edges, check_surface
 from taccel_lab.envs.prisms import edge_mesh, grating_mesh, pair_mesh, roller_mesh
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry.tool_section import ToolSection
@@ -197,6 +197,7 @@ def _read_mesh(text: str) -> TriangleMesh:
             f"{what} encloses {abs(volume):.3g} mm^3, {thickness:.3g} mm thick on average; a body "
             f"of at least {_MIN_THICKNESS_MM:g} mm is needed, a sheet has no inside"
         )
+    check_surface(points, faces, what, closed=True)
     if volume < 0:
         faces = faces[:, [0, 2, 1]]
     return TriangleMesh(points * 1e-3, faces)

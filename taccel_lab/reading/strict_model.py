@@ -38,6 +38,11 @@ Flag = StrictBool
 """true or false, and neither 1 nor "yes"."""
 Scalar = StrictBool | StrictInt | StrictFloat | StrictStr
 
+_WORDS = {
+    "tuple_type": "a list in square brackets is needed",
+    "list_type": "a list is needed, of [[tables]] or in square brackets",
+}
+"""In place of pydantic's, for those who write TOML."""
 MAX_FAULTS = 20
 """Faults of one file that a message lists."""
 
@@ -75,6 +80,7 @@ def describe_errors(error: ValidationError, model: type[BaseModel]) -> str:
         path = ".".join(map(printable, item["loc"])) or model.__name__
         message = item["msg"].removeprefix("Value error, ")
         message = message[:1].lower() + message[1:]
+        message = _WORDS.get(item["type"], message)
         if item["type"] == "extra_forbidden":
             owner = _model_at(model, item["loc"][:-1])
             keys = [] if owner is None else list(owner.model_fields)

@@ -42,6 +42,11 @@ def test_examples_are_sound(path: Path, tmp_path: Path) -> None:
             {"motions": [{"kind": "press", "depth_mm": [0.1, 0.2], "twist_deg": [0, 1]}]},
             "twist_deg belongs to twist, not to press",
         ),
+        (
+            {"motions": [{"kind": "press", "depth_mm": [0.1, 0.2], "step_mm": 1e-4}]},
+            r"a touch would take 2e\+03 steps of step_mm = 0\.0001 mm .*; at most 1000",
+        ),
+        ({"motions": [{"kind": "press", "depth_mm": 0.3}]}, "a list in square brackets is needed"),
         ({"motions": []}, r"motions: list should have at least 1"),
         ({"objects": [{"tool": "sphere:2"}, {"tool": "sphere:2"}]}, "two objects are called"),
         ({"objects": [{"tool": "sphere:2", "tilt_deg": [0, 40]}]}, r"must lie in \[0, 15\]"),
@@ -66,6 +71,10 @@ def test_bad_form(changes: dict[str, Any], message: str) -> None:
         (
             {"motions": [{"kind": "press", "depth_mm": [0.1, 60.0]}]},
             r"motions\[0\] on flat_pad: depth 60 mm goes past the gel",
+        ),
+        (
+            {"motions": [{"kind": "press", "depth_mm": [1e-4, 4e-4]}]},
+            r"motions\[0\]: depth_mm ends at 0\.0004 mm; .*in metres\?",
         ),
         ({"output": {"channels": ["heat"]}}, "no channel 'heat'; known: rgb, depth_mm"),
         ({"sensors": [{"profile": "flat_pad", "units": 3}]}, "states no measured spread"),

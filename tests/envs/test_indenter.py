@@ -172,6 +172,12 @@ def test_surface_with_a_fin_is_refused(tmp_path: Path) -> None:
         parse_indenter(save(fin, tmp_path / "fin.stl"))
 
 
+def test_parts_that_pass_through_each_other_are_refused(tmp_path: Path) -> None:
+    cubes = [pyvista.Cube(center=(0.7 * k, 0.3 * k, 0.2 * k)).triangulate() for k in range(2)]
+    with pytest.raises(InputError, match=r"two\.stl intersects itself: \d+ times an edge passes"):
+        parse_indenter(save(cubes[0].append_polydata(cubes[1]), tmp_path / "two.stl"))
+
+
 CORNERS = "v 0 0 0\nv 3 0 0\nv 0 3 0\n"
 
 
