@@ -7,16 +7,22 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from taccel_lab.datasets.folder import DatasetFolder
+from taccel_lab.datasets.folder import ABOUT, DatasetFolder, read_parquet
+from taccel_lab.datasets.part import ARRAYS, EPISODES, STEPS
 from taccel_lab.datasets.reading import Dataset
+from taccel_lab.datasets.sensor import profile_digest
 from taccel_lab.errors import InputError
+from taccel_lab.file_cache import content_key
 from taccel_lab.output_folder import OUTPUT_MARKER
-from taccel_lab.profile import Finding
+from taccel_lab.profile import Finding, load_profile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.reading.json_file import read_json
+from taccel_lab.reading.regular_file import file_sha256
+from taccel_lab.version import __version__
 
 FORCE_TOLERANCE = 1e-5
 """Of the sum of patch forces beside the force, as a part of the largest force."""
@@ -31,12 +37,75 @@ def check_dataset(folders: Sequence[Path | str], progress: Progress = silent) ->
     """
     found: list[Finding] = []
     for folder in map(DatasetFolder, folders):
-        folder.about()
+        found += _check_sources(folder)
         found += _check_files(folder, progress)
     if any(finding.severity == "error" for finding in found):
         return found
     data = Dataset(list(folders))
     return found + _check_episodes(data) + _check_columns(data, progress)
+
+
+def _check_sources(folder: DatasetFolder) -> list[Finding]:
+    """What all parts share: the recipe, profiles and objects."""
+    about, name = folder.about(), folder.root.name
+    recipe = about["recipe"]
+    found = []
+    if content_key(recipe) != about["plan"]:
+        found.append(Finding("error", f"{name}/{ABOUT}", "its recipe is not what was written"))
+        return found
+    for number, digest in enumerate(recipe["profiles"]):
+        where = f"{name}/profiles/{number}"
+        try:
+            kept = profile_digest(load_profile(folder.root / "profiles" / str(number)))
+        except (InputError, OSError) as error:
+            found.append(Finding("error", where, f"cannot be read: {error}"))
+            continue
+        # Another version may have read it with keys of its own.
+        if kept != digest and recipe["tool_version"] == __version__:
+            found.append(Finding("error", where, "is not the profile that was used"))
+    for number, digest in enumerate(recipe["objects"]):
+        if digest:
+            kept = list((folder.root / "objects").glob(f"{number}_*"))
+            where = f"{name}/objects/{number}"
+            if not kept:
+                found.append(Finding("error", where, "is missing"))
+            elif file_sha256(kept[0]) != digest:
+                found.append(Finding("error", where, "is not what was written (SHA-256)"))
+    return found
+
+
+def _check_index(folder: DatasetFolder) -> list[Finding]:
+    """The tables of all parts beside those of each, where they tell of the same parts."""
+    there = {int(part.name) for part in folder.part_folders()}
+    found = []
+    for name in (EPISODES, STEPS):
+        path = folder.root / name
+        if not path.is_file():
+            continue
+        try:
+            index = read_parquet(path)
+            same = set(index["part"].to_pylist()) != there or _same(index, folder.gathered(name))
+        except (InputError, KeyError):
+            same = False
+        if not same:
+            text = "is not what its parts say; delete it, and the parts' own are read"
+            found.append(Finding("error", f"{folder.root.name}/{name}", text))
+    return found
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether two tables say the same; NaN is what NaN is."""
+    if one.schema != other.schema or len(one) != len(other):
+        return False
+    columns = zip(one.itercolumns(), other.itercolumns(), strict=True)
+    pairs = [[column.to_numpy() for column in pair] for pair in columns]
+    return all(np.array_equal(a, b, equal_nan=a.dtype.kind == "f") for a, b in pairs)
+
+
+def _belongs(folder: DatasetFolder, part: Path) -> bool:
+    """Whether a part is the one that its name says, of this data set."""
+    attributes = read_json(part / ARRAYS / "zarr.json")["attributes"]
+    return (attributes["part"], attributes["plan"]) == (int(part.name), folder.about()["plan"])
 
 
 def _check_files(folder: DatasetFolder, progress: Progress) -> list[Finding]:
@@ -66,7 +135,9 @@ def _check_files(folder: DatasetFolder, progress: Progress) -> list[Finding]:
                     found.append(
                         Finding("error", f"{where}/{name}", "is not what was written (SHA-256)")
                     )
-    return found
+        if not any(finding.severity == "error" for finding in found) and not _belongs(folder, part):
+            found.append(Finding("error", where, "is another part, or one of another data set"))
+    return found if any(f.severity == "error" for f in found) else found + _check_index(folder)
 
 
 def _check_episodes(data: Dataset) -> list[Finding]:

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from taccel_lab.datasets.plan import Part, Plan
 
 ABOUT = "dataset.json"
+ABOUT_KEYS = ("format", "name", "plan", "episodes", "parts", "channels", "sensors", "recipe")
 PARTS = "parts"
 LOCK = ".lock-"
 
@@ -70,7 +71,11 @@ class DatasetFolder:
         path = self.root / ABOUT
         if not path.is_file():
             raise InputError(f"{self.root} holds no data set: it has no {ABOUT}")
-        return read_json(path)
+        about = read_json(path)
+        missing = [key for key in ABOUT_KEYS if key not in about]
+        if missing:
+            raise InputError(f"{path} is no description of a data set: it has no {missing[0]!r}")
+        return about
 
     def begin(self, plan: Plan, source: str) -> None:
         """Write what does not depend on any part, unless it is there. ``source``: the file."""
@@ -120,27 +125,32 @@ class DatasetFolder:
 
     def part_folders(self) -> list[Path]:
         """Of all parts that are there, in order."""
-        return sorted(path for path in (self.root / PARTS).glob("[0-9]*") if path.is_dir())
+        found = (self.root / PARTS).glob("[0-9]*")
+        return sorted(path for path in found if path.name.isdecimal() and path.is_dir())
 
     def write_index(self) -> None:
         """Gather the tables of all parts; Parquet, a row an episode and a row a step."""
-        import pyarrow as pa
         import pyarrow.parquet as pq
 
-        folders = self.part_folders()
         for name in (EPISODES, STEPS):
-            tables = [read_parquet(folder / name) for folder in folders]
-            if name == STEPS:
-                tables = [
-                    table.add_column(
-                        0, "part", pa.array([int(folder.name)] * len(table), pa.int64())
-                    )
-                    for folder, table in zip(folders, tables, strict=True)
-                ]
-            if tables:
+            table = self.gathered(name)
+            if table is not None:
                 with atomic_file(self.root / name) as staging:
-                    joined = pa.concat_tables(tables, promote_options="default")
-                    pq.write_table(joined, staging, compression="zstd")
+                    pq.write_table(table, staging, compression="zstd")
+
+    def gathered(self, name: str) -> Any:
+        """A table of all parts that are there as one, None without parts; InputError for a damaged
+        one."""
+        import pyarrow as pa
+
+        tables = []
+        for part in self.part_folders():
+            table = read_parquet(part / name)
+            if name == STEPS:
+                numbers = pa.array([int(part.name)] * len(table), pa.int64())
+                table = table.add_column(0, "part", numbers)
+            tables.append(table)
+        return pa.concat_tables(tables, promote_options="default") if tables else None
 
 
 def read_parquet(path: Path) -> Any:

@@ -105,21 +105,13 @@ class Dataset:
 
     def _table(self, number: int, name: str) -> dict[str, np.ndarray]:
         """A table of a folder: its index where that is up to date, else those of its parts."""
-        import pyarrow as pa
-
         folder = self.folders[number]
-        there = folder.part_folders()
+        there = {int(part.name) for part in folder.part_folders()}
         table = _index(folder.root / name)
-        if table is None or set(table["part"].to_pylist()) != {int(p.name) for p in there}:
-            tables = []
-            for part in there:
-                one = read_parquet(part / name)
-                if name == STEPS:
-                    one = one.add_column(0, "part", pa.array([int(part.name)] * len(one)))
-                tables.append(one)
-            if not tables:
+        if table is None or set(table["part"].to_pylist()) != there:
+            table = folder.gathered(name)
+            if table is None:
                 raise InputError(f"{folder.root} has no finished part yet")
-            table = pa.concat_tables(tables, promote_options="default")
         columns = {
             field: np.asarray(table[field].to_numpy(zero_copy_only=False))
             for field in table.column_names

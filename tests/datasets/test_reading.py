@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -148,6 +149,54 @@ def test_check_finds_what_was_changed(made: Path, tmp_path: Path) -> None:
     told = [str(finding) for finding in check_dataset([broken])]
     assert any("rgb" in line and "is not what was written" in line for line in told)
     assert any("episodes.parquet: is missing" in line for line in told)
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(bytes(data))
+
+
+def reseed(path: Path) -> None:
+    about = json.loads(path.read_text())
+    about["recipe"]["spec"]["dataset"]["seed"] += 1
+    path.write_text(json.dumps(about))
+
+
+def replace_by_another(part: Path) -> None:
+    shutil.rmtree(part)
+    shutil.copytree(part.parent / "000000", part)
+
+
+@pytest.mark.parametrize(
+    ("what", "damage", "message"),
+    [
+        ("dataset.json", reseed, "dataset.json: its recipe is not what was written"),
+        ("profiles/0/profile.toml", Path.unlink, "profiles/0: cannot be read"),
+        ("profiles/0/background.npz", flip, "profiles/0: "),
+        ("steps.parquet", flip, "steps.parquet: is not what its parts say"),
+        ("episodes.parquet", flip, "episodes.parquet: is not what its parts say"),
+        ("parts/000001", replace_by_another, "parts/000001: is another part"),
+    ],
+)
+def test_check_finds_what_parts_share_changed(
+    made: Path, tmp_path: Path, what: str, damage: Any, message: str
+) -> None:
+    broken = tmp_path / "broken"
+    shutil.copytree(made, broken)
+    damage(broken / what)
+    told = [f"{f.severity}: {f}" for f in check_dataset([broken])]
+    assert any("error" in line and message in line for line in told), told
+
+
+def test_a_description_without_its_keys_is_refused(made: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken"
+    shutil.copytree(made, broken)
+    (broken / "parts" / "9junk").mkdir()
+    assert len(Dataset(broken).episodes) == 6
+    (broken / "dataset.json").write_text('{"format": 1}')
+    with pytest.raises(InputError, match=r"dataset\.json is no description of a data set"):
+        Dataset(broken)
 
 
 def test_check_finds_empty_constant_and_nan_columns(made: Path, tmp_path: Path) -> None:
