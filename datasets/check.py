@@ -39,10 +39,14 @@ def check_dataset(folders: Sequence[Path | str], progress: Progress = silent) ->
     for folder in map(DatasetFolder, folders):
         found += _check_sources(folder)
         found += _check_files(folder, progress)
-    if any(finding.severity == "error" for finding in found):
+    if _faulty(found):
         return found
     data = Dataset(list(folders))
     return found + _check_episodes(data) + _check_columns(data, progress)
+
+
+def _faulty(found: Sequence[Finding]) -> bool:
+    return any(finding.severity == "error" for finding in found)
 
 
 def _check_sources(folder: DatasetFolder) -> list[Finding]:
@@ -102,16 +106,17 @@ def _same(one: Any, other: Any) -> bool:
     return all(np.array_equal(a, b, equal_nan=a.dtype.kind == "f") for a, b in pairs)
 
 
-def _belongs(folder: DatasetFolder, part: Path) -> bool:
+def _belongs(part: Path, plan: str) -> bool:
     """Whether a part is the one that its name says, of this data set."""
     attributes = read_json(part / ARRAYS / "zarr.json")["attributes"]
-    return (attributes["part"], attributes["plan"]) == (int(part.name), folder.about()["plan"])
+    return (attributes["part"], attributes["plan"]) == (int(part.name), plan)
 
 
 def _check_files(folder: DatasetFolder, progress: Progress) -> list[Finding]:
     found: list[Finding] = []
-    parts = folder.part_folders()
+    parts, plan = folder.part_folders(), folder.about()["plan"]
     for done, part in enumerate(parts):
+        before = len(found)
         progress("digests", done, len(parts))
         where = f"{folder.root.name}/parts/{part.name}"
         try:
@@ -135,9 +140,9 @@ def _check_files(folder: DatasetFolder, progress: Progress) -> list[Finding]:
                     found.append(
                         Finding("error", f"{where}/{name}", "is not what was written (SHA-256)")
                     )
-        if not any(finding.severity == "error" for finding in found) and not _belongs(folder, part):
+        if not _faulty(found[before:]) and not _belongs(part, plan):
             found.append(Finding("error", where, "is another part, or one of another data set"))
-    return found if any(f.severity == "error" for f in found) else found + _check_index(folder)
+    return found if _faulty(found) else found + _check_index(folder)
 
 
 def _check_episodes(data: Dataset) -> list[Finding]:

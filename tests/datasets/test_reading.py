@@ -189,6 +189,16 @@ def test_check_finds_what_parts_share_changed(
     assert any("error" in line and message in line for line in told), told
 
 
+def test_a_damaged_part_hides_none_that_is_not_itself(made: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken"
+    shutil.copytree(made, broken)
+    replace_by_another(broken / "parts" / "000001")
+    flip(broken / "parts" / "000000" / "steps.parquet")
+    told = [str(finding) for finding in check_dataset([broken])]
+    assert any("000000/steps.parquet: is not what was written" in line for line in told), told
+    assert any("parts/000001: is another part" in line for line in told), told
+
+
 def test_a_description_without_its_keys_is_refused(made: Path, tmp_path: Path) -> None:
     broken = tmp_path / "broken"
     shutil.copytree(made, broken)
