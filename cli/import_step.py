@@ -55,7 +55,7 @@ class ImportStep:
     origin: Literal["", "center", "file"] = ""
     """center: middle of the gel in plan, at its apex. file: keep the file's origin. [center]"""
     body: str = ""
-    """Name of the solid in a file with several."""
+    """Name of the solid in a file with several, or its number there, from 1."""
     unit: Literal["", "mm", "cm", "m", "um", "in"] = ""
     """Unit of the numbers, when the file declares a wrong one."""
     edge_mm: float = 2.0

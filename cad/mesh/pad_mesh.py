@@ -169,6 +169,13 @@ def _focused_counts(pad: HeightPad, focus: FocusOptions) -> PadCounts:
 
 def _check_focus(pad: HeightPad, focus: FocusOptions) -> None:
     x, y = focus.at_mm
+    low, high = pad.outline.bounds_mm()
+    if not (low[0] <= x <= high[0] and low[1] <= y <= high[1]):
+        raise InputError(
+            f"at_mm = ({x:g}, {y:g}) lies outside the pad, which reaches over x [{low[0]:g}, "
+            f"{high[0]:g}] and y [{low[1]:g}, {high[1]:g}] mm; allowed: at least "
+            f"{MIN_FOCUS_EDGE_MM:g} mm inside the pad's edge"
+        )
     edge = float(pad.inside_distance_mm(np.array([x, y]))) - float(rim_distances_mm(pad)[0])
     if edge < MIN_FOCUS_EDGE_MM:
         raise InputError(

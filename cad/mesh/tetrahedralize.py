@@ -41,6 +41,8 @@ RECIPE = "tetwild-3"
 """Changes with the method, so that meshes of an older one are not taken for it."""
 _ARRAYS = ("nodes_m", "tets", "faces", "face_regions", "tet_layers")
 EDGE_BOUNDS_MM = (0.2, 20.0)
+MAX_TETS = 1e6
+"""Beyond this fTetWild takes hours: 20 million were not made in 10 min, and took 14 GB."""
 EPSILON_BOUNDS = (1e-4, 1e-2)
 _TRIES = ((1.0, 1.0), (1.0, 0.4), (0.75, 0.4))
 """Edge and epsilon of each run over those asked for."""
@@ -129,6 +131,14 @@ def _best(
     extents = np.ptp(given.surface.vertices_mm, axis=0)
     low, high = EDGE_BOUNDS_MM[0], min(EDGE_BOUNDS_MM[1], float(extents.max()) / 2)
     check_range("edge_mm", edge_mm, low, high)
+    # Regular tets of this edge that fill the part.
+    count = 6 * math.sqrt(2) * abs(given.surface.volume_mm3()) / edge_mm**3
+    if count > MAX_TETS:
+        least_mm = edge_mm * (count / MAX_TETS) ** (1 / 3)
+        raise InputError(
+            f"edge_mm = {edge_mm:g} would make about {count:.2g} tets of a part of "
+            f"{' x '.join(f'{e:.4g}' for e in extents)} mm; at least {least_mm:.2g} mm is needed"
+        )
     gate = QualityGate().at_edge(edge_mm)
     smallest, largest = EPSILON_BOUNDS
     if epsilon is None:

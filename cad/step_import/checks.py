@@ -25,27 +25,31 @@ MIN_THICKNESS_MM = 0.05
 
 
 def chosen_body(bodies: Sequence[StepBody], path: Path, name: str | None) -> StepBody:
-    """The only solid of a file, or the one of a name."""
+    """The only solid of a file, or the one of a name, or of a number, from 1, where no solid has
+    that name."""
     solids = [body for body in bodies if body.is_solid]
     if not solids:
-        open_edges = sum(_open_edges(body) for body in bodies)
+        count = sum(_open_edges(body) for body in bodies)
+        state = f"open at {count} edges. Close it and export" if count else "closed. Export"
+        if not any(body.shape.faces() for body in bodies):
+            state = "empty. Export"
         raise InputError(
-            f"{path} holds {len(bodies)} shell(s) but no solid: the surface is open at "
-            f"{open_edges} edges. Close it and export a solid"
+            f"{path} holds {len(bodies)} shell(s) but no solid: the surface is {state} a solid"
         )
+    words = ", ".join(
+        f"{number} {body.name or 'without a name'} ({body.shape.volume:.1f} mm^3)"
+        for number, body in enumerate(solids, 1)
+    )
     if name is not None:
-        solids = [body for body in solids if body.name == name]
+        numbered = {str(number): [body] for number, body in enumerate(solids, 1)}
+        named = [body for body in solids if body.name == name]
+        solids = named or numbered.get(name, [])
     if len(solids) == 1:
         return solids[0]
-    words = ", ".join(
-        f"{body.name or 'without a name'} ({body.shape.volume:.1f} mm^3)"
-        for body in bodies
-        if body.is_solid
-    )
     wanted = f" of the name {name!r}" if name is not None else ""
     raise InputError(
         f"{path} holds {len(solids)} solids{wanted}; one is needed. There are: {words}. Say which "
-        "one with --body NAME, or export the gel alone"
+        "one with --body, by name or number, or export the gel alone"
     )
 
 

@@ -45,7 +45,7 @@ def check_units(bounds: np.ndarray, unit: str | None = None, *, what: str = "the
         named = f" (unit {unit})" if unit else ""
         raise InputError(
             f"{what} is {size} mm{named}; a gel pad is {low:g} to {high:g} mm large"
-            + (_guess(largest) if unit is None else "; name its real unit with unit=")
+            + (_guess(largest) if unit is None else "; name its real unit with --unit")
         )
     if extents.min() < MIN_EXTENT_MM:
         raise InputError(
@@ -63,15 +63,15 @@ def _guess(largest: float) -> str:
         fitting = ["m"]
     if fitting:
         named = " or ".join(
-            f"{_NAMES[unit]} ({largest * MM_PER_UNIT[unit]:.4g} mm: unit={unit!r})"
+            f"{_NAMES[unit]} ({largest * MM_PER_UNIT[unit]:.4g} mm: --unit {unit})"
             for unit in fitting
         )
-        return f". The numbers look like {named}; name the unit with unit="
+        return f". The numbers look like {named}"
     for unit in ("in", "m", "cm"):
         if low <= largest / MM_PER_UNIT[unit] <= high:
             return (
                 f". It looks like numbers in millimetres that were read as {_NAMES[unit]}, "
                 f"{MM_PER_UNIT[unit]:g} times too large: correct the unit that the file declares, "
-                "or say unit='mm' if the part really is that large"
+                "or say --unit mm if the part really is that large"
             )
-    return ". Export it in millimetres, or name its unit with unit="
+    return ". Export it in millimetres, or name its unit with --unit"

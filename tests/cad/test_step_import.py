@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from OCP.StdFail import StdFail_NotDone
 from small_sensor import PAD, small_sensor
 
 from taccel_lab.cad.export import write_assembly_step, write_step
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.mesh.tetrahedralize import tetwild_mesh
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad_solid import labelled_solid
@@ -30,7 +33,14 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
 from tests.real_data import real_data
 
-BOX = FaceSelection(contact=("plane:+z",), bond=("plane:-z",), window=("rect:10x8",))
+
+def box_selection(**changes: Any) -> FaceSelection:
+    return FaceSelection(
+        contact=("plane:+z",), bond=("plane:-z",), window=("rect:10x8",), **changes
+    )
+
+
+BOX = box_selection()
 
 
 def write(shape: object, path: Path) -> Path:
@@ -185,7 +195,8 @@ def test_bad_bodies_are_refused(tmp_path: Path) -> None:
     open_shell = Shell(box().faces()[:5])
     bow = Face(Wire.make_polygon([(0, 0, 0), (20, 10, 0), (20, 0, 0), (0, 12, 0)], close=True))
     cases = [
-        (Compound(children=two), r"holds 2 solids; one is needed.*--body NAME"),
+        (Compound(children=two), r"holds 2 solids; one is needed.*--body, by name or number"),
+        (Shell(box().faces()), r"no solid: the surface is closed\. Export a solid"),
         (open_shell, r"no solid: the surface is open at 4 edges"),
         (Solid.extrude(bow, (0, 0, 4)), r"intersects itself"),
         (box(0.024, 0.02, 0.004), r"look like metres"),
@@ -204,6 +215,21 @@ def test_bad_bodies_are_refused(tmp_path: Path) -> None:
         import_gel(tmp_path / "missing.step", BOX)
 
 
+def test_a_solid_is_chosen_by_its_number(tmp_path: Path) -> None:
+    two = Compound(children=[box(), Solid.make_box(5, 5, 5, Plane((50, 0, 0)))])
+    path = write(two, tmp_path / "two.step")
+    assert import_gel(path, box_selection(body="1")).part.volume_mm3 == pytest.approx(24 * 20 * 4)
+    with pytest.raises(InputError, match="0 solids of the name '3'"):
+        import_gel(path, box_selection(body="3"))
+
+
+def test_a_part_far_too_large_for_its_edge_is_not_meshed(tmp_path: Path) -> None:
+    path = write(box(600, 500, 100), tmp_path / "large.step")
+    part = import_gel(path, box_selection(unit="mm")).part
+    with pytest.raises(InputError, match=r"edge_mm = 2 would make about 3.2e\+07 tets.* needed"):
+        tetwild_mesh(tessellate_solid(part), 2.0)
+
+
 def entity(text: str, name: str, fields: str) -> str:
     """The text of a STEP file with other fields in its first entity of a name; # is its own id."""
     match = re.search(rf"#(\d+) = {name}\(([^;]*)\);", text)
@@ -218,7 +244,7 @@ def entity(text: str, name: str, fields: str) -> str:
         # The kernel follows these in circles until its stack ends.
         (lambda t: entity(t, "ADVANCED_FACE", "'',(#),#,.F."), "its reader crashed on it"),
         (lambda t: entity(t, "ORIENTED_EDGE", "'',*,*,#,.T."), "its reader crashed on it"),
-        (lambda t: entity(t, "CLOSED_SHELL", "'',(#)"), "no solid: the surface is open"),
+        (lambda t: entity(t, "CLOSED_SHELL", "'',(#)"), "no solid: the surface is empty"),
         (lambda t: t.replace("(-12.,", "(nan,"), "no finite bounding box"),
         (lambda t: t.replace("(0.,0.,1.)", "(0.,0.,0.)"), "but no solid"),
         (lambda t: t[: len(t) // 2], "is not a STEP file that the CAD kernel can read"),
