@@ -24,6 +24,9 @@ class Depth:
     depth_response block (grey sensors) gives depths. For every image, `<name>.npz` holds the
     height and its standard deviation, `<name>.png` shows it and `<name>.json` says how deep, where
     and how large. Heights are metres in the gel frame, zero on untouched gel, negative in a dent.
+    The +- is one standard deviation of the reading alone: what the balls, circles and scale of the
+    calibration may be off by comes on top. Images that are no press of this sensor are told with
+    their reason; the others are read all the same, and the exit code is 2.
     """
 
     profile: Positional[Path]
@@ -92,10 +95,16 @@ class Depth:
             drift=self.drift,
         )
         console, figures = Console(), {}
+        refused: dict[str, str] = {}
         with atomic_directory(self.out) as folder:
             for path in self.images:
-                image = image_of(path)
-                about = write_reading(reader.read(image, str(path)), image, path, profile, folder)
+                try:
+                    image = image_of(path)
+                    found = reader.read(image, str(path))
+                except InputError as error:
+                    refused[path.stem] = str(error)
+                    continue
+                about = write_reading(found, image, path, profile, folder)
                 figures[path.stem] = about
                 if not self.json:
                     sigma = about["max_depth_sigma_mm"]
@@ -109,10 +118,17 @@ class Depth:
                     )
                     for warning in about["warnings"]:
                         console.print(f"  {warning}", highlight=False)
+            if not figures:
+                # Leaving with an error keeps what an earlier run wrote there.
+                if self.json:
+                    print_json({"out": None, "images": {}, "refused": refused})
+                raise InputError("\n".join(refused.values()))
         if self.json:
-            print_json({"out": str(self.out), "images": figures})
+            print_json({"out": str(self.out), "images": figures, "refused": refused})
         else:
             console.print(f"wrote {self.out}", highlight=False)
+        if refused:
+            raise InputError("\n".join(refused.values()))
 
 
 def require_images(paths: Sequence[Path]) -> None:

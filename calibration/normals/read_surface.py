@@ -45,8 +45,9 @@ class SurfaceReading:
     rise_m: np.ndarray
     """Its rise over the resting face [m], negative in a dent."""
     height_sigma_m: np.ndarray | None
-    """Standard deviation of both heights [m]; 95 % of heights lie within twice it. None of a grey
-    sensor, and of models that were fitted without practice presses."""
+    """Standard deviation of both heights [m] by the reading alone: what the calibration's circles,
+    ball and scale may be off by is not in it. None of a grey sensor, and of models that were fitted
+    without practice presses."""
     normals: np.ndarray
     """Outward unit normals, shape [height_px, width_px, 3]."""
     sigma_deg: np.ndarray | None

@@ -16,6 +16,10 @@ MAX_FILE_BYTES = 512 << 20
 """The largest image that is allowed, of 16 bits and not compressed, fits in."""
 ALLOWED = "PNG, JPEG, BMP, TIFF or WebP"
 _BEGINNINGS = (b"\x89PNG", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"RIFF")
+_PNG_COLOR_TYPE = 25
+"""Place of the colour type in a PNG's header."""
+_PNG_WITH_ALPHA = (4, 6)
+"""Colour types of grey and of RGB with alpha."""
 LOW_16_BIT = 4096
 """Sixteen-bit images that stay below this hold 12 bits or fewer in the low places."""
 
@@ -89,7 +93,26 @@ def _decoded(path: Path, flags: int) -> np.ndarray:
                 raise MemoryError from None
     if image is None:
         raise InputError(f"{path} {_fault(data)}")
+    if _is_invisible(data):
+        raise InputError(
+            f"{path} is fully transparent: no pixel of it shows. Save the camera's picture without "
+            "an alpha channel"
+        )
     return image
+
+
+def _is_invisible(data: bytes) -> bool:
+    """Whether the image has an alpha channel in which no pixel shows.
+
+    Only of PNG, whose header says whether there is one; the fourth byte of other formats is often
+    left at 0 and means nothing.
+    """
+    import cv2
+
+    if not data.startswith(b"\x89PNG") or data[_PNG_COLOR_TYPE] not in _PNG_WITH_ALPHA:
+        return False
+    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    return image is not None and image.shape[2:] == (4,) and not image[..., 3].any()
 
 
 def _fault(data: bytes) -> str:

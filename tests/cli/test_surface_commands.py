@@ -74,6 +74,24 @@ def test_normals_then_depth(
     assert json.loads((folder / "depths" / "p3.json").read_text())["image"] == image
     _says_nothing_but_json(["depth", profile, image, "--out", str(folder / "again"), "--json"])
     _refuses_what_is_no_press(Path(image), profile, folder, capsys)
+    _reads_what_it_can(Path(image), profile, folder, capsys)
+
+
+def _reads_what_it_can(
+    image: Path, profile: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """After `_refuses_what_is_no_press`: a black frame stops no other image."""
+    out, black = folder / "some", str(folder / "black.png")
+    assert main(["depth", profile, black, str(image), "--out", str(out), "--json"]) == 2
+    said = capsys.readouterr()
+    told = json.loads(said.out)
+    assert list(told["images"]) == ["p3"] and list(told["refused"]) == ["black"]
+    assert "no image of the sensor" in told["refused"]["black"] and "black.png" in said.err
+    kept = sorted(path.name for path in out.iterdir())
+    assert "p3.npz" in kept and not any("black" in name for name in kept)
+    assert main(["depth", profile, black, "--out", str(out), "--json"]) == 2
+    assert json.loads(capsys.readouterr().out)["out"] is None
+    assert sorted(path.name for path in out.iterdir()) == kept
 
 
 def _says_nothing_but_json(words: list[str]) -> None:

@@ -112,3 +112,20 @@ def test_what_is_no_file_with_content_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=words):
             read_image(tmp_path / name)
+
+
+@pytest.mark.parametrize("mode", ["RGBA", "LA"])
+def test_an_image_of_which_no_pixel_shows_is_refused(mode: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    image = Image.fromarray(RGB).convert(mode)
+    shown = read_image_of(image, path)
+    image.putalpha(0)
+    with pytest.raises(InputError, match="fully transparent"):
+        read_image_of(image, path)
+    image.putalpha(Image.fromarray(np.eye(*RGB.shape[:2], dtype=np.uint8)))
+    np.testing.assert_array_equal(read_image_of(image, path), shown)
+
+
+def read_image_of(image: Image.Image, path: Path) -> np.ndarray:
+    image.save(path)
+    return read_image(path)
