@@ -121,7 +121,8 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
     from taccel_lab.cli.bench import parse_bench
     from taccel_lab.cli.console import be_quiet
     from taccel_lab.cli.dataset import with_make
-    from taccel_lab.cli.words import checked_words, common_words
+    from taccel_lab.cli.values import values
+    from taccel_lab.cli.words import checked_words, common_words, require_options
 
     words, quiet = common_words(sys.argv[1:] if arguments is None else arguments)
     words = with_make(words)
@@ -137,6 +138,11 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
         name: tuple(one.commands) if isinstance(one, Group) else () for name, one in tree.items()
     }
     words = checked_words(words, names)
+    named = tree.get(words[0])
+    depth = 2 if isinstance(named, Group) else 1
+    command = named.commands.get(words[1]) if isinstance(named, Group) else named
+    if command is not None:
+        require_options(words[depth:], command, " ".join(["taccel-lab", *words[:depth]]))
     app = SubcommandApp()
     for name, one in tree.items():
         if not isinstance(one, Group):
@@ -151,11 +157,15 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
         description=DESCRIPTION,
         args=words,
         config=(tyro.conf.PositionalMetavarFromFieldName,),
+        registry=values(),
     )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``taccel-lab`` and return its exit code."""
+    # A shell can close either (>&-): Python then has none, where libraries expect one.
+    sys.stdout = sys.stdout or open(os.devnull, "w")
+    sys.stderr = sys.stderr or open(os.devnull, "w")
     for stream in (sys.stdout, sys.stderr):
         # File names may hold bytes that no text has, and a terminal may know ASCII alone.
         if isinstance(stream, io.TextIOWrapper):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -231,19 +231,27 @@ class Press:
         return PressPath(depth_mm, shear_mm, twist_deg, self.step_mm, self.step_deg)
 
     def _physics(self) -> PressPhysics:
-        """That of the accuracy, but for what is set here."""
+        """That of the accuracy, but for what is set here; what the solver does not take is refused
+        by the option's name."""
         from dataclasses import replace
 
+        from taccel_lab.bodies.bodies import check_friction
         from taccel_lab.envs import PHYSICS, Accuracy
         from taccel_lab.scene import Element
 
         physics = PHYSICS[Accuracy(self.accuracy)]
         if self.tolerance is not None:
             physics = replace(physics, relative_tolerance=self.tolerance)
+            with naming("--tolerance"):
+                physics.solver()
         if self.dhat_mm is not None:
             physics = replace(physics, dhat_m=self.dhat_mm * 1e-3)
+            with naming("--dhat-mm"):
+                physics.solver()
         if self.element is not None:
             physics = replace(physics, element=Element(self.element))
+        with naming("--friction"):
+            check_friction(self.friction, self.indenter)
         return physics
 
     def _mesh(

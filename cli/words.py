@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import difflib
+import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 
 from taccel_lab.errors import InputError
 
@@ -52,6 +54,49 @@ def checked_words(words: Sequence[str], names: Mapping[str, Sequence[str]]) -> l
             return [*words, "--help"]
         _require(words[1], group, f"taccel-lab {words[0]}")
     return list(words)
+
+
+def require_options(words: Sequence[str], command: type, prefix: str) -> None:
+    """Raise InputError for options that ``command``, a dataclass, does not have, and say which may
+    be meant. ``words``: those behind the command's name, ``prefix``.
+
+    Said before the words are parsed, which would name only what is then missing.
+    """
+    left = list(words[: words.index("--")] if "--" in words else words)
+    if {"-h", "--help"} & set(left):
+        return
+    known = tuple(_options(command))
+    # An option or a name, not a negative number; what follows = is a value, whatever it is.
+    found = [word.partition("=")[0] for word in left if re.match("-+[^\\W\\d]", word)]
+    found = [word for word in found if not re.fullmatch("-(inf|infinity|nan)", word, re.IGNORECASE)]
+    lines = []
+    for word in dict.fromkeys(found):
+        if word.startswith("--") and word.replace("_", "-") in known:
+            continue
+        close = difflib.get_close_matches("--" + word.lstrip("-"), (*known, *_COMMON), 1)
+        if close:
+            meant = f"; did you mean {close[0]}?"
+        elif not word.startswith("--"):
+            meant = f"; write a file or folder of that name as ./{word}"
+        else:
+            meant = ""
+        lines.append(f"{prefix} has no option {word}{meant}")
+    if lines:
+        raise InputError("\n".join([*lines, f"{prefix} --help lists the options"]))
+
+
+_COMMON = ("--help", "--quiet")
+
+
+def _options(command: type) -> Iterator[str]:
+    for field in fields(command):
+        if isinstance(field.default_factory, type) and is_dataclass(field.default_factory):
+            yield from _options(field.default_factory)
+            continue
+        name = field.name.replace("_", "-").strip("-")
+        yield f"--{name}"
+        if field.type in ("bool", bool):
+            yield f"--no-{name}"
 
 
 def _require(word: str, known: Sequence[str], prefix: str) -> None:

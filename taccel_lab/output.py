@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import math
@@ -25,6 +26,8 @@ def atomic_file(target: Path | str) -> Iterator[Path]:
         fd, name = tempfile.mkstemp(
             prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent
         )
+    except (FileExistsError, NotADirectoryError) as error:
+        raise OSError(errno.ENOTDIR, "part of this path is a file", str(target)) from error
     except OSError as error:
         # By the name that somebody gave, not by the hidden one.
         raise OSError(error.errno, error.strerror, str(target)) from error

@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.cli import app
+from taccel_lab.cli.press import Press
 from taccel_lab.cli.words import common_words
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.output_folder import atomic_directory
@@ -84,7 +85,7 @@ def test_bugs_keep_their_traceback(monkeypatch: pytest.MonkeyPatch, error: Excep
         app.main([])
 
 
-@pytest.mark.parametrize("arguments", [["profile", "show"], ["profile", "show", "x", "--wrong"]])
+@pytest.mark.parametrize("arguments", [["profile", "show"], ["profile", "show", "x", "more"]])
 def test_usage_errors_exit_with_2(arguments: list[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         app.main(arguments)
@@ -305,3 +306,62 @@ def test_a_reader_that_has_enough_ends_it_quietly() -> None:
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert done.stderr == ""
     assert done.stdout[1:].strip() in ("0", "141")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("press --indentor ball digit", "press has no option --indentor; did you mean --indenter?"),
+        ("press --hlp", "press has no option --hlp; did you mean --help?"),
+        ("press -out x digit", "press has no option -out; did you mean --out?"),
+        ("capture record --scales=x", "capture record has no option --scales; did you mean --sc"),
+        ("design --prt 3", "design has no option --prt; did you mean --port?"),
+        ("dataset x.toml --limitt 3", "dataset make has no option --limitt; did you mean --limit?"),
+        ("preview -dash.png", "preview has no option -dash.png; write a file or folder of that"),
+        ("view --zzz", "view has no option --zzz\n"),
+    ],
+)
+def test_an_option_that_is_not_there_is_named_whatever_else_is_missing(
+    capsys: pytest.CaptureFixture[str], words: str, told: str
+) -> None:
+    assert app.main(words.split()) == 2
+    captured = capsys.readouterr()
+    assert f"error: taccel-lab {told}" in captured.err and captured.out == ""
+    assert "--help lists the options" in captured.err
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("--depth-mm 0,5", "--depth-mm: '0,5' is not a number; decimals have a point: 0.5"),
+        ("--force-n 2N", "--force-n: '2N' is not a number; write it without a unit: 2"),
+        ("--twist-deg nan", "--twist-deg: 'nan' is not allowed, only finite numbers are"),
+        ("--at-mm 1 -inf", "--at-mm: '-inf' is not allowed, only finite numbers are"),
+        ("--shear-mm 0.1 x", "--shear-mm: 'x' is not a number"),
+        ("--texture=", "--texture: an empty name is not allowed; this folder is written ."),
+        ("--element None", "invalid choice 'None' for argument '--element'"),
+    ],
+)
+def test_a_value_that_is_not_allowed_is_told_in_words(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: str, told: str
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    with pytest.raises(SystemExit) as caught:
+        app.main(["press", "digit", "--out", "x", *words.split()])
+    assert caught.value.code == 2
+    assert told in capsys.readouterr().err
+
+
+def test_numbers_are_read() -> None:
+    words = "press digit --out x --depth_mm=-0.5 --at-mm -1 2e-1 --tolerance 1"
+    command = app.parse(words.split())
+    assert isinstance(command, Press)
+    assert (command.depth_mm, command.at_mm, command.force_n) == (-0.5, (-1.0, 0.2), None)
+    assert isinstance(command.tolerance, float)
+
+
+@pytest.mark.parametrize("words", ["sensors list --json >&-", "press --help >&-", "zzz 2>&-"])
+def test_closed_streams_change_no_exit_code(words: str) -> None:
+    command = f"{sys.executable} -m taccel_lab.cli.app {words}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, cwd=ROOT)
+    assert (done.returncode, done.stdout, done.stderr) == (2 if "zzz" in words else 0, "", "")

@@ -73,13 +73,14 @@ def test_check_reads_a_plain_folder(here: Path, capsys: pytest.CaptureFixture[st
         (["import", "plain", "out", "--layout", "taxi"], "no layout 'taxi'; known: auto, taxim"),
         (["import", "plain", "out", "--sensor", "gelsite"], "gelsite"),
         (["import", "plain", "out", "--radius-mm", "-1"], "--radius-mm is -1; 0.05 to 50 mm"),
-        (["import", "plain", "out", "--radius-mm", "nan"], "--radius-mm is nan; 0.05 to 50 mm"),
+        (["import", "plain", "out", "--radius-mm", "1e9"], "--radius-mm is 1e+09; 0.05 to 50 mm"),
         (["import", "plain", "out", "--mm-per-px-y", "0.1"], "mm-per-px-x"),
         (["import", "plain", "out", "--background", "gone.png"], "no such background image"),
         (["import", "plain", "out", "--board", "6x6"], "chessboard:6x6:2.5"),
         (["import", "plain", "captures"], "files that taccel-lab did not write"),
         (["guide", "gelsite"], "known: 9dtact, digit"),
         (["guide", "digit", "--out", "captures/captures.toml"], "exists; name a file"),
+        (["guide", "digit", "--out", "captures/captures.toml/x"], "part of this path is a file"),
     ],
 )
 def test_refusals_change_nothing(

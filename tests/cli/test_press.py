@@ -199,7 +199,6 @@ def test_a_press_to_a_force_is_one_to_its_depth(unit: Path, tmp_path: Path) -> N
         ([], "either --depth-mm or --force-n"),
         (["--depth-mm", "0.3", "--force-n", "1"], "either --depth-mm or --force-n, not both"),
         (["--force-n", "0"], "must be above 0 N"),
-        (["--force-n", "nan"], "must be above 0 N"),
     ],
 )
 def test_a_press_goes_to_a_depth_or_to_a_force(
