@@ -17,6 +17,12 @@ from taccel_lab.profile.optical_design import MarkerGrid, OpticalDesign
 
 STIFFNESS = ("young_modulus_mpa", "shore_00", "shore_a")
 """Parameters of which one says how stiff the gel is."""
+HARDNESSES = STIFFNESS[1:]
+"""Those of them that are a durometer's reading."""
+INCOMPRESSIBLE = 0.499
+"""Poisson's ratio of a solid rubber: a bulk modulus of 1 GPa makes it 0.4999."""
+OF_A_HARDNESS = ("poisson_ratio", "skin_poisson_ratio")
+"""What is ``INCOMPRESSIBLE`` in a gel of a hardness unless it is given."""
 NO_FIGURE = "assumption: no source states it for this sensor"
 """The source of a default that no source states."""
 
@@ -66,6 +72,15 @@ class FamilyParameters(ParameterSet, ABC):
         """The rigid housing; None while the family models none."""
         return None
 
+    def describe(self) -> dict[str, dict[str, Any]]:
+        """As of any set; what follows from a hardness is not said to be the user's."""
+        found = super().describe()
+        if hardness_of(self.values()):
+            for name in OF_A_HARDNESS:
+                if name in found and found[name]["value"] == INCOMPRESSIBLE:
+                    found[name]["source"] = "incompressible, as the formula of the hardness has it"
+        return found
+
 
 @dataclass(frozen=True)
 class SensorFamily:
@@ -92,16 +107,27 @@ class SensorFamily:
     def parameters(self, overrides: Mapping[str, Any] | None = None) -> FamilyParameters:
         """Parameters of the family, the defaults where ``overrides`` says nothing.
 
-        All parts are built once as formulas, so that parameters which
-        contradict each other are refused here.
+        A gel of a hardness is incompressible where ``overrides`` does not say otherwise: the
+        formulas that make a modulus of it take the rubber as that, and what a catalogue's modulus
+        was found with does not belong to another gel. All parts are built once as formulas, so that
+        parameters which contradict each other are refused here.
         """
         try:
-            given = [name for name in STIFFNESS if (overrides or {}).get(name)]
+            values = dict(overrides or {})
+            given = [name for name in STIFFNESS if values.get(name)]
             if len(given) > 1:
                 raise InputError(f"{' and '.join(given)} are given; the gel has one stiffness")
-            found = self.parameters_type().with_values(overrides or {})
+            if hardness_of(values):
+                known = self.parameters_type.parameters()
+                values = {n: INCOMPRESSIBLE for n in OF_A_HARDNESS if n in known} | values
+            found = self.parameters_type().with_values(values)
             for part in ("pad", "grid", "layer_materials", "optics", "markers", "housing"):
                 getattr(found, part)()
         except InputError as error:
             raise InputError(f"sensor {self.name}: {error}") from error
         return found
+
+
+def hardness_of(values: Mapping[str, Any]) -> str | None:
+    """The parameter that says how stiff the gel is, where that is a hardness."""
+    return next((name for name in HARDNESSES if values.get(name)), None)

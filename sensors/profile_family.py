@@ -17,7 +17,15 @@ from typing import TYPE_CHECKING, Any
 from taccel_lab.cad.mesh.mesh_pad import MeshPad
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
-from taccel_lab.sensors.base import STIFFNESS, FamilyParameters, GelMaterial, SensorFamily
+from taccel_lab.sensors.base import (
+    HARDNESSES,
+    OF_A_HARDNESS,
+    STIFFNESS,
+    FamilyParameters,
+    GelMaterial,
+    SensorFamily,
+    hardness_of,
+)
 
 if TYPE_CHECKING:
     from taccel_lab.profile import MaterialBlock, SensorProfile
@@ -81,7 +89,9 @@ def profile_family(profile: SensorProfile, name: str, like: SensorFamily) -> Pro
     values = {key: value for key, value in profile.sensor.parameters.items() if key in known}
     if profile.material.provenance.kind in _MEASURED:
         values |= _measured(profile.material, known)
-    defaults = {key: value for key, value in values.items() if value != known[key].default}
+    # A profile of a hardness says the Poisson's ratio that it was made with, whatever that is.
+    kept = OF_A_HARDNESS if hardness_of(values) else ()
+    defaults = {k: value for k, value in values.items() if value != known[k].default or k in kept}
     pad = MeshPad(profile.gel.thickness_mm, mesh=profile.mesh) if imported else None
     what = f"a gel of its own, all else like {like.name}" if imported else like.title
     return _made(name, f"{profile.sensor.name}: {what}", like.references, like, defaults, pad)
@@ -183,7 +193,7 @@ def _parameters_type(
 
 def _measured(block: MaterialBlock, known: Mapping[str, Parameter]) -> dict[str, Any]:
     found = {name: read(block) for name, read in _MATERIAL.items() if name in known}
-    return found | {name: 0.0 for name in STIFFNESS[1:] if name in known}
+    return found | {name: 0.0 for name in HARDNESSES if name in known}
 
 
 def _group(spec: Parameter) -> str:

@@ -26,7 +26,7 @@ from taccel_lab.studies.readings import press_of, readings, split_name
 from taccel_lab.studies.spec import Objective, StudySpec, Tie, load_spec, require_known
 from taccel_lab.studies.sweep import grid_points, random_points
 
-EVALUATION_VERSION = 3
+EVALUATION_VERSION = 4
 """Raised when presses or metrics give other figures for the same design: stored ones are not taken
 over then."""
 

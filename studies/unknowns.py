@@ -5,9 +5,10 @@ Three things, taken as independent of each other:
 
 - what its Shore hardness says of Young's modulus, where that is how the modulus was given;
 - what units of one design differ by (``study.unit_spread_percent``);
-- Poisson's ratio, where the study leaves it at the catalogue's assumption: solid silicone may be
-  as good as incompressible, which stiffens a thin layer on a plate. The factor is that of the
-  closed form of a bonded layer (``envs.bonded_layer``) at the end of the press.
+- Poisson's ratio, where the study leaves it at the catalogue's assumption (a gel of a hardness is
+  taken as incompressible): solid silicone may be that, which stiffens a thin layer on a plate. The
+  factor is that of the closed form of a bonded layer (``envs.bonded_layer``) at the end of the
+  press.
 
 Positions stay and forces scale, exactly for a modulus, at the press's full depth for Poisson's
 ratio. Figures at both ends are read from presses scaled by both factors.
@@ -23,11 +24,9 @@ from taccel_lab.envs import parse_indenter
 from taccel_lab.envs.bonded_layer import layer_force_n
 from taccel_lab.errors import InputError
 from taccel_lab.scene import Ball
-from taccel_lab.sensors.base import FamilyParameters
+from taccel_lab.sensors.base import INCOMPRESSIBLE, FamilyParameters
 from taccel_lab.studies.press_record import PressRecord
 
-INCOMPRESSIBLE = 0.499
-"""Poisson's ratio of a solid silicone: a bulk modulus of 1 GPa makes it 0.4999."""
 _NORMAL_95 = 1.96
 
 

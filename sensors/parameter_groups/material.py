@@ -31,12 +31,14 @@ class MaterialParameters(ParameterSet):
     shore_00: float = parameter(
         0.0, minimum=READINGS["00"][0], maximum=READINGS["00"][1], unit="Shore 00",
         source=_NO_READING, zero_means="not given",
-        description="durometer reading of type OO in place of young_modulus_mpa",
+        description="durometer reading of type OO in place of young_modulus_mpa; the gel is then "
+        "incompressible (0.499) unless poisson_ratio is given",
     )  # fmt: skip
     shore_a: float = parameter(
         0.0, minimum=READINGS["A"][0], maximum=READINGS["A"][1], unit="Shore A",
         source=_NO_READING, zero_means="not given",
-        description="durometer reading of type A in place of young_modulus_mpa",
+        description="durometer reading of type A in place of young_modulus_mpa; the gel is then "
+        "incompressible (0.499) unless poisson_ratio is given",
     )  # fmt: skip
     poisson_ratio: float = parameter(
         0.46, minimum=0.0, maximum=0.499,

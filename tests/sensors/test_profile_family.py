@@ -64,6 +64,16 @@ def test_a_folder_its_profile_and_the_file_in_it_are_one_sensor(
         sensor_family("no_such")
 
 
+@pytest.mark.parametrize("ratio", [0.46, 0.48, None])
+def test_a_profile_of_a_hardness_keeps_its_ratio(tmp_path: Path, ratio: float | None) -> None:
+    values = {"shore_00": 40.0} | ({} if ratio is None else {"poisson_ratio": ratio})
+    profile = catalogue_profile("digit", {**values, "width_px": 96, "height_px": 72})
+    save_profile(profile, tmp_path / "profile")
+    material = sensor_family(str(tmp_path / "profile")).parameters().material()
+    assert material.poisson_ratio == profile.material.poisson_ratio == (ratio or 0.499)
+    assert material.young_interval_pa is not None
+
+
 def test_camera_and_material_can_be_set_and_the_gel_stays(folder: Path) -> None:
     family = sensor_family(str(folder))
     defaults = family.parameters()
@@ -75,6 +85,7 @@ def test_camera_and_material_can_be_set_and_the_gel_stays(folder: Path) -> None:
     assert pad.top_mm(np.zeros(2)) == pytest.approx(0.0, abs=1e-3)
     softer = family.parameters({"shore_00": 30, "camera_distance_mm": 30})
     assert softer.material().young_modulus_pa != pytest.approx(2e5)
+    assert (defaults.material().poisson_ratio, softer.material().poisson_ratio) == (0.46, 0.499)
     assert repr(softer.pad()) == repr(pad)
     assert "thickness_mm" not in family.parameters_type.parameters()
     with pytest.raises(InputError, match="length_x_mm: of no use"):

@@ -58,6 +58,20 @@ def test_hardness_is_a_parameter_of_every_family() -> None:
     assert sensor_family("digit").parameters().material().young_interval_pa is None
 
 
+def test_a_gel_of_a_hardness_is_incompressible_unless_something_else_is_given() -> None:
+    family = sensor_family("9dtact")
+    found = family.parameters({"shore_00": 40})
+    assert [m.poisson_ratio for m in found.layer_materials()] == [0.499, 0.499]
+    assert "hardness" in found.describe()["poisson_ratio"]["source"]
+    given = family.parameters({"shore_a": 15, "poisson_ratio": 0.46})
+    assert [m.poisson_ratio for m in given.layer_materials()] == [0.46, 0.499]
+    assert given.describe()["poisson_ratio"]["value"] == 0.46
+    for values in ({}, {"shore_00": 0.0}, {"young_modulus_mpa": 0.2}):
+        assert family.parameters(values).material().poisson_ratio == 0.46
+    digit = sensor_family("digit").parameters({"shore_00": 40})
+    assert digit.material().poisson_ratio == 0.499 and "skin_poisson_ratio" not in digit.values()
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [
