@@ -32,9 +32,11 @@ class Sheet:
 
     def slope(self, xy_mm: np.ndarray) -> np.ndarray:
         """Gradient of the height by central differences, shape [n, 2]."""
-        steps = self.step_mm * np.eye(2)
-        rises = [self.height_mm(xy_mm + step) - self.height_mm(xy_mm - step) for step in steps]
-        return np.stack(rises, axis=-1) / (2 * self.step_mm)
+        steps = self.step_mm * np.eye(2)[:, None]
+        # One call for all of them: a patch has so few nodes that calls are what takes time.
+        heights = self.height_mm(np.concatenate([xy_mm + steps, xy_mm - steps]).reshape(-1, 2))
+        ahead, behind = heights.reshape(2, 2, -1)
+        return (ahead - behind).T / (2 * self.step_mm)
 
 
 def improve_worst_tets(

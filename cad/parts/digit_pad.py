@@ -153,6 +153,12 @@ class DigitPad(HeightPad):
             found[1:, :5] = _SECTION_MM * (sag / _sag_mm(_FIT_RADIUS_MM, _FIT_HALF_WIDTH_MM))
         return found
 
+    @cached_property
+    def _slope_coefficients(self) -> tuple[np.ndarray, np.ndarray]:
+        """Those of the derivatives by u^2 and by w."""
+        c = self._coefficients_mm
+        return polynomial.polyder(c, axis=0), polynomial.polyder(c, axis=1)
+
     def crown_mm(self, xy_mm: np.ndarray) -> np.ndarray:
         """Height of the crown without its rim [mm], 0 at the apex, shape [...]."""
         u, w = self._uw(xy_mm)
@@ -161,9 +167,7 @@ class DigitPad(HeightPad):
     def crown_slope(self, xy_mm: np.ndarray) -> np.ndarray:
         """Gradient of the crown (dh/dx, dh/dy), shape [..., 2]."""
         u, w = self._uw(xy_mm)
-        c = self._coefficients_mm
-        by_u2 = polynomial.polyval2d(u**2, w, polynomial.polyder(c, axis=0))
-        by_w = polynomial.polyval2d(u**2, w, polynomial.polyder(c, axis=1))
+        by_u2, by_w = (polynomial.polyval2d(u**2, w, c) for c in self._slope_coefficients)
         slopes = [by_u2 * 2 * u * 2 / self.width_mm, by_w * 2 / self.length_mm]
         return np.stack(slopes, axis=-1)
 

@@ -89,17 +89,15 @@ class PadOutline:
 
     def inside_distance_mm(self, xy_mm: np.ndarray) -> np.ndarray:
         """Distance to the outline [mm], positive inside, shape [...]; xy [mm], shape [..., 2]."""
-        return self._nearest(xy_mm)[0]
+        return self.nearest(xy_mm)[0]
 
     def outward_normal(self, xy_mm: np.ndarray) -> np.ndarray:
         """Unit outward normal of the outline at the nearest outline point, shape [..., 2]."""
-        return self._nearest(xy_mm)[1]
+        return self.nearest(xy_mm)[1]
 
-    def curvature_per_mm(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Curvature of the outline at the nearest outline point [1/mm], shape [...]."""
-        return self._nearest(xy_mm)[2]
-
-    def _nearest(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def nearest(self, xy_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Distance to the outline [mm], positive inside, and its unit outward normal and curvature
+        [1/mm] at the nearest outline point; shapes [...], [..., 2] and [...]."""
         xy = np.asarray(xy_mm, dtype=np.float64)
         distance = np.full(xy.shape[:-1], np.inf)
         normal = np.zeros(xy.shape)

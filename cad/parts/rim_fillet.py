@@ -101,9 +101,9 @@ def _envelope_mm(
         # Newton's method along the spine for the stationary point of z + root; the curvature of
         # z itself is small beside that of the ball.
         arm = p - center
-        normal = spine.outward_normal(center)
+        _, normal, curvature = spine.nearest(center)
         tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
-        bend = 1 + spine.curvature_per_mm(center) * np.maximum((arm * normal).sum(axis=-1), 0)
+        bend = 1 + curvature * np.maximum((arm * normal).sum(axis=-1), 0)
         root = np.sqrt(np.maximum(radius_mm**2 - (arm**2).sum(axis=-1), 0))
         step = ((arm * tangent).sum(axis=-1) + (g * tangent).sum(axis=-1) * root) / bend
         center = _onto(spine, center + step[:, None] * tangent)
@@ -113,7 +113,8 @@ def _envelope_mm(
 
 def _onto(spine: PadOutline, xy: np.ndarray) -> np.ndarray:
     """Nearest points of the spine."""
-    return xy + spine.inside_distance_mm(xy)[:, None] * spine.outward_normal(xy)
+    distance, normal, _ = spine.nearest(xy)
+    return xy + distance[:, None] * normal
 
 
 def _ball_height_mm(

@@ -24,7 +24,6 @@ DISC = 0.85
 """Part of the contact that is looked at: its rim has the slopes of the gel, not of the ball."""
 FACTORS = np.exp(np.linspace(-np.log(2.5), np.log(2.5), 25))
 """Balls that are tried, over the stated one."""
-MIN_PRESSES = 8
 _STEEPEST = 0.97
 """Slopes beyond this part of the ball's radius are those there: circles are off by a pixel."""
 _TRUSTED = 0.8

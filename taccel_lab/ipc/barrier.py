@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The log barrier of IPC and the contact potential per unit of area.
 
-`barrier` is the form of Li et al. (2020), Incremental Potential Contact, eq. 6, on the distance:
+`unit_barrier` is that of Li et al. (2020), Incremental Potential Contact, eq. 6, on y = d / dhat:
 
-    b(d) = -(d - dhat)^2 ln(d / dhat) for 0 < d < dhat, else 0.
+    g(y) = -(y - 1)^2 ln(y) for 0 < y < 1, else 0.
 
 `contact_potential` is its area-weighted, dimensionless form (Li, Kaufman, Jiang 2023, Convergent
-Incremental Potential Contact): with y = d / dhat and a stiffness = kappa [Pa] * area [m^2],
+Incremental Potential Contact): with a stiffness = kappa [Pa] * area [m^2],
 
-    E(d) = stiffness * dhat * g(y),  g(y) = -(y - 1)^2 ln(y)
+    E(d) = stiffness * dhat * g(d / dhat)
 
 so that the contact pressure is kappa |g'(y)|, whatever dhat and the mesh are.
 """
@@ -45,24 +45,6 @@ def unit_barrier_d2(y: wp.float64) -> wp.float64:
         return wp.float64(0.0)
     ratio = (y - wp.float64(1.0)) / y
     return -wp.float64(2.0) * wp.log(y) - wp.float64(4.0) * ratio + ratio * ratio
-
-
-@wp.func
-def barrier(distance: wp.float64, dhat: wp.float64) -> wp.float64:
-    """IPC barrier b [m^2] of a distance > 0 [m]."""
-    return dhat * dhat * unit_barrier(distance / dhat)
-
-
-@wp.func
-def barrier_d1(distance: wp.float64, dhat: wp.float64) -> wp.float64:
-    """db/dd [m]."""
-    return dhat * unit_barrier_d1(distance / dhat)
-
-
-@wp.func
-def barrier_d2(distance: wp.float64, dhat: wp.float64) -> wp.float64:
-    """d2b/dd2 [-]."""
-    return unit_barrier_d2(distance / dhat)
 
 
 @wp.func

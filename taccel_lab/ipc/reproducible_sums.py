@@ -20,7 +20,6 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-_PLAIN = 0
 MEASURE = wp.constant(1)
 ROUND = wp.constant(2)
 

@@ -27,8 +27,6 @@ class LightSamples:
     """Power per solid angle on the axis by channel, shape [sample, 3]."""
     lobes: np.ndarray
     """Exponent of the lobe, shape [sample]."""
-    light_idx: np.ndarray
-    """Light that a sample belongs to, shape [sample]."""
 
 
 def sample_lights(lights: tuple[Light, ...], samples: int) -> LightSamples:
@@ -37,8 +35,8 @@ def sample_lights(lights: tuple[Light, ...], samples: int) -> LightSamples:
     A lobe cos^n of power P has the axial intensity P (n + 1) / (2 pi), so that its integral over
     the half-space is P.
     """
-    positions, axes, intensities, lobes, owner = [], [], [], [], []
-    for index, light in enumerate(lights):
+    positions, axes, intensities, lobes = [], [], [], []
+    for light in lights:
         points = _cell_centres(light, samples)
         count = len(points)
         axial = np.array(light.rgb) * (light.lobe + 1) / (2 * math.pi) / count
@@ -46,8 +44,7 @@ def sample_lights(lights: tuple[Light, ...], samples: int) -> LightSamples:
         axes.append(np.tile(light.direction, (count, 1)))
         intensities.append(np.tile(axial, (count, 1)))
         lobes.append(np.full(count, light.lobe))
-        owner.append(np.full(count, index))
-    return LightSamples(*map(np.concatenate, (positions, axes, intensities, lobes, owner)))
+    return LightSamples(*map(np.concatenate, (positions, axes, intensities, lobes)))
 
 
 def emitter_axes(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -127,7 +127,7 @@ class GelFace:
             return None
         import warp as wp
 
-        surface = ContactSurface.from_faces(self._faces, len(rest))
+        surface = ContactSurface.from_faces(self._faces)
         return (
             wp.array(surface.ring_start, dtype=wp.int32, device=self._device),
             wp.array(surface.ring_nodes, dtype=wp.int32, device=self._device),

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.apart import read_apart, stream_apart
+from taccel_lab.reading.apart import stream_apart
 from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
 
 if TYPE_CHECKING:
@@ -34,11 +33,6 @@ def read_frames(path: Path) -> Iterator[np.ndarray]:
     sizes, of more than ``MAX_FRAME_PIXELS``, or more than ``MAX_FRAMES``.
     """
     return stream_apart(str(path), _frames, Path(path), limit_s=_SILENT_S)
-
-
-def first_frame(path: Path) -> np.ndarray:
-    """The first frame of a video; errors as above."""
-    return read_apart(str(path), _first, Path(path), limit_s=_SILENT_S)
 
 
 def count_frames(path: Path) -> tuple[int, int]:
@@ -65,11 +59,6 @@ def _frames(path: Path) -> Iterator[np.ndarray]:
             )
         yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)
     _require_two(path, count)
-
-
-def _first(path: Path) -> np.ndarray:
-    frame, _ = islice(_frames(path), 2)
-    return frame
 
 
 def _counts(path: Path) -> Iterator[tuple[int, int]]:

@@ -8,7 +8,6 @@ with compact node numbers, and reused for every frame.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -20,8 +19,6 @@ from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 class ContactSurface:
     """Triangulation of the contact faces with its neighbourhoods."""
 
-    node_count_total: int
-    """Nodes of the tet mesh it was cut from."""
     node_idx: np.ndarray
     """Tet-mesh node of each surface node, int32, shape [surface_node_count]."""
     faces: np.ndarray
@@ -32,10 +29,6 @@ class ContactSurface:
     """First entry of each node in ``ring_nodes``, int32, shape [surface_node_count + 1]."""
     ring_nodes: np.ndarray
     """Edge neighbours of each node, int32, shape [2 edge_count]."""
-    patch_start: np.ndarray
-    """First entry of each node in ``patch_nodes``, int32, shape [surface_node_count + 1]."""
-    patch_nodes: np.ndarray
-    """Neighbours of each node up to two edges away, int32, shape [entry_count]."""
 
     @property
     def node_count(self) -> int:
@@ -50,10 +43,10 @@ class ContactSurface:
                 "TetMesh.face_regions holds no face of region CONTACT; a tactile image needs the "
                 f"contact face (value {int(Region.CONTACT)}) to be labelled"
             )
-        return cls.from_faces(faces, mesh.node_count)
+        return cls.from_faces(faces)
 
     @classmethod
-    def from_faces(cls, faces: np.ndarray, node_count_total: int) -> ContactSurface:
+    def from_faces(cls, faces: np.ndarray) -> ContactSurface:
         """Build from triangles in tet-mesh numbering, shape [face_count, 3]."""
         node_idx, local = np.unique(np.asarray(faces), return_inverse=True)
         local = local.reshape(-1, 3).astype(np.int32)
@@ -61,60 +54,22 @@ class ContactSurface:
             np.sort(np.concatenate([local[:, [0, 1]], local[:, [1, 2]], local[:, [2, 0]]]), axis=1),
             axis=0,
         )
-        ring, patch = _neighbours(edges, len(node_idx))
+        ring_start, ring_nodes = _neighbours(edges, len(node_idx))
         return cls(
-            node_count_total=node_count_total,
             node_idx=node_idx.astype(np.int32),
             faces=local,
             edges=edges.astype(np.int32),
-            ring_start=ring[0],
-            ring_nodes=ring[1],
-            patch_start=patch[0],
-            patch_nodes=patch[1],
+            ring_start=ring_start,
+            ring_nodes=ring_nodes,
         )
 
-    def surface_positions(self, positions: Any) -> np.ndarray:
-        """Check solver positions and return those of the surface nodes.
 
-        Args:
-            positions: Node positions in the gel frame [m], shape [env, node, 3] (or [node, 3] for
-                one environment), numpy or Warp array.
-
-        Returns:
-            Float64 array, shape [env, surface_node_count, 3].
-
-        Raises:
-            InputError: Wrong shape, or NaN or infinite coordinates.
-        """
-        array = positions.numpy() if hasattr(positions, "numpy") else np.asarray(positions)
-        if array.ndim == 2:
-            array = array[None]
-        if array.ndim != 3 or array.shape[1:] != (self.node_count_total, 3) or len(array) == 0:
-            raise InputError(
-                f"positions has shape {array.shape}; [env, {self.node_count_total}, 3] is needed"
-            )
-        surface = np.ascontiguousarray(array[:, self.node_idx], dtype=np.float64)
-        if not np.isfinite(surface).all():
-            bad = np.flatnonzero(~np.isfinite(surface).all(axis=(1, 2))).tolist()
-            raise InputError(f"positions holds NaN or infinite coordinates in environments {bad}")
-        return surface
-
-
-def _neighbours(
-    edges: np.ndarray, node_count: int
-) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Neighbours one edge away and up to two edges away, each as (start, nodes)."""
+def _neighbours(edges: np.ndarray, node_count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Neighbours one edge away, as (start, nodes)."""
     from scipy import sparse
 
     ones = np.ones(len(edges), dtype=np.int32)
     half = sparse.coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(node_count, node_count))
     ring = sparse.csr_array(half + half.T)
-    patch = sparse.csr_array(ring @ ring + ring)
-    patch.setdiag(0)
-    patch.eliminate_zeros()
     ring.sort_indices()
-    patch.sort_indices()
-    return (
-        (ring.indptr.astype(np.int32), ring.indices.astype(np.int32)),
-        (patch.indptr.astype(np.int32), patch.indices.astype(np.int32)),
-    )
+    return ring.indptr.astype(np.int32), ring.indices.astype(np.int32)

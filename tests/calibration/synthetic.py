@@ -20,14 +20,8 @@ from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
-from taccel_lab.profile import (
-    CameraBlock,
-    GelBlock,
-    MaterialBlock,
-    Provenance,
-    SensorBlock,
-    SensorProfile,
-)
+from taccel_lab.profile import SensorProfile
+from tests.profile.sample_blocks import bare_profile
 
 GRID = PixelGrid(160, 120, 0.1, 0.1)
 BALL_RADIUS_MM = 2.0
@@ -177,23 +171,10 @@ def without_check(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def tiny_profile(grid: PixelGrid) -> SensorProfile:
     """A profile of one tet, without background and colour."""
-    provenance = Provenance(kind="assumed", method="made up for a test", source="none")
     tets = np.array([[0, 2, 1, 3]])
     nodes = np.array([[0, 0, 0], [1, 0, -1], [0, 1, -1], [0, 0, -1]]) * 1e-3
     faces = boundary_faces(tets)
-    return SensorProfile(
-        sensor=SensorBlock(name="test", family="gelsight", provenance=provenance),
-        gel=GelBlock(
-            thickness_mm=1.0, node_count=4, tet_count=1, min_dihedral_deg=54.7,
-            provenance=provenance,
-        ),
-        material=MaterialBlock(
-            young_modulus_pa=1.5e5, poisson_ratio=0.48, density_kg_m3=1000.0,
-            friction_coefficient=0.5, provenance=provenance,
-        ),
-        camera=CameraBlock.from_grid(grid, provenance),
-        mesh=TetMesh(nodes, tets, faces, np.arange(4)),
-    )  # fmt: skip
+    return bare_profile(TetMesh(nodes, tets, faces, np.arange(4)), grid)
 
 
 def flat_profile(grid: PixelGrid, thickness_mm: float = 1.0) -> SensorProfile:

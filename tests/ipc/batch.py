@@ -18,7 +18,7 @@ from taccel_lab.ipc.distance.edge_edge_mollifier import (
     edge_edge_mollifier_threshold,
 )
 from taccel_lab.ipc.distance.point_edge import closest_point_edge, point_edge_distance_sq
-from taccel_lab.ipc.distance.point_point import closest_point_point, point_point_distance_sq
+from taccel_lab.ipc.distance.point_point import closest_point_point
 from taccel_lab.ipc.distance.point_triangle import (
     closest_point_triangle,
     point_triangle_distance_sq,
@@ -69,7 +69,7 @@ def _distance_sq(
         return edge_edge_distance_sq(x0, x1, x2, x3)
     if kind == 2:
         return point_edge_distance_sq(x0, x1, x2)
-    return point_point_distance_sq(x0, x1)
+    return wp.length_sq(x0 - x1)
 
 
 @wp.kernel
@@ -174,9 +174,9 @@ def _barrier_kernel(
 ):
     i = wp.tid()
     ipc_form[i] = wp.vec3d(
-        barrier_module.barrier(d[i], dhat[i]),
-        barrier_module.barrier_d1(d[i], dhat[i]),
-        barrier_module.barrier_d2(d[i], dhat[i]),
+        dhat[i] * dhat[i] * barrier_module.unit_barrier(d[i] / dhat[i]),
+        dhat[i] * barrier_module.unit_barrier_d1(d[i] / dhat[i]),
+        barrier_module.unit_barrier_d2(d[i] / dhat[i]),
     )
     potential[i] = wp.vec3d(
         barrier_module.contact_potential(d[i], dhat[i], stiffness),

@@ -14,12 +14,7 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.newton_door.show import SceneView
 from taccel_lab.profile import (
     BackgroundBlock,
-    CameraBlock,
     ColorBlock,
-    GelBlock,
-    MaterialBlock,
-    Provenance,
-    SensorBlock,
     SensorProfile,
 )
 from taccel_lab.scene import Ball, KinematicBody, Plane, Scene, SoftBody
@@ -35,6 +30,7 @@ from tests.newton_door.squeezed_cube import (
     jaws,
     newton,
 )
+from tests.profile.sample_blocks import ASSUMED, bare_profile
 from tests.signals.tactile_cases import background, color_model
 
 SensorTactile = pytest.importorskip("taccel_lab.newton_door.sensor_tactile").SensorTactile
@@ -87,32 +83,13 @@ def test_a_gel_feels_the_cube_at_its_nodes(held: tuple[SolverGel, object]) -> No
 
 def colored_profile() -> SensorProfile:
     """A sensor of the pad, with made-up colours."""
-    said = Provenance(kind="assumed", method="made up for a test", source="none")
     mesh, grid = PAD.mesh, PixelGrid(64, 48, 0.12, 0.16, 31.5, 23.5)
     colors = color_model(grid)
     return (
-        SensorProfile(
-            sensor=SensorBlock(name="pad", family="gelsight", provenance=said),
-            gel=GelBlock(
-                thickness_mm=3.0,
-                node_count=mesh.node_count,
-                tet_count=mesh.tet_count,
-                min_dihedral_deg=1.0,
-                provenance=said,
-            ),
-            material=MaterialBlock(
-                young_modulus_pa=1e5,
-                poisson_ratio=0.45,
-                density_kg_m3=1e3,
-                friction_coefficient=0.8,
-                provenance=said,
-            ),
-            camera=CameraBlock.from_grid(grid, said),
-            mesh=mesh,
-        )
-        .with_block(BackgroundBlock(provenance=said), background(grid))
+        bare_profile(mesh, grid, "pad", thickness_mm=3.0)
+        .with_block(BackgroundBlock(provenance=ASSUMED), background(grid))
         .with_block(
-            ColorBlock(architecture=colors.config.to_dict(), provenance=said), colors.weights
+            ColorBlock(architecture=colors.config.to_dict(), provenance=ASSUMED), colors.weights
         )
     )
 

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.profile import (
+    CameraBlock,
     CoatingBlock,
     GelBlock,
     LayerMaterial,
@@ -20,6 +21,7 @@ from taccel_lab.profile import (
     MaterialBlock,
     Provenance,
     SensorBlock,
+    SensorProfile,
     WindowBlock,
 )
 
@@ -33,6 +35,25 @@ CALIBRATED = Provenance(
     spread={"heldout_l1_levels": 0.25},
     valid_region={"slope_deg": (0.0, 62.0)},
 )
+
+
+def bare_profile(
+    mesh: TetMesh, grid: PixelGrid, name: str = "test", thickness_mm: float = 1.0
+) -> SensorProfile:
+    """The blocks that every profile has, for a gel."""
+    return SensorProfile(
+        sensor=SensorBlock(name=name, family="gelsight", provenance=ASSUMED),
+        gel=GelBlock(
+            thickness_mm=thickness_mm, node_count=mesh.node_count, tet_count=mesh.tet_count,
+            min_dihedral_deg=1.0, provenance=ASSUMED,
+        ),
+        material=MaterialBlock(
+            young_modulus_pa=1.5e5, poisson_ratio=0.48, density_kg_m3=1000.0,
+            friction_coefficient=0.5, provenance=ASSUMED,
+        ),
+        camera=CameraBlock.from_grid(grid, ASSUMED),
+        mesh=mesh,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

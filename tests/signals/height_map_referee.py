@@ -36,7 +36,9 @@ class HeightMapReferee:
 
     def update(self, positions: Any) -> None:
         """Read node positions [m], shape [env, node, 3], numpy or Warp."""
-        points = self.surface.surface_positions(positions)
+        nodes = positions.numpy() if hasattr(positions, "numpy") else np.asarray(positions)
+        nodes = nodes.reshape(-1, *nodes.shape[-2:])
+        points = np.ascontiguousarray(nodes[:, self.surface.node_idx], dtype=np.float64)
         on_device = wp.array(points, dtype=wp.vec3d, device="cpu")
         raster = FaceRaster(self.surface.faces, self.grid)
         raster.update(on_device)

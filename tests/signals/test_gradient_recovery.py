@@ -50,19 +50,14 @@ def test_the_network_of_least_bending_is_found():
 
 
 def test_neighbourhoods_hold_the_edges():
-    surface = ContactSurface.from_faces(np.array([[10, 11, 12], [12, 11, 13]]), 20)
+    surface = ContactSurface.from_faces(np.array([[10, 11, 12], [12, 11, 13]]))
     assert surface.node_idx.tolist() == [10, 11, 12, 13]
     assert surface.edges.tolist() == [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]]
     ring = [
         surface.ring_nodes[a:b].tolist()
         for a, b in zip(surface.ring_start[:-1], surface.ring_start[1:], strict=True)
     ]
-    patch = [
-        surface.patch_nodes[a:b].tolist()
-        for a, b in zip(surface.patch_start[:-1], surface.patch_start[1:], strict=True)
-    ]
     assert ring == [[1, 2], [0, 2, 3], [0, 1, 3], [1, 2]]
-    assert patch == [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]
 
 
 def test_sweeps_divide_the_error_as_chebyshev_promises():

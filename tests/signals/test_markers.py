@@ -13,19 +13,15 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, quadratic_mesh
 from taccel_lab.profile import (
     BackgroundBlock,
-    CameraBlock,
     ColorBlock,
-    GelBlock,
     MarkersBlock,
-    MaterialBlock,
-    Provenance,
-    SensorBlock,
     SensorProfile,
 )
 from taccel_lab.scene import Element, Material, Scene, SoftBody
 from taccel_lab.signals import MarkerLayout, SignalTactile
 from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 from taccel_lab.solvers import SolverIPC
+from tests.profile.sample_blocks import ASSUMED, bare_profile
 from tests.signals.pressed_surface import extrude, flat_pad
 
 GRID = PixelGrid(96, 72, 0.05, 0.04, 40.0, 30.0)
@@ -40,13 +36,10 @@ def markers_px(mesh, positions: np.ndarray, points_mm: np.ndarray = POINTS_MM) -
     return signal.markers_px.numpy()
 
 
-SAID = Provenance(kind="assumed", method="made up for a test", source="none")
-
-
 def dotted_profile() -> SensorProfile:
     """``MESH`` with 5 x 4 dark dots and colours that no press changes."""
     markers = MarkersBlock(
-        rows=4, columns=5, pitch_x_mm=0.8, pitch_y_mm=0.7, radius_mm=0.15, provenance=SAID
+        rows=4, columns=5, pitch_x_mm=0.8, pitch_y_mm=0.7, radius_mm=0.15, provenance=ASSUMED
     )
     v, u = np.mgrid[: GRID.height_px, : GRID.width_px]
     image = np.full((*u.shape, 3), 150.0, np.float32)
@@ -54,27 +47,11 @@ def dotted_profile() -> SensorProfile:
         image[np.hypot(u - place[0], v - place[1]) <= 3.0] = 30.0
     config = ColorModelConfig(GRID.width_px, GRID.height_px, hidden=(8, 8))
     still = {name: np.zeros(shape, np.float32) for name, shape in expected_shapes(config).items()}
-    profile = SensorProfile(
-        sensor=SensorBlock(name="dotted", family="gelsight", provenance=SAID),
-        gel=GelBlock(
-            thickness_mm=1.0,
-            node_count=MESH.node_count,
-            tet_count=MESH.tet_count,
-            min_dihedral_deg=1.0,
-            provenance=SAID,
-        ),
-        material=MaterialBlock(
-            young_modulus_pa=1e5,
-            poisson_ratio=0.45,
-            density_kg_m3=1e3,
-            friction_coefficient=0.5,
-            provenance=SAID,
-        ),
-        camera=CameraBlock.from_grid(GRID, SAID),
-        mesh=MESH,
+    profile = bare_profile(MESH, GRID, "dotted")
+    profile = profile.with_block(BackgroundBlock(provenance=ASSUMED), image)
+    profile = profile.with_block(
+        ColorBlock(architecture=config.to_dict(), provenance=ASSUMED), still
     )
-    profile = profile.with_block(BackgroundBlock(provenance=SAID), image)
-    profile = profile.with_block(ColorBlock(architecture=config.to_dict(), provenance=SAID), still)
     return profile.with_block(markers)
 
 

@@ -13,15 +13,10 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import (
     BackgroundBlock,
-    CameraBlock,
     ColorBlock,
-    GelBlock,
-    MaterialBlock,
-    Provenance,
-    SensorBlock,
-    SensorProfile,
 )
 from taccel_lab.signals import MarkerLayout, SignalTactile
+from tests.profile.sample_blocks import ASSUMED, bare_profile
 from tests.signals.pressed_surface import flat_pad
 from tests.signals.tactile_cases import (
     ALL,
@@ -193,33 +188,14 @@ def test_some_environments_look_as_among_all(device: str, chunk_images: int) -> 
 def test_a_profile_says_all_but_the_markers():
     mesh = flat_pad(0.4, PAD_HALF_MM)
     model = color_model(GRID)
-    said = Provenance(kind="assumed", method="made up for a test", source="none")
-    profile = SensorProfile(
-        sensor=SensorBlock(name="one", family="gelsight", provenance=said),
-        gel=GelBlock(
-            thickness_mm=1.0,
-            node_count=mesh.node_count,
-            tet_count=mesh.tet_count,
-            min_dihedral_deg=1.0,
-            provenance=said,
-        ),
-        material=MaterialBlock(
-            young_modulus_pa=1e5,
-            poisson_ratio=0.45,
-            density_kg_m3=1e3,
-            friction_coefficient=0.5,
-            provenance=said,
-        ),
-        camera=CameraBlock.from_grid(GRID, said),
-        mesh=mesh,
-    )
+    profile = bare_profile(mesh, GRID, "one")
     positions = on_device(presses(mesh), "cpu")
     bare = SignalTactile.from_profile(profile, env_count=ENV_COUNT)
     bare.update(positions)
     with pytest.raises(InputError, match="color_model"):
         _ = bare.rgb
-    profile = profile.with_block(BackgroundBlock(provenance=said), background(GRID))
-    block = ColorBlock(architecture=model.config.to_dict(), provenance=said)
+    profile = profile.with_block(BackgroundBlock(provenance=ASSUMED), background(GRID))
+    block = ColorBlock(architecture=model.config.to_dict(), provenance=ASSUMED)
     profile = profile.with_block(block, model.weights)
     full = SignalTactile.from_profile(
         profile, env_count=ENV_COUNT, markers=MarkerLayout.from_points(mesh, MARKERS_MM)

@@ -19,9 +19,3 @@ def closest_point_point(p0: wp.vec3d, p1: wp.vec3d) -> ClosestPair:
     pair.offset = p0 - p1
     pair.distance_sq = wp.dot(pair.offset, pair.offset)
     return pair
-
-
-@wp.func
-def point_point_distance_sq(p0: wp.vec3d, p1: wp.vec3d) -> wp.float64:
-    """Squared distance of two points [m^2]."""
-    return wp.length_sq(p0 - p1)

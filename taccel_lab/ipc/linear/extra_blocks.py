@@ -36,7 +36,3 @@ class ExtraBlocks(GrowingList):
             self.counts.zero_()
         else:
             super().clear(active)
-
-    def overflowed(self) -> bool:
-        """Read the counts back; when the list was too short make it long enough and say so."""
-        return self.fit()

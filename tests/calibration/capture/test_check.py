@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,14 +25,6 @@ from tests.calibration.capture.capture_sets import (
     spread_circles,
 )
 from tests.calibration.drawn.faults import blur, drift
-from tests.calibration.judged_once import detect_once
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _equal_frames_are_measured_once() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        detect_once(patch)
-        yield
 
 
 def check(maker: CaptureMaker, folder: Path) -> CaptureCheck:

@@ -65,14 +65,14 @@ def test_solvers_with_extra_blocks(method: str) -> None:
     system.rhs.assign(rhs)
     extra = system.extra
     extra.counts.assign(np.full(envs, 40))
-    assert extra.overflowed()
+    assert extra.fit()
     assert (extra.rooms == 60).all()
     list_extra(
         extra,
         [part[:count] for part, count in zip(places, counts, strict=True)],
         [part[:count] for part, count in zip(blocks, counts, strict=True)],
     )
-    assert not extra.overflowed()
+    assert not extra.fit()
     system.tolerances.fill_(1e-10)
     system.solve(wp.full(envs, 1, dtype=wp.int32, device=CPU), 5000)
     report = system.report()
@@ -159,7 +159,7 @@ def test_blocks_of_all_kinds_of_nodes_are_j_transposed_h_j() -> None:
             ],
         )
         launches += 1
-        if not linear.extra.overflowed():
+        if not linear.extra.fit():
             break
     assert launches == 2, "the list was too short at first"
     full = model.pattern.dense(linear.values.numpy())[0]
