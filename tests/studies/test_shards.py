@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -91,6 +93,19 @@ def test_two_processes_ask_one_journal(tmp_path: Path) -> None:
     (tmp_path / JOURNAL).unlink()
     again = run_study(study(**GP), tmp_path, processes=0)
     assert again.complete and again.new == 0
+
+
+def test_a_journal_whose_writer_was_killed_amid_a_line_goes_on(tmp_path: Path) -> None:
+    run_study(study(**GP), tmp_path, processes=0, limit=3, shard=Shard(1, 2))
+    with open(tmp_path / JOURNAL, "ab") as journal:
+        journal.write(b'{"op_code":5,"worker_id":"x","trial_id":3,"para')
+    (tmp_path / f"{JOURNAL}.lock").symlink_to(JOURNAL)  # Optuna's own, of the killed one.
+    begun = time.monotonic()
+    outcome = run_study(study(**GP), tmp_path, processes=0, shard=Shard(1, 2))
+    assert outcome.complete and len(outcome.rows) == 14
+    assert time.monotonic() - begun < 25
+    for line in (tmp_path / JOURNAL).read_text().splitlines():
+        json.loads(line)
 
 
 def test_a_shard_that_lost_designs_says_so(tmp_path: Path) -> None:
