@@ -10,7 +10,6 @@ which no closed form gives for a layer of finite thickness, comes out of the sim
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
@@ -40,6 +39,7 @@ from taccel_lab.calibration.surfaces.shared_law import (
 )
 from taccel_lab.envs.physics import SURFACE_PHYSICS, PressPhysics
 from taccel_lab.errors import InputError
+from taccel_lab.process_pool import usable_cores
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.registry import profile_parameters
@@ -201,7 +201,7 @@ class _KnownSurfaces:
                 left.append(batch)
             else:
                 self._place_batch(batch, kept)
-        workers = min(self.processes or min(os.cpu_count() or 1, 8), len(left))
+        workers = min(self.processes or min(usable_cores(), 8), len(left))
         if workers <= 1:
             for batch in left:
                 self._keep(batch, simulate_batch(batch))

@@ -30,7 +30,7 @@ class DatasetMake:
     The file says which sensors, objects and motions, what varies and which channels are kept
     (docs/datasets.md). The same command goes on with what was stopped or killed. Shards are made
     by any number of processes or machines, in one folder or in one each: --shard 3/8, or from
-    SLURM --shard $SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT (--array=1-8), one process a GPU.
+    SLURM --shard $SLURM_ARRAY_TASK_ID/8 (--array=1-8), one process a GPU.
     Files that are written do not depend on shards or processes; on the CPU they are equal to the
     byte whenever they are made.
 

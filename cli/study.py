@@ -64,6 +64,8 @@ class Study:
     """Print the result, or a list, as JSON."""
 
     def run(self) -> None:
+        from taccel_lab.reading.shard import Shard
+
         if self.list_metrics or self.list_presses:
             _print_lists(self)
             return
@@ -73,6 +75,8 @@ class Study:
             raise InputError(f"limit must be at least 1, got {self.limit}")
         if self.shard is not None and (self.submit or self.report_only):
             raise InputError("--shard goes with neither --submit nor --report-only")
+        if self.shard is not None:
+            Shard.parse(self.shard)
         if self.processes is not None and not 1 <= self.processes <= 1024:
             raise InputError(f"processes must lie in 1..1024, got {self.processes}")
         if self.submit:
@@ -105,7 +109,7 @@ class Study:
         )
 
     def _run(self, file: Path) -> None:
-        from taccel_lab.cli.console import notes
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.studies.report import write_study_report
         from taccel_lab.studies.runner import read_outcome
         from taccel_lab.studies.study import default_kit, read_study
@@ -127,6 +131,9 @@ class Study:
                     highlight=False,
                     soft_wrap=True,
                 )
+                if self.json:
+                    print_json({"designs": len(outcome.rows), "new": outcome.new})
+                outcome.require_whole()
                 return
             with console.status("writing the report"):
                 values = write_study_report(outcome)

@@ -18,7 +18,6 @@ the same command. Shards write different parts and may share the folder, or have
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 from collections.abc import Iterator
@@ -28,8 +27,9 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.datasets.part import EPISODES, STEPS
 from taccel_lab.errors import InputError
+from taccel_lab.file_lock import hold
 from taccel_lab.output import atomic_file, write_json
-from taccel_lab.output_folder import require_growable
+from taccel_lab.output_folder import may_hold, require_growable
 from taccel_lab.reading.json_file import read_json
 
 if TYPE_CHECKING:
@@ -51,13 +51,13 @@ class DatasetFolder:
         """Refuse a folder of somebody else, or of another data set than ``plan``."""
         if not self.root.is_dir():
             require_growable(self.root)
-        if not self.root.is_dir() or all(p.name.startswith(LOCK) for p in self.root.iterdir()):
-            return
-        if not (self.root / ABOUT).is_file():
+        if not may_hold(self.root, ABOUT):
             raise InputError(
                 f"{self.root} holds files and no data set; name a new folder, an empty one, or "
                 "that of this data set to go on with it"
             )
+        if not (self.root / ABOUT).is_file():
+            return
         about = self.about()
         if about.get("plan") != plan.digest:
             differs = _differences(about.get("recipe", {}), plan.recipe)
@@ -110,13 +110,8 @@ class DatasetFolder:
         """Hold a shard; raises InputError while another run does. Goes with the process."""
         self.root.mkdir(parents=True, exist_ok=True)
         with open(self.root / f"{LOCK}{shard.replace('/', '-of-')}", "a+") as marker:
-            try:
-                fcntl.flock(marker, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise InputError(
-                    f"another run makes shard {shard} in {self.root}; wait for its end or choose "
-                    "another shard"
-                ) from None
+            busy = f"another run makes shard {shard} in {self.root}"
+            hold(marker, busy, "wait for its end or choose another shard")
             yield
 
     def part(self, part: Part) -> Path:

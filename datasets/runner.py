@@ -21,7 +21,7 @@ from taccel_lab.datasets.touch import Touch, TouchRecord, failed_touch
 from taccel_lab.envs import PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_json
-from taccel_lab.process_pool import Died, Finished, ProcessPool
+from taccel_lab.process_pool import Died, Finished, ProcessPool, usable_cores
 from taccel_lab.progress import Progress
 from taccel_lab.report.machine import describe_run
 
@@ -94,7 +94,7 @@ Listener = Callable[[int, int, int, float], None]
 
 def default_processes(device: str) -> int:
     """One a core this process may use; a GPU is served by this process itself."""
-    return 0 if device.startswith("cuda") else len(os.sched_getaffinity(0))
+    return 0 if device.startswith("cuda") else usable_cores()
 
 
 def batches(plan: Plan, parts: list[Part], device: str) -> list[tuple[Part, ...]]:

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
 from taccel_lab.errors import InputError
 from taccel_lab.reading.shard import Shard
@@ -22,13 +24,48 @@ def run_shard(
     file: str, root: str, shard: Shard, device: str | None, processes: int | None,
     accuracy: str | None,
 ) -> int:  # fmt: skip
-    """Work of one job: its part of the study. Returns the number of new designs."""
+    """Work of one job: its part of the study. Returns the number of new designs.
+
+    Raises SimulationError where processes of it died, as of too little memory.
+    """
     study = read_study(Path(file), default_kit(), accuracy)
     source = Path(file).read_text(encoding="utf-8")
     outcome = run_study(
         study, root, device=device, processes=processes, shard=shard, source=source
     )  # fmt: skip
+    outcome.require_whole()
     return outcome.new
+
+
+@dataclass(frozen=True)
+class ShardJob:
+    """``run_shard`` as submitit runs it: a job whose time is up is queued again, and goes on."""
+
+    file: str
+    root: str
+    shard: Shard
+    device: str | None
+    processes: int | None
+    accuracy: str | None
+
+    def __call__(self) -> int:
+        # submitit passes SIGTERM over, which SLURM sends to a job that it will kill.
+        signal.signal(signal.SIGTERM, _end)
+        return run_shard(
+            self.file, self.root, self.shard, self.device, self.processes, self.accuracy
+        )
+
+    def checkpoint(self) -> Any:
+        """What submitit queues again."""
+        from submitit.helpers import DelayedSubmission
+
+        # Not between this and the queue, where SLURM's second signal may come.
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        return DelayedSubmission(self)
+
+
+def _end(*_: object) -> NoReturn:
+    raise SystemExit(143)
 
 
 def submit_shards(
@@ -52,31 +89,34 @@ def submit_shards(
         device: As of ``run_study``.
         processes: As of ``run_study``.
         accuracy: As of ``read_study``.
-        settings: Of submitit's executor, such as ``slurm_partition`` and ``timeout_min``.
+        settings: Of submitit's executor, such as ``slurm_partition``; SLURM needs ``timeout_min``.
 
     Returns:
         submitit's jobs; ``job.result()`` waits for one.
 
     Raises:
-        InputError: submitit is missing, or a setting that it does not have.
+        InputError: submitit is missing, or a setting that it or SLURM refuses.
     """
     try:
         import submitit
     except ImportError as error:
         raise InputError("jobs need submitit: pip install taccel-lab[slurm]") from error
+    settings = dict(settings or {})
+    if where == "slurm" and "timeout_min" not in settings:
+        # submitit's own limit is 5 minutes.
+        raise InputError("say how long a job may take: --job timeout_min=240, in minutes")
+    if "slurm_time" in settings:
+        raise InputError("a job's time is given in minutes, as timeout_min, not as slurm_time")
     read_study(file, default_kit(), accuracy)
     folder = StudyFolder(root)
     with folder.locked():
         (folder.root / JOBS).mkdir(exist_ok=True)
+    texts = (str(file.resolve()), str(folder.root))
+    shards = [Shard(number + 1, count) for number in range(count)]
+    jobs = [ShardJob(*texts, shard, device, processes, accuracy) for shard in shards]
     try:
         executor = submitit.AutoExecutor(folder.root / JOBS, cluster=where)
-        executor.update_parameters(**{"name": f"study-{file.stem}", **(settings or {})})
-    except (NameError, TypeError, ValueError, RuntimeError) as error:
+        executor.update_parameters(**{"name": f"study-{file.stem}", **settings})
+        return executor.submit_array(jobs)
+    except (AssertionError, NameError, TypeError, ValueError, RuntimeError) as error:
         raise InputError(f"submitit refuses to submit to {where}: {error}") from error
-    shards = [Shard(number + 1, count) for number in range(count)]
-    texts = (str(file.resolve()), str(folder.root))
-    with executor.batch():
-        return [
-            executor.submit(run_shard, *texts, shard, device, processes, accuracy)
-            for shard in shards
-        ]

@@ -8,6 +8,8 @@ becomes one, so that a lost journal costs nothing but its order.
 
 from __future__ import annotations
 
+import fcntl
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +21,7 @@ from taccel_lab.studies.spec import Constraint, Objective, Sweep
 
 if TYPE_CHECKING:
     import optuna
+    from optuna.storages.journal import JournalFileOpenLock
 
 METHODS: tuple[str, ...] = ("GP", "TPE", "NSGA2")
 """Gaussian process with log expected improvement, tree-structured Parzen estimator, and the genetic
@@ -65,7 +68,7 @@ def optimise_with_optuna(
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     problem = _Problem(axes, objectives, constraints)
     study = optuna.create_study(
-        storage=JournalStorage(JournalFileBackend(str(journal))),
+        storage=JournalStorage(JournalFileBackend(str(journal), _lock_of(journal))),
         study_name=problem.name,
         directions=["minimize" if o.sign > 0 else "maximize" for o in objectives],
         sampler=_sampler(sweep.method, seed, bool(constraints)),
@@ -105,6 +108,28 @@ def optimise_with_optuna(
         for params in _tried(study).values()
     ]
     return state
+
+
+def _lock_of(journal: Path) -> JournalFileOpenLock:
+    """Optuna's own lock is a link that outlives a killed process and holds the others up for half a
+    minute; and the half line that one leaves would spoil the next, and with it the journal."""
+    from optuna.storages.journal import JournalFileOpenLock
+
+    class Lock(JournalFileOpenLock):
+        def acquire(self) -> bool:
+            self._file = open(journal, "rb+")
+            fcntl.flock(self._file, fcntl.LOCK_EX)
+            if self._file.seek(0, os.SEEK_END):
+                self._file.seek(-1, os.SEEK_END)
+                if self._file.read(1) != b"\n":
+                    self._file.seek(0)
+                    self._file.truncate(self._file.read().rfind(b"\n") + 1)
+            return True
+
+        def release(self) -> None:
+            self._file.close()
+
+    return Lock(str(journal))
 
 
 def _tried(study: optuna.Study) -> dict[tuple[Any, ...], dict[str, Any]]:

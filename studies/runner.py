@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from taccel_lab.errors import InputError
-from taccel_lab.process_pool import Died, Finished, ProcessPool, Underway
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.process_pool import Died, Finished, ProcessPool, Underway, usable_cores
 from taccel_lab.reading.shard import Shard
 from taccel_lab.studies.design_batch import DesignBatch, gather_batches, sharing_key
 from taccel_lab.studies.design_point import DesignPoint
@@ -66,6 +65,15 @@ class Outcome:
         """Designs that have figures."""
         return [row for row in self.rows if row.status == "done"]
 
+    def require_whole(self) -> None:
+        """Raise SimulationError where designs were lost, to a process that died or to a fault."""
+        lost = [row for row in self.rows if row.status == "broken"]
+        if lost:
+            raise SimulationError(
+                f"{len(lost)} of {len(self.rows)} designs were lost, the first one as "
+                f"{lost[0].causes['design']}; the others are kept, and the next run tries again"
+            )
+
     @property
     def complete(self) -> bool:
         """Whether the sweep is through."""
@@ -83,7 +91,7 @@ class _LimitReached(Exception):
 
 def default_processes(device: str) -> int:
     """One a core this process may use; one for a GPU."""
-    return 1 if device.startswith("cuda") else len(os.sched_getaffinity(0))
+    return 1 if device.startswith("cuda") else usable_cores()
 
 
 def run_study(

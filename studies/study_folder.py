@@ -15,16 +15,15 @@ Each file appears whole or not at all, so that a run may be killed at any time.
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
 from taccel_lab.errors import InputError
+from taccel_lab.file_lock import hold
 from taccel_lab.output import atomic_file, write_json
-from taccel_lab.output_folder import require_growable
+from taccel_lab.output_folder import may_hold, require_growable
 from taccel_lab.reading.shard import Shard
 from taccel_lab.studies.design_row import DesignRow, read_row
 
@@ -49,7 +48,7 @@ class StudyFolder:
 
     def require_usable(self) -> None:
         """Refuse a path with a file in the way, or a folder with files of somebody else."""
-        if not self.is_study() and self.root.is_dir() and any(self.root.iterdir()):
+        if not may_hold(self.root, STUDY_MARKER):
             raise InputError(
                 f"{self.root} holds files and no study; name a new folder, an empty one, or that "
                 "of an earlier study to go on with it"
@@ -72,7 +71,9 @@ class StudyFolder:
         self.require_usable()
         self.root.mkdir(parents=True, exist_ok=True)
         with open(self.root / STUDY_MARKER, "a+", encoding="utf-8") as marker:
-            self._hold(marker, fcntl.LOCK_EX if shard is None else fcntl.LOCK_SH)
+            advice = "wait for its end or name another folder"
+            shared = shard is not None
+            hold(marker, f"another run works in {self.root}", advice, shared=shared)
             if shard is None:
                 self._sweep_up()
                 yield
@@ -80,22 +81,9 @@ class StudyFolder:
             self.designs.mkdir(exist_ok=True)
             own = self.root / f".shard_{shard.number}_of_{shard.count}"
             with open(own, "a+", encoding="utf-8") as mine:
-                self._hold(mine, fcntl.LOCK_EX)
+                busy = f"another run works in {self.root} at shard {shard.number}/{shard.count}"
+                hold(mine, busy, "wait for its end")
                 yield
-
-    def _hold(self, marker: IO[str], kind: int) -> None:
-        try:
-            fcntl.flock(marker, kind | fcntl.LOCK_NB)
-        except BlockingIOError:
-            marker.seek(0)
-            raise InputError(
-                f"another run works in {self.root} (process {marker.read().strip() or '?'}); "
-                "wait for its end or name another folder"
-            ) from None
-        marker.seek(0)
-        marker.truncate()
-        marker.write(f"{os.getpid()}\n")
-        marker.flush()
 
     def _sweep_up(self) -> None:
         """Remove temporary files of a run that was killed while it wrote."""

@@ -76,8 +76,10 @@ class ChildProcess:
 
 
 def _main(handle: int, parent: int, memory_bytes: int | None) -> None:
-    # Ctrl-C is the parent's.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Ctrl-C is the parent's, and so is what a batch system sends to all processes of a job: a
+    # child that died of it would look as if its work had killed it.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2):
+        signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, args=(parent,), daemon=True).start()
     if memory_bytes is not None:
         _limit_memory(memory_bytes)

@@ -60,6 +60,14 @@ def require_growable(target: Path | str) -> None:
     _require_writable(target, beside=False)
 
 
+def may_hold(target: Path | str, sign: str) -> bool:
+    """Whether a folder that grows may be begun here or gone on with: it has the file ``sign``, or
+    nothing visible yet. By one look, as others may begin it at the same time: hidden files first,
+    the sign, then the rest."""
+    names = os.listdir(target) if os.path.isdir(target) else []
+    return sign in names or all(name.startswith(".") for name in names)
+
+
 @contextmanager
 def atomic_directory(target: Path | str, check: Check | None = None) -> Iterator[Path]:
     """Yield a hidden folder that takes the place of ``target`` when the block ends without error.

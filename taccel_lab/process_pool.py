@@ -22,6 +22,17 @@ processes find it. It has the main thread of its process."""
 THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
+def usable_cores() -> int:
+    """Cores that this process may use: in a SLURM job at most those that it was given, since not
+    every cluster binds its jobs to them."""
+    cores = len(os.sched_getaffinity(0))
+    for name in ("SLURM_CPUS_PER_TASK", "SLURM_CPUS_ON_NODE"):
+        given = os.environ.get(name, "")
+        if given.isdecimal() and int(given) > 0:
+            return min(cores, int(given))
+    return cores
+
+
 @dataclass(frozen=True)
 class Finished(Generic[Item, Result]):
     """An item that was worked off."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.output_folder import require_growable
+from taccel_lab.output_folder import may_hold, require_growable
 
 
 def test_a_folder_that_grows_is_refused_before_any_work(tmp_path: Path) -> None:
@@ -32,3 +32,13 @@ def test_a_full_drive_takes_no_more_of_a_folder_that_grows(small_drive: Path) ->
         (small_drive / "big").write_bytes(bytes(1_000_000))
     with pytest.raises(InputError, match="begun cannot be written: No space left on device"):
         require_growable(small_drive / "begun")
+
+
+def test_a_folder_that_another_run_begins_at_this_moment_is_not_foreign(tmp_path: Path) -> None:
+    assert may_hold(tmp_path / "new", "sign") and may_hold(tmp_path, "sign")
+    (tmp_path / ".sign.half").write_text("half")
+    assert may_hold(tmp_path, "sign")
+    (tmp_path / "notes").write_text("mine")
+    assert not may_hold(tmp_path, "sign")
+    (tmp_path / "sign").write_text("whole")
+    assert may_hold(tmp_path, "sign")

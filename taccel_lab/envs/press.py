@@ -11,7 +11,6 @@ that gap (``outputs.contact_layer``): forces and heights depend on dhat to secon
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -29,6 +28,7 @@ from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.ipc.intersection import require_separated
 from taccel_lab.outputs.contact_layer import gap_work
 from taccel_lab.outputs.recovery_error import relative_energy_error
+from taccel_lab.process_pool import usable_cores
 from taccel_lab.scene import (
     Ball,
     KinematicBody,
@@ -377,7 +377,7 @@ class PressEnv:
 
         share = np.zeros(len(positions))
         chosen = np.arange(len(positions)) if who is None else np.flatnonzero(who)
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        with ThreadPoolExecutor(usable_cores()) as pool:
             share[chosen] = list(pool.map(share_of, chosen.tolist()))
         depth = np.maximum(self.depth_m, 0.0)
         return PressError(

@@ -30,6 +30,6 @@ class Shard:
         if not 1 <= int(number) <= int(count) <= MOST_SHARDS:
             raise InputError(
                 f"shard {shown(text)} is not understood: of n shards, 1 to {MOST_SHARDS:,}, i is "
-                "one from 1 to n"
+                "one from 1 to n; jobs of a SLURM array: --array=1-n"
             )
         return cls(int(number), int(count))

@@ -99,6 +99,14 @@ def test_other_data_sets_and_files_are_left_alone(profile: Path, tmp_path: Path)
         pass
 
 
+def test_shards_may_begin_a_folder_at_the_same_time(profile: Path, tmp_path: Path) -> None:
+    folder = DatasetFolder(tmp_path / "shared")
+    folder.root.mkdir()
+    (folder.root / ".dataset.another.json").write_text("{")  # Another shard is writing it.
+    with folder.locked("2/2"):
+        folder.begin(plan(profile), "small")
+
+
 def test_timing_writes_nothing(profile: Path, tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     outcome = runner.make_dataset(plan(profile), None, processes=0, limit=1)

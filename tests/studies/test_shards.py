@@ -1,23 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several runs share a study: by shards, by one journal, as jobs of submitit."""
+"""Several runs share a study: by shards, by one journal."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.reading.shard import Shard
-from taccel_lab.studies.cluster import submit_shards
 from taccel_lab.studies.design_batch import sharing_key
 from taccel_lab.studies.optimise_optuna import JOURNAL
 from taccel_lab.studies.runner import run_study
 from taccel_lab.studies.study_folder import StudyFolder
 from taccel_lab.studies.table import CSV_NAME
-from tests.studies.fake_kit import logged, study
+from tests.studies.fake_kit import evaluate_and_crash, logged, study
 from tests.studies.run_fake import CHANGES, GP
 
 ROOT = Path(__file__).parents[2]
@@ -94,15 +95,22 @@ def test_two_processes_ask_one_journal(tmp_path: Path) -> None:
     assert again.complete and again.new == 0
 
 
-def test_jobs_of_submitit_do_their_shards(tmp_path: Path) -> None:
-    file = tmp_path / "a.toml"
-    file.write_text(
-        'study = {name = "x", sensor = "flat_pad", metrics = ["px_per_mm"]}\n'
-        "parameters.mm_per_px.values = [0.04, 0.05, 0.06, 0.07]\n"
-        'sweep.kind = "grid"\noutput = {meshes = false, pictures = false}\n'
-    )
-    jobs = submit_shards(file, tmp_path / "out", 2, "local", processes=0)
-    assert sum(job.result() for job in jobs) == 4
-    assert len(StudyFolder(tmp_path / "out").ids()) == 4
-    with pytest.raises(InputError, match="submitit refuses"):
-        submit_shards(file, tmp_path / "out", 2, "local", settings={"partition_of": "x"})
+def test_a_journal_whose_writer_was_killed_amid_a_line_goes_on(tmp_path: Path) -> None:
+    run_study(study(**GP), tmp_path, processes=0, limit=3, shard=Shard(1, 2))
+    with open(tmp_path / JOURNAL, "ab") as journal:
+        journal.write(b'{"op_code":5,"worker_id":"x","trial_id":3,"para')
+    (tmp_path / f"{JOURNAL}.lock").symlink_to(JOURNAL)  # Optuna's own, of the killed one.
+    begun = time.monotonic()
+    outcome = run_study(study(**GP), tmp_path, processes=0, shard=Shard(1, 2))
+    assert outcome.complete and len(outcome.rows) == 14
+    assert time.monotonic() - begun < 25
+    for line in (tmp_path / JOURNAL).read_text().splitlines():
+        json.loads(line)
+
+
+def test_a_shard_that_lost_designs_says_so(tmp_path: Path) -> None:
+    planned = study(evaluate_and_crash)
+    outcome = run_study(planned, tmp_path, processes=1, shard=Shard(1, 1))
+    with pytest.raises(SimulationError, match=r"4 of 6 designs were lost, the first one as .* the"):
+        outcome.require_whole()
+    run_study(study(), tmp_path, processes=0, shard=Shard(1, 1)).require_whole()
