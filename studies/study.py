@@ -26,7 +26,7 @@ from taccel_lab.studies.readings import press_of, readings, split_name
 from taccel_lab.studies.spec import Objective, StudySpec, Tie, load_spec, require_known
 from taccel_lab.studies.sweep import grid_points, random_points
 
-EVALUATION_VERSION = 3
+EVALUATION_VERSION = 4
 """Raised when presses or metrics give other figures for the same design: stored ones are not taken
 over then."""
 
@@ -165,7 +165,9 @@ def make_study(spec: StudySpec, kit: Kit) -> Study:
     known = family.parameters_type.parameters()
     for table in ("parameters", "fixed", "tied"):
         for name in getattr(spec, table):
-            if "hardness" in name or "durometer" in name:
+            if any(
+                word in name.lower() for word in ("hardness", "durometer", "shore_o", "shore_d")
+            ):
                 raise InputError(
                     f"no parameter {name!r} in [{table}]; a hardness is shore_00 = 55 or "
                     "shore_a = 10, the number alone"
