@@ -208,6 +208,8 @@ def channels_of(names: tuple[str, ...]) -> list[Channel]:
     """What is always kept and what is asked for; InputError for an unknown name."""
     found = list(ALWAYS)
     for name in names:
+        if name in {channel.name for channel in ALWAYS}:
+            raise InputError(f"output.channels: {name!r} is always kept; leave it out")
         if name not in known_channels():
             raise InputError(
                 f"output.channels: no channel {name!r}; known: {', '.join(known_channels())}"

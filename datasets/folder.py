@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -148,6 +148,14 @@ class DatasetFolder:
         return pa.concat_tables(tables, promote_options="default") if tables else None
 
 
+def require_outside(out: Path | str, folders: Sequence[Path | str]) -> None:
+    """Refuse an output inside a data set that it is made from."""
+    there = Path(os.path.realpath(out))
+    for folder in folders:
+        if Path(os.path.realpath(folder)) in there.parents:
+            raise InputError(f"{out} lies inside the data set {folder}; name a folder beside it")
+
+
 def read_parquet(path: Path) -> Any:
     """A table of a file; InputError where it is none."""
     import pyarrow as pa
@@ -156,7 +164,10 @@ def read_parquet(path: Path) -> Any:
     try:
         return pq.read_table(path)
     except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{path} cannot be read as Parquet: {error}") from None
+        raise InputError(
+            f"{path} cannot be read as Parquet: {error}; a part or an index that is deleted is "
+            "made again by the command that made it"
+        ) from None
 
 
 def _about(plan: Plan) -> dict[str, Any]:

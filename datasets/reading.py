@@ -138,7 +138,8 @@ class Dataset:
         except (ValueError, KeyError, TypeError, RuntimeError, OSError) as error:
             raise InputError(
                 f"{path} is damaged ({type(error).__name__}: {error}); taccel-lab dataset check "
-                "says which files are"
+                "says which files are; a part that is deleted is made again by the command that "
+                "made it"
             ) from None
 
     def read(self, channel: str, steps: Sequence[int] | np.ndarray | slice) -> np.ndarray:

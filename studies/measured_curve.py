@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measured curves of force over depth, as a study file names them.
 
-A table has a column of depth and one of force, and may have one of the contact's diameter, each
-with its unit in its name: ``depth_mm``, ``Force (N)``, ``contact_diameter [um]``.
+A table has a column of depth or of the machine's position and one of force, and may have one of the
+contact's diameter, each with its unit in its name or in the row below: ``depth_mm``, ``Force (N)``,
+``z [um]``.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,24 +21,31 @@ import numpy as np
 from taccel_lab.errors import InputError, naming
 from taccel_lab.reading.table_file import Row, Table, read_table
 from taccel_lab.reading.text_file import shown
+from taccel_lab.studies.loading import LEAST_ROWS, find_touch, first_loading
 from taccel_lab.studies.spec import require_known
 
 if TYPE_CHECKING:
     from taccel_lab.studies.spec import Measured
 
 _LENGTHS = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "m": 1e3, "cm": 10.0}
-_FORCES = {"n": 1.0, "mn": 1e-3, "gf": 9.80665e-3, "g": 9.80665e-3, "kgf": 9.80665}
+_FORCES = {"n": 1.0, "mn": 1e-3, "kn": 1e3, "gf": 9.80665e-3, "g": 9.80665e-3, "kgf": 9.80665}
 _QUANTITIES = {
-    "depth_mm": (("depth", "indentation", "displacement", "penetration"), _LENGTHS),
-    "force_n": (("force", "load", "normal_force"), _FORCES),
+    "depth_mm": (
+        ("depth", "indentation", "displacement", "penetration", "indentation_depth",
+         "penetration_depth", "extension", "travel", "stroke"),
+        _LENGTHS,
+    ),
+    "force_n": (("force", "load", "normal_force", "force_z", "fz"), _FORCES),
     "contact_diameter_mm": (("contact_diameter", "diameter"), _LENGTHS),
-}
+    "position_mm": (("position", "z", "z_position", "height"), _LENGTHS),
+}  # fmt: skip
 """Columns by what they become: names, and factors of units."""
 _NO_NUMBER = ("", "nan", "na", "n/a", "null", "none", "-")
-LEAST_ROWS = 5
 DEEPEST_MM, STRONGEST_N = 20.0, 1000.0
 NOISE = 0.05
-"""Negative forces and steps back, as parts of the largest, that noise explains."""
+"""Negative forces, as a part of the largest, that noise explains."""
+AIR_KEPT = 0.2
+"""Rows in air that go into the fit, as a part of the way behind the touch."""
 
 
 @dataclass(frozen=True)
@@ -45,20 +54,23 @@ class MeasuredCurve:
 
     spec: Measured
     depth_mm: np.ndarray
-    """Past the touch that the record assumes, rising, shape [row]."""
+    """Past ``touch_mm``, rising, shape [row]."""
     force_n: np.ndarray
-    """Into the gel, shape [row]."""
+    """Into the gel, without what the load cell reads in air, shape [row]."""
     contact_diameter_mm: np.ndarray | None
     """NaN where a row has none, shape [row]."""
     remarks: tuple[str, ...]
     """What was left out, in words."""
+    touch_mm: float = 0.0
+    """Where the record touches, in its own depths; 0, as it says, where that cannot be seen."""
 
 
 def read_curve(spec: Measured) -> MeasuredCurve:
     """Read a curve, and bring it into order.
 
-    Rows without a number are left out; so is the way back after the greatest depth; rows in another
-    order are sorted. Remarks say so.
+    Rows without a number are left out; so are ways back and later cycles; rows in another order are
+    sorted. Where the record begins in air, the touch is found in it, and what the load cell reads
+    there is taken off. Remarks say so.
 
     Raises InputError, with the file: no such column, no unit or an unknown one, fewer than
     ``LEAST_ROWS`` rows, forces or depths that are negative or too large for a gel.
@@ -66,17 +78,22 @@ def read_curve(spec: Measured) -> MeasuredCurve:
     path = Path(spec.file)
     table = read_table(path)
     found = {name: _column(table, name) for name in _QUANTITIES}
+    position = found["depth_mm"] is None and found["position_mm"] is not None
+    if position:
+        found["depth_mm"] = found["position_mm"]
     for name in ("depth_mm", "force_n"):
         if found[name] is None:
             words = " or ".join(_QUANTITIES[name][0])
+            words += " or " + " or ".join(_QUANTITIES["position_mm"][0]) * (name == "depth_mm")
             raise InputError(
-                f"{path} lacks a column of {words} with its unit, such as {name} "
-                f"(found {table.columns_shown()})"
+                f"{path} lacks a column of {words.removesuffix(' or ')} with its unit, such as "
+                f"{name} (found {table.columns_shown()})"
             )
+    columns = [found[name] for name in ("depth_mm", "force_n", "contact_diameter_mm")]
     rows: list[list[float]] = []
     lost = 0
-    for row in table.rows():
-        values = [math.nan if c is None else _cell(row, *c) for c in found.values()]
+    for row in islice(table.rows(), 1 if _unit_row(table) else 0, None):
+        values = [math.nan if c is None else _cell(row, *c) for c in columns]
         if math.isnan(values[0]) or math.isnan(values[1]):
             lost += 1
         else:
@@ -85,39 +102,74 @@ def read_curve(spec: Measured) -> MeasuredCurve:
     if len(rows) < LEAST_ROWS:
         raise InputError(f"{path} has {len(rows)} rows with numbers; a curve takes {LEAST_ROWS}")
     depth, force, diameter = np.array(rows).T
+    if position and _falls(depth, force):
+        depth = -depth
+        remarks.append("positions fall as the force rises: turned about")
     with naming(path):
-        _check(depth, force)
-    keep, remark = _in_order(depth)
-    remarks += [remark] if remark else []
-    if found["contact_diameter_mm"] is None or not np.isfinite(diameter).any():
-        diameter = np.full(len(depth), np.nan)
-    has = bool(np.isfinite(diameter[keep]).any())
-    return MeasuredCurve(
-        spec, depth[keep], force[keep], diameter[keep] if has else None, tuple(remarks)
+        _check_signs(depth, force)
+        keep, remark = first_loading(depth)
+        remarks += [remark] if remark else []
+        depth, force, diameter = depth[keep], force[keep], diameter[keep]
+        depth, force, touch, remark = _from_touch(depth, force)
+        remarks += [remark] if remark else []
+        diameter = diameter[-len(depth) :]
+        _check_sizes(depth, force)
+    has = found["contact_diameter_mm"] is not None and bool(np.isfinite(diameter).any())
+    return MeasuredCurve(spec, depth, force, diameter if has else None, tuple(remarks), touch)
+
+
+def _from_touch(depth: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, str]:
+    """Rows from shortly before the touch on, counted from there, where it is, and what was done."""
+    touch = find_touch(depth, force)
+    if touch is None:
+        return depth, force, 0.0, ""
+    drift = touch.drift_n_per_mm * np.minimum(depth - touch.depth_mm, 0.0)
+    keep = depth >= touch.depth_mm - AIR_KEPT * (depth[-1] - touch.depth_mm)
+    remark = (
+        f"touches at {touch.depth_mm:.4g} mm, seen from {touch.air_rows} rows in air, whose "
+        f"{touch.force_n:.3g} N are taken off"
     )
+    rest = force - touch.force_n - drift
+    return depth[keep] - touch.depth_mm, rest[keep], touch.depth_mm, remark
+
+
+def _unit_row(table: Table) -> list[str] | None:
+    """Units in the row below the names, in brackets or not; None where that row has none."""
+    first = next(iter(table.rows()), None)
+    if first is None:
+        return None
+    cells = [re.sub(r"[\s_\[\]()/]+", "", cell.lower()) for cell in first.cells]
+    known = {**_LENGTHS, **_FORCES}
+    return cells if any(cell in known for cell in cells) else None
 
 
 def _column(table: Table, name: str) -> tuple[int, float] | None:
     """Place and factor of a column; None when there is none of that quantity."""
     words, units = _QUANTITIES[name]
+    below = _unit_row(table)
     found: list[tuple[int, float]] = []
+    problem = ""
     for place, head in enumerate(table.header):
         plain = re.sub(r"[\s_\[\]()/]+", "_", head.strip().lower()).strip("_")
         for word in sorted(words, key=len, reverse=True):
             if plain != word and not plain.startswith(word + "_"):
                 continue
-            unit = plain[len(word) + 1 :]
-            if unit not in units:
+            unit = plain[len(word) + 1 :].removeprefix("in_")
+            unit = below[place] if below is not None and not unit else unit
+            if unit in units:
+                found.append((place, units[unit]))
+            else:
                 known = ", ".join(f"{word}_{u}" for u in units if u.isascii())
-                raise InputError(
+                problem = problem or (
                     f"{table.path}: the unit of the column {shown(head)} is not known; allowed: "
                     f"{known}"
                 )
-            found.append((place, units[unit]))
             break
     if len(found) > 1:
         both = " and ".join(shown(table.header[place]) for place, _ in found)
         raise InputError(f"{table.path} has the columns {both}; which one counts?")
+    if problem and not found and name != "position_mm":
+        raise InputError(problem)
     return found[0] if found else None
 
 
@@ -127,17 +179,34 @@ def _cell(row: Row, place: int, factor: float) -> float:
     return row.number(place) * factor
 
 
-def _check(depth: np.ndarray, force: np.ndarray) -> None:
-    """Refuse signs and sizes that cannot be meant."""
-    if depth.max() <= 0 or -depth.min() > depth.max():
-        raise InputError(
-            f"depths run from {depth.min():g} to {depth.max():g} mm; travel into the gel is "
-            "positive, so reverse the sign of the column"
-        )
+def _falls(depth: np.ndarray, force: np.ndarray) -> bool:
+    """Whether forces are larger at the lower end of the depths than at the upper one."""
+    near = NOISE * np.ptp(depth)
+    low, high = depth <= depth.min() + near, depth >= depth.max() - near
+    return bool(force[low].mean() > force[high].mean())
+
+
+def _check_signs(depth: np.ndarray, force: np.ndarray) -> None:
+    """Refuse signs that cannot be meant."""
     if -force.min() > force.max():
         raise InputError(
             f"forces go down to {force.min():g} N; a force into the gel is positive, so reverse "
-            "the sign of the column"
+            "the sign of the column, or take off what the load cell reads in air"
+        )
+    if _falls(depth, force):
+        raise InputError(
+            f"depths run from {depth.min():g} to {depth.max():g} mm, and forces fall on the way; "
+            "travel into the gel is positive, so reverse the sign of the column (or call it "
+            "position_mm, which may have either sign)"
+        )
+
+
+def _check_sizes(depth: np.ndarray, force: np.ndarray) -> None:
+    """Refuse depths from the touch and forces that no gel has."""
+    if -depth.min() > depth.max():
+        raise InputError(
+            f"depths run from {depth.min():g} to {depth.max():g} mm, and no touch is seen in them: "
+            "some rows in air before it are needed, or depths counted from the touch"
         )
     if -force.min() > NOISE * force.max():
         raise InputError(
@@ -152,21 +221,6 @@ def _check(depth: np.ndarray, force: np.ndarray) -> None:
         raise InputError(
             f"forces reach {force.max():g} N; at most {STRONGEST_N:g} N: another unit?"
         )
-
-
-def _in_order(depth: np.ndarray) -> tuple[np.ndarray, str]:
-    """Rows of the loading, in order of depth, and what was done to them."""
-    noise = NOISE * float(np.ptp(depth))
-    peak = int(np.argmax(depth))
-    rises = (depth[: peak + 1] >= np.maximum.accumulate(depth[: peak + 1]) - noise).all()
-    falls = (depth[peak:] <= np.minimum.accumulate(depth[peak:]) + noise).all()
-    if rises and falls and peak >= LEAST_ROWS - 1:
-        remark = f"{len(depth) - 1 - peak} rows of the way back left out"
-        keep = np.arange(peak + 1)
-        remark = remark if peak < len(depth) - 1 else ""
-    else:
-        keep, remark = np.arange(len(depth)), "rows were not in order of depth; sorted"
-    return keep[np.argsort(depth[keep], kind="stable")], remark
 
 
 def require_measured(

@@ -28,6 +28,10 @@ MODEL = 0.03
 FLOOR = 0.1
 AHEAD = 1.1
 """How far beyond the deepest step of a press rows are compared, by the last steps' power law."""
+ROWS_FOR_ZERO = 8
+"""Fewer rows do not tell a load cell's zero from the touch's."""
+LEAST_RMS = 0.02
+"""Residuals below this part of the largest force are not worth a word."""
 FAR_MM = 0.5
 """Largest zero offset."""
 
@@ -123,6 +127,7 @@ def fit_measured(study: Study, rows: Sequence[DesignRow]) -> tuple[list[FittedGe
                     problems.append(
                         f"{curve.spec.file}: reaches {curve.depth_mm[-1]:.3g} mm in a gel "
                         f"{_thickness_mm(press):.3g} mm thick ({study.name_of(row.parameters)})"
+                        + ("" if curve.touch_mm else "; no touch is seen in it")
                     )
                 else:
                     usable.append((curve, press))
@@ -191,15 +196,20 @@ def _averaged(depth: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndar
     return x, y
 
 
-def _solve(items: Sequence[_Item]) -> tuple[np.ndarray, np.ndarray, float]:
-    """ln m and the offsets, half widths of their 95 % intervals, and the least squares."""
+def _solve(
+    items: Sequence[_Item], zero_force: bool = False
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """ln m and the offsets, half widths of their 95 % intervals, and the least squares; with
+    ``zero_force`` what the load cell reads in air behind them, in largest forces."""
     from scipy.optimize import least_squares
     from scipy.stats import t
 
     def residuals(theta: np.ndarray) -> np.ndarray:
+        zero = theta[-1] if zero_force else 0.0
         return np.concatenate([
-            (math.exp(theta[0]) * item.law.force_n(item.depth - d0) - item.force) / item.weight
-            for item, d0 in zip(items, theta[1:], strict=True)
+            (math.exp(theta[0]) * item.law.force_n(item.depth - d0) + zero * item.force.max()
+             - item.force) / item.weight
+            for item, d0 in zip(items, theta[1:], strict=not zero_force)
         ])  # fmt: skip
 
     tops = [np.log(i.force[-1] / i.law.force_n(i.depth[-1:])[0]) for i in items if i.force[-1] > 0]
@@ -209,8 +219,12 @@ def _solve(items: Sequence[_Item]) -> tuple[np.ndarray, np.ndarray, float]:
     for shift in (0.0, -0.3, 0.3):
         guess = np.array([start, *(shift * f for f in far)])
         low, high = np.array([-12.0, *(-f for f in far)]), np.array([12.0, *far])
+        scale = [0.1, *far]
+        if zero_force:
+            guess, scale = np.append(guess, 0.0), [*scale, 0.1]
+            low, high = np.append(low, -1.0), np.append(high, 1.0)
         found = least_squares(
-            residuals, np.clip(guess, low, high), bounds=(low, high), x_scale=[0.1, *far]
+            residuals, np.clip(guess, low, high), bounds=(low, high), x_scale=scale
         )
         best = found if best is None or found.cost < best.cost else best
     assert best is not None
@@ -258,25 +272,45 @@ def _fitted_curve(
 ) -> FittedCurve:
     unit = item.law.force_n(item.depth - offset)
     rest = ratio * unit - item.force
+    touch = item.curve.touch_mm
     remarks = list(item.remarks)
     if abs(offset) > 0.98 * min(FAR_MM, 0.9 * float(item.depth.max())):
         remarks.append("the zero offset ends at its bound: look at the depths")
+    remark = _zero_force_remark(item, rest)
+    remarks += [remark] if remark else []
     return FittedCurve(
         file=item.curve.spec.file,
         indenter=item.curve.spec.indenter,
-        offset_mm=float(offset),
-        offset_interval_mm=(float(offset - half), float(offset + half)),
+        offset_mm=float(touch + offset),
+        offset_interval_mm=(float(touch + offset - half), float(touch + offset + half)),
         modulus_alone_mpa=alone_mpa,
         rms_n=float(np.sqrt(np.mean(rest**2))),
         relative_rms=float(np.sqrt(np.mean(rest**2)) / item.force.max()),
         worst_n=float(np.abs(rest).max()),
         rows=len(item.curve.depth_mm),
-        depth_mm=item.depth.tolist(),
+        depth_mm=(touch + item.depth).tolist(),
         force_n=item.force.tolist(),
         fitted_n=(ratio * unit).tolist(),
         predicted_n=unit.tolist(),
         contact_rms_mm=_contact_rms_mm(item, ratio),
         remarks=remarks,
+    )
+
+
+def _zero_force_remark(item: _Item, rest: np.ndarray) -> str:
+    """Whether a load cell that reads something in air would explain most of the residuals."""
+    if len(item.force) < ROWS_FOR_ZERO:
+        return ""
+    theta, half, _ = _solve([item], zero_force=True)
+    largest = float(item.force.max())
+    fitted = math.exp(theta[0]) * item.law.force_n(item.depth - theta[1]) + theta[2] * largest
+    rms, before = (float(np.sqrt(np.mean(r**2))) for r in (fitted - item.force, rest))
+    if abs(theta[2]) < half[2] or rms > before / 2 or before < LEAST_RMS * largest:
+        return ""
+    return (
+        f"{theta[2] * largest:+.2g} N in all forces would leave {rms / largest:.1%} in place of "
+        f"{before / largest:.1%}, at {math.exp(theta[0]):.3g} times the design's modulus: does the "
+        "load cell read that in air?"
     )
 
 

@@ -165,7 +165,9 @@ def make_study(spec: StudySpec, kit: Kit) -> Study:
     known = family.parameters_type.parameters()
     for table in ("parameters", "fixed", "tied"):
         for name in getattr(spec, table):
-            if "hardness" in name or "durometer" in name:
+            if any(
+                word in name.lower() for word in ("hardness", "durometer", "shore_o", "shore_d")
+            ):
                 raise InputError(
                     f"no parameter {name!r} in [{table}]; a hardness is shore_00 = 55 or "
                     "shore_a = 10, the number alone"

@@ -8,9 +8,10 @@ import hashlib
 import json
 import math
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ import numpy as np
 def atomic_file(target: Path | str) -> Iterator[Path]:
     """Yield a temporary file name (same suffix, same folder) renamed to ``target`` on success."""
     target = Path(target)
+    if target.is_dir():
+        raise OSError(errno.EISDIR, "is a folder; name a file", str(target))
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         fd, name = tempfile.mkstemp(
@@ -38,8 +41,21 @@ def atomic_file(target: Path | str) -> Iterator[Path]:
         # Temporary files are their owner's alone; results are for the group, too.
         staging.chmod(0o644)
         os.replace(staging, target)
+    except OSError as error:
+        raise full_disk(error, target) or error from None
     finally:
         staging.unlink(missing_ok=True)
+
+
+def full_disk(error: OSError, target: Path) -> OSError | None:
+    """A full disk's error with the name that somebody gave; None for other errors.
+
+    Python and pyarrow name no file, and numpy says only that it wrote too little.
+    """
+    full = error.errno == errno.ENOSPC
+    with suppress(OSError):
+        full = full or (error.errno is None and shutil.disk_usage(target.parent).free == 0)
+    return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target)) if full else None
 
 
 def write_image(path: Path, bgr: np.ndarray, parameters: Sequence[int] = ()) -> None:

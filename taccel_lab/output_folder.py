@@ -23,6 +23,7 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.exchange import exchange
+from taccel_lab.output import full_disk
 from taccel_lab.reading.json_file import read_json
 
 OUTPUT_MARKER = ".taccel_lab_output"
@@ -94,7 +95,7 @@ def atomic_directory(target: Path | str, check: Check | None = None) -> Iterator
                     _write_marker(staging)
                 _put(staging, target, may_replace)
             except OSError as error:
-                raise _named(error, target) from error
+                raise full_disk(error, target) or error from None
     except BaseException:
         for path in new_parents:
             with suppress(OSError):
@@ -235,14 +236,6 @@ def _require_writable(target: Path, beside: bool = True) -> None:
             shutil.rmtree(probe, ignore_errors=True)
     except OSError as error:
         raise InputError(f"{target} cannot be written: {error.strerror}") from None
-
-
-def _named(error: OSError, target: Path) -> OSError:
-    """``error``, or that of a full disk where numpy only says that it wrote too little."""
-    with suppress(OSError):
-        if error.errno is None and shutil.disk_usage(target.parent).free == 0:
-            return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target))
-    return error
 
 
 # Hidden folders -------------------------------------------------------------------------------

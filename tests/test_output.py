@@ -36,6 +36,18 @@ def test_file_appears_at_the_end(tmp_path: Path) -> None:
     assert target.stat().st_mode & 0o777 == 0o644
 
 
+def test_a_folder_in_the_place_of_a_file_is_told_by_its_name(tmp_path: Path) -> None:
+    target = tmp_path / "page.html"
+    target.mkdir()
+    with (
+        pytest.raises(OSError, match="is a folder; name a file") as raised,
+        atomic_file(target) as staging,
+    ):
+        staging.write_text("1")
+    assert raised.value.filename == str(target)
+    assert os.listdir(tmp_path) == ["page.html"]
+
+
 def test_failed_file_leaves_the_earlier_one(tmp_path: Path) -> None:
     target = tmp_path / "a.txt"
     target.write_text("old")

@@ -427,6 +427,7 @@ def test_a_full_disk_says_so_and_loses_nothing(small_drive: Path, how: str) -> N
             # numpy's own error has neither the number nor the name.
             np.save(folder / "a.npy", np.zeros(1_000_000))
     assert raised.value.errno == errno.ENOSPC
+    assert raised.value.filename == str(target)
     assert tree(small_drive) == before
 
 

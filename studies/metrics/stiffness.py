@@ -14,15 +14,16 @@ from taccel_lab.studies.metrics.base import NoFigure, metric
     "initial slope of force over depth under {tool}", "none", ("punch",),
 )  # fmt: skip
 def stiffness_punch(evidence: Evidence) -> float:
-    """Slope at zero depth of a parabola through the steps.
+    """F / d at zero depth, of a line through the steps' F / d.
 
-    The offset of the parabola takes up the gap at which contact begins.
+    A free parabola of F takes five times as much from the noise of a mesh: of forces 3 % off it
+    makes a slope 23 % off. Depths count from the touch, so that it has no offset to find.
     """
     record = evidence.one("punch")
     depth, force = record.depth_mm[record.down], record.normal_n
     if len(depth) < 3:
         raise NoFigure(f"press punch has {len(depth)} steps; three are needed for a slope")
-    return float(np.polynomial.Polynomial.fit(depth, force, 2).convert().coef[1])
+    return float(np.polynomial.Polynomial.fit(depth, force / depth, 1).convert().coef[0])
 
 
 @metric(

@@ -13,9 +13,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from taccel_lab.datasets.lerobot import export_lerobot
+from taccel_lab.datasets.lite import make_lite
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.univtac import export_univtac
 from taccel_lab.errors import InputError
+from tests.datasets.small import parts_of
 
 
 def test_lerobot(made: Path, tmp_path: Path) -> None:
@@ -84,3 +86,14 @@ def test_what_a_layout_needs_is_asked_for(made: Path, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="has no rgb"):
             export([broken], tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_nothing_is_written_into_the_data_set_itself(made: Path) -> None:
+    before = parts_of(made)
+    inside = made / "parts" / "x"
+    for write in (export_lerobot, export_univtac, make_lite):
+        with pytest.raises(
+            InputError, match=r"lies inside the data set .* name a folder beside it"
+        ):
+            write([made], inside)
+    assert parts_of(made) == before and not inside.exists()

@@ -77,6 +77,7 @@ def test_bad_form(changes: dict[str, Any], message: str) -> None:
             r"motions\[0\]: depth_mm ends at 0\.0004 mm; .*in metres\?",
         ),
         ({"output": {"channels": ["heat"]}}, "no channel 'heat'; known: rgb, depth_mm"),
+        ({"output": {"channels": ["rgb", "wrench"]}}, "'wrench' is always kept; leave it out"),
         ({"sensors": [{"profile": "flat_pad", "units": 3}]}, "states no measured spread"),
         ({"dataset": {"x_mm": [0, 90], "y_mm": [0, 0]}}, r"placed at \(90, 0\) mm: .*choose a"),
     ],

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from taccel_lab.errors import InputError
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.measured_curve import read_curve
-from taccel_lab.studies.measured_fit import ForceLaw, fit_measured
+from taccel_lab.studies.measured_fit import FittedGel, ForceLaw, fit_measured
 from taccel_lab.studies.spec import Measured, spec_of
 from taccel_lab.studies.study import Study, default_kit, make_study
 
@@ -67,8 +67,45 @@ def test_the_way_back_is_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("head", "depth", "force"),
+    [
+        ("z (\u00b5m),Load [gf]", 1e3, 1 / 9.80665e-3), ("Position (mm),Fz_N", 1.0, 1.0),
+        ("Depth in mm,Force in N", 1.0, 1.0), ("Extension,Load\n(mm),(kN)", 1.0, 1e-3),
+        ("Indentation Depth (mm),Normal Force (N)", 1.0, 1.0), ("depth/mm,force_z/N", 1.0, 1.0),
+    ],
+)  # fmt: skip
+def test_headers_as_testers_write_them(
+    tmp_path: Path, head: str, depth: float, force: float
+) -> None:
+    found = curve(tmp_path, table(head, DEPTH * depth, DEPTH**1.5 * force))
+    assert found.depth_mm == pytest.approx(DEPTH)
+    assert found.force_n == pytest.approx(DEPTH**1.5)
+
+
+def test_other_forces_beside_the_normal_one_do_not_count(tmp_path: Path) -> None:
+    sides = 0.1 * DEPTH
+    found = curve(tmp_path, table("depth_mm,force_x_n,force_z_n", DEPTH, sides, DEPTH))
+    assert found.force_n == pytest.approx(DEPTH)
+
+
+def test_a_search_through_air_is_taken_off(tmp_path: Path) -> None:
+    """A stage that comes down from 14.6 mm and touches at 12.5 mm; a load cell that drifts."""
+    travel = np.linspace(0.0, 2.5, 501)
+    force = 0.8 * np.clip(travel - 2.1, 0.0, None) ** 1.9
+    drifting = force + 0.02 + 0.002 * np.minimum(travel, 2.1)
+    found = curve(tmp_path, table("z_mm,force_n", 14.6 - travel, drifting))
+    assert found.touch_mm == pytest.approx(-12.5, abs=0.03)
+    assert found.depth_mm[-1] == pytest.approx(0.4, abs=0.03)
+    assert found.force_n[-1] == pytest.approx(force[-1], rel=0.01)
+    assert found.remarks[0] == "positions fall as the force rises: turned about"
+    assert "rows in air, whose 0.024" in found.remarks[1]
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
+        (table("depth_mm,force_n", 12.3 - DEPTH, DEPTH), "forces fall on the way"),
+        (table("depth_mm,force_n", DEPTH - 12.3, DEPTH), "no touch is seen in them"),
         ("depth_mm,power_w\n1,2\n", "lacks a column of force or load"),
         (table("depth,force_n", DEPTH, DEPTH), "unit of the column 'depth' is not known"),
         (table("depth_furlong,force_n", DEPTH, DEPTH), "allowed: depth_mm, depth_um"),
@@ -164,6 +201,45 @@ def test_the_fit_finds_modulus_and_zeros(
         assert fitted.relative_rms < 0.03
         assert fitted.modulus_alone_mpa == pytest.approx(gel.modulus_mpa, rel=0.1)
         assert fitted.contact_rms_mm is not None and fitted.contact_rms_mm < 0.2
+
+
+def measured_gel(folder: Path, depth: np.ndarray, force: np.ndarray) -> FittedGel:
+    """The fit of one ball's record, of a gel of 1.25 times the design's modulus."""
+    file = folder / "m.csv"
+    file.write_text(table("depth_mm,force_n", depth, force))
+    study = planned({"file": str(file), "indenter": "sphere:2", "design": {"thickness_mm": 1.0}})
+    (gel,), problems = fit_measured(study, rows(study))
+    assert problems == []
+    return gel
+
+
+@pytest.mark.parametrize("air_mm", [0.4, 2.0, 8.0])
+def test_the_fit_of_a_record_that_begins_in_air(tmp_path: Path, air_mm: float) -> None:
+    rng = np.random.default_rng(3)
+    travel = np.linspace(0.0, air_mm + 0.45, 600)
+    force = 1.25 * 0.8 * np.clip(travel - air_mm, 0, None) ** 1.9
+    noisy = force * (1 + 0.02 * rng.normal(size=600)) + 0.004 + 0.0005 * rng.normal(size=600)
+    gel = measured_gel(tmp_path, travel, noisy)
+    low, high = gel.interval_mpa
+    assert low < 1.25 * gel.design_modulus_mpa < high < 1.2 * low
+    assert gel.curves[0].offset_mm == pytest.approx(air_mm, abs=0.005)
+    assert np.array(gel.curves[0].depth_mm).max() == pytest.approx(air_mm + 0.45, abs=0.03)
+
+
+def test_cycles_do_not_soften_a_gel(tmp_path: Path) -> None:
+    there = np.linspace(0.0, 0.45, 60)
+    force = 1.25 * 0.8 * there**1.9
+    depth = np.tile(np.concatenate([there, there[::-1]]), 3)
+    gel = measured_gel(tmp_path, depth, np.tile(np.concatenate([force, 0.8 * force[::-1]]), 3))
+    assert gel.ratio == pytest.approx(1.25, rel=0.005)
+
+
+def test_a_load_cell_that_is_not_at_zero_is_told(tmp_path: Path) -> None:
+    depth = np.linspace(0.0, 0.45, 60)
+    force = 1.25 * 0.8 * depth**1.9
+    remarks = measured_gel(tmp_path, depth, force + 0.02).curves[0].remarks
+    assert any("+0.02 N in all forces" in r and "at 1.25 times" in r for r in remarks)
+    assert measured_gel(tmp_path, depth, force).curves[0].remarks == []
 
 
 def test_curves_too_deep_or_without_a_press_are_told(tmp_path: Path) -> None:

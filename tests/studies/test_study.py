@@ -34,6 +34,7 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"parameters": {"width_px": {"min": 320, "max": 322, "count": 5}}}, "gives 3 different"),
     ({"fixed": {"rim": "round"}}, r"\[fixed\] rim = 'round' is not allowed"),
     ({"fixed": {"hardness": "55 OO"}}, "a hardness is shore_00 = 55 or shore_a = 10"),
+    ({"fixed": {"shore_oo": 30}}, "a hardness is shore_00 = 55 or shore_a = 10"),
     ({"fixed": {"shore_00": 30}}, "young_modulus_mpa and shore_00 are given"),
     ({"fixed": {"nonsense": 1}}, r"no parameter of gelsight in \[fixed\] 'nonsense'"),
     ({"tied": {"rim": {"to": "thickness_mm"}}}, "only numbers can be tied"),
