@@ -192,9 +192,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SimulationError as error:
         return _fail(3, f"simulation failed: {error}")
     except _Terminated:
-        return _fail(143, "asked to end; unfinished outputs were removed")
+        return _fail(143, "asked to end; what was half written was removed")
     except KeyboardInterrupt:
-        return _fail(130, "interrupted; unfinished outputs were removed")
+        return _fail(130, "interrupted; what was half written was removed")
     return 0
 
 

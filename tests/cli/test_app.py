@@ -294,7 +294,7 @@ def test_asked_to_end_it_clears_away_what_is_unfinished(tmp_path: Path, earlier:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (
         143,
-        "asked to end; unfinished outputs were removed\n",
+        "asked to end; what was half written was removed\n",
     )
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
 
