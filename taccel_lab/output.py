@@ -8,9 +8,10 @@ import hashlib
 import json
 import math
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +39,22 @@ def atomic_file(target: Path | str) -> Iterator[Path]:
         # Temporary files are their owner's alone; results are for the group, too.
         staging.chmod(0o644)
         os.replace(staging, target)
+    except OSError as error:
+        raise named_error(error, target) from error
     finally:
         staging.unlink(missing_ok=True)
+
+
+def named_error(error: OSError, target: Path) -> OSError:
+    """``error`` with the name of what was written where it has none, and as that of a full disk
+    where numpy only says that it wrote too little."""
+    number = error.errno
+    with suppress(OSError):
+        if number is None and shutil.disk_usage(target.parent).free == 0:
+            number = errno.ENOSPC
+    if number is None or error.filename is not None:
+        return error
+    return OSError(number, os.strerror(number), str(target))
 
 
 def write_image(path: Path, bgr: np.ndarray, parameters: Sequence[int] = ()) -> None:

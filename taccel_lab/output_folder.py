@@ -23,6 +23,7 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.exchange import exchange
+from taccel_lab.output import named_error
 from taccel_lab.reading.json_file import read_json
 
 OUTPUT_MARKER = ".taccel_lab_output"
@@ -86,7 +87,7 @@ def atomic_directory(target: Path | str, check: Check | None = None) -> Iterator
                     _write_marker(staging)
                 _put(staging, target, may_replace)
             except OSError as error:
-                raise _named(error, target) from error
+                raise named_error(error, target) from error
     except BaseException:
         for path in new_parents:
             with suppress(OSError):
@@ -227,14 +228,6 @@ def _require_writable(target: Path, beside: bool = True) -> None:
             shutil.rmtree(probe, ignore_errors=True)
     except OSError as error:
         raise InputError(f"{target} cannot be written: {error.strerror}") from None
-
-
-def _named(error: OSError, target: Path) -> OSError:
-    """``error``, or that of a full disk where numpy only says that it wrote too little."""
-    with suppress(OSError):
-        if error.errno is None and shutil.disk_usage(target.parent).free == 0:
-            return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target))
-    return error
 
 
 # Hidden folders -------------------------------------------------------------------------------
