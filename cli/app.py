@@ -184,6 +184,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Whoever read the output, such as `head`, has enough of it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
+    except SystemExit as left:
+        if isinstance(left.__context__, BrokenPipeError):  # rich says 1 for it.
+            return 141
+        raise
     except OSError as error:
         if error.errno is None:
             raise

@@ -299,6 +299,15 @@ def test_asked_to_end_it_clears_away_what_is_unfinished(tmp_path: Path, earlier:
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
 
 
+def test_a_reader_that_is_gone_ends_a_table_quietly() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "taccel_lab.cli.app", "sensors", "list"]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
 def test_a_reader_that_has_enough_ends_it_quietly() -> None:
     command = (
         f"{sys.executable} -m taccel_lab.cli.app sensors list | head -c 1; echo ${{PIPESTATUS[0]}}"
