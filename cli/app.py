@@ -184,6 +184,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Whoever read the output, such as `head`, has enough of it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
+    except SystemExit as left:
+        if isinstance(left.__context__, BrokenPipeError):  # rich says 1 for it.
+            return 141
+        raise
     except OSError as error:
         if error.errno is None:
             raise
@@ -192,9 +196,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SimulationError as error:
         return _fail(3, f"simulation failed: {error}")
     except _Terminated:
-        return _fail(143, "asked to end; unfinished outputs were removed")
+        return _fail(143, "asked to end; what was half written was removed")
     except KeyboardInterrupt:
-        return _fail(130, "interrupted; unfinished outputs were removed")
+        return _fail(130, "interrupted; what was half written was removed")
     return 0
 
 

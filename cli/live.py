@@ -112,7 +112,8 @@ class Live(CameraOptions):
 
         reader = result.reader
         if reader is None or result.last is None:
-            raise InputError(f"{self.camera} ended before a frame was read")
+            ended = f"{self.camera} ended before a frame was read"
+            raise InputError(f"{ended}. {result.unseen}" if result.unseen else ended)
         found = result.latency.figures()
         if self.json:
             about = {
@@ -120,6 +121,7 @@ class Live(CameraOptions):
                 "detail": reader.detail,
                 "maps_px": [reader.grid.width_px, reader.grid.height_px],
                 "locks": {lock.name: lock.told for lock in result.locks},
+                "remarks": list(result.remarks),
                 "last": {
                     **result.last.figures,
                     "refused": result.last.refused,

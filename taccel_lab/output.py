@@ -42,20 +42,23 @@ def atomic_file(target: Path | str) -> Iterator[Path]:
         staging.chmod(0o644)
         os.replace(staging, target)
     except OSError as error:
-        raise full_disk(error, target) or error from None
+        raise named_error(error, target) from None
     finally:
         staging.unlink(missing_ok=True)
 
 
-def full_disk(error: OSError, target: Path) -> OSError | None:
-    """A full disk's error with the name that somebody gave; None for other errors.
+def named_error(error: OSError, target: Path) -> OSError:
+    """``error`` by the name that somebody gave where it has none, and that of a full disk always.
 
-    Python and pyarrow name no file, and numpy says only that it wrote too little.
+    Python and pyarrow name no file or a hidden one, and numpy says only that it wrote too little.
     """
-    full = error.errno == errno.ENOSPC
+    number = error.errno
     with suppress(OSError):
-        full = full or (error.errno is None and shutil.disk_usage(target.parent).free == 0)
-    return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(target)) if full else None
+        if number is None and shutil.disk_usage(target.parent).free == 0:
+            number = errno.ENOSPC
+    if number is None or (error.filename is not None and number != errno.ENOSPC):
+        return error
+    return OSError(number, os.strerror(number), str(target))
 
 
 def write_image(path: Path, bgr: np.ndarray, parameters: Sequence[int] = ()) -> None:

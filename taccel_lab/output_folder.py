@@ -23,7 +23,7 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.exchange import exchange
-from taccel_lab.output import full_disk
+from taccel_lab.output import named_error
 from taccel_lab.reading.json_file import read_json
 
 OUTPUT_MARKER = ".taccel_lab_output"
@@ -95,7 +95,7 @@ def atomic_directory(target: Path | str, check: Check | None = None) -> Iterator
                     _write_marker(staging)
                 _put(staging, target, may_replace)
             except OSError as error:
-                raise full_disk(error, target) or error from None
+                raise named_error(error, target) from None
     except BaseException:
         for path in new_parents:
             with suppress(OSError):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -55,6 +56,13 @@ def test_failed_file_leaves_the_earlier_one(tmp_path: Path) -> None:
         staging.write_text("half")
         raise RuntimeError
     assert tree(tmp_path) == {"a.txt": "old"}
+
+
+def test_a_full_disk_is_told_by_the_files_name(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    with pytest.raises(OSError) as told, atomic_file(target):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert (told.value.errno, told.value.filename) == (errno.ENOSPC, str(target))
 
 
 json_values = st.recursive(

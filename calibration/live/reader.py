@@ -11,7 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.likeness import unlike
 from taccel_lab.calibration.markers.tracking import MarkerTracker
 from taccel_lab.calibration.markers.tracks import Status
 from taccel_lab.calibration.normals.read_surface import SurfaceReader, SurfaceReading
@@ -97,6 +100,8 @@ class LiveReader:
                 f"profile's has {grid.width_px}x{grid.height_px} px; give --size, --crop and "
                 "--resize as they were when the captures were recorded"
             )
+        self.unlike_profile = _unlike_profile(profile, background)
+        """Why the untouched gel is not that of the profile, in a sentence; empty where it is."""
         self.surface: SurfaceReader | None = None
         self.detail = 1
         self._count = 0
@@ -157,6 +162,20 @@ class LiveReader:
             with _timed(stages, "force"):
                 forces = self.force(image, self.background)
         return LiveReading(image, surface, figures, refused, places, rest, seen, forces, stages)
+
+
+def _unlike_profile(profile: SensorProfile, background: np.ndarray) -> str:
+    own = profile.background_rgb
+    if own is None:
+        return ""
+    seen, known = thumb(background), thumb(own)
+    why = unlike(seen, known, fit_light(seen, known, gradient=False))
+    if why is None:
+        return ""
+    return (
+        f"The untouched gel is not as this profile knows it: {why}. What is read may be wrong: is "
+        "this the sensor that was calibrated, its gel clean and untouched?"
+    )
 
 
 def _refusal(figures: Mapping[str, Any]) -> str:

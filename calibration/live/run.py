@@ -21,7 +21,9 @@ from taccel_lab.calibration.capture.camera.framing import Framing
 from taccel_lab.calibration.capture.camera.shots import AGAIN_S, Gap, shots
 from taccel_lab.calibration.live.latency import Latency
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
+from taccel_lab.calibration.record.camera_faults import FrozenWatch, flicker_words
 from taccel_lab.calibration.record.trigger import Trigger
+from taccel_lab.errors import InputError
 
 
 class LiveWatcher(Protocol):
@@ -30,7 +32,7 @@ class LiveWatcher(Protocol):
     def show(self, reading: LiveReading, reader: LiveReader, latency: Latency) -> None: ...
 
     def tell(self, text: str) -> None:
-        """What goes on, such as that nothing may touch the gel."""
+        """What goes on, such as that nothing may touch the gel; empty: all is well."""
         ...
 
     def wants_background(self) -> bool:
@@ -51,6 +53,10 @@ class LiveResult:
     latency: Latency
     locks: tuple[ControlLock, ...] = ()
     last: LiveReading | None = None
+    remarks: tuple[str, ...] = ()
+    """What is wrong with the untouched gel that was measured, one sentence each."""
+    unseen: str = ""
+    """Why it could not be measured, in a sentence; empty where it was, or only not yet."""
 
 
 def run_live(
@@ -77,22 +83,28 @@ def run_live(
         again_s: Time between two tries to open a camera that is gone [s].
 
     Raises:
-        InputError: The images do not fit the profile, or there is no such camera.
+        InputError: The images do not fit the profile or change their size, or there is no such
+            camera.
         CameraLostError: It does not open at first.
     """
     values, framing = values or ControlValues(), framing or Framing()
     result = LiveResult(None if background is None else make_reader(background), Latency())
-    untouched = _Untouched()
+    untouched, frozen = _Untouched(), FrozenWatch()
+    told = ""
 
     def opened(camera: Camera) -> None:
         result.locks = tuple(camera.lock(values))
+        frozen.replayed = camera.info.replayed
 
     def tell(text: str) -> None:
-        for watcher in watchers:
-            watcher.tell(text)
+        nonlocal told
+        if text != told:
+            told = text
+            for watcher in watchers:
+                watcher.tell(text)
 
     if result.reader is None:
-        tell("Touch nothing: the untouched gel is being measured.")
+        tell(TOUCH_NOTHING)
     done, waited = 0, time.perf_counter()
     with closing(shots(open_, opened, again_s=again_s)) as stream:
         for event in stream:
@@ -101,13 +113,18 @@ def run_live(
                 tell(f"The camera is gone ({event.reason}); plug it in again.")
                 continue
             shot = Shot(framing.apply(event.image), event.time_s)
+            hangs = frozen.see(shot)
             if result.reader is None:
                 found = untouched.add(shot)
+                result.unseen = untouched.unseen
                 if found is not None:
                     result.reader = make_reader(found)
-                    tell("")
+                    result.remarks = _remarks(result.reader, untouched)
+                tell(untouched.unseen or hangs or (TOUCH_NOTHING if found is None else ""))
                 waited = time.perf_counter()
                 continue
+            _require_size(shot.image, result.reader.background)
+            tell(hangs or " ".join(result.remarks))
             start, start_cpu = time.perf_counter(), time.thread_time()
             reading = result.reader.read(shot.image)
             result.last = reading
@@ -124,12 +141,27 @@ def run_live(
             if done == frames or any(watcher.stopped() for watcher in watchers):
                 return result
             if any(watcher.wants_background() for watcher in watchers):
-                result.reader, untouched = None, _Untouched()
-                tell("Touch nothing: the untouched gel is being measured.")
+                result.reader, result.remarks, untouched = None, (), _Untouched()
+                tell(TOUCH_NOTHING)
             waited = time.perf_counter()
     return result
 
 
+def _remarks(reader: LiveReader, untouched: _Untouched) -> tuple[str, ...]:
+    flicker = flicker_words(untouched.flicker_levels)
+    remarks = reader.unlike_profile, f"T{flicker[1:]}." if flicker else ""
+    return tuple(remark for remark in remarks if remark)
+
+
+def _require_size(image: np.ndarray, background: np.ndarray) -> None:
+    if image.shape != background.shape:
+        raise InputError(
+            f"the camera now gives images of {image.shape[1]}x{image.shape[0]} px, it began with "
+            f"{background.shape[1]}x{background.shape[0]} px; set one format with --size"
+        )
+
+
+TOUCH_NOTHING = "Touch nothing: the untouched gel is being measured."
 MOST_AGE_S = 5.0
 """A frame is not older: its time is of another clock, as a replay's that is not paced."""
 
@@ -140,12 +172,22 @@ class _Untouched:
     def __init__(self) -> None:
         self._trigger = Trigger()
         self._frames: list[np.ndarray] = []
+        self.unseen = ""
+        """Why the last frame shows no gel, in a sentence; empty where it does."""
+
+    @property
+    def flicker_levels(self) -> float:
+        """How much the light went up and down meanwhile."""
+        return 0.0 if self._trigger.rest is None else self._trigger.rest.flicker_levels
 
     def add(self, shot: Shot) -> np.ndarray | None:
         """Take a frame in; the mean, RGB float32, once there are enough."""
         seen = self._trigger.see(shot.image, shot.time_s)
+        self.unseen = seen.unseen
         if seen.progress == 0.0 and self._trigger.rest is None:
-            self._frames.clear()  # Something moved, or this is the first one.
+            self._frames.clear()  # Something moved, nothing was seen, or this is the first one.
+        if seen.unseen:
+            return None
         self._frames.append(shot.image)
         if self._trigger.rest is None:
             return None

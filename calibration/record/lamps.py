@@ -18,6 +18,7 @@ from taccel_lab.calibration.check.light import SATURATED_SHARE
 from taccel_lab.calibration.check.presses import BLUR_TEXTURE, USEFUL_TEXTURE
 from taccel_lab.calibration.light.drift import BALANCE_LEVELS, BALANCE_SHARE, NOTABLE_LEVELS
 from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.record.camera_faults import flicker_words
 
 State = Literal["ok", "warn", "bad", "unknown"]
 TOUCHED_SHARE = 0.25
@@ -95,8 +96,18 @@ def drift_lamp(light: Light, background: np.ndarray) -> Lamp:
     return Lamp("drift", state, told)
 
 
-def controls_lamp(locks: tuple[ControlLock, ...], replayed: bool) -> Lamp:
-    """Whether the camera holds what it was told to."""
+def flicker_lamp(levels: float) -> Lamp:
+    """Whether the light stood still while the untouched gel was measured."""
+    told = flicker_words(levels)
+    if not told:
+        return Lamp("flicker", "ok", f"the light goes up and down by {levels:.1f} levels")
+    return Lamp("flicker", "bad" if levels > 2 * NOTABLE_LEVELS else "warn", told)
+
+
+def controls_lamp(locks: tuple[ControlLock, ...], replayed: bool, hangs: str = "") -> Lamp:
+    """Whether the camera goes on, and holds what it was told to."""
+    if hangs:
+        return Lamp("camera", "bad", hangs)
     if replayed:
         return Lamp("camera", "unknown", "a replay: nothing can be locked")
     failed = [str(lock) for lock in locks if lock.held is False]

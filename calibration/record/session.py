@@ -14,11 +14,13 @@ from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.capture.coverage import cell_name, cell_of
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.capture.guide import capture_plan
+from taccel_lab.calibration.capture.load import MIN_SIZE_PX
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
 from taccel_lab.calibration.contacts.fit import detect_contact
 from taccel_lab.calibration.depth.grey_contact import find_grey_contact
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.record.advice import Advice, contact_radius_mm, next_press
+from taccel_lab.calibration.record.camera_faults import FrozenWatch
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.calibration.record.folder import RecordFolder
 from taccel_lab.calibration.record.lamps import (
@@ -26,6 +28,7 @@ from taccel_lab.calibration.record.lamps import (
     blur_lamp,
     controls_lamp,
     drift_lamp,
+    flicker_lamp,
     saturation_lamp,
     touched_pixels,
 )
@@ -64,6 +67,8 @@ class Status:
     """What happened, the newest first."""
     progress: float = 0.0
     finished: bool = False
+    unseen: str = ""
+    """Why the untouched gel cannot be measured, in a sentence; empty where it can."""
 
 
 @dataclass
@@ -87,6 +92,8 @@ class Recorder:
     _since_untouched: int = 0
     _resumed: bool = False
     _gap: str = ""
+    _frozen: FrozenWatch = field(default_factory=FrozenWatch)
+    _hangs: str = ""
 
     def __post_init__(self) -> None:
         self._background = self.folder.background
@@ -106,6 +113,7 @@ class Recorder:
             InputError: The folder was begun with another one.
         """
         self.facts = self.facts.at(info, locks, self.facts.framing)
+        self._frozen.replayed = info.replayed
         before = self.folder.manifest.get("recorded", {}).get("camera", "")
         # Other ids name a port or a place in a list, which others take, too.
         if before.startswith("usb-") and not info.replayed and before != info.id:
@@ -130,11 +138,18 @@ class Recorder:
         """Take a frame in, and its picture where it is time.
 
         Raises:
-            InputError: Its size is not the folder's, or, at the first frame of a new folder, the
-                catalogue's scale cannot be taken for it.
+            InputError: Its size is not the folder's, or, at the first frame of a new folder, it is
+                too small or the catalogue's scale cannot be taken for it.
         """
         if self._shot is None and self._background is None:
-            self.facts.require_fit(shot.image.shape[1], shot.image.shape[0])
+            height, width = shot.image.shape[:2]
+            if min(width, height) < MIN_SIZE_PX:
+                raise InputError(
+                    f"the camera gives {width}x{height} px; at least {MIN_SIZE_PX}x{MIN_SIZE_PX} "
+                    "px are needed"
+                )
+            self.facts.require_fit(width, height)
+        self._hangs = self._frozen.see(shot)
         if self._background is not None and shot.image.shape != self._background.shape:
             raise InputError(
                 f"the camera gives {shot.image.shape[1]}x{shot.image.shape[0]} px, the folder "
@@ -208,6 +223,7 @@ class Recorder:
             messages=tuple(self._messages),
             progress=seen.progress,
             finished=self.finished,
+            unseen=seen.unseen,
         )
 
     def _untouched(self, image: np.ndarray) -> None:
@@ -270,6 +286,8 @@ class Recorder:
             )
         if self.finished:
             return f"Finished: {len(self.folder.presses)} presses in {self.folder.path}."
+        if seen.unseen or self._hangs:
+            return seen.unseen or self._hangs
         if seen.phase == Phase.RESTING:
             return "Touch nothing: the untouched gel is being measured."
         if seen.phase == Phase.APPROACHING:
@@ -285,7 +303,8 @@ class Recorder:
 
     def _watch(self, shot: Shot, seen: Seen) -> tuple[Lamp, ...]:
         facts = self.facts
-        locks = controls_lamp(facts.locks, facts.camera is not None and facts.camera.replayed)
+        replayed = facts.camera is not None and facts.camera.replayed
+        locks = controls_lamp(facts.locks, replayed, "" if seen.unseen else self._hangs)
         if self._background is None or seen.change is None or self.trigger.rest is None:
             return locks, saturation_lamp(shot.image, None)
         touched = touched_pixels(seen.change, CONTACT * self.trigger.rest.change_levels)
@@ -299,6 +318,7 @@ class Recorder:
             saturation_lamp(shot.image, None if waiting else touched),
             *(() if self._blur is None else (self._blur,)),
             drift_lamp(light, small),
+            flicker_lamp(self.trigger.rest.flicker_levels),
         )
 
     def _say(self, text: str) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.light.fit import fit_light, without_light
 from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.record.camera_faults import nothing_seen
 
 SMOOTHING_SHARE = 1 / 60
 """Standard deviation of the smoothing, as a part of the small image's shorter side."""
@@ -83,6 +84,8 @@ class Seen:
     """Whether the untouched picture was just taken anew, because the gel keeps a mark."""
     progress: float = 0.0
     """How much of the measurement or of the hold is done, 0 to 1."""
+    unseen: str = ""
+    """Why the untouched gel cannot be measured, in a sentence; empty where it can."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,8 @@ class Rest:
     """Largest smoothed change of any frame from the mean."""
     motion_levels: float
     """Largest smoothed change of any frame from the one ``LAG_S`` earlier."""
+    flicker_levels: float = 0.0
+    """Half of the range that the light of the frames has, in the channel that has most."""
 
     def change(self, small: np.ndarray) -> tuple[np.ndarray, Light]:
         """Smoothed colour change [levels], the light's drift taken off, and that light."""
@@ -189,6 +194,10 @@ class Trigger:
         return self._recent[0][1]
 
     def _measure(self, small: np.ndarray, time_s: float) -> Seen:
+        unseen = nothing_seen(small)
+        if unseen:
+            self._gathered.clear()
+            return Seen(Phase.RESTING, False, None, unseen=unseen)
         self._gathered.append((time_s, small))
         first = self._gathered[0][0]
         done = min((time_s - first) / REST_S, len(self._gathered) / REST_FRAMES)
@@ -210,7 +219,10 @@ def _rest_of(frames: list[tuple[float, np.ndarray]]) -> Rest | None:
     images = np.stack([small for _, small in frames])
     half = len(images) // 2
     rest = Rest(images.mean(axis=0), 0.0, 0.0)
-    changes = [_largest(rest.change(small)[0]) for small in images]
+    seen = [rest.change(small) for small in images]
+    changes = [_largest(change) for change, _ in seen]
+    mean = rest.image.reshape(-1, 3).astype(np.float64).mean(axis=0)
+    flicker = 0.5 * float(np.ptp([light.shift(mean) for _, light in seen], axis=0).max())
     times = [time_s for time_s, _ in frames]
     motions = []
     for i, time_s in enumerate(times):
@@ -221,7 +233,7 @@ def _rest_of(frames: list[tuple[float, np.ndarray]]) -> Rest | None:
     shift, _ = Rest(images[:half].mean(axis=0), 0.0, 0.0).change(images[half:].mean(axis=0))
     if _largest(shift) > max(float(np.median(motions)), QUANTISATION_LEVELS):
         return None
-    return Rest(rest.image, change, max(*motions, QUANTISATION_LEVELS, 0.0))
+    return Rest(rest.image, change, max(*motions, QUANTISATION_LEVELS, 0.0), flicker)
 
 
 def _smooth(image: np.ndarray) -> np.ndarray:

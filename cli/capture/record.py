@@ -94,13 +94,18 @@ class _Session(CameraOptions):
                 )
             except CameraLostError as error:
                 raise InputError(str(error)) from None
-            except KeyboardInterrupt:
-                console.print(
-                    f"stopped at {len(folder.presses)} of {wanted} presses; {self.out} is whole, "
-                    "and the same command goes on with it",
-                    highlight=False,
-                )
-                raise SystemExit(130) from None
+            except BaseException as error:
+                # Whatever ends it, what was taken stays.
+                if folder.background is not None:
+                    console.print(
+                        f"stopped at {len(folder.presses)} of {wanted} presses; {self.out} is "
+                        "whole, and the same command goes on with it",
+                        highlight=False,
+                        markup=False,
+                    )
+                if isinstance(error, KeyboardInterrupt):
+                    raise SystemExit(130) from None
+                raise
         self._report(status, facts, quick)
 
     def _facts(self, quick: bool) -> RecordFacts:
@@ -132,9 +137,10 @@ class _Session(CameraOptions):
         from taccel_lab.cli.console import print_json
 
         if status.image is None or not (self.out / "captures.toml").is_file():
-            raise InputError(
+            ended = (
                 f"{self.camera} ended before the untouched gel was measured; nothing was recorded"
             )
+            raise InputError(f"{ended}. {status.unseen}" if status.unseen else ended)
         contents = load_capture_folder(self.out).contents()
         if self.json:
             print_json(
@@ -199,12 +205,13 @@ class CaptureQuick(_Session):
 
 
 class _Lines:
-    """A ``Watcher`` that prints what changes."""
+    """A ``Watcher`` that prints what changes, and what spoils the captures once it does."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
         self._said: tuple[str, ...] = ()
         self._prompt = ""
+        self._bad: set[str] = set()
 
     def show(self, status: Status) -> None:
         new = []
@@ -215,6 +222,12 @@ class _Lines:
         self._said = status.messages
         for message in reversed(new):
             self._console.print(message, highlight=False, markup=False)
+        bad = {lamp.name for lamp in status.lamps if lamp.state == "bad"}
+        for lamp in status.lamps:
+            if lamp.name in bad - self._bad and lamp.told != status.prompt:
+                words = f"{lamp.name}: {lamp.told}"
+                self._console.print(words, highlight=False, markup=False)
+        self._bad |= bad
         if status.prompt != self._prompt:
             self._prompt = status.prompt
             words = f"[{status.taken}/{status.wanted}] {status.prompt}"

@@ -294,9 +294,18 @@ def test_asked_to_end_it_clears_away_what_is_unfinished(tmp_path: Path, earlier:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (
         143,
-        "asked to end; unfinished outputs were removed\n",
+        "asked to end; what was half written was removed\n",
     )
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
+
+
+def test_a_reader_that_is_gone_ends_a_table_quietly() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "taccel_lab.cli.app", "sensors", "list"]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, "")
 
 
 def test_a_reader_that_has_enough_ends_it_quietly() -> None:

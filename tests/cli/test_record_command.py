@@ -3,13 +3,19 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from taccel_lab.calibration.capture import load_capture_folder
+from taccel_lab.calibration.record.folder import RecordFolder
 from taccel_lab.cli.app import main
 from taccel_lab.profile import save_profile
+from tests.calibration.capture.capture_sets import write_image
 from tests.calibration.record.sessions import source
 from tests.calibration.synthetic import GRID, flat_profile
 
@@ -70,6 +76,32 @@ def test_bad_input_is_told_and_leaves_nothing(
     assert run([*command, *options]) == 2
     assert said in capsys.readouterr().err
     assert not (here / "out").exists()
+
+
+def test_what_was_taken_is_told_whatever_ends_it(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(RecordFolder, "add_press", full)
+    command = ["capture", "record", "flat_pad", "--camera", "set", "--out", "out", *FACTS]
+    assert run(command) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "stopped at 0 of" in said and "out is whole, and the same command goes on" in said
+    assert "No space left" in said
+
+
+def test_lamps_are_printed_where_there_is_no_page(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = load_capture_folder(here / "set")
+    assert folder.background is not None
+    dim = np.rint(0.8 * folder.presses[0].image()).astype(np.uint8)
+    write_image(here / "set" / "p00.png", dim)
+    assert run(["capture", "record", "flat_pad", "--camera", "set", "--out", "out", *FACTS]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert sum(line.startswith("drift: ") for line in lines) == 1
 
 
 def test_devices_are_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -154,6 +154,32 @@ def test_images_and_profiles_that_do_not_fit_are_refused(
         LiveReader(flat_profile(GRID), np.zeros((150, 200, 3), np.float32))
 
 
+def test_frames_that_change_their_size_are_refused(
+    grey: tuple[CaptureSet, SensorProfile], tmp_path: Path
+) -> None:
+    (tmp_path / "frames").mkdir()
+    rest = np.asarray(grey[0].background).astype(np.uint8)
+    write_image(tmp_path / "frames" / "0.png", rest)
+    write_image(tmp_path / "frames" / "1.png", rest[::2, ::2])
+    with pytest.raises(InputError, match=r"now gives images of 100x75 px, it began with 200x150"):
+        session(tmp_path / "frames", *grey, Watching(), background=rest.astype(np.float32))
+
+
+def test_an_untouched_gel_unlike_the_profiles_is_said(
+    grey: tuple[CaptureSet, SensorProfile], tmp_path: Path
+) -> None:
+    captures, profile = grey
+    rows, columns = np.indices((GRID.height_px, GRID.width_px))[..., None] + np.zeros(3)
+    rest, other = ((60 + 0.7 * side).astype(np.float32) for side in (columns, rows))
+    profile = replace(profile, background_rgb=rest)
+    assert LiveReader(profile, rest, detail=1).unlike_profile == ""
+    assert "not as this profile knows it" in LiveReader(profile, other, detail=1).unlike_profile
+    watching = Watching()
+    turned = replace(captures, background=other.astype(np.uint8))
+    found = session(tmp_path / "frames", turned, profile, watching)
+    assert found.remarks and watching.told[-1] == found.remarks[0]
+
+
 def test_markers_of_a_real_video_are_followed() -> None:
     camera = open_camera(str(real_data("gsmini_markers_video")))
     profile = catalogue_profile("gelsight_mini")

@@ -55,6 +55,15 @@ def test_nothing_runs_over_on_screen_nor_in_print(address: str) -> None:
         assert page.evaluate(WIDER) == []
 
 
+def test_text_of_tables_is_readable_on_a_phone(address: str) -> None:
+    widths = """() => [...document.querySelectorAll('.wrapped td:not(.short)')]
+      .filter(e => e.innerText.length > 20).map(e => e.clientWidth)"""
+    with chromium_page(address, (390, 844)) as page:
+        found = page.evaluate(widths)
+        assert found and min(found) > 200
+        assert page.evaluate("() => document.documentElement.scrollWidth") <= 390
+
+
 def test_it_prints_on_few_sheets(address: str) -> None:
     with chromium_page(address) as page:
         sheets = len(re.findall(rb"/Type\s*/Page[^s]", page.pdf(format="A4")))
