@@ -24,8 +24,8 @@ class Depth:
     depth_response block (grey sensors) gives depths. For every image, `<name>.npz` holds the
     height and its standard deviation, `<name>.png` shows it and `<name>.json` says how deep, where
     and how large. Heights are metres in the gel frame, zero on untouched gel, negative in a dent.
-    The +- is one standard deviation of the reading alone: what the balls, circles and scale of the
-    calibration may be off by comes on top. Images that are no press of this sensor are told with
+    The +- is one standard deviation of the absolute depth: the reading, and what the calibration
+    may be off by. Images that are no press of this sensor are told with
     their reason; the others are read all the same, and the exit code is 2.
     """
 

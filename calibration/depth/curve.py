@@ -11,16 +11,18 @@ untouched gel reads as untouched.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.cross_conformal import radius_factor
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.depth_response import Channel, DepthResponse
+from taccel_lab.signals.read_heights import BAND_SIGMAS
 
 INNER_RADII = 0.95
 """Pixels within this many contact radii are used."""
@@ -28,6 +30,7 @@ KNOT_LEVELS = 4.0
 """Distance of the curve's knots [levels]."""
 TABLE_LEVELS = 1.0
 """Distance of the stored table's entries [levels]."""
+SHARE = 0.95
 MIN_PIXELS = 200
 MIN_NEAR = 6
 """Pixels that a knot needs within a step."""
@@ -53,6 +56,11 @@ class ContactPixels:
     v_px: np.ndarray
     background: np.ndarray
     """Level of the untouched pixel, shape [n]."""
+
+    def of(self, keep: np.ndarray) -> ContactPixels:
+        """Some of these pixels, bool, shape [n]."""
+        arrays = {name: value[keep] for name, value in vars(self).items() if name != "press"}
+        return replace(self, **arrays)
 
 
 def contact_pixels(
@@ -137,8 +145,9 @@ def depth_at_no_drop(part: ContactPixels) -> float:
     return float(level) if slope > 0 else float(part.depth_mm[near].min())
 
 
-def left_out_errors(parts: Sequence[ContactPixels]) -> tuple[np.ndarray, str]:
-    """Absolute errors [mm] of pixels that a fit did not see, and what was left out.
+def left_out_errors(parts: Sequence[ContactPixels]) -> tuple[list[np.ndarray], str]:
+    """Absolute errors [mm] of pixels that a fit did not see, by what was left out, and what that
+    was.
 
     Whole presses where there are several, else eighths of the one contact.
     """
@@ -147,14 +156,21 @@ def left_out_errors(parts: Sequence[ContactPixels]) -> tuple[np.ndarray, str]:
         for i, part in enumerate(parts):
             fit = fit_response([p for k, p in enumerate(parts) if k != i])
             errors.append(np.abs(fit.depth_of(part.drop_levels) - part.depth_mm))
-        return np.concatenate(errors), "press"
+        return errors, "press"
     for sector in range(SECTOR_COUNT):
         out = parts[0].sector == sector
         if not out.any() or out.all():
             continue
-        fit = fit_response([_subset(parts[0], ~out)])
+        fit = fit_response([parts[0].of(~out)])
         errors.append(np.abs(fit.depth_of(parts[0].drop_levels[out]) - parts[0].depth_mm[out]))
-    return np.concatenate(errors), "eighth of the contact"
+    return errors, "eighth of the contact"
+
+
+def reading_sigma_mm(left_out_mm: Sequence[np.ndarray]) -> float:
+    """Standard deviation [mm], two of which hold 95 % of the pixels of a new press in the mean
+    (cross-conformal); those of the worst one where there are too few to tell how they differ."""
+    worst = max(float(np.quantile(errors, SHARE)) for errors in left_out_mm)
+    return radius_factor(left_out_mm, SHARE, worst) / BAND_SIGMAS
 
 
 def curve_spread_mm(
@@ -162,7 +178,7 @@ def curve_spread_mm(
 ) -> np.ndarray:
     """Standard deviation of the curve [mm] at its own drops, by resampling eighths of contacts."""
     blocks = [
-        _subset(part, part.sector == sector)
+        part.of(part.sector == sector)
         for part in parts
         for sector in range(SECTOR_COUNT)
         if (part.sector == sector).sum() > 10
@@ -172,15 +188,3 @@ def curve_spread_mm(
         picked = rng.integers(0, len(blocks), len(blocks))
         curves.append(fit_response([blocks[k] for k in picked]).depth_of(response.drop_levels))
     return np.std(curves, axis=0)
-
-
-def _subset(part: ContactPixels, keep: np.ndarray) -> ContactPixels:
-    return ContactPixels(
-        part.press,
-        part.drop_levels[keep],
-        part.depth_mm[keep],
-        part.sector[keep],
-        part.u_px[keep],
-        part.v_px[keep],
-        part.background[keep],
-    )

@@ -16,7 +16,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.calibration.base_profile import lost_blocks, on_grid, with_measured_scale
+from taccel_lab.calibration.base_profile import (
+    lost_blocks,
+    on_grid,
+    stated_scale_share,
+    with_measured_scale,
+)
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check.block_findings import capture_findings, joined, refusing_with
@@ -28,6 +33,7 @@ from taccel_lab.calibration.depth.curve import (
     depth_at_no_drop,
     fit_response,
     left_out_errors,
+    reading_sigma_mm,
 )
 from taccel_lab.calibration.depth.grey_contact import find_grey_contact
 from taccel_lab.calibration.depth.options import DepthOptions
@@ -77,7 +83,8 @@ def calibrate_depth(
         kind, on_captures, decay_mm=on_captures.gel.thickness_mm, progress=progress
     )
     with refusing_with(findings):
-        found = fit_depth(captures, options, surfaces, assumed)
+        share = stated_scale_share(on_captures.camera)
+        found = fit_depth(captures, options, surfaces, assumed, scale_share=share)
     progress(TASK, 1, 1)
     lost = lost_blocks(base, on_captures)
     return replace(found, remarks=(*lost, *joined(findings, found.remarks)))
@@ -88,6 +95,8 @@ def fit_depth(
     options: DepthOptions = DepthOptions(),
     surfaces: SurfaceMaker | None = None,
     remarks: Sequence[Remark] = (),
+    *,
+    scale_share: float = 0.0,
 ) -> DepthCalibration:
     """Fit the curve to ball presses at a known scale.
 
@@ -96,6 +105,7 @@ def fit_depth(
         options: What is read, and what depths are counted from.
         surfaces: Gives the surfaces of the presses for ``hertz`` and ``simulated``.
         remarks: What is known already of the captures.
+        scale_share: Standard deviation of the scale of the pixel grid, as a share of it.
     """
     background = channel_of(captures.background, options.channel)
     mask = None if captures.mask.all() else captures.mask
@@ -153,6 +163,7 @@ def fit_depth(
     spread = curve_spread_mm(parts, response, np.random.default_rng(options.seed), BOOTSTRAPS)
     level = float(np.median(background))
     normalised, _ = left_out_errors([_normalised(part, level) for part in parts])
+    all_errors = np.concatenate(errors)
     sigma_px = [sigma for _, sigma in contacts]
     presses = tuple(
         _figures(part, response, captures, circle, sigma, flag, radius, rim)
@@ -160,17 +171,27 @@ def fit_depth(
             parts, chosen, sigma_px, given, radii, sunk, strict=True
         )
     )
+    offset_mm = _offset_sigma_mm(chosen, sigma_px, radii, captures)
+    gap_mm = max(abs(float(np.mean(sunk) - np.mean(other))) for other in zeros)
     result = DepthCalibration(
-        response=response,
+        response=DepthResponse(
+            response.channel,
+            response.drop_levels,
+            response.depth_mm,
+            reading_sigma_mm=reading_sigma_mm(errors),
+            zero_sigma_mm=math.hypot(offset_mm, gap_mm),
+            # A cap's depth goes with the square of its width.
+            depth_share=2 * scale_share,
+        ),
         spread_mm=spread,
-        offset_sigma_mm=_offset_sigma_mm(chosen, sigma_px, radii, captures),
-        zero_gap_mm=max(abs(float(np.mean(sunk) - np.mean(other))) for other in zeros),
-        left_out_mm=errors,
+        offset_sigma_mm=offset_mm,
+        zero_gap_mm=gap_mm,
+        left_out_mm=all_errors,
         left_out=left_out,
         presses=presses,
         parts=parts,
         light_r2=_light_r2(parts, response),
-        normalised_mae_mm=float(normalised.mean()),
+        normalised_mae_mm=float(np.concatenate(normalised).mean()),
         zero=options.zero,
         captures=captures,
     )
@@ -178,7 +199,7 @@ def fit_depth(
         *remarks,
         *off,
         *place_remarks(chosen),
-        *error_remarks(errors, np.concatenate([part.depth_mm for part in parts]), left_out),
+        *error_remarks(all_errors, np.concatenate([part.depth_mm for part in parts]), left_out),
         *curve_remarks(result, drops),
     )
     return replace(result, remarks=found_remarks)

@@ -100,6 +100,7 @@ class DepthCalibration:
             "left_out": self.left_out,
             "normalised_mae_mm": self.normalised_mae_mm,
             "light_r2": self.light_r2,
+            "reading_sigma_mm": self.response.reading_sigma_mm,
             "curve_sigma_mm": float(self.spread_mm[1:].mean()),
             "offset_sigma_mm": self.offset_sigma_mm,
             "presses": [asdict(p) for p in sorted(self.presses, key=lambda p: -p.mae_mm)],
@@ -122,6 +123,9 @@ class DepthCalibration:
                 channel=response.channel,
                 drop_levels=tuple(float(x) for x in response.drop_levels),
                 depth_mm=tuple(float(x) for x in response.depth_mm),
+                reading_sigma_mm=response.reading_sigma_mm,
+                zero_sigma_mm=response.zero_sigma_mm,
+                depth_share=response.depth_share,
                 provenance=Provenance(
                     kind="calibrated",
                     method=(

@@ -13,6 +13,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from taccel_lab.calibration.ball_presses import ball_presses
+from taccel_lab.calibration.base_profile import stated_scale_share
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.capture.split import PressSplit
@@ -46,14 +47,13 @@ from taccel_lab.calibration.normals.samples import (
 )
 from taccel_lab.calibration.normals.score import (
     HeldoutNormals,
-    WantedRise,
     inside_of,
     reliability_of,
     score_heldout,
 )
 from taccel_lab.calibration.normals.skirt import (
     ball_surface,
-    height_sigma_m,
+    depth_share,
     layer_of,
     layer_skirts,
 )
@@ -116,6 +116,7 @@ def calibrate_normals(
         background=profile.background_rgb,
         pad=pad,
         colors=ColorModel.from_profile(profile),
+        scale_share=stated_scale_share(profile.camera),
         progress=progress,
     )
     remarks = joined(presses.findings, (*presses.remarks, *found.remarks))
@@ -138,6 +139,7 @@ def fit_normals(
     background: np.ndarray | None = None,
     pad: BondedLayer | None = None,
     colors: ColorModel | None = None,
+    scale_share: float = 0.0,
     progress: Progress = silent,
 ) -> NormalCalibration:
     """Fit the inverse model to ``captures`` and score it on ``heldout``.
@@ -157,6 +159,7 @@ def fit_normals(
         background: What images will be compared with, RGB levels; that of the captures when None.
         pad: The gel, for practice on other tools; without it there is none.
         colors: Colours of the sensor, for the same; fitted to ``captures`` when None.
+        scale_share: Standard deviation of the scale of the pixel grid, as a share of it.
         progress: Told of the fit's steps.
     """
     if len(circles) != len(captures.presses) or (
@@ -191,7 +194,11 @@ def fit_normals(
     unseen = () if practice is None else practice.presses(CHECKED)
     checked = map(KnownPress.of_practice, unseen)
     balls = left_out_balls(fit.model, training, scene)
-    model, practised = with_reading_errors(fit.model, checked, balls, scene)
+    known = [(f.surface, f.circle) for f in training if f.surface is not None]
+    # What all circles are off by alike is in what each of them is said to be.
+    radius_px = min(radius for _, radius in sigmas)
+    share = depth_share(known, radius_px, captures.ball_radius_mm, captures.grid, scale_share)
+    model, practised = with_reading_errors(fit.model, checked, balls, scene, share)
     fit = replace(fit, model=model)
     failures = {} if split is None else dict.fromkeys(split.gone, "it was left out of the captures")
     items: list[HeldoutNormals] = []
@@ -209,14 +216,12 @@ def fit_normals(
             image = _light(image, scene).remove(image).astype(np.float32)
         sigma_px = placed_px if press.circle is None else by_label_px
         frame = InverseFrame(press.name, image, circle, press.sha256, None, sigma_px)
-        wanted = None
+        wanted_mm = None
         if pad is not None:
             ball_mm = press.radius_mm or captures.ball_radius_mm
             rest = flat_rest(captures.grid)
-            surface = ball_surface(circle, ball_mm, captures.grid, pad, rest)
-            sigma_m = height_sigma_m(surface, circle, sigma_px, ball_mm, captures.grid)
-            wanted = WantedRise(surface.displacement_mm(), 1e3 * sigma_m)
-        items.append(score_heldout(fit.model, frame, press.circle, scene, wanted))
+            wanted_mm = ball_surface(circle, ball_mm, captures.grid, pad, rest).displacement_mm()
+        items.append(score_heldout(fit.model, frame, press.circle, scene, wanted_mm))
     baseline_deg = None
     if baseline and items:
         plain = fit_normal_model(training, scene, replace(PIXEL_BASELINE, seed=options.seed))
@@ -304,12 +309,7 @@ def left_out_balls(
         member = fold_of(i, model.config.members, len(training))
         if member is None:
             continue
-        rise = sigma = None
-        if frame.surface is not None:
-            rise = 1e-3 * frame.surface.displacement_mm()
-            sigma = height_sigma_m(
-                frame.surface, frame.circle, frame.circle_sigma_px, scene.ball_radius_mm, scene.grid
-            )
+        rise = None if frame.surface is None else 1e-3 * frame.surface.displacement_mm()
         normals = true_normals(frame, scene)
         yield KnownPress(
             image=frame.image,
@@ -318,7 +318,6 @@ def left_out_balls(
             compared=inside_of(frame.circle, scene),
             left_out=member,
             normals_sigma_deg=np.degrees(circle_angle_rad(frame, scene, normals)),
-            rise_sigma_m=sigma,
         )
 
 

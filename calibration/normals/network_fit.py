@@ -46,11 +46,11 @@ from taccel_lab.signals.normal_model import (
     MAX_TILT_RAD,
     RAYLEIGH_MEAN,
     NormalModel,
-    NormalModelConfig,
     expected_shapes,
     layer_tensors,
     tilt_and_error,
 )
+from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.position_encoding import require_bands
 
 TASK = "fitting the inverse model"

@@ -23,7 +23,7 @@ from taccel_lab.calibration.surfaces.random_tools import draw_tool
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_features import color_change
-from taccel_lab.signals.normal_model import NormalModelConfig
+from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import normals_from_slopes, rotate_to_z, slopes_from_height
 
 TASK = "drawing practice presses"

@@ -30,6 +30,15 @@ MOSTLY = 0.5
 Method = Literal["auto", "normals", "depth"]
 STEEP_SHARE = 0.02
 """Share of pixels that the calibration says nothing of, from which on a user is told."""
+SigmaOf = Literal["absolute depth", "reading alone"]
+NO_SIGMA = (
+    "the profile does not say how uncertain its depths are: it was calibrated by an earlier "
+    "version or without practice presses; calibrate again"
+)
+READING_ALONE = (
+    "the profile was calibrated by an earlier version: its +- is that of the reading alone, and "
+    "absolute depths are off by more; calibrate again to have it whole"
+)
 CONTACT_MM = 0.05
 CONTACT_SHARE = 0.1
 """Pixels pressed deeper than this, than this share of the deepest one and than the height is
@@ -45,9 +54,11 @@ class SurfaceReading:
     rise_m: np.ndarray
     """Its rise over the resting face [m], negative in a dent."""
     height_sigma_m: np.ndarray | None
-    """Standard deviation of both heights [m] by the reading alone: what the calibration's circles,
-    ball and scale may be off by is not in it. None of a grey sensor, and of models that were fitted
-    without practice presses."""
+    """Standard deviation of both heights [m]. None of models that were fitted without practice
+    presses, and of curves of earlier versions."""
+    reading_sigma_m: np.ndarray | None
+    """That of the reading alone [m], which tells places of one image apart: what all depths are off
+    by alike, such as the calibration's circles, scale or zero, is not in it."""
     normals: np.ndarray
     """Outward unit normals, shape [height_px, width_px, 3]."""
     sigma_deg: np.ndarray | None
@@ -61,6 +72,9 @@ class SurfaceReading:
     """Pixels darker than any that was calibrated, bool; None of a colour sensor."""
     method: Literal["normals", "depth"]
     drift_removed: bool
+    sigma_of: SigmaOf | None = None
+    """What ``height_sigma_m`` is that of: the absolute depth, or, with profiles of earlier versions
+    that know no more, the reading alone; None where the profile tells none."""
 
     def figures(self, grid: PixelGrid) -> dict[str, Any]:
         """Depth, place and size of what is pressed in, ready for JSON; ``grid`` is the maps'."""
@@ -68,8 +82,8 @@ class SurfaceReading:
         row, column = np.unravel_index(int(np.argmax(depth_mm)), depth_mm.shape)
         least_mm = max(CONTACT_MM, CONTACT_SHARE * float(depth_mm[row, column]))
         touched = depth_mm > least_mm
-        if self.height_sigma_m is not None:
-            touched &= depth_mm > 1e3 * BAND_SIGMAS * self.height_sigma_m
+        if self.reading_sigma_m is not None:
+            touched &= depth_mm > 1e3 * BAND_SIGMAS * self.reading_sigma_m
         pixel_mm2 = grid.mm_per_px_x * grid.mm_per_px_y
         at_mm = grid.gel_from_pixel(np.array([column, row], dtype=float))
         found: dict[str, Any] = {
@@ -79,6 +93,7 @@ class SurfaceReading:
             "max_depth_sigma_mm": None
             if self.height_sigma_m is None
             else float(1e3 * self.height_sigma_m[row, column]),
+            "sigma_of": self.sigma_of,
             "deepest_px": [int(column), int(row)],
             "deepest_gel_mm": [float(at_mm[0]), float(at_mm[1])],
             "touched_mm2": float(touched.sum() * pixel_mm2),
@@ -102,6 +117,8 @@ class SurfaceReading:
     def _warnings(self, figures: dict[str, Any]) -> list[str]:
         """What a user should know before trusting the heights, one sentence each."""
         said = []
+        if self.sigma_of != "absolute depth":
+            said.append(NO_SIGMA if self.sigma_of is None else READING_ALONE)
         steep = figures.get("beyond_balls_share", 0.0)
         if steep > STEEP_SHARE:
             said.append(
@@ -162,6 +179,17 @@ class SurfaceReader:
         self.drift = drift == "on"
         if drift == "auto":
             self.drift = self.normal_model is not None and self.normal_model.config.light_drift
+
+    @property
+    def sigma_of(self) -> SigmaOf | None:
+        """What the profile's standard deviations are those of (``SurfaceReading``)."""
+        if self.response is not None:
+            return None if self.response.reading_sigma_mm is None else "absolute depth"
+        assert self.normal_model is not None
+        config = self.normal_model.config
+        if config.height_factor == 0:
+            return None
+        return "absolute depth" if config.depth_share > 0 else "reading alone"
 
     def _chosen(self, method: Method) -> Literal["normals", "depth"]:
         if method != "auto":
@@ -243,7 +271,8 @@ class SurfaceReader:
         return SurfaceReading(
             height_m=height,
             rise_m=found.height_m,
-            height_sigma_m=None,
+            height_sigma_m=_metres(found.sigma_mm),
+            reading_sigma_m=_metres(found.reading_sigma_mm),
             normals=normals_from_height(height, self.grid),
             sigma_deg=None,
             radius95_deg=None,
@@ -251,6 +280,7 @@ class SurfaceReader:
             saturated=found.saturated,
             method="depth",
             drift_removed=self.drift,
+            sigma_of=self.sigma_of,
         )
 
     def _by_normals(self, levels: np.ndarray, uncertainty: bool) -> SurfaceReading:
@@ -270,6 +300,7 @@ class SurfaceReader:
             height_m=self.rest.height_m + found.rise_m,
             rise_m=found.rise_m,
             height_sigma_m=found.sigma_m,
+            reading_sigma_m=found.reading_sigma_m,
             normals=read.normals,
             sigma_deg=read.sigma_deg,
             radius95_deg=read.radius95_deg,
@@ -277,7 +308,12 @@ class SurfaceReader:
             saturated=None,
             method="normals",
             drift_removed=self.drift,
+            sigma_of=self.sigma_of,
         )
+
+
+def _metres(values_mm: np.ndarray | None) -> np.ndarray | None:
+    return None if values_mm is None else 1e-3 * values_mm
 
 
 def _shrunk(model: NormalModel, grid: PixelGrid) -> NormalModel:

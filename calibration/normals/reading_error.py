@@ -2,8 +2,14 @@
 """How far normals and heights are off, found on presses of known surface that were not seen.
 
 Those are practice presses that no network saw, and every training ball as read by the network that
-did not see it. Where a ball is, is known to a pixel or two only: what its circle may be off by is
-taken off the errors, so that bands do not have to hold errors of labels.
+did not see it. Where a ball is, is known to a pixel or two only: what its centre may be off by is
+taken off the errors of normals, so that their radius does not have to hold errors of labels.
+
+Heights are told as absolute ones. Practice presses are exact and say what the reading adds. Balls
+say what comes on top, an error that lies along the slope all around the dent. How much of it is
+that of each circle and how much the reading's they do not tell apart, so that all of it counts.
+What is wrong in all circles alike, in the scale or in the gel's law was learnt along and shows in
+no error: it is given as a share of the depth.
 """
 
 from __future__ import annotations
@@ -13,12 +19,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taccel_lab.calibration.normals.cross_conformal import radius_factor
+from taccel_lab.calibration.cross_conformal import radius_factor
 from taccel_lab.calibration.normals.practice import PracticePress
 from taccel_lab.calibration.normals.samples import Scene
 from taccel_lab.calibration.normals.score import angle_between_deg
 from taccel_lab.signals.height_uncertainty import HeightUncertainty
-from taccel_lab.signals.normal_model import RAYLEIGH_95, NormalModel, relative_normals
+from taccel_lab.signals.normal_model import NormalModel, relative_normals
+from taccel_lab.signals.normal_model_config import RAYLEIGH_95
 from taccel_lab.signals.read_heights import BAND_SIGMAS, read_heights
 
 LENGTHS_PX = (4.0, 8.0, 16.0)
@@ -26,6 +33,7 @@ LENGTHS_PX = (4.0, 8.0, 16.0)
 EVERY_PX = 3
 """Pixels apart that errors are looked at."""
 SHARE = 0.95
+LEAST_M = 1e-9
 DENT_MM = 0.02
 """Heights below this belong to the dent."""
 
@@ -64,8 +72,6 @@ class KnownPress:
     normals_sigma_deg: np.ndarray | None = None
     """Standard deviation of each component of the known normals [degrees], shape [h, w]; exact when
     None."""
-    rise_sigma_m: np.ndarray | None = None
-    """Standard deviation of the known rise [m], shape [height_px, width_px]; exact when None."""
 
     @classmethod
     def of_practice(cls, press: PracticePress) -> KnownPress:
@@ -75,14 +81,17 @@ class KnownPress:
 
 @dataclass(frozen=True)
 class _Errors:
-    """Of some pixels of a press, what its own surface may be off by taken off, shape [n] each."""
+    """Of some pixels of a press, shape [n] each."""
 
     angle_sigmas: np.ndarray
-    """Angles over the expected standard deviation."""
+    """Angles over the expected standard deviation, what the ball's centre may be off by taken
+    off."""
     height_m: np.ndarray
     """Of heights; empty where none are known."""
     spreads_m: Sequence[np.ndarray]
     """Of heights before any factor, for each of ``LENGTHS_PX``."""
+    along_m: np.ndarray
+    """Height that is off where all slopes are too steep by what is expected of them."""
 
 
 def with_reading_errors(
@@ -90,13 +99,16 @@ def with_reading_errors(
     practice: Iterable[KnownPress],
     balls: Iterable[KnownPress],
     scene: Scene,
+    depth_share: float,
 ) -> tuple[NormalModel, PracticeScore | None]:
     """The model with its radius of 95 % and the spread of its heights, and how well it read the
     practice presses.
 
-    Both factors are those that hold 95 % of a new press's pixels in the mean (cross-conformal), on
-    practice or on captured balls, whichever asks for more. Heights have a spread where there is
+    All factors are those that hold 95 % of a new press's pixels in the mean (cross-conformal): the
+    radius on practice or on captured balls, whichever asks for more, the spread of the reading on
+    practice, and what comes on top along the slopes on balls. Heights have a spread where there is
     practice; the length over which errors go together is the one with the narrowest band.
+    ``depth_share`` is what all readings may be off by (``skirt.depth_share``).
     """
     drawn = _all_errors(model, practice, scene)
     captured = _all_errors(model, balls, scene)
@@ -109,16 +121,17 @@ def with_reading_errors(
         return NormalModel(config, model.weights), None
     best: tuple[float, int, float] | None = None
     for k in range(len(LENGTHS_PX)):
-        factor = max(
-            radius_factor([e.height_m / e.spreads_m[k] for e in g], SHARE, BAND_SIGMAS)
-            for g in groups
-        ) / BAND_SIGMAS  # fmt: skip
+        over = [e.height_m / e.spreads_m[k] for e in drawn]
+        factor = radius_factor(over, SHARE, BAND_SIGMAS) / BAND_SIGMAS
         width = factor * float(np.mean([e.spreads_m[k].mean() for e in drawn]))
         if best is None or width < best[0]:
             best = (width, k, factor)
     assert best is not None
     _, k, factor = best
-    config = replace(config, error_length_px=LENGTHS_PX[k], height_factor=factor)
+    config = replace(
+        config, error_length_px=LENGTHS_PX[k], height_factor=factor, depth_share=depth_share,
+        along_factor=_along_factor(captured, k, factor),
+    )  # fmt: skip
     dents = [float(1e3 * np.sqrt(np.mean(e.height_m**2))) for e in drawn]
     score = PracticeScore(
         rmse_mm=float(np.sqrt(np.mean(np.square(dents)))),
@@ -131,6 +144,17 @@ def with_reading_errors(
         count=len(dents),
     )
     return NormalModel(config, model.weights), score
+
+
+def _along_factor(balls: Sequence[_Errors], k: int, factor: float) -> float:
+    """Of the expected errors of slopes, what has to lie along them for the heights of balls; all of
+    it where too few balls tell."""
+    over = [
+        _beyond(e.height_m, BAND_SIGMAS * factor * e.spreads_m[k]) / e.along_m
+        for e in balls
+        if len(e.height_m)
+    ]
+    return radius_factor(over, SHARE, BAND_SIGMAS) / BAND_SIGMAS
 
 
 def _all_errors(model: NormalModel, presses: Iterable[KnownPress], scene: Scene) -> list[_Errors]:
@@ -156,22 +180,22 @@ def _errors(model: NormalModel, press: KnownPress, scene: Scene) -> _Errors | No
         angle = _beyond(angle, RAYLEIGH_95 * press.normals_sigma_deg[sample][kept])
     sigmas = angle / found.sigma_deg[sample][kept]
     if press.rise_m is None:
-        return _Errors(sigmas, np.empty(0), [np.empty(0)] * len(LENGTHS_PX))
-    spreads = []
-    for length in LENGTHS_PX:
-        sigma = HeightUncertainty(scene.grid, length).sigma_m(
-            found.slope_sigma(),
-            weights=None if scene.mask is None else scene.mask.astype(float),
-            zero=read.zero,
-        )
-        spreads.append(np.maximum(sigma[sample][kept], 1e-9))
-    off = np.abs(read.rise_m - press.rise_m)[sample][kept]
-    if press.rise_sigma_m is not None:
-        off = _beyond(off, BAND_SIGMAS * press.rise_sigma_m[sample][kept])
-    return _Errors(sigmas, off, spreads)
+        return _Errors(sigmas, np.empty(0), [np.empty(0)] * len(LENGTHS_PX), np.empty(0))
+    trials = [HeightUncertainty(scene.grid, length) for length in LENGTHS_PX]
+    weights = None if scene.mask is None else scene.mask.astype(float)
+    slope_sigma = found.slope_sigma()
+    spreads = [trial.sigma_m(slope_sigma, weights=weights, zero=read.zero) for trial in trials]
+    # Over any length alike: it is smooth, and the grid of the shortest is the finest.
+    along = trials[0].along_m(read.slope, slope_sigma, weights=weights, zero=read.zero)
+    return _Errors(
+        angle_sigmas=sigmas,
+        height_m=np.abs(read.rise_m - press.rise_m)[sample][kept],
+        spreads_m=[np.maximum(spread[sample][kept], LEAST_M) for spread in spreads],
+        along_m=np.maximum(along[sample][kept], LEAST_M),
+    )
 
 
 def _beyond(error: np.ndarray, known_to: np.ndarray) -> np.ndarray:
-    """What is left of errors for the reading to explain, where what they are counted from is itself
-    within ``known_to`` in 95 %: radii of independent errors add by their squares."""
+    """What is left of errors to explain, where something independent explains ``known_to`` in 95 %:
+    radii of independent errors add by their squares."""
     return np.sqrt(np.maximum(error**2 - np.square(known_to), 0.0))

@@ -31,6 +31,7 @@ ARRAYS = (
     "height_m",
     "rise_m",
     "height_sigma_m",
+    "reading_sigma_m",
     "normals",
     "sigma_deg",
     "radius95_deg",

@@ -107,7 +107,8 @@ def _summary(result: NormalCalibration) -> Table:
             ["absolute depth, mean absolute error [mm]", absolute["mae_mm"], "-"],
             ["deepest point, read less wanted [mm]", absolute["deepest_mm"], "-"],
             ["deepest point, wanted [mm]", absolute["wanted_mm"], "-"],
-            ["heights within the 95 % band", absolute["within_95"], "-"],
+            ["heights within one standard deviation (68 %)", absolute["within_68"], "-"],
+            ["heights within two (95 %)", absolute["within_95"], "-"],
         ]
     if result.baseline_deg is not None:
         rows.insert(1, ["colour of the pixel alone, mean [deg]", result.baseline_deg, "-"])
@@ -119,8 +120,8 @@ def _summary(result: NormalCalibration) -> Table:
         "as the training presses say that labels lie; found in the image without one. Circles by "
         "hand are off by a pixel or more; that error is part of both columns. Absolute depths are "
         "compared with the ball pressed into the stated pad until it touches in the circle: a pad "
-        "of another thickness shifts them. Bands count what the circles may be off by. Presses "
-        "that could not be read count as a flat guess: "
+        "of another thickness shifts them, and the circle of each is as uncertain as its label. "
+        "Presses that could not be read count as a flat guess: "
         f"{', '.join(result.failures) or 'none'}.",
     )
 

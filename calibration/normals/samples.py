@@ -20,7 +20,7 @@ from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.normal_features import color_change
-from taccel_lab.signals.normal_model import NormalModelConfig
+from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import rotate_to_z
 
 RIM_RADII = 0.98

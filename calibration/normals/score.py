@@ -17,12 +17,8 @@ from taccel_lab.calibration.normals.samples import (
     true_normals,
     usable_pixels,
 )
-from taccel_lab.signals.normal_model import (
-    RAYLEIGH_95,
-    RAYLEIGH_MEAN,
-    NormalMap,
-    NormalModel,
-)
+from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap, NormalModel
+from taccel_lab.signals.normal_model_config import RAYLEIGH_95
 from taccel_lab.signals.read_heights import BAND_SIGMAS, read_heights
 
 RIM_BAND = 0.04
@@ -49,16 +45,6 @@ class AngleScore:
 
 
 @dataclass(frozen=True)
-class WantedRise:
-    """What heights are compared with."""
-
-    rise_mm: np.ndarray
-    """Rise of the face under the press [mm], shape [height_px, width_px]."""
-    sigma_mm: np.ndarray
-    """Its standard deviation [mm] by what the circle may be off, same shape."""
-
-
-@dataclass(frozen=True)
 class AbsoluteDepth:
     """Depths inside the circle as they are read, aligned on nothing.
 
@@ -72,9 +58,11 @@ class AbsoluteDepth:
     """Deepest point, as read less as it should be."""
     wanted_mm: float
     """Deepest point as it should be."""
+    within_68: float
+    """Share of pixels within one standard deviation of what they should be; NaN where none is
+    told."""
     within_95: float
-    """Share of pixels whose band of 95 %, joined with that of what should be, holds the difference;
-    NaN where there is no band."""
+    """Share within two."""
 
 
 @dataclass(frozen=True)
@@ -127,9 +115,10 @@ def score_heldout(
     frame: InverseFrame,
     given: ContactCircle | None,
     scene: Scene,
-    wanted: WantedRise | None = None,
+    wanted_mm: np.ndarray | None = None,
 ) -> HeldoutNormals:
-    """Read one press as ``depth`` does and compare it with its ball."""
+    """Read one press as ``depth`` does and compare it with its ball, and absolute heights with the
+    rise of the face under it, ``wanted_mm``, shape [height_px, width_px]."""
     found = read_heights(
         model, frame.image, scene.background, scene.grid, mask=scene.mask,
         rest_normals=scene.rest_normals,
@@ -139,18 +128,19 @@ def score_heldout(
     truth = ball_normals(frame.circle, scene.grid, scene.ball_radius_mm, scene.rest_normals)
     error = np.where(inside, angle_between_deg(predicted.normals, truth), np.nan)
     depth = None
-    if wanted is not None:
-        off_mm = np.abs(1e3 * height - wanted.rise_mm)[inside]
-        deepest = float(wanted.rise_mm[inside].min())
-        within = float("nan")
+    if wanted_mm is not None:
+        off_mm = np.abs(1e3 * height - wanted_mm)[inside]
+        deepest = float(wanted_mm[inside].min())
+        within = [float("nan")] * 2
         if found.sigma_m is not None:
-            sigma_mm = np.hypot(1e3 * found.sigma_m, wanted.sigma_mm)[inside]
-            within = float((off_mm <= BAND_SIGMAS * sigma_mm).mean())
+            sigma_mm = 1e3 * found.sigma_m[inside]
+            within = [float((off_mm <= k * sigma_mm).mean()) for k in (1.0, BAND_SIGMAS)]
         depth = AbsoluteDepth(
             mae_mm=float(off_mm.mean()),
             deepest_mm=deepest - float(1e3 * height[inside].min()),
             wanted_mm=-deepest,
-            within_95=within,
+            within_68=within[0],
+            within_95=within[1],
         )
     return HeldoutNormals(
         name=frame.name,

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -100,30 +101,31 @@ def ball_in_layer(
     return depth_mm, np.asarray(spline(np.arange(grid.height_px), np.arange(grid.width_px)))
 
 
-def height_sigma_m(
-    surface: PressSurface,
-    circle: ContactCircle,
-    sigma_px: tuple[float, float],
+def depth_share(
+    presses: Sequence[tuple[PressSurface, ContactCircle]],
+    radius_sigma_px: float,
     ball_mm: float,
     grid: PixelGrid,
-) -> np.ndarray:
-    """Standard deviation [m] of the heights in a contact whose circle is known to ``sigma_px``
-    (centre along an axis, radius), shape [height_px, width_px].
+    scale_share: float = 0.0,
+) -> float:
+    """Standard deviation, as a share of the depth, of what a calibration on these presses takes as
+    known, so that all its readings are off by it alike.
 
-    A centre that is off moves the dent along its slope. A radius that is off makes it deeper as a
-    whole: the ball's cap over the rim grows by ``a / sqrt(R^2 - a^2)`` for each millimetre of a,
-    and what the rim has sunk by grows with the square of a, as in Hertz's contact. Beside that the
-    depth is known to ``LAYER_SHARE``.
+    A radius that is off by ``radius_sigma_px`` in all circles makes dents deeper as a whole: the
+    ball's cap over the rim grows by ``a / sqrt(R^2 - a^2)`` for each millimetre of a, and what the
+    rim has sunk by grows with the square of a, as in Hertz's contact. A scale that is off by
+    ``scale_share`` turns slopes by that, and each is summed over pixels as much larger. Beside that
+    contacts tell a depth to ``LAYER_SHARE``.
     """
-    slope = slope_of(surface.normals) - slope_of(surface.rest_normals)
-    step = np.array([grid.mm_per_px_x, grid.mm_per_px_y])
-    moved_mm = np.hypot(*np.moveaxis(slope * step, -1, 0)) * sigma_px[0]
-    rim_mm = min(circle.radius_px * grid.mm_per_px_x, LARGEST_RADII * ball_mm)
-    plane_mm = np.sqrt(ball_mm**2 - rim_mm**2)
-    sunk_mm = surface.depth_mm - (ball_mm - plane_mm)
-    deeper_mm = (rim_mm / plane_mm + 2 * sunk_mm / rim_mm) * sigma_px[1] * grid.mm_per_px_x
-    deeper_mm = np.hypot(deeper_mm, LAYER_SHARE * surface.depth_mm)
-    return np.asarray(1e-3 * np.hypot(moved_mm, deeper_mm))
+    deeper = []
+    for surface, circle in presses:
+        rim_mm = min(circle.radius_px * grid.mm_per_px_x, LARGEST_RADII * ball_mm)
+        plane_mm = np.sqrt(ball_mm**2 - rim_mm**2)
+        sunk_mm = surface.depth_mm - (ball_mm - plane_mm)
+        per_mm = rim_mm / plane_mm + 2 * sunk_mm / rim_mm
+        deeper.append(per_mm * radius_sigma_px * grid.mm_per_px_x / surface.depth_mm)
+    by_circles = float(np.sqrt(np.mean(np.square(deeper)))) if deeper else 0.0
+    return math.hypot(LAYER_SHARE, by_circles, 2 * scale_share)
 
 
 def _pressed_to(

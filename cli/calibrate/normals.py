@@ -67,8 +67,8 @@ def _print_summary(result: NormalCalibration, console: Console) -> None:
     if absolute is not None:
         console.print(
             f"  depth off by {absolute['mae_mm']:.3f} mm of {absolute['wanted_mm']:.2f} mm, "
-            f"against the ball pressed into the pad; {absolute['within_95']:.0%} within the 95 % "
-            "band",
+            f"against the ball pressed into the pad; {absolute['within_68']:.0%} within one "
+            f"standard deviation, {absolute['within_95']:.0%} within two",
             highlight=False,
         )
     console.print(

@@ -75,6 +75,17 @@ def _add_sessions(document: Document) -> Document:
     return {**document, "schema_version": 8}
 
 
+def _add_absolute_errors(document: Document) -> Document:
+    """Version 9 has networks of normals and curves of grey sensors say how uncertain absolute
+    depths are; those of version 8 do not know."""
+    document = {**document, "schema_version": 9}
+    block = document.get("normals")
+    if isinstance(block, dict) and isinstance(block.get("architecture"), dict):
+        unknown = {"along_factor": 0.0, "depth_share": 0.0}
+        document["normals"] = {**block, "architecture": {**block["architecture"], **unknown}}
+    return document
+
+
 STEPS: Mapping[int, Step] = {
     1: _add_optics_and_layers,
     2: _add_responses,
@@ -83,6 +94,7 @@ STEPS: Mapping[int, Step] = {
     5: _add_height_errors,
     6: _add_force,
     7: _add_sessions,
+    8: _add_absolute_errors,
 }
 
 

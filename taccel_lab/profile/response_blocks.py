@@ -58,6 +58,14 @@ class DepthResponseBlock(Block):
     """Background minus image [levels of 255], rising."""
     depth_mm: tuple[Number, ...] = Field(min_length=2)
     """Indentation of the contact face at each drop [mm], not falling."""
+    reading_sigma_mm: Number | None = Field(default=None, ge=0.0)
+    """Standard deviation of a pixel's depth about the curve on presses that it did not see [mm];
+    None where it is not known, and the two below then are not either."""
+    zero_sigma_mm: Number = Field(default=0.0, ge=0.0)
+    """Standard deviation of the zero [mm], which all depths from the second entry on share; below
+    it runs straight to none, since untouched gel is at zero whatever the zero is."""
+    depth_share: Number = Field(default=0.0, ge=0.0)
+    """Standard deviation, as a share of the depth, by the scale that the calibration took."""
 
     @model_validator(mode="after")
     def _check_curve(self) -> Self:

@@ -36,7 +36,7 @@ from taccel_lab.reading.strict_model import (
 )
 from taccel_lab.version import __version__
 
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]

@@ -40,6 +40,10 @@ class DepthMap:
     """Indentation of the contact face [mm], at least 0, shape [height_px, width_px]."""
     saturated: np.ndarray
     """Pixels darker than any that was calibrated, bool, shape [height_px, width_px]."""
+    sigma_mm: np.ndarray | None
+    """Standard deviation of the depth [mm]; None where the calibration does not know."""
+    reading_sigma_mm: np.ndarray | None
+    """That of the reading alone, without the zero and the scale that all depths share."""
 
     @property
     def height_m(self) -> np.ndarray:
@@ -50,8 +54,20 @@ class DepthMap:
 class DepthResponse:
     """The monotone curve between grey drop and depth."""
 
-    def __init__(self, channel: Channel, drop_levels: np.ndarray, depth_mm: np.ndarray) -> None:
+    def __init__(
+        self,
+        channel: Channel,
+        drop_levels: np.ndarray,
+        depth_mm: np.ndarray,
+        *,
+        reading_sigma_mm: float | None = None,
+        zero_sigma_mm: float = 0.0,
+        depth_share: float = 0.0,
+    ) -> None:
+        """The curve through drops and depths; standard deviations as in ``DepthResponseBlock``."""
         self.channel: Channel = channel
+        self.reading_sigma_mm, self.zero_sigma_mm = reading_sigma_mm, zero_sigma_mm
+        self.depth_share = depth_share
         self.drop_levels = np.asarray(drop_levels, dtype=np.float64)
         self.depth_mm = np.asarray(depth_mm, dtype=np.float64)
         if self.drop_levels.shape != self.depth_mm.shape or self.drop_levels.ndim != 1:
@@ -66,7 +82,14 @@ class DepthResponse:
 
     @classmethod
     def from_block(cls, block: DepthResponseBlock) -> DepthResponse:
-        return cls(block.channel, np.array(block.drop_levels), np.array(block.depth_mm))
+        return cls(
+            block.channel,
+            np.array(block.drop_levels),
+            np.array(block.depth_mm),
+            reading_sigma_mm=block.reading_sigma_mm,
+            zero_sigma_mm=block.zero_sigma_mm,
+            depth_share=block.depth_share,
+        )
 
     @classmethod
     def from_profile(cls, profile: SensorProfile) -> DepthResponse:
@@ -81,6 +104,14 @@ class DepthResponse:
     def depth_of(self, drop_levels: np.ndarray) -> np.ndarray:
         """Depth [mm] of grey drops [levels], any shape."""
         return np.interp(drop_levels, self.drop_levels, self.depth_mm)
+
+    def sigma_of(self, drop_levels: np.ndarray) -> np.ndarray | None:
+        """Standard deviation of these depths [mm], same shape; None where it is not known."""
+        if self.reading_sigma_mm is None:
+            return None
+        zero_mm = np.interp(drop_levels, self.drop_levels[:2], [0.0, self.zero_sigma_mm])
+        share_mm = self.depth_share * self.depth_of(drop_levels)
+        return np.hypot(self.reading_sigma_mm, np.hypot(zero_mm, share_mm))
 
     def drop_of(self, depth_mm: np.ndarray) -> np.ndarray:
         """Grey drop [levels] of depths [mm], any shape; the smallest one where the curve is level.
@@ -105,7 +136,13 @@ class DepthResponse:
         drop = channel_of(background, self.channel) - channel_of(image, self.channel)
         if mask is not None:
             drop = np.where(mask, drop, self.drop_levels[0])
-        return DepthMap(self.depth_of(drop), drop > self.drop_levels[-1])
+        alone = self.reading_sigma_mm
+        return DepthMap(
+            depth_mm=self.depth_of(drop),
+            saturated=drop > self.drop_levels[-1],
+            sigma_mm=self.sigma_of(drop),
+            reading_sigma_mm=None if alone is None else np.full(drop.shape, alone),
+        )
 
     def render(self, depth_mm: np.ndarray, background: np.ndarray) -> np.ndarray:
         """Image of a depth map [mm] on a background (RGB levels): all channels darken alike.

@@ -25,12 +25,17 @@ class ReadHeights:
     """What an image shows of the surface."""
 
     normals: NormalMap
+    slope: np.ndarray
+    """dh/dx and dh/dy over those at rest, shape [height_px, width_px, 2]."""
     rise_m: np.ndarray
     """Rise over the resting face [m], shape [height_px, width_px]."""
     zero: np.ndarray | None
     """Pixels that it is counted from, bool; None for the whole border."""
     sigma_m: np.ndarray | None
-    """Its standard deviation [m]; None where the model does not know."""
+    """Its standard deviation [m], by the reading and by what the model's calibration may be off by;
+    None where the model does not know."""
+    reading_sigma_m: np.ndarray | None
+    """That of the reading alone, which tells places of one image apart."""
 
 
 def read_heights(
@@ -66,13 +71,16 @@ def read_heights(
         # The change of height from rest is integrated: on a curved gel the rest is known already.
         slope = slope + rest_normals[..., :2] / rest_normals[..., 2:]
     rise = height_from_slopes(slope, grid, weights=weights, zero=zero)
-    sigma = None
+    sigma = reading = None
     if uncertainty and model.config.height_factor > 0:
-        trials = HeightUncertainty(grid, model.config.error_length_px)
-        sigma = model.config.height_factor * trials.sigma_m(
-            found.slope_sigma(), weights=weights, zero=zero
+        config, slope_sigma = model.config, found.slope_sigma()
+        trials = HeightUncertainty(grid, config.error_length_px)
+        reading = config.height_factor * trials.sigma_m(slope_sigma, weights=weights, zero=zero)
+        along = trials.along_m(slope, slope_sigma, weights=weights, zero=zero)
+        sigma = np.hypot(
+            reading, np.hypot(config.along_factor * along, config.depth_share * np.abs(rise))
         )
-    return ReadHeights(found, rise, zero, sigma)
+    return ReadHeights(found, slope, rise, zero, sigma, reading)
 
 
 def resting_border(found: NormalMap, mask: np.ndarray | None = None) -> np.ndarray | None:

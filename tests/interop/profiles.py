@@ -18,8 +18,8 @@ from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 from taccel_lab.signals.force_network import expected_shapes as force_shapes
 from taccel_lab.signals.force_settings import ForceModelConfig
-from taccel_lab.signals.normal_model import NormalModelConfig
 from taccel_lab.signals.normal_model import expected_shapes as normal_shapes
+from taccel_lab.signals.normal_model_config import NormalModelConfig
 
 MADE_UP = Provenance(
     kind="calibrated",

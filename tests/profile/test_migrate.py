@@ -146,7 +146,9 @@ def test_version_5_does_not_know_how_uncertain_heights_are() -> None:
     assert profile.background_rgb is not None
     reading = SurfaceReader(profile).read(profile.background_rgb.astype(float))
     assert reading.height_sigma_m is None
-    assert reading.figures(profile.grid())["max_depth_sigma_mm"] is None
+    figures = reading.figures(profile.grid())
+    assert figures["max_depth_sigma_mm"] is None and figures["sigma_of"] is None
+    assert "does not say how uncertain" in figures["warnings"][0]
 
 
 def test_version_6_has_no_force_model() -> None:
@@ -165,6 +167,25 @@ def test_version_7_does_not_know_how_captures_were_recorded() -> None:
     profile = load_profile(OLD / "v7")
     assert profile.sensor.recorded == ()
     assert profile.blocks() == load_profile(OLD / "v6").blocks()
+
+
+def test_version_8_tells_the_error_of_the_reading_alone_and_says_so() -> None:
+    """The stored folder has networks whose heights have a spread, and a curve of a grey sensor."""
+    assert "schema_version = 8\n" in (OLD / "v8" / "profile.toml").read_text()
+    assert validate_profile(OLD / "v8") == []
+    profile = load_profile(OLD / "v8")
+    assert profile.background_rgb is not None
+    image = profile.background_rgb.astype(float)
+    by_colour = SurfaceReader(profile).read(image)
+    assert by_colour.height_sigma_m is not None and by_colour.reading_sigma_m is not None
+    along = NormalModel.from_profile(profile).config.along_factor
+    assert along == 0 and (by_colour.height_sigma_m == by_colour.reading_sigma_m).all()
+    figures = by_colour.figures(profile.grid())
+    assert figures["sigma_of"] == "reading alone" and figures["max_depth_sigma_mm"] > 0
+    assert "+- is that of the reading alone" in figures["warnings"][0]
+    by_grey = SurfaceReader(profile, method="depth").read(image)
+    assert by_grey.height_sigma_m is None
+    assert "does not say how uncertain" in by_grey.figures(profile.grid())["warnings"][0]
 
 
 def test_an_encoding_is_kept_by_a_round_trip(tmp_path: Path) -> None:

@@ -39,6 +39,23 @@ def test_level_stretch_gives_its_first_drop() -> None:
     assert level.depth_of(np.array([7.0])) == pytest.approx(0.4)
 
 
+def test_the_deviation_is_the_readings_at_rest_and_the_zeros_beside_it_in_contacts() -> None:
+    known = DepthResponse(
+        "grey", CURVE.drop_levels, CURVE.depth_mm,
+        reading_sigma_mm=0.03, zero_sigma_mm=0.4, depth_share=0.1,
+    )  # fmt: skip
+    background = np.full((1, 4, 3), 100.0)
+    image = background - np.array([-5.0, 1.0, 2.0, 60.0])[None, :, None]
+    found = known.read(image, background)
+    assert found.sigma_mm is not None and found.reading_sigma_mm is not None
+    parts = [(0, 0), (0.2, 0.005), (0.4, 0.01), (0.4, 0.19)]
+    wanted = [np.hypot(0.03, np.hypot(*part)) for part in parts]
+    assert found.sigma_mm[0] == pytest.approx(wanted)
+    assert (found.reading_sigma_mm == 0.03).all()
+    unknown = CURVE.read(image, background)
+    assert unknown.sigma_mm is None and unknown.reading_sigma_mm is None
+
+
 def test_channels() -> None:
     image = np.array([[[10.0, 20.0, 30.0]]])
     assert channel_of(image, "green")[0, 0] == 20.0

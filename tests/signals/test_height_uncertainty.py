@@ -36,6 +36,19 @@ def test_it_grows_with_the_slopes_and_with_the_reach_of_errors() -> None:
     assert (HeightUncertainty(GRID, 2.0).sigma_m(0 * sigma) == 0).all()
 
 
+def test_errors_along_the_slope_raise_the_whole_floor_and_nothing_beside_it() -> None:
+    """Slopes that may be 10 % too steep all around a dent make it so much too deep."""
+    y, x = np.mgrid[0:60, 0:80] * 0.1
+    dent = -1e-3 * np.exp(-((x - 4) ** 2 + (y - 3) ** 2))
+    slope = np.stack(np.gradient(dent, 1e-4)[::-1], axis=-1)
+    sigma = 0.1 * np.linalg.norm(slope, axis=-1)
+    for length in (2.0, 4.0):
+        along = HeightUncertainty(GRID, length).along_m(slope, sigma)
+        np.testing.assert_allclose(along, -0.1 * dent, atol=5e-6)
+    other = HeightUncertainty(GRID, 2.0).sigma_m(sigma)
+    assert other[30, 40] < 0.3 * along[30, 40]
+
+
 def test_a_coarser_grid_for_far_reaching_errors_gives_the_same_spread(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

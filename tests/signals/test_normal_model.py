@@ -11,12 +11,8 @@ from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
 from taccel_lab.signals.normal_features import color_change, local_features, pixel_place
-from taccel_lab.signals.normal_model import (
-    NormalModel,
-    NormalModelConfig,
-    expected_shapes,
-    relative_normals,
-)
+from taccel_lab.signals.normal_model import NormalModel, expected_shapes, relative_normals
+from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import rotate_from_z, rotate_to_z
 
 CONFIG = NormalModelConfig(48, 36, scales_px=(1.0, 3.0), slope_scales_px=(3.0,), members=3)

@@ -15,8 +15,9 @@ from taccel_lab.errors import InputError
 from taccel_lab.signals.color_kernel import color_kernel
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
 from taccel_lab.signals.normal_features import feature_names, pixel_place
-from taccel_lab.signals.normal_model import NormalModel, NormalModelConfig
+from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.normal_model import expected_shapes as normal_shapes
+from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.position_encoding import MAX_BANDS, band_names, encode_position
 from taccel_lab.signals.tactile_image import DeviceColorModel

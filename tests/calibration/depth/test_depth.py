@@ -11,6 +11,12 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.depth.curve import (
+    SECTOR_COUNT,
+    fit_response,
+    left_out_errors,
+    reading_sigma_mm,
+)
 from taccel_lab.calibration.depth.fit import fit_depth
 from taccel_lab.calibration.depth.grey_contact import find_grey_contact
 from taccel_lab.calibration.depth.options import DepthOptions
@@ -203,6 +209,18 @@ def test_profile_and_report(tmp_path: Path) -> None:
     deepest = BALL_MM - np.sqrt(BALL_MM**2 - rim**2)
     assert -1e3 * found.rise_m.min() == pytest.approx(deepest, abs=0.06)
     assert found.method == "depth" and found.sigma_deg is None
+    figures = found.figures(GRID)
+    assert figures["sigma_of"] == "absolute depth" and not figures["warnings"]
+    assert figures["max_depth_sigma_mm"] >= result.zero_sigma_mm
+    (new,) = captures_of([ContactCircle(100.0, 70.0, 28.0)], noise=1.0, seed=9).presses
+    (exact,) = captures_of([ContactCircle(100.0, 70.0, 28.0)]).presses
+    read = SurfaceReader(profile).read(new.image())
+    drop = (captures.background - exact.image())[..., 0]
+    contact = drop > result.response.drop_levels[1]
+    off_mm = np.abs(-1e3 * read.rise_m - TRUE.depth_of(drop))[contact]
+    assert read.reading_sigma_m is not None and read.height_sigma_m is not None
+    assert 0.9 < (off_mm <= 2e3 * read.reading_sigma_m[contact]).mean() <= 1.0
+    assert (read.height_sigma_m >= read.reading_sigma_m).all()
     write_page(depth_page(result), tmp_path / "report")
     assert (tmp_path / "report" / "curve.png").stat().st_size > 5_000
 
@@ -244,6 +262,37 @@ def test_the_authors_tables_of_two_units(unit: int, mm_per_px: float) -> None:
     assert np.abs(off).mean() < 0.035
     assert np.abs(off - off.mean()).mean() < 0.012
     assert result.left_out_mm.mean() < 0.035
+    sigma = result.response.sigma_of(drop)
+    assert sigma is not None and (np.abs(off) <= sigma).all()
+
+
+@pytest.mark.parametrize(("unit", "mm_per_px"), [(1, 0.0510151), (2, 0.0499950)])
+def test_the_reading_of_an_eighth_is_held_by_the_other_seven(unit: int, mm_per_px: float) -> None:
+    """And both zeros that the image shows by the whole."""
+    result = real_press(unit, mm_per_px)
+    (part,) = result.parts
+    held = []
+    for sector in range(SECTOR_COUNT):
+        out = part.sector == sector
+        rest = part.of(~out)
+        sigma_mm = reading_sigma_mm(left_out_errors([rest])[0])
+        off = fit_response([rest]).depth_of(part.drop_levels[out]) - part.depth_mm[out]
+        held.append([np.mean(np.abs(off) <= k * sigma_mm) for k in (1, 2)])
+    one, two = np.mean(held, axis=0)
+    assert 0.65 < one < 0.9 and 0.9 < two <= 1.0
+    by_rim = fit_depth(result.captures, DepthOptions(zero="rim")).response
+    sigma = result.response.sigma_of(part.drop_levels)
+    apart = by_rim.depth_of(part.drop_levels) - result.response.depth_of(part.drop_levels)
+    assert sigma is not None and (np.abs(apart) <= sigma).all()
+
+
+def test_depths_of_another_units_press_lie_within_two_deviations() -> None:
+    one, two = real_press(1, 0.0510151), real_press(2, 0.0499950)
+    for a, b in ((one, two), (two, one)):
+        drop, sigma = b.parts[0].drop_levels, a.response.sigma_of(b.parts[0].drop_levels)
+        off = np.abs(a.response.depth_of(drop) - b.parts[0].depth_mm)
+        # By up to 0.3 mm, ten times what the reading alone is off by.
+        assert sigma is not None and (off <= 2 * sigma).mean() > 0.93
 
 
 def test_the_headline_counts_the_zero() -> None:

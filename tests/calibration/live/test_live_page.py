@@ -55,7 +55,7 @@ def test_depth_force_and_latency_follow_the_gel_until_it_is_stopped(tmp_path: Pa
         with chromium_page(page_address(server), (1360, 800)) as page:
 
             def heading() -> float:
-                found = re.match(r"(\d\.\d+) mm deep", page.locator("h2").inner_text())
+                found = re.match(r"(\d\.\d+) ± \d\.\d+ mm deep", page.locator("h2").inner_text())
                 return float(found[1]) if found else float("nan")
 
             def told_force() -> float:

@@ -67,7 +67,9 @@ def heldout(captures: CaptureSet) -> tuple[dict[str, float], float]:
     assert result.reliability is not None
     assert result.reliability.within_95 > 0.85
     held = result.figures()["heldout"]
-    assert held["absolute_depth"]["within_95"] > 0.8
+    # Errors of the labels count against the +-: nobody tells them apart.
+    assert held["absolute_depth"]["within_68"] > 0.6
+    assert held["absolute_depth"]["within_95"] > 0.92
     assert result.practised is not None and result.practised.median_press_mm < 0.04
     scores = held["in_used_circles"] | {"absolute": held["absolute_depth"]["mae_mm"]}
     return scores, result.reliability.ratio()

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.calibration.normals.cross_conformal import radius_factor
-from taccel_lab.signals.normal_model import RAYLEIGH_95
+from taccel_lab.calibration.cross_conformal import radius_factor
+from taccel_lab.signals.normal_model_config import RAYLEIGH_95
 
 
 def press_errors(rng: np.random.Generator, pixels: int = 400) -> np.ndarray:
