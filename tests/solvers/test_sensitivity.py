@@ -37,10 +37,11 @@ def press(
     element: Element = Element.QUADRATIC,
     indenter: str = "sphere:6",
     config: SolverConfig = TIGHT,
+    at_mm: tuple[float, float] = (0.0, 0.0),
 ) -> PressEnv:
     depths = np.atleast_1d(depth_mm)
     env = PressEnv(
-        MESH, material, parse_indenter(indenter), np.zeros((len(depths), 2)),
+        MESH, material, parse_indenter(indenter), np.tile(at_mm, (len(depths), 1)),
         physics=replace(PHYSICS[Accuracy.DEFAULT], element=element), config=config,
     )  # fmt: skip
     env.move_to(depths)
@@ -73,9 +74,15 @@ def test_slopes_over_the_parameters_of_a_law(element: Element, name: str, step: 
 def test_tools_of_triangles(indenter: str) -> None:
     gel = Material(3e5, 0.45)
     sides = [replace(gel, poisson_ratio=0.45 + s * 1e-4) for s in (-1, 1)]
-    found = slopes(press(gel, 0.4, indenter=indenter), sides[0], sides[1], 2e-4)[0]
-    lower, upper = (press(side, 0.4, indenter=indenter).press_force[0, 2] for side in sides)
-    assert found == pytest.approx((upper - lower) / 2e-4, rel=1e-3)
+
+    def pressed(material: Material) -> PressEnv:
+        # In the middle nodes lie on edges of the tool's triangles, where rounding, which processors
+        # do not share, says what is nearest: forces then differ by 1e-5, as much as a side does.
+        return press(material, 0.4, indenter=indenter, at_mm=(0.0013, 0.0007))
+
+    found = slopes(pressed(gel), sides[0], sides[1], 2e-4)[0]
+    lower, upper = (pressed(side).press_force[0, 2] for side in sides)
+    assert found == pytest.approx((upper - lower) / 2e-4, rel=1e-4)
 
 
 def test_each_environment_has_its_own_slope() -> None:
