@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -97,7 +98,15 @@ def test_a_job_that_is_asked_to_end_ends(
     assert ended.value.code == 143
 
 
-@pytest.mark.skipif(shutil.which("sbatch") is None, reason="needs a SLURM cluster (sbatch)")
+def _cluster_answers() -> bool:
+    """Whether there is SLURM, and not its programs alone."""
+    told = shutil.which("sinfo") and subprocess.run(
+        ["sinfo", "-h"], capture_output=True, timeout=60
+    )
+    return bool(told) and told.returncode == 0
+
+
+@pytest.mark.skipif(not _cluster_answers(), reason="needs a SLURM cluster that answers sinfo")
 def test_an_array_of_slurm_does_its_shards(file: Path, tmp_path: Path) -> None:
     submit_shards(file, tmp_path / "out", 2, "slurm", processes=0, settings=SOON)
     folder, until = StudyFolder(tmp_path / "out"), time.monotonic() + 240

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from taccel_lab.studies.evaluate import evaluate_designs
 from taccel_lab.studies.readings import described, split_name
 from taccel_lab.studies.spec import spec_of
 from taccel_lab.studies.study import Study, default_kit, make_study, read_study
+from taccel_lab.studies.unknowns import Unknowns
 from tests.studies.coarse_presses import COARSE, coarse
 
 
@@ -141,6 +143,20 @@ def test_figures_of_two_balls_differ_and_lie_in_their_intervals() -> None:
     low, high = result.intervals["stiffness_a[sphere:4]"]
     # Units alone make a quarter; an incompressible gel of 1 mm is stiffer by another quarter.
     assert high / result.figures["stiffness_a[sphere:4]"] > 1.3  # type: ignore[operator]
+
+
+def test_the_low_end_of_a_gel_whose_friction_is_not_given_is_that_without_friction() -> None:
+    study = wanted(["force_range"], {"sphere": {"indenters": ["sphere:2"]}})
+    thin, _ = study.points()
+    press = coarse("sphere", indenters=("sphere:2",), depth_fraction=0.375, steps=2, mesh=COARSE)
+    (result,) = evaluate_designs([thin], [press], list(study.metrics.values()))
+    (record,) = result.records["sphere"]
+    parameters = study.family.parameters(thin.parameters)
+    given = {**thin.parameters, "poisson_ratio": 0.499}
+    assert Unknowns(parameters, {**given, "friction": 1.0}, 0.0).force_factors(record) == (1.0, 1.0)
+    low, high = Unknowns(parameters, given, 0.0).force_factors(record)
+    # By presses of an incompressible gel of 1 mm at friction 1 and without, 0.375 mm deep.
+    assert math.log(1 / low) == pytest.approx(0.273, rel=0.1) and high == 1.0
 
 
 def test_a_depth_beyond_the_gel_is_a_cause_and_no_crash() -> None:
