@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
@@ -14,6 +13,8 @@ from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
+
+    from taccel_lab.calibration.normals.read_surface import SurfaceReading
 
 
 @dataclass(frozen=True)
@@ -49,15 +50,13 @@ class Depth:
     """Print the figures as JSON instead of a line per image."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from taccel_lab.calibration.camera.rectification import RectificationMaps
         from taccel_lab.calibration.normals.read_surface import SurfaceReader
         from taccel_lab.calibration.normals.reading_files import read_mask, write_reading
-        from taccel_lab.cli.console import print_json
-        from taccel_lab.output_folder import atomic_directory, require_replaceable
+        from taccel_lab.cli.each_image import each_image, require_images
+        from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
-        from taccel_lab.reading.images import read_image
+        from taccel_lab.reading.images import image_size, read_image
         from taccel_lab.warp_output import quiet_warp
 
         quiet_warp()
@@ -75,7 +74,7 @@ class Depth:
 
         mask = None if self.mask is None else read_mask(self.mask, profile)
         if maps is not None:
-            height, width = read_image(self.images[0]).shape[:2]
+            width, height = maps.raw_size_px or image_size(self.images[0])
             # What the raw image does not show is black in the rectified one, not a dent.
             shown = maps.inside((height, width))
             camera = profile.camera.width_px, profile.camera.height_px
@@ -94,53 +93,26 @@ class Depth:
             method=self.method,
             drift=self.drift,
         )
-        console, figures = Console(), {}
-        refused: dict[str, str] = {}
-        with atomic_directory(self.out) as folder:
-            for path in self.images:
-                try:
-                    image = image_of(path)
-                    found = reader.read(image, str(path))
-                except InputError as error:
-                    refused[path.stem] = str(error)
-                    continue
-                about = write_reading(found, image, path, profile, folder)
-                figures[path.stem] = about
-                if not self.json:
-                    sigma = about["max_depth_sigma_mm"]
-                    console.print(
-                        f"{path.name}: {about['max_depth_mm']:.3f} "
-                        + ("" if sigma is None else f"+- {sigma:.3f} ")
-                        + f"mm deep at "
-                        f"({about['deepest_px'][0]}, {about['deepest_px'][1]}) px, "
-                        f"{about['touched_mm2']:.2f} mm2 touched",
-                        highlight=False,
-                    )
-                    for warning in about["warnings"]:
-                        console.print(f"  {warning}", highlight=False)
-            if not figures:
-                # Leaving with an error keeps what an earlier run wrote there.
-                if self.json:
-                    print_json({"out": None, "images": {}, "refused": refused})
-                raise InputError("\n".join(refused.values()))
-        if self.json:
-            print_json({"out": str(self.out), "images": figures, "refused": refused})
-        else:
-            console.print(f"wrote {self.out}", highlight=False)
-        if refused:
-            raise InputError("\n".join(refused.values()))
+
+        def read(path: Path) -> tuple[SurfaceReading, np.ndarray]:
+            image = image_of(path)
+            return reader.read(image, str(path)), image
+
+        def keep(
+            found: tuple[SurfaceReading, np.ndarray], path: Path, folder: Path | None
+        ) -> dict[str, Any]:
+            assert folder is not None
+            return write_reading(*found, path, profile, folder)
+
+        each_image(self.images, self.out, read, keep, as_json=self.json, lines=_lines)
 
 
-def require_images(paths: Sequence[Path]) -> None:
-    """Refuse images that are not there, and such that would overwrite each other's files."""
-    if not paths:
-        raise InputError("no image was given; name at least one PNG or JPEG")
-    for path in paths:
-        if not path.is_file():
-            raise InputError(f"{path} does not exist or is no file; an image is needed")
-    stems = [path.stem for path in paths]
-    twice = sorted({stem for stem in stems if stems.count(stem) > 1})
-    if twice:
-        raise InputError(
-            f"images named alike would overwrite each other's files: {', '.join(twice)}"
-        )
+def _lines(path: Path, about: dict[str, Any]) -> list[str]:
+    sigma = about["max_depth_sigma_mm"]
+    return [
+        f"{path.name}: {about['max_depth_mm']:.3f} "
+        + ("" if sigma is None else f"+- {sigma:.3f} ")
+        + f"mm deep at ({about['deepest_px'][0]}, {about['deepest_px'][1]}) px, "
+        f"{about['touched_mm2']:.2f} mm2 touched",
+        *(f"  {warning}" for warning in about["warnings"]),
+    ]

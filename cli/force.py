@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
-from taccel_lab.cli.depth import require_images
-
 if TYPE_CHECKING:
-    from rich.console import Console
+    import numpy as np
+
+    from taccel_lab.signals.force_model import ForceReading
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,8 @@ class Force:
     middle, each with a standard deviation, and the force by patch of the image. With --out, for
     every image `<name>.png` shows the patches and `<name>.json` holds all of it. Images unlike
     those of the training (another sensor, deeper presses) are marked; exit code 1 when there are
-    any.
+    any. Images that cannot be read, or have another size, are told with their reason; the others
+    are read all the same, and the exit code is 2.
     """
 
     profile: Positional[Path]
@@ -39,13 +40,9 @@ class Force:
     """Print the figures as JSON instead of lines per image."""
 
     def run(self) -> None:
-        from contextlib import nullcontext
-
-        from rich.console import Console
-
         from taccel_lab.calibration.force.read_force import ForceReader, write_force
-        from taccel_lab.cli.console import print_json
-        from taccel_lab.output_folder import atomic_directory, require_replaceable
+        from taccel_lab.cli.each_image import each_image, require_images
+        from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
         from taccel_lab.reading.images import read_image
         from taccel_lab.warp_output import quiet_warp
@@ -60,26 +57,24 @@ class Force:
             background_name=str(self.background or "the background"),
             profile_name=str(self.profile),
         )
-        console, figures = Console(), {}
-        with nullcontext() if self.out is None else atomic_directory(self.out) as folder:
-            for path in self.images:
-                image = read_image(path)
-                found = reader.read(image, str(path))
-                if folder is not None:
-                    write_force(found, image, path, folder)
-                about = {"image": str(path), **found.figures()}
-                figures[path.stem] = about
-                if not self.json:
-                    _print(console, path.name, about)
-        if self.json:
-            print_json({"out": None if self.out is None else str(self.out), "images": figures})
-        elif self.out is not None:
-            console.print(f"wrote {self.out}", highlight=False)
+
+        def read(path: Path) -> tuple[ForceReading, np.ndarray]:
+            image = read_image(path)
+            return reader.read(image, str(path)), image
+
+        def keep(
+            found: tuple[ForceReading, np.ndarray], path: Path, folder: Path | None
+        ) -> dict[str, Any]:
+            if folder is not None:
+                return write_force(*found, path, folder)
+            return {"image": str(path), **found[0].figures()}
+
+        figures = each_image(self.images, self.out, read, keep, as_json=self.json, lines=_lines)
         if not all(about["inside_training"] for about in figures.values()):
             raise SystemExit(1)
 
 
-def _print(console: Console, name: str, about: dict[str, Any]) -> None:
+def _lines(path: Path, about: dict[str, Any]) -> list[str]:
     def components(letter: str, values: list[float], sigmas: list[float], unit: str) -> str:
         return ", ".join(
             f"{letter}{axis} {value:.3f} +- {sigma:.3f} {unit}"
@@ -87,7 +82,7 @@ def _print(console: Console, name: str, about: dict[str, Any]) -> None:
         )
 
     lines = [
-        f"{name}: {components('F', about['force_n'], about['force_sigma_n'], 'N')}",
+        f"{path.name}: {components('F', about['force_n'], about['force_sigma_n'], 'N')}",
         f"  {components('T', about['moment_nmm'], about['moment_sigma_nmm'], 'N mm')}",
     ]
     area = f"  area {about['area_mm2']:.2f} +- {about['area_sigma_mm2']:.2f} mm2"
@@ -95,6 +90,4 @@ def _print(console: Console, name: str, about: dict[str, Any]) -> None:
         area += "; no touch is told from none"
     else:
         area += ", middle at ({:.2f}, {:.2f}) mm".format(*about["center_mm"])
-    lines += [area, *(f"  outside the training: {reason}" for reason in about["outside"])]
-    for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    return [*lines, area, *(f"  outside the training: {reason}" for reason in about["outside"])]

@@ -105,6 +105,34 @@ def test_images_of_something_else_are_marked(
     assert "outside the training" in capsys.readouterr().out
 
 
+def test_an_image_that_is_refused_stops_no_other(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    profile, press, out = str(folder / "p"), str(folder / "press.png"), tmp_path / "out"
+    wide, broken = tmp_path / "wide.png", tmp_path / "broken.png"
+    write_image(wide, np.zeros((24, 40, 3), np.uint8))
+    broken.write_bytes((folder / "rest.png").read_bytes()[:200])
+    bad = [str(wide), str(broken)]
+    assert called("force", profile, *bad, press, "--out", str(out), "--json") == 2
+    said = capsys.readouterr()
+    told = json.loads(said.out)
+    assert list(told["images"]) == ["press"] and list(told["refused"]) == ["wide", "broken"]
+    assert "40x24 px" in told["refused"]["wide"] and str(broken) in told["refused"]["broken"]
+    assert "wide.png" in said.err and "broken.png" in said.err
+    kept = sorted(path.name for path in out.iterdir())
+    assert {name for name in kept if "." in name[1:]} == {"press.json", "press.png"}
+    # With lines, and nothing written, the same; an image outside the training keeps the 2.
+    assert called("force", profile, *bad, press, str(folder / "black.png")) == 2
+    said = capsys.readouterr()
+    assert "press.png: Fx" in said.out and "outside the training" in said.out
+    assert "broken.png" in said.err
+    # Where none can be read, an earlier run's files stay.
+    assert called("force", profile, *bad, "--out", str(out), "--json") == 2
+    told = json.loads(capsys.readouterr().out)
+    assert told["out"] is None and list(told["refused"]) == ["wide", "broken"]
+    assert sorted(path.name for path in out.iterdir()) == kept
+
+
 def test_what_cannot_be_read_is_refused(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
