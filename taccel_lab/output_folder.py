@@ -110,7 +110,9 @@ def _folder_path(target: Path | str) -> Path:
     if not target.name or ".." in target.parts:
         target = Path(os.path.abspath(target))
     if target.is_symlink():
-        target = target.resolve()
+        target = Path(os.path.realpath(target))
+        if target.is_symlink():
+            raise InputError(f"{target} is a link that leads back to itself")
     _refuse_files(target)
     if os.path.ismount(target):
         raise InputError(f"{target} is a mounted drive; name a folder inside it")

@@ -80,3 +80,15 @@ def test_it_is_refused_before_any_work(
     assert out.partition("/inside")[0] in noted.replace("\n", ""), noted
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
     assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.mark.parametrize("command", ["export", "capture review", "depth"])
+def test_a_link_to_itself_is_no_folder(
+    command: str, places: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    words = COMMANDS[command].split()
+    for name, value in {**places, "OUT": str(tmp_path / "loop")}.items():
+        words = [word.replace(name, value) for word in words]
+    assert main(words) == 2
+    assert "a link that leads back to itself" in capsys.readouterr().err.replace("\n", " ")
