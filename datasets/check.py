@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.datasets.folder import ABOUT, DatasetFolder, read_parquet
+from taccel_lab.datasets.folder import ABOUT, DatasetFolder, is_as_written, read_parquet
 from taccel_lab.datasets.part import ARRAYS, EPISODES, STEPS
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.sensor import profile_digest
@@ -80,21 +80,31 @@ def _check_sources(folder: DatasetFolder) -> list[Finding]:
 
 def _check_index(folder: DatasetFolder) -> list[Finding]:
     """The tables of all parts beside those of each, where they tell of the same parts."""
+    faults = [_index_fault(folder, name) for name in (EPISODES, STEPS)]
+    return [fault for fault in faults if fault]
+
+
+def _index_fault(folder: DatasetFolder, name: str) -> Finding | None:
+    path, where = folder.root / name, f"{folder.root.name}/{name}"
+    if not path.is_file():
+        return None
     there = {int(part.name) for part in folder.part_folders()}
-    found = []
-    for name in (EPISODES, STEPS):
-        path = folder.root / name
-        if not path.is_file():
-            continue
-        try:
-            index = read_parquet(path)
-            same = set(index["part"].to_pylist()) != there or _same(index, folder.gathered(name))
-        except (InputError, KeyError):
-            same = False
-        if not same:
-            text = "is not what its parts say; delete it, and the parts' own are read"
-            found.append(Finding("error", f"{folder.root.name}/{name}", text))
-    return found
+    advice = "delete it, and the parts' own are read"
+    wrong = Finding("error", where, f"is not what its parts say; {advice}")
+    try:
+        index = read_parquet(path)
+        if set(index["part"].to_pylist()) != there:
+            return None
+        parts = folder.gathered(name)
+    except (InputError, KeyError):
+        return wrong
+    if not _same(index, parts):
+        return wrong
+    if is_as_written(path, parts):
+        return None
+    # Limits and counts beside the rows, by which readers filter.
+    text = f"says what its parts say, but is not the file that was written; {advice}"
+    return Finding("warning", where, text)
 
 
 def _same(one: Any, other: Any) -> bool:

@@ -125,13 +125,11 @@ class DatasetFolder:
 
     def write_index(self) -> None:
         """Gather the tables of all parts; Parquet, a row an episode and a row a step."""
-        import pyarrow.parquet as pq
-
         for name in (EPISODES, STEPS):
             table = self.gathered(name)
             if table is not None:
                 with atomic_file(self.root / name) as staging:
-                    pq.write_table(table, staging, compression="zstd")
+                    staging.write_bytes(_index_bytes(table))
 
     def gathered(self, name: str) -> Any:
         """A table of all parts that are there as one, None without parts; InputError for a damaged
@@ -168,6 +166,26 @@ def read_parquet(path: Path) -> Any:
             f"{path} cannot be read as Parquet: {error}; a part or an index that is deleted is "
             "made again by the command that made it"
         ) from None
+
+
+def _index_bytes(table: Any) -> bytes:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd")
+    return sink.getvalue().to_pybytes()
+
+
+def is_as_written(path: Path, table: Any) -> bool:
+    """Whether an index is, to the byte, what ``table`` was written as; True, unseen, for the file
+    of another version of Arrow."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    written = _index_bytes(table)
+    now = pq.read_metadata(pa.BufferReader(written)).created_by
+    return pq.read_metadata(path).created_by != now or path.read_bytes() == written
 
 
 def _about(plan: Plan) -> dict[str, Any]:
