@@ -148,7 +148,7 @@ def test_runs_that_miss_the_gate_by_flat_tets_alone_are_made_once_more(
 
     monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", drawn)
     if good_at is None:
-        with pytest.raises(InputError, match="none of 6 runs.* dihedral"):
+        with pytest.raises(InputError, match=r"none of 6 runs.* dihedral"):
             tetwild_gel_mesh(pad, 1.6, epsilon=1e-3)
     else:
         assert tetwild_gel_mesh(pad, 1.6, epsilon=1e-3).nodes_m.tobytes() == good.nodes_m.tobytes()
