@@ -17,6 +17,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 import pytest
 import warp as wp
 from hypothesis import HealthCheck, settings
+from hypothesis.internal.conjecture import providers
 
 from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
 from taccel_lab.file_cache import CACHE_VARIABLE
@@ -24,16 +25,20 @@ from taccel_lab.sensors import profile
 
 # Shared machines stall now and then, which says nothing about the code: no deadlines. Examples are
 # derandomised, so that a change that passed keeps passing; they still depend on the version of the
-# library and on which of our modules a process has loaded, whose constants it tries. With
-# TACCEL_LAB_EXPLORE=1 new ones are drawn: `make explore` does so.
+# library. With TACCEL_LAB_EXPLORE=1 new ones are drawn: `make explore` does so.
+EXPLORES = os.environ.get("TACCEL_LAB_EXPLORE", "0") == "1"
 settings.register_profile(
     "taccel",
     deadline=None,
     print_blob=True,
-    derandomize=os.environ.get("TACCEL_LAB_EXPLORE", "0") != "1",
+    derandomize=not EXPLORES,
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("taccel")
+if not EXPLORES:
+    # It tries the constants of every module of ours that the process has loaded, too, and so other
+    # examples in each order of the tests. No setting says no to that.
+    providers._get_local_constants = lambda: providers._local_constants
 
 
 # Where there is a GPU, Warp would make arrays there whose device a test does not name.

@@ -96,7 +96,7 @@ def test_processes_share_a_cache(folder: Path) -> None:
         for number in range(4)
     ]
     for process in processes:
-        _, said = process.communicate(timeout=120)
+        _, said = process.communicate()
         assert process.returncode == 0, said
     left = [path.name for path in folder.rglob("*") if path.is_file()]
     assert len(left) <= 3, left

@@ -27,6 +27,7 @@ from taccel_lab.geometry.tet_mesh import boundary_faces
 # Below 10 fTetWild often does not finish.
 _STOP_ENERGY = 10.0
 _MARGIN_DEG = 1.0
+_POWERS = (4, 4, 8, 16, 32)
 _FLAT_MM3 = 1e-7
 
 
@@ -63,7 +64,8 @@ def run_tetwild(
     inner = np.setdiff1d(np.arange(len(nodes)), faces)
     if len(given.inner_mm):
         inner = inner[~_on_triangles(nodes[inner], given.inner_mm, 2 * _epsilon_mm(given, epsilon))]
-    nodes = improve_worst_tets(nodes, tets, inner, wanted_deg=wanted_deg + _MARGIN_DEG)
+    wanted_deg += _MARGIN_DEG
+    nodes = improve_worst_tets(nodes, tets, inner, wanted_deg=wanted_deg, powers=_POWERS)
     if not (six_volumes(nodes[tets]) > 0).all():
         raise InputError("putting the glued nodes on their surface turned tets inside out")
     return TetMesh(nodes_m=nodes * 1e-3, tets=tets, faces=faces, face_regions=regions)

@@ -111,4 +111,4 @@ def test_robots_move_without_torch() -> None:
         "import sys; from taccel_lab.robots import named; r = named('three_finger_hand'); "
         "r.targets(r.rest_q); assert 'torch' not in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True)

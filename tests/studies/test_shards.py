@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -99,11 +98,11 @@ def test_a_journal_whose_writer_was_killed_amid_a_line_goes_on(tmp_path: Path) -
     run_study(study(**GP), tmp_path, processes=0, limit=3, shard=Shard(1, 2))
     with open(tmp_path / JOURNAL, "ab") as journal:
         journal.write(b'{"op_code":5,"worker_id":"x","trial_id":3,"para')
-    (tmp_path / f"{JOURNAL}.lock").symlink_to(JOURNAL)  # Optuna's own, of the killed one.
-    begun = time.monotonic()
+    left = tmp_path / f"{JOURNAL}.lock"
+    left.symlink_to(JOURNAL)  # Optuna's own, of the killed one.
     outcome = run_study(study(**GP), tmp_path, processes=0, shard=Shard(1, 2))
     assert outcome.complete and len(outcome.rows) == 14
-    assert time.monotonic() - begun < 25
+    assert left.is_symlink()  # Optuna would have waited for half a minute, and then removed it.
     for line in (tmp_path / JOURNAL).read_text().splitlines():
         json.loads(line)
 

@@ -151,7 +151,7 @@ def test_the_page_shows_all_there_is_to_see_and_its_buttons_work(tmp_path: Path)
             told("1 of 5")
             page.click("text=Finish")
             told("Finished")
-        session.join(timeout=30)
+        session.join(timeout=60)
         assert not session.is_alive()
     assert len(load_capture_folder(tmp_path / "out").presses) == 1
 
