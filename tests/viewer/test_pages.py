@@ -93,7 +93,7 @@ def test_sliders_of_the_design_page_change_its_numbers(tmp_path: Path) -> None:
                 wait_for(page, lambda: page_of.controls.overrides() == {})
                 wait_for(page, lambda: row.inner_text().split()[1] == before.split()[1])
         finally:
-            page_of.work.close()
+            page_of.close()
     assert not (tmp_path / "out").exists()
 
 
@@ -127,7 +127,7 @@ def test_a_dark_design_page_enlarges_its_drawing_and_writes_files(tmp_path: Path
                     assert (out / file).stat().st_size > 0
                 assert np.median(picture(page)) < 64
         finally:
-            page_of.work.close()
+            page_of.close()
 
 
 @pytest.mark.slow
