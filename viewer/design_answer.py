@@ -8,8 +8,6 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,7 +37,8 @@ so that it may come before some of them."""
 PICTURES = ("rest", "pressed")
 PICTURE_PX = 240
 """Longer side of the pictures of the page."""
-DRAWING_PX = (1400, 990)
+DRAWING_PX = 1400
+"""Width of the drawing."""
 _KEPT = 16
 """Meshes, presses and pictures that are kept, so that sliders may go back and forth."""
 
@@ -226,8 +225,8 @@ class DesignAnswers:
             mesh = answer.mesh if press is None else press.mesh
             size = design.camera.size_within(PICTURE_PX)
             model = OpticalModel(design, mesh, size_px=size, markers=markers)
-            seen = model.render() if press is None else model.render(press.positions_m)
-            _keep(self._pictures, key, seen.rgb)
+            rgb = model.rest_rgb if press is None else model.render(press.positions_m).rgb
+            _keep(self._pictures, key, rgb)
         return self._pictures[key]
 
 
@@ -252,16 +251,10 @@ def _keep(kept: dict[Any, Any], key: Any, value: Any) -> None:
 
 def _drawing(name: str, pad: Pad) -> np.ndarray:
     """The dimensioned drawing of the gel, uint8 [height, width, 3]."""
-    from PIL import Image
-
-    from taccel_lab.cad.drawing.pad_drawing import write_pad_drawing
+    from taccel_lab.cad.drawing.pad_drawing import pad_drawing
     from taccel_lab.cad.parts.pad_solid import labelled_solid
 
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "drawing.png"
-        write_pad_drawing(labelled_solid(pad), [path], title=f"{name}: gel")
-        with Image.open(path) as file:
-            return np.asarray(file.convert("RGB").resize(DRAWING_PX))
+    return pad_drawing(labelled_solid(pad), title=f"{name}: gel").picture(DRAWING_PX)
 
 
 def _quality(pad: Pad, mesh: TetMesh) -> tuple[MeshQuality, list[str]]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import threading
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -120,7 +121,7 @@ class DesignPage:
         with tabs.add_tab("Drawing"):
             self._drawing_note = gui.add_markdown("")
             self._drawing = gui.add_image(BLANK, format="png")
-            gui.add_button("Enlarge", color="gray").on_click(lambda _: self._enlarge())
+            gui.add_button("Enlarge", color="gray").on_click(self._enlarge)
         with tabs.add_tab("Look"):
             pad = self._family.parameters(overrides).pad()
             states = _untouched(gel_mesh(pad))
@@ -181,6 +182,13 @@ class DesignPage:
         except InputError as error:
             self._refuse(str(error))
             self._status.content = f"**Refused:** {error}"
+        except Exception as fault:
+            # The thread must live: without it the page would never answer again.
+            traceback.print_exc()
+            self._status.content = (
+                f"**A fault of the program:** {fault!r}. The terminal has all of it; other values "
+                "may do."
+            )
 
     def _refuse(self, words: str) -> None:
         """Put a refusal beside the controls that it names."""
@@ -233,13 +241,15 @@ class DesignPage:
         else:
             self._view.show_states(_states(press, answer), 1)
 
-    def _enlarge(self) -> None:
-        if self.shown is None or self.shown.drawing_rgb is None:
+    def _enlarge(self, event: Any) -> None:
+        """In the browser that asked for it; other ones go on as they were."""
+        if self.shown is None or self.shown.drawing_rgb is None or event.client is None:
             return
-        with self._server.gui.add_modal("Drawing of the gel") as modal:
-            self._server.gui.add_html(WIDE_MODAL)
-            self._server.gui.add_image(self.shown.drawing_rgb, format="png")
-            self._server.gui.add_button("Close").on_click(lambda _: modal.close())
+        gui = event.client.gui
+        with gui.add_modal("Drawing of the gel") as modal:
+            gui.add_html(WIDE_MODAL)
+            gui.add_image(self.shown.drawing_rgb, format="png")
+            gui.add_button("Close").on_click(lambda _: modal.close())
 
     def export(self, kind: str) -> None:
         """Write files, as the buttons do."""

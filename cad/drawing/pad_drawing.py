@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from build123d import GeomType, Vector
@@ -66,17 +65,16 @@ class _View:
         return float(x), float(y)
 
 
-def write_pad_drawing(
+def pad_drawing(
     gel: LabelledSolid,
-    paths: Sequence[Path],
     *,
     title: str,
     material: str = "silicone gel",
     parameters: Mapping[str, tuple[float | int | str, str]] | None = None,
     layers: Mapping[str, LabelledSolid] | None = None,
     issue: Issue | None = None,
-) -> None:
-    """Draw ``gel`` and write it to each of ``paths`` (.svg, .pdf or .png).
+) -> Sheet:
+    """The drawing of ``gel``.
 
     ``parameters`` are name -> (value, unit) for the table, named as ``--set`` takes them;
     ``layers`` by name are cut with a hatch each.
@@ -120,8 +118,7 @@ def write_pad_drawing(
             parameters=dict(parameters or {}), volume_mm3=gel.solid.volume, issue=issue,
         ),
     )  # fmt: skip
-    for path in paths:
-        sheet.save(path)
+    return sheet
 
 
 def _needed(size: np.ndarray, scale: float) -> np.ndarray:
