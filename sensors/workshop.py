@@ -122,19 +122,18 @@ class Workshop:
     def write_drawings(self) -> None:
         """The dimensioned drawing of the gel, and the assembly in section."""
         from taccel_lab.cad.drawing.assembly_drawing import write_assembly_drawing
-        from taccel_lab.cad.drawing.pad_drawing import write_pad_drawing
+        from taccel_lab.cad.drawing.pad_drawing import pad_drawing
 
         layers = dict(self.layers) if len(self.layers) > 1 else {}
         material = "silicone" + (f" ({' and '.join(self.layers)})" if layers else "")
-        write_pad_drawing(
+        pad_drawing(
             self.gel,
-            [self.path("drawing", "drawing.svg"), self.path("drawing_pdf", "drawing.pdf")],
             title=f"{self.name}: gel",
             material=material,
             parameters=self.table,
             layers=layers,
             issue=self.issue,
-        )
+        ).save(self.path("drawing", "drawing.svg"), self.path("drawing_pdf", "drawing.pdf"))
         if self.assembly is not None:
             write_assembly_drawing(
                 self.assembly,

@@ -8,8 +8,6 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +15,7 @@ import numpy as np
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, check_quality, measure_quality
 from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.viewer.design_press import (
@@ -27,13 +26,19 @@ from taccel_lab.viewer.design_press import (
     press_ball,
     scaled,
 )
+from taccel_lab.viewer.press_beside import PressBeside
 
 if TYPE_CHECKING:
     from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 
+PIECES = ("formula", "solid", "quick", "quality", "rest", "pressed", "drawing", "exact")
+"""Of an answer, in the order in which they are begun; the last one is worked on beside all others,
+so that it may come before some of them."""
+PICTURES = ("rest", "pressed")
 PICTURE_PX = 240
 """Longer side of the pictures of the page."""
-DRAWING_PX = (1400, 990)
+DRAWING_PX = 1400
+"""Width of the drawing."""
 _KEPT = 16
 """Meshes, presses and pictures that are kept, so that sliders may go back and forth."""
 
@@ -48,7 +53,7 @@ class Choice:
 
 @dataclass
 class Answer:
-    """Filled from top to bottom; ``seconds`` has when each piece was known, since the change."""
+    """Filled piece by piece; ``seconds`` has when each was known, since the change."""
 
     parameters: FamilyParameters
     press: BallPress
@@ -63,11 +68,23 @@ class Answer:
     pressed_rgb: np.ndarray | None = None
     drawing_rgb: np.ndarray | None = None
     exact: PressAnswer | None = None
+    exact_steps: tuple[int, int] = (0, 0)
+    """Steps of the default press that are done, and how many it has; none before the first."""
+    failed: dict[str, str] = field(default_factory=dict)
+    """Pieces that this design does not have, and why, in words."""
     seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def missing(self) -> list[str]:
+        """Pieces that are not known yet."""
+        blind = self.parameters.optics() is None
+        return [
+            one for one in PIECES if one not in self.seconds and not (blind and one in PICTURES)
+        ]
 
 
 class DesignAnswers:
-    """Answers of one family; keeps what later answers can take over."""
+    """Answers of one family; keeps what later answers can take over. ``close`` ends its process."""
 
     def __init__(self, family: SensorFamily) -> None:
         self.family = family
@@ -76,6 +93,13 @@ class DesignAnswers:
         self._drawings = lru_cache(_KEPT)(_drawing)
         self._presses: dict[Any, tuple[float, PressAnswer]] = {}
         self._pictures: dict[Any, np.ndarray] = {}
+        self._beside = PressBeside()
+        self._begun: tuple[Any, float] | None = None
+        """Key and modulus of the press that is under way beside this."""
+
+    def close(self) -> None:
+        """End what is under way beside; no answer may be under way here."""
+        self._beside.close()
 
     def answer(
         self,
@@ -83,18 +107,18 @@ class DesignAnswers:
         told: Callable[[str, Answer], None],
         superseded: Callable[[], bool] = lambda: False,
     ) -> Answer:
-        """Work out everything; ``told(piece, answer)`` is called as soon as a piece is there:
-        formula, solid, quick, quality, rest, pressed, drawing, exact.
+        """Work out everything; ``told(piece, answer)`` is called as soon as one of ``PIECES`` is
+        there, or is known to have ``failed``, and with "step" when the default press got on.
 
         Raises:
             SupersededError: ``superseded`` said so between two pieces, or two steps of a press.
-            InputError: Parameters that the family refuses, in its own words.
-            SimulationError: A press that did not converge.
+            InputError: Parameters that the family refuses, in its own words, or no mesh of the gel.
         """
         began = time.perf_counter()
         parameters = self.family.parameters(choice.overrides)
         pad = parameters.pad()
         found = Answer(parameters, choice.press.limited(pad.thickness_mm))
+        self._begin_exact(found)
 
         def tell(piece: str) -> None:
             found.seconds[piece] = time.perf_counter() - began
@@ -102,36 +126,89 @@ class DesignAnswers:
             if superseded():
                 raise SupersededError
 
+        def look(wait_s: float = 0.0) -> None:
+            if "exact" in found.seconds:
+                return
+            try:
+                found.exact = self._exact(found, wait_s)
+            except (InputError, SimulationError) as error:
+                found.failed["exact"] = str(error)
+            if found.exact is not None or "exact" in found.failed:
+                tell("exact")
+            elif found.exact_steps != self._beside.steps:
+                found.exact_steps = self._beside.steps
+                told("step", found)
+
+        def find(piece: str, work: Callable[[], None]) -> None:
+            try:
+                work()
+            except (InputError, SimulationError) as error:
+                # The others do without it.
+                found.failed[piece] = str(error)
+            tell(piece)
+            look()
+
+        def quick() -> None:
+            found.quick = self._quick(found, superseded)
+
+        def quality() -> None:
+            found.quality, found.refused = self._qualities(pad)
+
+        def rest() -> None:
+            found.rest_rgb = self._picture(found, None)
+
+        def pressed() -> None:
+            found.pressed_rgb = None if found.quick is None else self._picture(found, found.quick)
+
+        def drawing() -> None:
+            found.drawing_rgb = self._drawings(self.family.name, pad)
+
         found.formula_n = formula_force_n(parameters, found.press)
         tell("formula")
         found.mesh = self._meshes(pad)
         tell("solid")
-        found.quick = self._press(found, True, superseded)
-        tell("quick")
-        found.quality, found.refused = self._qualities(pad)
-        tell("quality")
+        find("quick", quick)
+        find("quality", quality)
         if parameters.optics() is not None:
-            found.rest_rgb = self._picture(found, None)
-            tell("rest")
-            found.pressed_rgb = self._picture(found, found.quick)
-            tell("pressed")
-        found.drawing_rgb = self._drawings(self.family.name, pad)
-        tell("drawing")
-        found.exact = self._press(found, False, superseded)
-        tell("exact")
+            find("rest", rest)
+            find("pressed", pressed)
+        find("drawing", drawing)
+        while "exact" not in found.seconds:
+            look(0.05)
+            if superseded():
+                raise SupersededError
         return found
 
-    def _press(self, answer: Answer, quick: bool, superseded: Callable[[], bool]) -> PressAnswer:
-        """A press; where all moduli are those of an earlier one times a factor, that one's."""
-        layers = answer.parameters.layer_materials()
-        modulus = layers[0].young_modulus_pa
-        shape = tuple(
-            replace(one, young_modulus_pa=one.young_modulus_pa / modulus, young_interval_pa=None)
-            for one in layers
-        )
-        key = (repr(answer.parameters.pad()), shape, answer.press, quick)
+    def _begin_exact(self, answer: Answer) -> None:
+        """Have the default press simulated beside this, unless it is known or under way."""
+        key, modulus = _press_key(answer, False)
+        if key in self._presses or (self._begun is not None and self._begun[0] == key):
+            return
+        self._begun = key, modulus
+        self._beside.begin(answer.parameters, answer.press)
+
+    def _exact(self, answer: Answer, wait_s: float) -> PressAnswer | None:
+        """The default press, if it is there or comes within a time."""
+        key, modulus = _press_key(answer, False)
         if key not in self._presses:
-            made = press_ball(answer.parameters, answer.press, quick=quick, superseded=superseded)
+            assert self._begun is not None and self._begun[0] == key
+            try:
+                made = self._beside.poll(wait_s)
+            except (InputError, SimulationError):
+                self._begun = None
+                raise
+            if made is None:
+                return None
+            _keep(self._presses, key, (self._begun[1], made))
+            self._begun = None
+        known, made = self._presses[key]
+        return scaled(made, modulus / known)
+
+    def _quick(self, answer: Answer, superseded: Callable[[], bool]) -> PressAnswer:
+        """The coarse press, simulated unless it is known."""
+        key, modulus = _press_key(answer, True)
+        if key not in self._presses:
+            made = press_ball(answer.parameters, answer.press, quick=True, superseded=superseded)
             _keep(self._presses, key, (modulus, made))
         known, made = self._presses[key]
         return scaled(made, modulus / known)
@@ -148,9 +225,21 @@ class DesignAnswers:
             mesh = answer.mesh if press is None else press.mesh
             size = design.camera.size_within(PICTURE_PX)
             model = OpticalModel(design, mesh, size_px=size, markers=markers)
-            seen = model.render() if press is None else model.render(press.positions_m)
-            _keep(self._pictures, key, seen.rgb)
+            rgb = model.rest_rgb if press is None else model.render(press.positions_m).rgb
+            _keep(self._pictures, key, rgb)
         return self._pictures[key]
+
+
+def _press_key(answer: Answer, quick: bool) -> tuple[Any, float]:
+    """What a press depends on besides its modulus [Pa], and that: presses whose moduli differ by a
+    factor are each other's times that factor."""
+    layers = answer.parameters.layer_materials()
+    modulus = layers[0].young_modulus_pa
+    shape = tuple(
+        replace(one, young_modulus_pa=one.young_modulus_pa / modulus, young_interval_pa=None)
+        for one in layers
+    )
+    return (repr(answer.parameters.pad()), shape, answer.press, quick), modulus
 
 
 def _keep(kept: dict[Any, Any], key: Any, value: Any) -> None:
@@ -162,16 +251,10 @@ def _keep(kept: dict[Any, Any], key: Any, value: Any) -> None:
 
 def _drawing(name: str, pad: Pad) -> np.ndarray:
     """The dimensioned drawing of the gel, uint8 [height, width, 3]."""
-    from PIL import Image
-
-    from taccel_lab.cad.drawing.pad_drawing import write_pad_drawing
+    from taccel_lab.cad.drawing.pad_drawing import pad_drawing
     from taccel_lab.cad.parts.pad_solid import labelled_solid
 
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "drawing.png"
-        write_pad_drawing(labelled_solid(pad), [path], title=f"{name}: gel")
-        with Image.open(path) as file:
-            return np.asarray(file.convert("RGB").resize(DRAWING_PX))
+    return pad_drawing(labelled_solid(pad), title=f"{name}: gel").picture(DRAWING_PX)
 
 
 def _quality(pad: Pad, mesh: TetMesh) -> tuple[MeshQuality, list[str]]:

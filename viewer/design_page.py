@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import threading
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
-from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.errors import InputError
 from taccel_lab.report.live_page import PageOptions, live_page, viser_module
 from taccel_lab.scene import sphere_mesh
 from taccel_lab.viewer.camera_place import look_at
-from taccel_lab.viewer.design_answer import Answer, Choice, DesignAnswers
+from taccel_lab.viewer.design_answer import PICTURES, Answer, Choice, DesignAnswers
 from taccel_lab.viewer.design_controls import DesignControls
 from taccel_lab.viewer.design_export import EXPORTS, TOML, command_line, export
 from taccel_lab.viewer.design_press import (
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
 
 PRESS, SOLID = "press", "solid"
 """What may be shown in the middle."""
+BLANK = np.full((4, 4, 3), 255, dtype=np.uint8)
+NO_HEIGHTS = (np.array([0.0, 1.0]), np.zeros(2), np.zeros(2))
 WIDE_MODAL = "<style>.mantine-Modal-content { flex: 0 0 min(95vw, 100vh); }</style>"
 """As wide as an A4 sheet fits the page: viser's modals are hardly wider than its panels, and have
 no width to set."""
@@ -64,7 +67,7 @@ def design_page(
         try:
             yield page
         finally:
-            page.work.close()
+            page.close()
 
 
 class DesignPage:
@@ -110,13 +113,15 @@ class DesignPage:
                 )
                 self._plot = self._add_plot()
             with gui.add_folder("What the camera sees"):
-                self._sensor = SensorPanel(self._server, own_panel=False)
+                self._sensor = SensorPanel(
+                    self._server, single="Of the untouched gel.", own_panel=False
+                )
             with gui.add_folder("Mesh"):
                 self._quality = gui.add_markdown("")
         with tabs.add_tab("Drawing"):
-            blank = np.full((4, 4, 3), 255, dtype=np.uint8)
-            self._drawing = gui.add_image(blank, format="png")
-            gui.add_button("Enlarge", color="gray").on_click(lambda _: self._enlarge())
+            self._drawing_note = gui.add_markdown("")
+            self._drawing = gui.add_image(BLANK, format="png")
+            gui.add_button("Enlarge", color="gray").on_click(self._enlarge)
         with tabs.add_tab("Look"):
             pad = self._family.parameters(overrides).pad()
             states = _untouched(gel_mesh(pad))
@@ -137,7 +142,7 @@ class DesignPage:
         uplot = viser_module().uplot
         axis = {"stroke": "#6b7280"}
         return self._server.gui.add_uplot(
-            (np.array([0.0, 1.0]), np.array([0.0, 0.0]), np.array([0.0, 0.0])),
+            NO_HEIGHTS,
             (
                 uplot.Series(label="x [mm]"),
                 uplot.Series(label="untouched: z [mm]", stroke="#9ca3af", width=1),
@@ -162,6 +167,11 @@ class DesignPage:
         self._command.value = command_line(self._family, overrides, self._out)
         self.work.ask(Choice(overrides, press))
 
+    def close(self) -> None:
+        """End all work; the page stays as it is."""
+        self.work.close()
+        self._answers.close()
+
     def _work(self, choice: Choice, superseded: Callable[[], bool]) -> None:
         """In the thread of the work: answer one choice, as far as it is still wanted."""
         try:
@@ -170,21 +180,31 @@ class DesignPage:
         except SupersededError:
             return
         except InputError as error:
-            self.controls.refuse(
-                str(error).removeprefix(f"sensor {self._family.name}: "), self._moved
-            )
+            self._refuse(str(error))
             self._status.content = f"**Refused:** {error}"
-        except SimulationError as error:
-            self._status.content = f"**The press stopped:** {error}"
+        except Exception as fault:
+            # The thread must live: without it the page would never answer again.
+            traceback.print_exc()
+            self._status.content = (
+                f"**A fault of the program:** {fault!r}. The terminal has all of it; other values "
+                "may do."
+            )
+
+    def _refuse(self, words: str) -> None:
+        """Put a refusal beside the controls that it names."""
+        self.controls.refuse(words.removeprefix(f"sensor {self._family.name}: "), self._moved)
 
     def _tell(self, piece: str, answer: Answer) -> None:
-        """A piece of an answer is there."""
+        """A piece of an answer is there, or is known not to come; "step": how far the press is."""
         self.shown = answer
         self._status.content = stage_words(answer)
         self._force.content = force_table(answer)
+        if piece in answer.failed:
+            self._refuse(answer.failed[piece])
         press = answer.exact or answer.quick
         if piece == "formula":
             self.controls.accept()
+            self._drawing_note.content = "*of the design before; drawing the new one …*"
         elif piece == "solid":
             assert answer.mesh is not None
             self._draw()
@@ -195,10 +215,17 @@ class DesignPage:
         elif piece == "quality":
             self._quality.content = quality_table(answer)
         elif piece == "drawing":
-            assert answer.drawing_rgb is not None
-            self._drawing.image = answer.drawing_rgb
-        elif press is not None:
+            self._drawing_note.content = answer.failed.get(piece, "")
+            self._drawing.image = BLANK if answer.drawing_rgb is None else answer.drawing_rgb
+        elif piece in PICTURES:
+            self._view.show_images(_images(answer))
+            if answer.rest_rgb is None:
+                self._sensor.clear(f"No picture: {answer.failed.get('rest', '')}")
+        elif piece in ("quick", "exact"):
             self._draw()
+            if press is None:
+                self._plot.data = NO_HEIGHTS
+                return
             x, z = height_profile_mm(press, press.positions_m)
             rest_x, rest_z = height_profile_mm(press, press.mesh.nodes_m)
             self._plot.data = (x, np.interp(x, rest_x, rest_z), z)
@@ -210,17 +237,19 @@ class DesignPage:
             return
         press = answer.exact or answer.quick
         if press is None or self._middle.value == SOLID:
-            self._view.show_states(_untouched(answer.mesh))
+            self._view.show_states(_untouched(answer.mesh, _images(answer)))
         else:
             self._view.show_states(_states(press, answer), 1)
 
-    def _enlarge(self) -> None:
-        if self.shown is None or self.shown.drawing_rgb is None:
+    def _enlarge(self, event: Any) -> None:
+        """In the browser that asked for it; other ones go on as they were."""
+        if self.shown is None or self.shown.drawing_rgb is None or event.client is None:
             return
-        with self._server.gui.add_modal("Drawing of the gel") as modal:
-            self._server.gui.add_html(WIDE_MODAL)
-            self._server.gui.add_image(self.shown.drawing_rgb, format="png")
-            self._server.gui.add_button("Close").on_click(lambda _: modal.close())
+        gui = event.client.gui
+        with gui.add_modal("Drawing of the gel") as modal:
+            gui.add_html(WIDE_MODAL)
+            gui.add_image(self.shown.drawing_rgb, format="png")
+            gui.add_button("Close").on_click(lambda _: modal.close())
 
     def export(self, kind: str) -> None:
         """Write files, as the buttons do."""
@@ -237,7 +266,7 @@ class DesignPage:
             )
 
 
-def _untouched(mesh: Any) -> GelStates:
+def _untouched(mesh: Any, images: SensorImages | None = None) -> GelStates:
     rest = 1e3 * mesh.nodes_m
     return GelStates(
         rest_mm=rest,
@@ -245,6 +274,7 @@ def _untouched(mesh: Any) -> GelStates:
         faces=mesh.faces.astype(np.int64),
         moved_mm=np.zeros((1, *rest.shape)),
         captions=["untouched"],
+        images=images,
     )
 
 
@@ -254,11 +284,6 @@ def _states(press: PressAnswer, answer: Answer) -> GelStates:
     sphere = sphere_mesh(1e-3 * ball, 1e-3 * ball / 10)
     above = press.ball_mm + [0, 0, answer.press.depth_mm + 0.3]
     turn = np.array([0.0, 0.0, 0.0, 1.0])
-    images = None
-    if answer.rest_rgb is not None and answer.pressed_rgb is not None:
-        images = SensorImages(np.stack([answer.rest_rgb, answer.pressed_rgb]))
-    elif answer.rest_rgb is not None:
-        images = SensorImages(answer.rest_rgb[None])
     rest = 1e3 * press.mesh.nodes_m
     moved = 1e3 * press.positions_m - rest
     base = _untouched(press.mesh)
@@ -282,5 +307,11 @@ def _states(press: PressAnswer, answer: Answer) -> GelStates:
             sphere.faces,
             np.stack([np.concatenate([above, turn]), np.concatenate([press.ball_mm, turn])]),
         ),
-        images=images,
+        images=_images(answer),
     )
+
+
+def _images(answer: Answer) -> SensorImages | None:
+    """Untouched and pressed, as far as they are there."""
+    found = [one for one in (answer.rest_rgb, answer.pressed_rgb) if one is not None]
+    return SensorImages(np.stack(found)) if found else None

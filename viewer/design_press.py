@@ -100,6 +100,7 @@ def press_ball(
     *,
     quick: bool,
     superseded: Callable[[], bool],
+    step: Callable[[int, int], None] = lambda done, total: None,
 ) -> PressAnswer:
     """Simulate the press.
 
@@ -108,6 +109,7 @@ def press_ball(
         press: What is pressed.
         quick: With the coarse mesh, in two steps; else as ``taccel-lab press`` by default.
         superseded: Asked between steps.
+        step: Told before each step how many are done, and of how many.
 
     Raises:
         SupersededError: ``superseded`` said so.
@@ -134,6 +136,7 @@ def press_ball(
     for k in range(steps):
         if superseded():
             raise SupersededError
+        step(k, steps)
         env.move_to(press.depth_mm * (k + 1) / steps)
     return _answer(env, math.nan if quick else float(env.error_estimate().force_n[0]))
 

@@ -13,21 +13,39 @@ FORMULA_PERCENT, QUICK_PERCENT = 24, 14
 """Largest difference from the default press that was measured, see docs/viewer.md."""
 
 
+_WORDS = {
+    "formula": "formula",
+    "solid": "solid",
+    "quick": "coarse press",
+    "quality": "mesh quality",
+    "rest": "picture",
+    "pressed": "picture of the press",
+    "drawing": "drawing",
+    "exact": "press at default accuracy",
+}
+"""Of ``design_answer.PIECES``."""
+
+
 def stage_words(answer: Answer) -> str:
-    """What is known, and since when."""
-    last, at = list(answer.seconds.items())[-1]
-    words = {
-        "formula": "solid",
-        "solid": "quick press",
-        "quick": "mesh quality",
-        "quality": "picture",
-        "rest": "picture of the press",
-        "pressed": "drawing",
-        "drawing": "press at default accuracy",
-    }
-    if last == "exact":
-        return f"**Done** {at:.1f} s after the change."
-    return f"*Next: {words[last]} … ({at:.1f} s)*"
+    """What is missing, since when all is there, and what this design does not have."""
+    at = max(answer.seconds.values(), default=0.0)
+    missing = answer.missing
+    lines = [f"**No {_WORDS[piece]}:** {why}" for piece, why in answer.failed.items()]
+    if missing:
+        lines.insert(0, f"*Next: {' and '.join(_next(answer, missing))} … ({at:.1f} s)*")
+    else:
+        lines.insert(0, f"**Done** {at:.1f} s after the change.")
+    return "\n\n".join(lines)
+
+
+def _next(answer: Answer, missing: list[str]) -> list[str]:
+    """What is worked on: one piece after the other, the default press beside them."""
+    words = [_WORDS[missing[0]]]
+    if missing[-1] == "exact":
+        done, steps = answer.exact_steps
+        where = f" (step {done + 1} of {steps})" if steps else ""
+        words = [*words, _WORDS["exact"] + where][-2 if len(missing) > 1 else -1 :]
+    return words
 
 
 def force_table(answer: Answer) -> str:
@@ -35,16 +53,27 @@ def force_table(answer: Answer) -> str:
     press = answer.press
     rows = []
     if not math.isnan(answer.formula_n):
-        rows.append(("formula", answer.formula_n, f"± {FORMULA_PERCENT} %", "formula"))
-    if answer.quick is not None:
-        rows.append(("coarse", answer.quick.force_n, f"± {QUICK_PERCENT} %", "quick"))
-    if answer.exact is not None:
-        share = 100 * answer.exact.error_n / max(answer.exact.force_n, 1e-12)
-        rows.append(("default", answer.exact.force_n, f"± {share:.1f} %", "exact"))
-    lines = [
-        f"| {name} | {force:.4g} N | {error} | {answer.seconds.get(piece, 0.0):.1f} s |"
-        for name, force, error, piece in rows
-    ]
+        rows.append(("formula", "formula", answer.formula_n, f"± {FORMULA_PERCENT} %"))
+    for name, piece, made in (
+        ("coarse", "quick", answer.quick),
+        ("default", "exact", answer.exact),
+    ):
+        if made is not None:
+            share = 100 * made.error_n / max(made.force_n, 1e-12)
+            within = f"± {QUICK_PERCENT} %" if piece == "quick" else f"± {share:.1f} %"
+            rows.append((name, piece, made.force_n, within))
+        else:
+            rows.append((name, piece, math.nan, ""))
+    lines = []
+    for name, piece, force, within in rows:
+        if not math.isnan(force):
+            cells = f"{force:.4g} N | {within} | {answer.seconds.get(piece, 0.0):.1f} s"
+        elif piece in answer.failed:
+            cells = "none | | "
+        else:
+            done, steps = answer.exact_steps if piece == "exact" else (0, 0)
+            cells = "… | | " + (f"step {done + 1} of {steps}" if steps else "")
+        lines.append(f"| {name} | {cells} |")
     head = f"Ball of {press.radius_mm:g} mm, **{press.depth_mm:.2f} mm** deep:"
     return "\n".join([head, "", "| by | force | within | after |", "|---|---|---|---|", *lines])
 

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.viewer.arrows import Forces, arrow_lines, patch_forces, round_length
-from taccel_lab.viewer.gel_states import Field, GelStates
+from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 from taccel_lab.viewer.painting import MAPS, bar_html, map_rgb, number_text, painted
 from taccel_lab.viewer.section import Surface, clip_faces, cut_tets
 from taccel_lab.viewer.sensor_panel import SensorPanel
@@ -37,11 +38,15 @@ class GelView:
         self._lock = threading.RLock()
         self._states = states
         self._fields: list[Field] = states.all_fields()
+        self._silent = False
+        """Whether controls are being set for another gel, which is drawn once they all are."""
         with self._gui.add_folder("Time"):
             self._caption = self._gui.add_markdown("")
-            self.time = TimeSlider(server, states.count, lambda _: self._draw())
+            self.time = TimeSlider(server, states.count, lambda _: self._redraw())
         with self._gui.add_folder("On the gel"):
             self._field = self._gui.add_dropdown("field", [f.label for f in self._fields])
+            self._wanted = str(self._field.value)
+            """Field that was chosen; another one is shown of gels that do not have it."""
             self._bar = self._gui.add_html("")
             self._map = self._gui.add_dropdown("colours", MAPS)
             self._range = self._gui.add_dropdown("range", ("all steps", "this step"))
@@ -64,10 +69,11 @@ class GelView:
             self._legend = self._gui.add_markdown("")
         self.sensor = sensor or SensorPanel(server)
         for control in (
-            self._field, self._map, self._range, self._mesh, self._tool, self._more, self._plane,
+            self._map, self._range, self._mesh, self._tool, self._more, self._plane,
             self._offset, self._turn, self._other, self._arrows, self._patches, self._length,
         ):  # fmt: skip
-            control.on_update(lambda _: self._draw())
+            control.on_update(lambda _: self._redraw())
+        self._field.on_update(lambda _: self._choose_field())
         self.show_states(states)
 
     def show_states(self, states: GelStates, state: int | None = None) -> None:
@@ -75,12 +81,19 @@ class GelView:
         with self._lock:
             self._states, self._fields = states, states.all_fields()
             labels = tuple(field.label for field in self._fields)
-            chosen = self._field.value
+            self._silent = True
             if tuple(self._field.options) != labels:
                 self._field.options = labels
-            self._field.value = chosen if chosen in labels else labels[0]
+            self._field.value = self._wanted if self._wanted in labels else labels[0]
             self.time.resize(states.count, state or 0)
+            self._silent = False
             self._draw()
+
+    def show_images(self, images: SensorImages | None) -> None:
+        """Other images of the gel that is shown; all else stays."""
+        with self._lock:
+            self._states = replace(self._states, images=images)
+            self.sensor.show(images, min(self.time.state, self._states.count - 1))
 
     def choose(self, **values: Any) -> None:
         """Set controls by name: field, cut, arrows, position, state."""
@@ -94,6 +107,18 @@ class GelView:
         self._draw()
 
     # Drawing ---------------------------------------------------------------------------------
+
+    def _redraw(self) -> None:
+        """A control was moved, by hand or by ``choose``."""
+        with self._lock:
+            if not self._silent:
+                self._draw()
+
+    def _choose_field(self) -> None:
+        with self._lock:
+            if not self._silent:
+                self._wanted = str(self._field.value)
+                self._draw()
 
     def _draw(self) -> None:
         with self._lock, self._server.atomic():

@@ -17,6 +17,8 @@ MARKER_RGB = (255, 221, 51)
 WIDTH_PX = 480
 """Least width at which images are drawn; smaller ones are enlarged by a whole number."""
 
+BLANK = np.full((4, 4, 3), 128, dtype=np.uint8)
+
 
 class SensorPanel:
     """A window of its own; hidden where there is no image."""
@@ -33,8 +35,7 @@ class SensorPanel:
         self._single = single
         self.panel = server.gui.add_panel(visible=False) if own_panel else None
         with nullcontext() if self.panel is None else self.panel.add_tab(title):
-            blank = np.full((4, 4, 3), 128, dtype=np.uint8)
-            self._image = server.gui.add_image(blank, format="png")
+            self._image = server.gui.add_image(BLANK, format="png")
             self._note = server.gui.add_markdown("")
             self._markers = server.gui.add_checkbox("show markers and their motion", True)
             self._times = server.gui.add_slider("motion of markers times", 1, 10, 1, 3)
@@ -61,6 +62,11 @@ class SensorPanel:
         if there and factor is not None:
             note += f"Arrows are the motion of the markers since rest, {factor:g} times."
         self._note.content = note
+
+    def clear(self, note: str) -> None:
+        """Take the image away, and say why."""
+        self._shown = (None, 0)
+        self._image.image, self._note.content = BLANK, note
 
 
 def drawn(images: SensorImages, row: int, factor: float | None) -> np.ndarray:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from build123d import GeomType, Vector
@@ -66,22 +65,21 @@ class _View:
         return float(x), float(y)
 
 
-def write_pad_drawing(
+def pad_drawing(
     gel: LabelledSolid,
-    paths: Sequence[Path],
     *,
     title: str,
     material: str = "silicone gel",
     parameters: Mapping[str, tuple[float | int | str, str]] | None = None,
     layers: Mapping[str, LabelledSolid] | None = None,
     issue: Issue | None = None,
-) -> None:
-    """Draw ``gel`` and write it to each of ``paths`` (.svg, .pdf or .png).
+) -> Sheet:
+    """The drawing of ``gel``.
 
     ``parameters`` are name -> (value, unit) for the table, named as ``--set`` takes them;
     ``layers`` by name are cut with a hatch each.
     """
-    box = gel.solid.bounding_box()
+    box = gel.box
     size = np.array([box.size.X, box.size.Y, box.size.Z])
     name, scale = sheet_and_scale(lambda s: _needed(size, s), least=2.0)
     sheet = Sheet(*SHEETS[name])
@@ -120,8 +118,7 @@ def write_pad_drawing(
             parameters=dict(parameters or {}), volume_mm3=gel.solid.volume, issue=issue,
         ),
     )  # fmt: skip
-    for path in paths:
-        sheet.save(path)
+    return sheet
 
 
 def _needed(size: np.ndarray, scale: float) -> np.ndarray:
@@ -133,14 +130,14 @@ def _needed(size: np.ndarray, scale: float) -> np.ndarray:
 
 
 def _draw_plan(sheet: Sheet, view: _View, gel: LabelledSolid) -> None:
-    outline = base_outline(gel.solid)
+    outline = base_outline(gel.solid, gel.box)
     sheet.area([view(chain(outline)[:, :2])], fill="white")
     upper = [*gel.faces(Region.CONTACT), *gel.faces(Region.SIDE)]
     for points in plan_edges([face for face in upper if face.center().Z > _low(gel)]):
         sheet.line(view(points), THIN)
     for points in plan_edges(gel.faces(Region.WINDOW)):
         sheet.line(view(points), THIN, "hidden")
-    box = gel.solid.bounding_box()
+    box = gel.box
     sheet.line(view(np.array([[box.min.X, 0], [box.max.X, 0]]) * 1.06), THIN / 1.5, "axis")
     sheet.line(view(np.array([[0, box.min.Y], [0, box.max.Y]]) * 1.06), THIN / 1.5, "axis")
     arcs = [e for e in outline.edges() if e.geom_type == GeomType.CIRCLE]
@@ -164,7 +161,7 @@ def _draw_plan(sheet: Sheet, view: _View, gel: LabelledSolid) -> None:
 
 
 def _low(gel: LabelledSolid) -> float:
-    return gel.solid.bounding_box().min.Z + _ON_FACE_MM
+    return gel.box.min.Z + _ON_FACE_MM
 
 
 def _label_corners(sheet: Sheet, view: _View, arcs: Sequence) -> None:
@@ -190,7 +187,7 @@ def _dimension_window(sheet: Sheet, view: _View, gel: LabelledSolid) -> None:
     boxes = [face.bounding_box() for face in faces]
     low = (min(b.min.X for b in boxes), min(b.min.Y for b in boxes))
     high = (max(b.max.X for b in boxes), max(b.max.Y for b in boxes))
-    box = gel.solid.bounding_box()
+    box = gel.box
     round_window = any(e.geom_type == GeomType.CIRCLE for face in faces for e in face.edges())
     mark = "Ø" if round_window else ""
     level = (low[1] + high[1]) / 2 if round_window else high[1]
@@ -212,7 +209,7 @@ def _dimension_section(
     contact = _contact_curve(cut, gel)
     if along == "x":
         label_at = (view.at(low[0], 0)[0] + 12, view.at(0, low[1])[1] - 14)
-        _dimension_heights(sheet, view, cut, low, high, gel.solid.bounding_box().size.Z)
+        _dimension_heights(sheet, view, cut, low, high, gel.box.size.Z)
     else:
         label_at = (view.at(0, (low[1] + high[1]) / 2)[0], view.at(high[0], 0)[1] + 14)
         _dimension_wall(sheet, view, cut, low, low, along)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from build123d import Edge, Face, GeomType, Plane, Solid, Wire
 from OCP.BRep import BRep_Tool
+from OCP.GCPnts import GCPnts_AbscissaPoint
 
 from taccel_lab.cad.parts.solids import section_faces
 
@@ -63,7 +64,16 @@ def section(solid: Solid, along: str) -> Section:
 def edge_points(edge: Edge) -> np.ndarray:
     """Points along an edge, [n, 3] [mm]."""
     count = 2 if edge.geom_type in _STRAIGHT else int(np.clip(edge.length / _STEP_MM, 8, 400))
-    return np.array([tuple(p) for p in edge.positions(np.linspace(0, 1, count).tolist())])
+    # As ``edge.positions``, which measures the edge anew for every point.
+    curve = edge.geom_adaptor()
+    first, length = curve.FirstParameter(), GCPnts_AbscissaPoint.Length_s(curve)
+    shares = np.linspace(0, 1, count)
+    shares = shares if edge.is_forward else 1 - shares
+    points = [
+        curve.Value(GCPnts_AbscissaPoint(curve, length * share, first).Parameter())
+        for share in shares.tolist()
+    ]
+    return np.array([(point.X(), point.Y(), point.Z()) for point in points])
 
 
 def chain(wire: Wire) -> np.ndarray:

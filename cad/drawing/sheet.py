@@ -29,6 +29,11 @@ _GAP_MM, _OVERSHOOT_MM = 0.8, 1.5
 _POINTS = 72 / 25.4
 _DASHES = {"hidden": (0, (7, 4)), "axis": (0, (18, 4, 3, 4))}
 _INK, _DIM = "black", "#1f3a5f"
+_SETTINGS: dict[Any, Any] = {
+    "svg.hashsalt": "taccel_lab",
+    "svg.fonttype": "none",
+    "hatch.linewidth": 0.4,
+}
 
 
 class Sheet:
@@ -37,7 +42,7 @@ class Sheet:
     def __init__(self, width_mm: float, height_mm: float) -> None:
         self.width_mm, self.height_mm = width_mm, height_mm
         self._figure = Figure(figsize=(width_mm / 25.4, height_mm / 25.4))
-        FigureCanvasAgg(self._figure)
+        self._canvas = FigureCanvasAgg(self._figure)
         self._axes = self._figure.add_axes((0, 0, 1, 1))
         self._axes.set(xlim=(0, width_mm), ylim=(0, height_mm))
         self._axes.axis("off")
@@ -163,14 +168,17 @@ class Sheet:
         corners = [tip, back + _ARROW_WIDTH_MM / 2 * normal, back - _ARROW_WIDTH_MM / 2 * normal]
         self._axes.add_patch(Polygon(corners, closed=True, facecolor=_DIM, edgecolor="none"))
 
-    def save(self, path: Path) -> None:
-        """Write SVG, PDF or PNG, by the suffix."""
-        suffix = path.suffix.lstrip(".")
-        metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[suffix]
-        settings: dict[Any, Any] = {
-            "svg.hashsalt": "taccel_lab",
-            "svg.fonttype": "none",
-            "hatch.linewidth": 0.4,
-        }
-        with mpl.rc_context(settings):
-            self._figure.savefig(path, format=suffix, dpi=110, metadata=metadata)
+    def picture(self, width_px: int) -> np.ndarray:
+        """The sheet as an image of a width, uint8 [height, width, 3]."""
+        self._figure.set_dpi(width_px / self.width_mm * 25.4)
+        with mpl.rc_context(_SETTINGS):
+            self._canvas.draw()
+        return np.array(self._canvas.buffer_rgba())[..., :3]
+
+    def save(self, *paths: Path) -> None:
+        """Write SVG, PDF or PNG files, by their suffixes."""
+        for path in paths:
+            suffix = path.suffix.lstrip(".")
+            metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[suffix]
+            with mpl.rc_context(_SETTINGS):
+                self._figure.savefig(path, format=suffix, dpi=110, metadata=metadata)

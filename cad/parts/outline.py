@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from build123d import Face, Kind, Plane, Pos, RectangleRounded, Solid, Wire
+from build123d import BoundBox, Face, Kind, Plane, Pos, RectangleRounded, Solid, Wire
 from OCP.BRepPrimAPI import BRepPrimAPI_MakePrism
 from OCP.gp import gp_Vec
 
@@ -39,12 +39,13 @@ def rounded_rectangle(
     return (Pos(*center_mm, z_mm) * RectangleRounded(*size_mm, radius)).faces()[0]
 
 
-def base_outline(solid: Solid) -> Wire:
-    """Outline of the body where it stands, at its lowest z.
+def base_outline(solid: Solid, box: BoundBox | None = None) -> Wire:
+    """Outline of the body where it stands, at its lowest z; ``box``: its bounding box, where that
+    is known.
 
     Raises InputError when the body stands on several feet or juts out above its base.
     """
-    box = solid.bounding_box()
+    box = box or solid.bounding_box()
     faces = section_faces(solid, Plane.XY.offset(box.min.Z + _SECTION_LIFT_MM))
     if len(faces) != 1:
         raise InputError(f"the body stands on {len(faces)} separate faces; one outline is needed")

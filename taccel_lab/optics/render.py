@@ -115,6 +115,7 @@ class OpticalModel:
             linear, light.mask, level=level, gamma=gamma, white_balance=white_balance
         )
         """Exposure of all frames."""
+        self._rest_linear = linear
 
     @classmethod
     def from_formula(
@@ -150,6 +151,12 @@ class OpticalModel:
     def size_px(self) -> tuple[int, int]:
         """Width and height of the image."""
         return self.camera.camera.width_px, self.camera.camera.height_px
+
+    @property
+    def rest_rgb(self) -> np.ndarray:
+        """The image at rest, uint8 [H, W, 3], without the light being followed again for it: that
+        of ``render().rgb``, of the design and markers that the model was made with."""
+        return self.display.rgb(self._rest_linear)
 
     def render(self, positions_m: Any = None) -> PreviewImage:
         """The image of the gel.

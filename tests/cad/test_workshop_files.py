@@ -17,8 +17,8 @@ from small_sensor import PAD, small_sensor
 
 from taccel_lab.cad.assembly import Assembly
 from taccel_lab.cad.drawing.assembly_drawing import write_assembly_drawing
-from taccel_lab.cad.drawing.pad_drawing import write_pad_drawing
-from taccel_lab.cad.drawing.sections import circle_through, section
+from taccel_lab.cad.drawing.pad_drawing import pad_drawing
+from taccel_lab.cad.drawing.sections import circle_through, edge_points, section
 from taccel_lab.cad.drawing.title import Issue
 from taccel_lab.cad.export import (
     write_3mf,
@@ -134,9 +134,8 @@ def texts(path: Path) -> list[str]:
 
 def test_drawing_states_the_dimensions_of_the_solid(gel: LabelledSolid, tmp_path: Path) -> None:
     path = tmp_path / "pad.svg"
-    write_pad_drawing(
-        gel, [path], title="test pad", parameters={"thickness_mm": (5.0, "mm")}, material="rubber"
-    )
+    parameters = {"thickness_mm": (5.0, "mm")}
+    pad_drawing(gel, title="test pad", parameters=parameters, material="rubber").save(path)
     root = ET.parse(path).getroot()
     # A4 in points of 1/72 inch.
     size = [float(root.attrib[key].removesuffix("pt")) for key in ("width", "height")]
@@ -153,14 +152,29 @@ def test_drawing_states_the_dimensions_of_the_solid(gel: LabelledSolid, tmp_path
 
 def test_drawing_is_the_same_every_time(gel: LabelledSolid, tmp_path: Path) -> None:
     first, second = tmp_path / "a.svg", tmp_path / "b.svg"
-    write_pad_drawing(gel, [first], title="pad")
-    write_pad_drawing(gel, [second], title="pad")
+    pad_drawing(gel, title="pad").save(first)
+    sheet = pad_drawing(gel, title="pad")
+    picture = sheet.picture(700)
+    sheet.save(second)
     assert first.read_bytes() == second.read_bytes()
+    # As an image: white paper with ink, in the sheet's proportions.
+    assert picture.shape == (494, 700, 3) and picture.dtype == np.uint8
+    assert np.median(picture) == 255 and picture.min() < 50
+
+
+def test_points_along_edges_are_those_of_the_kernel(gel: LabelledSolid) -> None:
+    for edge in gel.solid.edges():
+        points = edge_points(edge)
+        shares = np.linspace(0, 1, len(points)).tolist()
+        there = np.array([tuple(point) for point in edge.positions(shares)])
+        np.testing.assert_array_equal(points, there)
+    box = gel.solid.bounding_box()
+    assert (gel.box.min, gel.box.max) == (box.min, box.max)
 
 
 def test_drawing_of_a_dome_states_diameters_and_both_radii(tmp_path: Path) -> None:
     paths = [tmp_path / "dome.svg", tmp_path / "dome.png", tmp_path / "dome.pdf"]
-    write_pad_drawing(labelled_solid(ShellDomePad(skirt_mm=5.0)), paths, title="dome")
+    pad_drawing(labelled_solid(ShellDomePad(skirt_mm=5.0)), title="dome").save(*paths)
     words = texts(paths[0])
     for wanted in ("Ø30", "Ø27 window", "R15", "R13.5", "1.5", "20", "5 wall"):
         assert wanted in words, (wanted, words)
@@ -170,7 +184,7 @@ def test_drawing_of_a_dome_states_diameters_and_both_radii(tmp_path: Path) -> No
 
 def test_large_pads_are_drawn_smaller(tmp_path: Path) -> None:
     big = GelPad(length_x_mm=90.0, length_y_mm=60.0, window_x_mm=60.0, window_y_mm=40.0)
-    write_pad_drawing(labelled_solid(big), [tmp_path / "big.svg"], title="big")
+    pad_drawing(labelled_solid(big), title="big").save(tmp_path / "big.svg")
     words = texts(tmp_path / "big.svg")
     assert "2:1   (A3)" in words and "90" in words and "60" in words
 
@@ -188,7 +202,7 @@ def test_drawings_state_revision_date_and_tolerances(
     gel: LabelledSolid, sensor: Assembly, tmp_path: Path
 ) -> None:
     issue = Issue("0a1b2c3d, taccel-lab 9.9", "2031-02-03")
-    write_pad_drawing(gel, [tmp_path / "pad.svg"], title="pad", issue=issue)
+    pad_drawing(gel, title="pad", issue=issue).save(tmp_path / "pad.svg")
     write_assembly_drawing(sensor, [tmp_path / "all.svg"], title="all", issue=issue)
     for name in ("pad.svg", "all.svg"):
         words = texts(tmp_path / name)

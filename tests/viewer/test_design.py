@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,15 @@ class Stopped(Exception):
     pass
 
 
+@contextmanager
+def answers_of(name: str) -> Iterator[DesignAnswers]:
+    answers = DesignAnswers(sensor_family(name))
+    try:
+        yield answers
+    finally:
+        answers.close()
+
+
 def pieces_until(answers: DesignAnswers, choice: Choice, last: str) -> tuple[list[str], Answer]:
     pieces: list[str] = []
     found: list[Answer] = []
@@ -39,12 +50,13 @@ def pieces_until(answers: DesignAnswers, choice: Choice, last: str) -> tuple[lis
 
 
 def test_pieces_come_in_order_and_a_softer_gel_scales_the_press_that_is_known() -> None:
-    answers = DesignAnswers(sensor_family("flat_pad"))
     default = sensor_family("flat_pad").parameters()
     stiff = default.values()["young_modulus_mpa"]
-    pieces, first = pieces_until(answers, Choice({}, PRESS), "quality")
-    assert pieces == ["formula", "solid", "quick", "quality"]
-    _, soft = pieces_until(answers, Choice({"young_modulus_mpa": stiff / 2}, PRESS), "quick")
+    with answers_of("flat_pad") as answers:
+        pieces, first = pieces_until(answers, Choice({}, PRESS), "quality")
+        softer = Choice({"young_modulus_mpa": stiff / 2}, PRESS)
+        _, soft = pieces_until(answers, softer, "quick")
+    assert [one for one in pieces if one != "step"] == ["formula", "solid", "quick", "quality"]
     assert first.quick is not None and soft.quick is not None
     assert soft.quick.force_n == pytest.approx(first.quick.force_n / 2, rel=1e-12)
     assert soft.quick.positions_m is first.quick.positions_m
@@ -69,6 +81,63 @@ def test_a_newer_wish_ends_the_work_between_steps() -> None:
     assert len(asked) == 2
 
 
+def test_a_design_without_light_or_a_drawing_has_all_other_pieces(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from taccel_lab.viewer import design_answer
+    from taccel_lab.viewer.design_words import force_table, stage_words
+
+    def no_drawing(name: str, pad: object) -> np.ndarray:
+        raise InputError("the CAD kernel cannot build this pad")
+
+    monkeypatch.setattr(design_answer, "_drawing", no_drawing)
+    dark = Choice({"led_depth_mm": 0.1}, BallPress(3.0, 0.2))
+    told: list[str] = []
+    with answers_of("9dtact") as answers:
+        found = answers.answer(dark, lambda piece, _: told.append(piece))
+        assert found.quick is not None and found.quality is not None and found.exact is not None
+        assert found.exact.force_n == pytest.approx(found.quick.force_n, rel=0.14)
+        assert set(found.failed) == {"rest", "pressed", "drawing"}
+        assert "no light reaches the gel" in found.failed["rest"]
+        assert found.missing == [] and "step" in told
+        words = stage_words(found)
+        assert words.startswith("**Done**") and "**No drawing:** the CAD kernel cannot" in words
+        assert "| default | " in force_table(found)
+        # All of it is known now, without a press, and a softer gel's force is scaled.
+        soft = {**dark.overrides, "young_modulus_mpa": 0.5 * _modulus(found)}
+        again = answers.answer(Choice(soft, dark.press), lambda *_: None)
+        assert again.exact is not None and again.seconds["exact"] < 5
+        assert again.exact.force_n == pytest.approx(found.exact.force_n / 2, rel=1e-12)
+
+
+def _modulus(answer: Answer) -> float:
+    return float(answer.parameters.values()["young_modulus_mpa"])
+
+
+def test_what_is_worked_on_is_said_with_the_steps_of_the_press() -> None:
+    from taccel_lab.viewer.design_words import force_table, stage_words
+
+    answer = Answer(sensor_family("flat_pad").parameters(), PRESS, formula_n=1.0)
+    answer.seconds = {"formula": 0.04, "solid": 0.2}
+    answer.exact_steps = (1, 2)
+    assert answer.missing == ["quick", "quality", "rest", "pressed", "drawing", "exact"]
+    assert stage_words(answer) == (
+        "*Next: coarse press and press at default accuracy (step 2 of 2) … (0.2 s)*"
+    )
+    assert force_table(answer).splitlines()[-2:] == [
+        "| coarse | … | |  |",
+        "| default | … | | step 2 of 2 |",
+    ]
+    answer.seconds |= {"quick": 0.5, "quality": 0.6, "rest": 0.8, "pressed": 1.0, "drawing": 1.2}
+    answer.failed = {"quick": "it did not converge"}
+    assert stage_words(answer).splitlines() == [
+        "*Next: press at default accuracy (step 2 of 2) … (1.2 s)*",
+        "",
+        "**No coarse press:** it did not converge",
+    ]
+    assert "| coarse | none | |  |" in force_table(answer)
+
+
 def test_presses_stay_within_the_gel_and_domes_have_no_formula() -> None:
     assert BallPress(3.0, 2.0).limited(1.0).depth_mm == pytest.approx(0.4)
     assert BallPress(3.0, 0.2).limited(1.0).depth_mm == 0.2
@@ -76,8 +145,7 @@ def test_presses_stay_within_the_gel_and_domes_have_no_formula() -> None:
 
 
 def test_refusals_are_those_of_the_family() -> None:
-    answers = DesignAnswers(sensor_family("digit"))
-    with pytest.raises(InputError, match="window_thickness_mm"):
+    with answers_of("digit") as answers, pytest.raises(InputError, match="window_thickness_mm"):
         answers.answer(Choice({"window_thickness_mm": 1e3}), lambda *_: None)
 
 

@@ -6,6 +6,8 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -93,8 +95,68 @@ def test_sliders_of_the_design_page_change_its_numbers(tmp_path: Path) -> None:
                 wait_for(page, lambda: page_of.controls.overrides() == {})
                 wait_for(page, lambda: row.inner_text().split()[1] == before.split()[1])
         finally:
-            page_of.work.close()
+            page_of.close()
     assert not (tmp_path / "out").exists()
+
+
+def test_of_many_changes_the_last_is_shown_while_files_are_written_and_closing_ends_all(
+    tmp_path: Path,
+) -> None:
+    family, out = sensor_family("flat_pad"), tmp_path / "out"
+    with live_page("Design", HERE) as server:
+        page = DesignPage(server, family, {}, out)
+        try:
+            for thickness in np.linspace(2.0, 5.0, 16):
+                page.controls.set("thickness_mm", float(thickness))
+            # An export takes what the sliders say, also amid the work on it.
+            exported = threading.Thread(target=page.export, args=("drawing",))
+            exported.start()
+            assert page.work.wait(120)
+            exported.join(120)
+            assert (out / "drawing" / "drawing.pdf").stat().st_size > 0
+            assert "drawing.pdf" in page._exported.content
+            shown = page.shown
+            assert shown is not None and shown.missing == [] and shown.failed == {}
+            assert shown.parameters.values()["thickness_mm"] == 5.0
+            assert shown.exact is not None
+            assert f"| default | {shown.exact.force_n:.4g} N" in page._force.content
+            assert page._status.content.startswith("**Done**")
+            # A design that is refused is told in words, and the next one is answered.
+            page.controls.set("shore_a", 20.0)
+            page.controls.set("shore_00", 20.0)
+            assert page.work.wait(60)
+            assert "**Refused:**" in page._status.content
+            page.controls.reset()
+            page.controls.set("thickness_mm", 4.5)
+            limit = time.monotonic() + 60
+            while page.shown is None or page.shown is shown or "solid" in page.shown.missing:
+                assert time.monotonic() < limit
+                time.sleep(0.01)
+        finally:
+            # Amid the answer: what is under way ends.
+            page.close()
+    assert page.work.wait(0)
+    assert page.shown is not None and "exact" in page.shown.missing
+
+
+def test_a_fault_of_the_program_is_told_and_the_page_lives_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with live_page("Design", HERE) as server:
+        page = DesignPage(server, sensor_family("flat_pad"), {}, tmp_path / "out")
+        try:
+            answer = page._answers.answer
+            monkeypatch.setattr(page._answers, "answer", lambda *_: 1 // 0)
+            page.controls.set("thickness_mm", 4.0)
+            assert page.work.wait(60)
+            assert "ZeroDivisionError" in page._status.content
+            assert "ZeroDivisionError" in capsys.readouterr().err
+            monkeypatch.setattr(page._answers, "answer", answer)
+            page.controls.set("thickness_mm", 4.1)
+            assert page.work.wait(120)
+            assert page._status.content.startswith("**Done**")
+        finally:
+            page.close()
 
 
 @pytest.mark.slow
@@ -107,10 +169,16 @@ def test_a_dark_design_page_enlarges_its_drawing_and_writes_files(tmp_path: Path
                 page.get_by_role("tab", name="Drawing").click()
                 enlarge = page.get_by_role("button", name="Enlarge")
                 wait_for(page, lambda: page_of.shown and page_of.shown.drawing_rgb is not None, 60)
+                other = page.context.browser.new_page()
+                other.goto(page_address(server))
+                other.get_by_text("Press of a ball").wait_for()
                 enlarge.click()
                 sheet = page.get_by_role("dialog").locator("img")
                 # Larger than in the panel, and whole: its button below is on the page.
                 wait_for(page, lambda: sheet.bounding_box()["width"] > 600)
+                # Another browser is left alone.
+                assert other.get_by_role("dialog").count() == 0
+                other.close()
                 close = page.get_by_role("dialog").get_by_role("button", name="Close").last
                 box = close.bounding_box()
                 assert box["y"] + box["height"] < 800
@@ -127,7 +195,7 @@ def test_a_dark_design_page_enlarges_its_drawing_and_writes_files(tmp_path: Path
                     assert (out / file).stat().st_size > 0
                 assert np.median(picture(page)) < 64
         finally:
-            page_of.work.close()
+            page_of.close()
 
 
 @pytest.mark.slow
