@@ -61,6 +61,7 @@ class DatasetMake:
         from taccel_lab.cli.console import notes
         from taccel_lab.datasets.plan import Plan
         from taccel_lab.datasets.spec import load_spec
+        from taccel_lab.inner_path import real_path
         from taccel_lab.model.devices import require_device
         from taccel_lab.reading.shard import Shard
         from taccel_lab.warp_output import quiet_warp
@@ -77,7 +78,7 @@ class DatasetMake:
             _require_zarr()
         with console.status("reading sensors and objects"):
             with naming(self.spec):
-                plan = Plan(load_spec(self.spec), self.spec.resolve().parent)
+                plan = Plan(load_spec(self.spec), real_path(self.spec).parent)
         _describe(console, plan, shard)
         if self.check_only:
             return

@@ -23,6 +23,7 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.exchange import exchange
+from taccel_lab.inner_path import real_path
 from taccel_lab.output import named_error
 from taccel_lab.reading.json_file import read_json
 
@@ -110,7 +111,7 @@ def _folder_path(target: Path | str) -> Path:
     if not target.name or ".." in target.parts:
         target = Path(os.path.abspath(target))
     if target.is_symlink():
-        target = Path(os.path.realpath(target))
+        target = real_path(target)
         if target.is_symlink():
             raise InputError(f"{target} is a link that leads back to itself")
     _refuse_files(target)
