@@ -190,14 +190,6 @@ class DatasetFolder:
         return pa.concat_tables(tables, promote_options="default") if tables else None
 
 
-def require_outside(out: Path | str, folders: Sequence[Path | str]) -> None:
-    """Refuse an output inside a data set that it is made from."""
-    there = Path(os.path.realpath(out))
-    for folder in folders:
-        if Path(os.path.realpath(folder)) in there.parents:
-            raise InputError(f"{out} lies inside the data set {folder}; name a folder beside it")
-
-
 def read_parquet(path: Path) -> Any:
     """A table of a file; InputError where it is none."""
     import pyarrow as pa

@@ -12,6 +12,14 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from taccel_lab.errors import InputError
 
+WHOLES = {
+    "profile.toml": "profile",
+    "dataset.json": "data set",
+    ".taccel_lab_study": "study",
+}
+"""Folders that no other output may lie in, as it would become a part of them: what they are, by the
+file that they are known by. They grow by their own commands alone."""
+
 
 def real_path(path: Path | str) -> Path:
     """Where ``path`` leads: absolute, links followed.
@@ -24,6 +32,17 @@ def real_path(path: Path | str) -> Path:
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     return Path(os.path.realpath(path))
+
+
+def require_outside(target: Path | str) -> None:
+    """Refuse an output inside a profile, a data set or a study: it would change what that
+    folder means. The folder itself is its own commands' to go on with."""
+    for folder in real_path(target).parents:
+        for sign, what in WHOLES.items():
+            if os.path.isfile(folder / sign):
+                raise InputError(
+                    f"{target} lies inside the {what} {folder}; name a folder beside it"
+                )
 
 
 def _require_possible(name: str) -> None:

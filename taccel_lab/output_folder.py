@@ -23,7 +23,7 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.exchange import exchange
-from taccel_lab.inner_path import real_path
+from taccel_lab.inner_path import real_path, require_outside
 from taccel_lab.output import named_error
 from taccel_lab.reading.json_file import read_json
 
@@ -50,6 +50,7 @@ def require_replaceable(target: Path | str) -> None:
     one in which every file is as a command wrote it.
     """
     target = _folder_path(target)
+    require_outside(target)
     _recover(target)
     _require_own(target)
     _require_writable(target)
@@ -60,6 +61,7 @@ def require_growable(target: Path | str) -> None:
     first, before any long work. What is in it is theirs to judge."""
     target = Path(os.path.abspath(target))
     _refuse_files(target)
+    require_outside(target)
     _require_writable(target, beside=False)
 
 
