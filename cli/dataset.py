@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from taccel_lab.datasets.runner import Outcome
     from taccel_lab.reading.shard import Shard
 
+LONG_DRAW = 20_000
+"""Episodes whose drawing is told about: it takes a second."""
 HELP = "Make data sets of simulated touches; check them, cut them down, export and show them."
 
 
@@ -59,8 +61,10 @@ class DatasetMake:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes
+        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.datasets.plan import Plan
         from taccel_lab.datasets.spec import load_spec
+        from taccel_lab.inner_path import real_path
         from taccel_lab.model.devices import require_device
         from taccel_lab.reading.shard import Shard
         from taccel_lab.warp_output import quiet_warp
@@ -77,7 +81,10 @@ class DatasetMake:
             _require_zarr()
         with console.status("reading sensors and objects"):
             with naming(self.spec):
-                plan = Plan(load_spec(self.spec), self.spec.resolve().parent)
+                plan = Plan(load_spec(self.spec), real_path(self.spec).parent)
+        if plan.spec.dataset.episodes >= LONG_DRAW:
+            with stage_progress(console) as progress:
+                plan.group(progress)
         _describe(console, plan, shard)
         if self.check_only:
             return
@@ -110,6 +117,9 @@ class DatasetMake:
                 limit=self.limit,
                 listener=lambda done, total, steps, seconds: progress(
                     f"parts ({steps / seconds:.2f} images/s)" if steps else "parts", done, total
+                ),
+                say=lambda words: console.print(
+                    words, highlight=False, markup=False, soft_wrap=True
                 ),
             )
 
@@ -337,7 +347,7 @@ def _require_zarr() -> None:
 def _describe(console: Console, plan: Plan, shard: Shard) -> None:
     parts = plan.shard(shard.number, shard.count)
     touches = sum(len(part.episodes) for part in parts)
-    steps = sum(plan.episodes[i].path.step_count + 1 for part in parts for i in part.episodes)
+    steps = sum(part.steps for part in parts)
     grid = plan.sensors[0].grid
     console.print(
         f"{plan.spec.dataset.name}: {touches} touches, {steps} steps in {len(parts)} parts, shard "

@@ -29,9 +29,12 @@ def parse_number(word: str, kind: type) -> float | int:
 
 
 def parse_path(word: str) -> Path:
-    """``word`` as a path. Raises ValueError for an empty one, which would mean this folder."""
+    """``word`` as a path. Raises ValueError for an empty one, which would mean this folder, and for
+    one with a NUL, which no file has."""
     if not word:
         raise ValueError("an empty name is not allowed; this folder is written .")
+    if "\0" in word:
+        raise ValueError("a file name has no NUL in it")
     return Path(word)
 
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,14 +29,29 @@ from taccel_lab.datasets.part import EPISODES, STEPS
 from taccel_lab.errors import InputError
 from taccel_lab.file_lock import hold
 from taccel_lab.output import atomic_file, write_json
-from taccel_lab.output_folder import may_hold, require_growable
+from taccel_lab.output_folder import (
+    may_hold,
+    remove_damaged,
+    require_growable,
+    visible_faults,
+)
 from taccel_lab.reading.json_file import read_json
+from taccel_lab.reading.text_file import shown
 
 if TYPE_CHECKING:
     from taccel_lab.datasets.plan import Part, Plan
 
 ABOUT = "dataset.json"
-ABOUT_KEYS = ("format", "name", "plan", "episodes", "parts", "channels", "sensors", "recipe")
+ABOUT_KEYS = {
+    "format": int,
+    "name": str,
+    "plan": str,
+    "episodes": int,
+    "parts": int,
+    "channels": dict,
+    "sensors": list,
+    "recipe": dict,
+}
 PARTS = "parts"
 LOCK = ".lock-"
 
@@ -72,9 +87,10 @@ class DatasetFolder:
         if not path.is_file():
             raise InputError(f"{self.root} holds no data set: it has no {ABOUT}")
         about = read_json(path)
-        missing = [key for key in ABOUT_KEYS if key not in about]
-        if missing:
-            raise InputError(f"{path} is no description of a data set: it has no {missing[0]!r}")
+        for key, kind in ABOUT_KEYS.items():
+            if not isinstance(about.get(key), kind) or (kind is list and not about[key]):
+                found = shown(about[key]) if key in about else "missing"
+                raise InputError(f"{path} is no description of a data set: {key!r} is {found}")
         return about
 
     def begin(self, plan: Plan, source: str) -> None:
@@ -123,6 +139,34 @@ class DatasetFolder:
         found = (self.root / PARTS).glob("[0-9]*")
         return sorted(path for path in found if path.name.isdecimal() and path.is_dir())
 
+    def without_damaged(
+        self, parts: Sequence[Part], say: Callable[[str], None]
+    ) -> tuple[list[Part], list[Part]]:
+        """The parts that are there, and those that are missing.
+
+        One of which files are missing or cut short is taken away, so that it is made again, and
+        told; one look at its files tells, ``dataset check`` reads them. Raises InputError for one
+        whose list of files cannot be read, or that holds files of somebody else.
+        """
+        names = {path.name for path in self.part_folders()}
+        there, missing = [], []
+        for part in parts:
+            faults = []
+            if part.name in names:
+                try:
+                    faults = visible_faults(self.part(part))
+                    if faults:
+                        remove_damaged(self.part(part))
+                except InputError as error:
+                    raise InputError(
+                        f"{error}; delete the part, and the same command makes it again"
+                    ) from None
+            if faults:
+                more = f" and {len(faults) - 1} more" if faults[1:] else ""
+                say(f"part {part.name} is damaged and made again: {faults[0]}{more}")
+            (missing if faults or part.name not in names else there).append(part)
+        return there, missing
+
     def write_index(self) -> None:
         """Gather the tables of all parts; Parquet, a row an episode and a row a step."""
         for name in (EPISODES, STEPS):
@@ -144,14 +188,6 @@ class DatasetFolder:
                 table = table.add_column(0, "part", numbers)
             tables.append(table)
         return pa.concat_tables(tables, promote_options="default") if tables else None
-
-
-def require_outside(out: Path | str, folders: Sequence[Path | str]) -> None:
-    """Refuse an output inside a data set that it is made from."""
-    there = Path(os.path.realpath(out))
-    for folder in folders:
-        if Path(os.path.realpath(folder)) in there.parents:
-            raise InputError(f"{out} lies inside the data set {folder}; name a folder beside it")
 
 
 def read_parquet(path: Path) -> Any:

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.datasets.folder import require_outside
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import require_outside
 from taccel_lab.output import write_json
 from taccel_lab.output_folder import atomic_directory
 
@@ -44,7 +44,7 @@ def export_lerobot(folders: Sequence[Path | str], out: Path | str, fps: int = 10
 
     Raises InputError for a data set without rgb or without a step.
     """
-    require_outside(out, folders)
+    require_outside(out)
     data = Dataset(folders)
     if "rgb" not in data.channels:
         raise InputError("the data set has no rgb, which LeRobot's observation.images needs")

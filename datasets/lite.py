@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from taccel_lab.datasets.folder import ABOUT, PARTS, DatasetFolder, require_outside
+from taccel_lab.datasets.folder import ABOUT, PARTS, DatasetFolder
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_json
@@ -29,7 +29,6 @@ def make_lite(
         InputError: Folders of different data sets, or a limit below the smallest part.
     """
     require_replaceable(out)
-    require_outside(out, folders)
     data = Dataset(folders)
     if len({about["plan"] for about in data.about}) > 1:
         raise InputError("these folders are of different data sets; make a lite one of each")

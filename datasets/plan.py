@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from taccel_lab.envs import PHYSICS, Accuracy, Indenter, PressPhysics, parse_ind
 from taccel_lab.envs.press import check_depth
 from taccel_lab.errors import InputError, naming
 from taccel_lab.file_cache import content_key
+from taccel_lab.progress import Progress, silent
 from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.signals.perturbation import Perturbation, draw_perturbation
 from taccel_lab.version import __version__
@@ -37,6 +38,8 @@ FORMAT = 1
 """Of the folder; a reader refuses others."""
 EPISODE_KEY, LIGHT_KEY, NOISE_KEY = 2, 3, 4
 """Of the seeds of what they name, beside the data set's own."""
+_TOLD_EVERY = 4096
+"""Episodes that are drawn between two words of how far it is: a quarter of a second."""
 
 
 @dataclass(frozen=True)
@@ -64,10 +67,36 @@ class Part:
     sensor: int
     object: int
     episodes: tuple[int, ...]
+    steps: int
+    """Rows of them all, the untouched gel of each included, where none stops early."""
 
     @property
     def name(self) -> str:
         return f"{self.index:06d}"
+
+
+class Episodes(Sequence[Episode]):
+    """All episodes of a plan by index, each drawn when it is asked for: ten million would fill the
+    memory."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+
+    def __len__(self) -> int:
+        return self._plan.spec.dataset.episodes
+
+    @overload
+    def __getitem__(self, index: int) -> Episode: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Episode]: ...
+    def __getitem__(self, index: int | slice) -> Episode | list[Episode]:
+        chosen = range(len(self))[index]
+        if isinstance(chosen, range):
+            return [self._plan.draw(number) for number in chosen]
+        return self._plan.draw(chosen)
+
+    def __iter__(self) -> Iterator[Episode]:
+        return map(self._plan.draw, range(len(self)))
 
 
 class Plan:
@@ -144,24 +173,32 @@ class Plan:
 
     # What is drawn ---------------------------------------------------------------------------
 
-    @functools.cached_property
-    def episodes(self) -> list[Episode]:
+    @property
+    def episodes(self) -> Episodes:
         """All of them, by index."""
-        return [self._draw(index) for index in range(self.spec.dataset.episodes)]
+        return Episodes(self)
 
-    def _draw(self, index: int) -> Episode:
+    @functools.cached_property
+    def _edges(self) -> list[np.ndarray]:
+        """Sums of the weights of sensors, objects and motions, up to each."""
+        tables = (self.spec.sensors, self.spec.objects, self.spec.motions)
+        return [np.cumsum([entry.weight for entry in table]) for table in tables]
+
+    @functools.cached_property
+    def _place_ranges_mm(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [self.place_range_mm(sensor) for sensor in self.sensors]
+
+    def draw(self, index: int) -> Episode:
+        """Episode ``index``, of its own seed."""
         spec = self.spec
         rng = np.random.default_rng([spec.dataset.seed, EPISODE_KEY, index])
-        sensor = _weighted(rng, [entry.weight for entry in spec.sensors])
-        touched = _weighted(rng, [entry.weight for entry in spec.objects])
-        motion = _weighted(rng, [entry.weight for entry in spec.motions])
+        sensor, touched, motion = (_weighted(rng, edges) for edges in self._edges)
         by, thing = spec.sensors[sensor], spec.objects[touched]
         unit = int(rng.integers(by.units))
-        low, high = self.place_range_mm(self.sensors[sensor])
-        x, y = rng.uniform(low, high)
+        low, high = self._place_ranges_mm[sensor]
         placing = Placing(
-            float(x),
-            float(y),
+            float(rng.uniform(low[0], high[0])),
+            float(rng.uniform(low[1], high[1])),
             float(rng.uniform(*thing.yaw_deg)),
             float(rng.uniform(*thing.tilt_deg)),
             float(rng.uniform(0, 360)),
@@ -206,16 +243,31 @@ class Plan:
     @functools.cached_property
     def parts(self) -> list[Part]:
         """All episodes, grouped as they are written."""
-        groups: dict[tuple[int, int], list[Episode]] = {}
+        return self._grouped(silent)
+
+    def group(self, progress: Progress) -> None:
+        """Find ``parts``, which takes a minute for a million episodes, and tell how far it is."""
+        if "parts" not in self.__dict__:
+            self.parts = self._grouped(progress)
+
+    def _grouped(self, progress: Progress) -> list[Part]:
+        count, size = len(self.episodes), self.spec.output.episodes_per_part
+        pairs, steps = np.empty((2, count), dtype=np.int32)
         for episode in self.episodes:
-            groups.setdefault((episode.sensor, episode.object), []).append(episode)
-        size = self.spec.output.episodes_per_part
+            pairs[episode.index] = episode.sensor * len(self.tools) + episode.object
+            steps[episode.index] = episode.path.step_count
+            if episode.index % _TOLD_EVERY == 0:
+                progress("drawing touches", episode.index, count)
+        progress("drawing touches", count, count)
         parts: list[Part] = []
-        for (sensor, thing), group in sorted(groups.items(), key=lambda item: item[0]):
-            group.sort(key=lambda episode: (episode.path.step_count, episode.index))
+        for pair in np.unique(pairs).tolist():
+            group = np.flatnonzero(pairs == pair)
+            group = group[np.argsort(steps[group], kind="stable")]
             for first in range(0, len(group), size):
-                chosen = tuple(episode.index for episode in group[first : first + size])
-                parts.append(Part(len(parts), sensor, thing, chosen))
+                chosen = group[first : first + size]
+                rows = int(steps[chosen].sum()) + len(chosen)
+                sensor, thing = divmod(pair, len(self.tools))
+                parts.append(Part(len(parts), sensor, thing, tuple(chosen.tolist()), rows))
         return parts
 
     def shard(self, number: int, count: int) -> list[Part]:
@@ -272,8 +324,7 @@ def _file_digest(tool: str) -> str:
     return "" if path is None else file_sha256(path)
 
 
-def _weighted(rng: np.random.Generator, weights: Sequence[float]) -> int:
-    edges = np.cumsum(weights)
+def _weighted(rng: np.random.Generator, edges: np.ndarray) -> int:
     return min(int(np.searchsorted(edges, rng.random() * edges[-1], side="right")), len(edges) - 1)
 
 

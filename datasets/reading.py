@@ -116,6 +116,13 @@ class Dataset:
             field: np.asarray(table[field].to_numpy(zero_copy_only=False))
             for field in table.column_names
         }
+        for column, kinds in _COLUMNS[name].items():
+            if column not in columns or columns[column].dtype.kind not in kinds:
+                what = "no column" if column not in columns else "other values than it should in"
+                raise InputError(
+                    f"{folder.root / name} has {what} {column}; delete it, and the parts' own is "
+                    "read; taccel-lab dataset check says which files are damaged"
+                )
         return {"folder": np.full(len(table), number), **columns}
 
     # Arrays ----------------------------------------------------------------------------------
@@ -135,7 +142,7 @@ class Dataset:
         path = self.folders[folder].root / PARTS / f"{part:06d}" / ARRAYS
         try:
             yield path
-        except (ValueError, KeyError, TypeError, RuntimeError, OSError) as error:
+        except (ValueError, LookupError, TypeError, RuntimeError, OSError) as error:
             raise InputError(
                 f"{path} is damaged ({type(error).__name__}: {error}); taccel-lab dataset check "
                 "says which files are; a part that is deleted is made again by the command that "
@@ -195,6 +202,21 @@ class Dataset:
         return load_profile(
             self.folders[row["folder"]].root / "profiles" / str(row["sensor_index"])
         )
+
+
+_WHOLE, _NUMBER, _TEXT = "iu", "iuf", "OUT"
+_COLUMNS = {
+    EPISODES: {
+        **dict.fromkeys(("episode", "part", "place", "rows", "sensor_index", "unit"), _WHOLE),
+        **dict.fromkeys(("sensor", "object", "motion", "status", "cause", "split"), _TEXT),
+        "depth_mm": _NUMBER,
+    },
+    STEPS: {
+        **dict.fromkeys(("episode", "part", "row", "step"), _WHOLE),
+        **dict.fromkeys(("depth_mm", "press_force_z_n", "contact_area_mm2"), _NUMBER),
+    },
+}
+"""Kinds of NumPy's types of the columns that readers go by."""
 
 
 def _index(path: Path) -> Any:

@@ -190,6 +190,7 @@ def make_dataset(
     processes: int | None = None,
     limit: int | None = None,
     listener: Listener = lambda done, total, steps, seconds: None,
+    say: Callable[[str], None] = lambda words: None,
 ) -> Outcome:
     """Make the parts of a shard that are not there yet.
 
@@ -202,6 +203,8 @@ def make_dataset(
         processes: How many; 0 works in this process. One a core, or this one for a GPU, when None.
         limit: Parts at most.
         listener: Told how it goes.
+        say: Told of each part that is damaged, as files of it are missing or cut short, and is
+            made again.
 
     Raises:
         InputError: A folder with other files or of another data set, or a shard that is being made.
@@ -220,8 +223,8 @@ def make_dataset(
     folder.require_usable(plan)
     with folder.locked(f"{number}/{count}"):
         folder.begin(plan, source)
-        missing = [part for part in parts if not folder.part(part).is_dir()]
-        there = len(parts) - len(missing)
+        sound, missing = folder.without_damaged(parts, say)
+        there = len(sound)
         outcome = Outcome(folder.root, len(parts), there, [], 0.0, device, processes)
         try:
             for done in _run(
@@ -265,10 +268,10 @@ def _run(
         return
     root = None if folder is None else folder.root
     work = functools.partial(_in_process, plan.spec, plan.base, plan.physics, root, device)
-    items = [tuple(part.index for part in group) for group in groups]
-    with ProcessPool(work, min(processes, max(1, len(items)))) as pool:
+    # Not their numbers alone: a process would draw all episodes to know its parts by them.
+    with ProcessPool(work, min(processes, max(1, len(groups)))) as pool:
         lost = []
-        for event in pool.run(items):
+        for event in pool.run(groups):
             if isinstance(event, Finished):
                 if isinstance(event.result, OSError):
                     raise event.result
@@ -277,7 +280,7 @@ def _run(
                 lost.append(event)
         if lost:
             raise InputError(
-                f"{len(lost)} of {len(items)} parts were not made, the first one as "
+                f"{len(lost)} of {len(groups)} parts were not made, the first one as "
                 f"{lost[0].cause}; the others are kept, and the same command tries again"
             )
 
@@ -317,7 +320,7 @@ def _in_process(
     physics: PressPhysics,
     root: Path | None,
     device: str,
-    item: tuple[int, ...],
+    parts: tuple[Part, ...],
     told: Progress,
 ) -> list[Done] | OSError:
     """Make parts in a process of a pool. An error of the disk is handed back, for the caller."""
@@ -326,7 +329,6 @@ def _in_process(
         _plans[key] = Plan(spec, base, physics)
     plan = _plans[key]
     folder = None if root is None else DatasetFolder(root)
-    parts = tuple(plan.parts[index] for index in item)
     made = simulate_parts(plan, parts, device, told)
     try:
         return [_finish(plan, data, folder) for data in made]

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.datasets.folder import require_outside
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import require_outside
 from taccel_lab.output import write_json
 from taccel_lab.output_folder import atomic_directory
 
@@ -33,7 +33,7 @@ def export_univtac(folders: Sequence[Path | str], out: Path | str) -> int:
 
     Raises InputError for a data set without rgb or depth_mm.
     """
-    require_outside(out, folders)
+    require_outside(out)
     data = Dataset(folders)
     for name in ("rgb", "depth_mm"):
         if name not in data.channels:

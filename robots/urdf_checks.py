@@ -13,6 +13,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import real_path
 from taccel_lab.reading.collada_file import SUFFIX
 from taccel_lab.reading.text_file import shown
 from taccel_lab.reading.triangle_file import SUFFIXES
@@ -163,7 +164,7 @@ def mesh_path(name: str, urdf: Path) -> Path:
 
     Raises InputError where there is no such file.
     """
-    folder = urdf.resolve().parent
+    folder = real_path(urdf).parent
     if name.startswith("package://"):
         package, _, rest = name.removeprefix("package://").partition("/")
         places = [

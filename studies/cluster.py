@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, NoReturn
 
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import real_path
 from taccel_lab.reading.shard import Shard
 from taccel_lab.studies.runner import run_study
 from taccel_lab.studies.study import default_kit, read_study
@@ -111,7 +112,7 @@ def submit_shards(
     folder = StudyFolder(root)
     with folder.locked():
         (folder.root / JOBS).mkdir(exist_ok=True)
-    texts = (str(file.resolve()), str(folder.root))
+    texts = (str(real_path(file)), str(folder.root))
     shards = [Shard(number + 1, count) for number in range(count)]
     jobs = [ShardJob(*texts, shard, device, processes, accuracy) for shard in shards]
     try:

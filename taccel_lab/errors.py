@@ -27,7 +27,7 @@ def naming(source: object) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if str(source) in str(error):
+        if readable(str(source)) in str(error):
             raise
         raise InputError(f"{source}: {error}") from None
 

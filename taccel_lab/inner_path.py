@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Paths that come out of files: what a file names lies in its own folder, or is refused.
+"""Where paths lead; and what a file names lies in its own folder, or is refused.
 
 A manifest may come from anybody. Read and copied are only files in its folder, and nothing is ever
 written by a name of its choice outside of the output.
@@ -7,15 +7,58 @@ written by a name of its choice outside of the output.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from taccel_lab.errors import InputError
 
+WHOLES = {
+    "profile.toml": "profile",
+    "dataset.json": "data set",
+    ".taccel_lab_study": "study",
+}
+"""Folders that no other output may lie in, as it would become a part of them: what they are, by the
+file that they are known by. They grow by their own commands alone."""
+
+
+def real_path(path: Path | str) -> Path:
+    """Where ``path`` leads: absolute, links followed.
+
+    A circle of links leads to one of them, where no file is found; ``Path.resolve`` raises, each
+    version of Python something else. Raises InputError for a name that no file can have.
+    """
+    try:
+        _require_possible(str(path))
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+    return Path(os.path.realpath(path))
+
+
+def require_outside(target: Path | str) -> None:
+    """Refuse an output inside a profile, a data set or a study: it would change what that
+    folder means. The folder itself is its own commands' to go on with."""
+    for folder in real_path(target).parents:
+        for sign, what in WHOLES.items():
+            if os.path.isfile(folder / sign):
+                raise InputError(
+                    f"{target} lies inside the {what} {folder}; name a folder beside it"
+                )
+
+
+def _require_possible(name: str) -> None:
+    """ValueError for a name that no file has."""
+    if "\0" in name:
+        raise ValueError("a file name has no NUL in it")
+    try:
+        os.fsencode(name)
+    except UnicodeEncodeError as error:
+        wrong = error.object[error.start]
+        raise ValueError(f"this computer's file names cannot have {wrong!r}") from None
+
 
 def require_inner_name(name: str) -> str:
     """``name``, if it is that of a file in a folder or its sub-folders; ValueError otherwise."""
-    if "\0" in name:
-        raise ValueError("a file name has no NUL in it")
+    _require_possible(name)
     if PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor:
         raise ValueError("a file is named relative to the folder, not by an absolute path")
     if ".." in PurePosixPath(name).parts or ".." in PureWindowsPath(name).parts:
@@ -32,14 +75,13 @@ def inner_path(folder: Path, name: str) -> Path:
         path = folder / require_inner_name(name)
     except ValueError as error:
         raise InputError(f"{folder}: {name!r}: {error}") from None
+    inside = real_path(path).is_relative_to(real_path(folder))
     try:
-        inside = path.resolve().is_relative_to(folder.resolve())
-        path.exists()  # Raises for a name that is too long, or a folder that may not be read.
-    except UnicodeEncodeError as error:
-        reason = f"this computer's file names cannot have {error.object[error.start]!r}"
-        raise InputError(f"{folder}: {name!r}: {reason}") from None
-    except (OSError, RuntimeError) as error:  # A circle of links.
-        raise InputError(f"{path} cannot be followed: {error}") from None
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass  # Whether a file has to be there is for the caller to say.
+    except OSError as error:  # A circle of links, too long a name, a folder that may not be read.
+        raise InputError(f"{path} cannot be followed: {error.strerror}") from None
     if not inside:
         raise InputError(f"{path} is a link out of {folder}; put the file itself there")
     return path

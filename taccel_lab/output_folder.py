@@ -23,13 +23,15 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.exchange import exchange
+from taccel_lab.inner_path import real_path, require_outside
 from taccel_lab.output import named_error
 from taccel_lab.reading.json_file import read_json
 
 OUTPUT_MARKER = ".taccel_lab_output"
-"""In every folder that a command wrote: SHA-256 of each of its files, by name, as JSON."""
+"""In every folder that a command wrote: SHA-256 and size of each of its files, by name, as JSON."""
 _DESKTOP_FILES = {".DS_Store", "Thumbs.db", "desktop.ini"}
 """What file browsers leave behind in folders that are looked at."""
+_EMPTY = hashlib.sha256(b"").hexdigest()
 _SHOWN = 3
 """Files that a refusal names."""
 _TRIES = 100
@@ -48,6 +50,7 @@ def require_replaceable(target: Path | str) -> None:
     one in which every file is as a command wrote it.
     """
     target = _folder_path(target)
+    require_outside(target)
     _recover(target)
     _require_own(target)
     _require_writable(target)
@@ -58,6 +61,7 @@ def require_growable(target: Path | str) -> None:
     first, before any long work. What is in it is theirs to judge."""
     target = Path(os.path.abspath(target))
     _refuse_files(target)
+    require_outside(target)
     _require_writable(target, beside=False)
 
 
@@ -110,7 +114,7 @@ def _folder_path(target: Path | str) -> Path:
     if not target.name or ".." in target.parts:
         target = Path(os.path.abspath(target))
     if target.is_symlink():
-        target = Path(os.path.realpath(target))
+        target = real_path(target)
         if target.is_symlink():
             raise InputError(f"{target} is a link that leads back to itself")
     _refuse_files(target)
@@ -157,7 +161,8 @@ def _files(folder: Path) -> Iterator[tuple[str, Path]]:
 
 def _write_marker(folder: Path) -> None:
     digests = {name: _digest(path) for name, path in sorted(_files(folder))}
-    text = json.dumps({"files": digests}, indent=1)
+    sizes = {name: path.stat().st_size for name, path in sorted(_files(folder)) if path.is_file()}
+    text = json.dumps({"files": digests, "bytes": sizes}, indent=1)
     (folder / OUTPUT_MARKER).write_text(text + "\n", encoding="utf-8")
 
 
@@ -184,6 +189,48 @@ def _foreign(folder: Path) -> list[str]:
         if len(foreign) > _SHOWN:
             break
     return foreign
+
+
+def visible_faults(folder: Path) -> list[str]:
+    """What one look at an output tells of its files, none of which is read: those that are missing,
+    or have another size than when they were written. Earlier versions kept no sizes; of theirs,
+    files that are empty now.
+
+    Raises InputError where the folder has no sound marker; OSError for what cannot be looked at.
+    """
+    written = _read_marker(folder)
+    if not written:
+        raise InputError(f"{folder} has no list of its files, or a damaged one ({OUTPUT_MARKER})")
+    sizes = read_json(folder / OUTPUT_MARKER).get("bytes")
+    faults = []
+    for name in written:
+        kept = sizes.get(name) if isinstance(sizes, dict) else None
+        try:
+            status = (folder / name).lstat()
+        except (FileNotFoundError, NotADirectoryError):
+            faults.append(f"{name} is missing")
+            continue
+        if kept is not None and status.st_size != kept:
+            faults.append(f"{name} has {status.st_size} bytes of {kept}")
+        elif stat.S_ISREG(status.st_mode) and status.st_size == 0 and written[name] != _EMPTY:
+            faults.append(f"{name} is empty")
+    return faults
+
+
+def remove_damaged(folder: Path) -> None:
+    """Remove an output with ``visible_faults``; InputError where somebody put other files in it.
+
+    Its list of files goes last: what a kill leaves is known as damaged."""
+    written = _read_marker(folder)
+    for name, path in _files(folder):
+        if name not in written and path.name not in _DESKTOP_FILES and path.is_file():
+            raise InputError(
+                f"{folder} is damaged and holds {name}, which taccel-lab did not write"
+            )
+    for name in written:
+        if not (folder / name).is_dir():
+            (folder / name).unlink(missing_ok=True)
+    shutil.rmtree(folder)
 
 
 def _require_own(target: Path) -> None:

@@ -13,11 +13,13 @@ from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file, write_json
 from taccel_lab.reading.arrays import read_npz
 from taccel_lab.reading.json_file import read_json
+from taccel_lab.reading.text_file import shown
 
 if TYPE_CHECKING:
     from taccel_lab.tasks.film import Film
 
 REPLAY = "replay.json"
+KINDS = ("soft", "affine", "kinematic")
 _ARRAYS = "replay.npz"
 
 
@@ -79,6 +81,33 @@ def read_replay(folder: Path) -> Replay:
             for k, body in enumerate(about["bodies"])
         ]
         forces = {name: arrays["forces_n"][:, k] for k, name in enumerate(about["forces"])}
-        return Replay(about["task"], arrays["times_s"], bodies, forces, arrays["rises_m"])
-    except (KeyError, IndexError, TypeError) as error:
+        replay = Replay(about["task"], arrays["times_s"], bodies, forces, arrays["rises_m"])
+        _check(replay)
+        return replay
+    except (KeyError, IndexError, TypeError, ValueError) as error:
         raise InputError(f"{folder} is no replay of a task as it is recorded: {error}") from None
+
+
+def _check(replay: Replay) -> None:
+    """ValueError for arrays that are not those of as many frames."""
+    frames = replay.times_s.shape
+    wanted: list[tuple[str, np.ndarray, bool]] = [
+        ("times_s", replay.times_s, len(frames) == 1 and replay.times_s.size > 0),
+        ("rises_m", replay.rises_m, replay.rises_m.ndim == 3 and replay.rises_m.size > 0),
+        *((f"force {name}", force, force.ndim == 1) for name, force in replay.forces_n.items()),
+    ]
+    for k, body in enumerate(replay.bodies):
+        places, faces = body.vertices_m, body.faces
+        shaped = places.ndim == 3 and places.shape[2] == 3 and places.size > 0
+        wanted.append((f"vertices_m_{k}", places, shaped and bool(np.isfinite(places).all())))
+        if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+            raise ValueError(f"faces_{k} are {faces.shape} of {faces.dtype}, not triangles")
+        if faces.size and not 0 <= faces.min() <= faces.max() < places.shape[1]:
+            raise ValueError(f"faces_{k} name vertices that are not there")
+        if body.kind not in KINDS:
+            raise ValueError(f"body {k} is {shown(body.kind)}, not {', '.join(KINDS)}")
+    if not replay.bodies:
+        raise ValueError("there is no body in it")
+    for name, array, right in wanted:
+        if not right or array.shape[:1] != frames or array.dtype.kind not in "fiu":
+            raise ValueError(f"{name} is {array.shape} of {array.dtype}, for {frames} frames")

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import inner_path
+from taccel_lab.inner_path import inner_path, real_path
+from tests.test_architecture import SOURCES
 
 PARTS = st.sampled_from(
     ["..", ".", "a", "b c", "", "~", "*", "..a", "a..", "C:", "\\", "é", "\ud800", "\0"]
@@ -57,3 +58,23 @@ def test_links(tmp_path: Path) -> None:
     # The folder itself may be reached by a link.
     (tmp_path / "shortcut").symlink_to(folder)
     assert inner_path(tmp_path / "shortcut", "within").name == "within"
+
+
+def test_where_a_path_leads(tmp_path: Path) -> None:
+    (tmp_path / "one").symlink_to(tmp_path / "other")
+    assert real_path(tmp_path / "one" / "x") == tmp_path / "other" / "x"
+    (tmp_path / "other").symlink_to(tmp_path / "one")
+    assert not real_path(tmp_path / "one").exists()
+    for name in ("a\0b", "a\ud800b"):
+        with pytest.raises(InputError, match="file name"):
+            real_path(tmp_path / name)
+
+
+def test_links_are_followed_by_real_path_alone() -> None:
+    """``Path.resolve`` raises for a circle of links, which a user's folder may hold."""
+    own = ("Path(__file__).resolve()", "link.resolve()", "place.resolve()")  # Of ours, of Linux's.
+    for source in SOURCES:
+        lines = source.read_text(encoding="utf-8").splitlines()
+        calls = [line for line in lines if ".resolve(" in line and "``" not in line]
+        left = [line for line in calls if not any(call in line for call in own)]
+        assert not left, f"{source}: {left}"

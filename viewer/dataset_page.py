@@ -103,5 +103,10 @@ class DatasetPage:
                 + (f" ({row['cause']})" if row["cause"] else "")
             )
             rows = self._data.rows_of(place)
+            try:
+                states = read_touch(self._data, place)
+            except InputError as error:
+                self._what.content += f"\n\nIt cannot be shown: {error}"
+                return
             deepest = int(np.argmax(self._data.steps["press_force_z_n"][rows]))
-            self.view.show_states(read_touch(self._data, place), deepest)
+            self.view.show_states(states, deepest)

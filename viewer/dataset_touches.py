@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.datasets.folder import ABOUT
+from taccel_lab.datasets.part import STEPS
 from taccel_lab.datasets.reading import Dataset
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 
@@ -22,9 +25,10 @@ def read_touch(data: Dataset, episode: int) -> GelStates:
         episode: Place in ``data.episodes``, of one that has steps.
     """
     rows, row = data.rows_of(episode), data.episodes[episode]
-    about: dict[str, Any] = data.about[row["folder"]]["sensors"][row["sensor_index"]]
-    unit = about["units"][row["unit"]] if len(about["units"]) > 1 else about["units"][0]
-    grid = PixelGrid(**unit["grid"])
+    root, number = data.folders[row["folder"]].root, row["episode"]
+    if len(rows) == 0:
+        raise InputError(f"{root}: touch {number} has no step in {STEPS}")
+    grid = _grid(data, row)
     nodes, faces = data.mesh(episode)
     rest = 1e3 * nodes.astype(np.float64)
     steps = len(rows)
@@ -58,7 +62,21 @@ def read_touch(data: Dataset, episode: int) -> GelStates:
         fields=fields,
         forces_n=_forces(data, rows, grid, rest),
         images=images,
-    )
+    ).checked(f"{root}: touch {number}")
+
+
+def _grid(data: Dataset, row: dict[str, Any]) -> PixelGrid:
+    """The pixels of the unit that was touched."""
+    folder = data.folders[row["folder"]]
+    try:
+        units = data.about[row["folder"]]["sensors"][row["sensor_index"]]["units"]
+        unit = units[row["unit"]] if len(units) > 1 else units[0]
+        return PixelGrid(**unit["grid"])
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{folder.root / ABOUT} does not describe sensor {row['sensor_index']}, unit "
+            f"{row['unit']}, of touch {row['episode']} ({type(error).__name__}: {error})"
+        ) from None
 
 
 def _captions(data: Dataset, rows: np.ndarray) -> list[str]:

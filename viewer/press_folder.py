@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.reading.apart import read_apart
 from taccel_lab.reading.json_file import read_json
+from taccel_lab.reading.plain_values import number_at
+from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
+from taccel_lab.reading.text_file import shown
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, Tool
 from taccel_lab.viewer.section import linear_tets
 
@@ -23,26 +27,29 @@ def read_press(folder: Path) -> GelStates:
     Raises:
         InputError: A file is missing or is not as a press writes it.
     """
-    about = read_json(folder / PRESS)
+    summary(folder)  # What it says of the press is refused before a page opens, too.
     if (folder / STATES).is_file():
         return _steps(folder / STATES)
-    return _end(folder, about)
+    return _end(folder)
 
 
 def summary(folder: Path) -> list[tuple[str, str]]:
-    """Name and value of what a page says about a press."""
-    about = read_json(folder / PRESS)
+    """Name and value of what a page says about a press; InputError as of ``read_press``."""
+    about, source = read_json(folder / PRESS), str(folder / PRESS)
+    rows = [(name, str(about.get(name, "?"))) for name in ("sensor", "indenter")]
+    if "friction_coefficient" in about:
+        rows.append(("friction", f"{number_at(about, 'friction_coefficient', source):.3g}"))
     figures = about.get("press", {})
-    rows = [
-        ("sensor", str(about.get("sensor", "?"))),
-        ("indenter", str(about.get("indenter", "?"))),
-        ("friction", f"{about.get('friction_coefficient', float('nan')):.3g}"),
-    ]
+    if not isinstance(figures, dict):
+        raise InputError(f"{source}: press is {shown(figures)}; a table of figures is needed")
     if "force_n" in figures:
-        force, error = figures["force_n"], figures.get("force_error_n", 0.0)
-        rows.append(("force at the end", f"{force:.3f} ± {error:.3f} N"))
-    if "contact_radius_mm" in figures:
-        rows.append(("contact radius", f"{figures['contact_radius_mm']:.2f} mm"))
+        text = f"{number_at(about, 'press.force_n', source):.3f}"
+        if figures.get("force_error_n") is not None:
+            text += f" ± {number_at(about, 'press.force_error_n', source):.3f}"
+        rows.append(("force at the end", f"{text} N"))
+    if figures.get("contact_radius_mm") is not None:
+        radius = number_at(about, "press.contact_radius_mm", source)
+        rows.append(("contact radius", f"{radius:.2f} mm"))
     return rows
 
 
@@ -51,11 +58,12 @@ def _steps(path: Path) -> GelStates:
 
     arrays = read_npz(path)
     try:
-        return _states(arrays)
-    except (KeyError, IndexError, ValueError) as error:
+        states = _states(arrays)
+    except (KeyError, IndexError, TypeError, ValueError) as error:
         raise InputError(
             f"{path} is not as `taccel-lab press --states` writes it: {error}"
         ) from None
+    return states.checked(path)
 
 
 def _states(arrays: dict[str, np.ndarray]) -> GelStates:
@@ -92,35 +100,54 @@ def _states(arrays: dict[str, np.ndarray]) -> GelStates:
     )
 
 
-def _end(folder: Path, about: dict[str, Any]) -> GelStates:
+def _end(folder: Path) -> GelStates:
     """Rest and end, of a press that kept no steps: the mesh for ParaView has them."""
-    import pyvista
-
     path = folder / "gel.vtu"
     if not path.is_file():
         raise InputError(f"{folder} has neither {STATES} nor gel.vtu: press again, with --states")
-    grid: Any = pyvista.read(path)
-    cells = grid.cells_dict
-    moved = 1e3 * np.asarray(grid.point_data["displacement_m"], dtype=np.float64)
+    require_regular_file(path, LARGEST_BYTES, "the mesh of a press")
+    found = read_apart(str(path), _gel_arrays, path)
+    moved = 1e3 * found["displacement_m"]
     fields = [
-        Field(label, "kPa", 1e-3 * _twice(np.asarray(grid.point_data[name], dtype=np.float64)))
+        Field(label, "kPa", 1e-3 * _twice(found[name]))
         for name, label in (
             ("contact_pressure_pa", "contact pressure"),
             ("von_mises_pa", "von Mises stress"),
         )
-        if name in grid.point_data
+        if name in found
     ]
-    force = about.get("press", {}).get("force_n", float("nan"))
+    force = dict(summary(folder)).get("force at the end", "unknown")
     return GelStates(
-        rest_mm=1e3 * np.asarray(grid.points, dtype=np.float64) - moved,
-        tets=linear_tets(cells[pyvista.CellType.TETRA]),
-        faces=cells[pyvista.CellType.TRIANGLE].astype(np.int64),
+        rest_mm=1e3 * found["points"] - moved,
+        tets=linear_tets(found["tets"]),
+        faces=found["faces"],
         moved_mm=_twice(moved),
-        captions=["untouched", f"end of the press, force {force:.3f} N along z"],
+        captions=["untouched", f"end of the press, force {force} along z"],
         fields=fields,
-        forces_n=_twice(np.asarray(grid.point_data["contact_force_n"], dtype=np.float64)),
+        forces_n=_twice(found["contact_force_n"]),
         images=_end_image(folder),
-    )
+    ).checked(path)
+
+
+def _gel_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Points, cells and what a press keeps at the points of a VTU file; by VTK, which answers a
+    file that is cut short with an empty grid."""
+    import pyvista
+
+    grid: Any = pyvista.read(path)
+    cells, kinds = grid.cells_dict, pyvista.CellType
+    needed = {"displacement_m", "contact_force_n"} - set(grid.point_data.keys())
+    if needed or kinds.TETRA not in cells or kinds.TRIANGLE not in cells:
+        what = f"no {', '.join(sorted(needed))}" if needed else "no tets with their skin"
+        raise InputError(f"{path} is damaged, or no mesh of a press: it has {what}")
+    names = ("displacement_m", "contact_force_n", "contact_pressure_pa", "von_mises_pa")
+    there = [name for name in names if name in grid.point_data]
+    return {
+        "points": np.asarray(grid.points, dtype=np.float64),
+        "tets": np.asarray(cells[kinds.TETRA], dtype=np.int64),
+        "faces": np.asarray(cells[kinds.TRIANGLE], dtype=np.int64),
+        **{name: np.asarray(grid.point_data[name], dtype=np.float64) for name in there},
+    }
 
 
 def _twice(values: np.ndarray) -> np.ndarray:
@@ -129,11 +156,9 @@ def _twice(values: np.ndarray) -> np.ndarray:
 
 
 def _end_image(folder: Path) -> SensorImages | None:
-    from PIL import Image
+    from taccel_lab.reading.images import read_image
 
     for name in ("image_raw.png", "predicted.png"):
         if (folder / name).is_file():
-            with Image.open(folder / name) as file:
-                rgb = np.asarray(file.convert("RGB"))
-            return SensorImages(rgb[None])
+            return SensorImages(read_image(folder / name)[None])
     return None

@@ -31,7 +31,8 @@ class StudyPage:
         folder = StudyFolder(root)
         found = [folder.read(one) for one in folder.ids()]
         self._root = root
-        self._designs = [row for row in found if row is not None and row.status == "done"]
+        self._designs = [row for row in found if row is not None and row.figures]
+        self._designs = [row for row in self._designs if row.status == "done"]
         if not self._designs:
             raise InputError(f"{root} has no design with a figure yet: run its study first")
         self._swept = _swept(self._designs)
@@ -111,17 +112,24 @@ class StudyPage:
             return
         path = press_files(self._root, self._chosen).get(chosen)
         if path is not None:
-            states = read_design_press(path)
+            try:
+                states = read_design_press(path)
+            except InputError as error:
+                self._about.content = f"This press cannot be shown: {error}"
+                return
             self.view.show_states(states, states.count - 1)
 
     def _show_picture(self, row: DesignRow) -> None:
-        from PIL import Image
+        from taccel_lab.reading.images import read_image
 
         path = self._root / row.files.get("picture", "none")
         self._panel.visible = path.is_file()
         if path.is_file():
-            with Image.open(path) as file:
-                self._picture.image = np.asarray(file.convert("RGB"))
+            try:
+                self._picture.image = read_image(path)
+            except InputError as error:
+                self._panel.visible = False
+                self._about.content += f"\n\nIts picture cannot be shown: {error}"
 
 
 def _swept(rows: list[DesignRow]) -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.arrays import read_npz
+from taccel_lab.reading.arrays import finite_numbers, read_npz
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.viewer.gel_states import GelStates
 
@@ -43,17 +43,20 @@ def read_design_press(path: Path) -> GelStates:
     Raises InputError for a file that is not one, or that has no step.
     """
     arrays = read_npz(path, _NEEDED)
-    moved = 1e3 * arrays["contact_moved_m"].astype(np.float64)
+    moved = 1e3 * finite_numbers(arrays, "contact_moved_m", path)
     if len(moved) == 0:
         raise InputError(f"{path}: no step of this press converged")
+    depths, forces = (finite_numbers(arrays, name, path) for name in ("depth_mm", "force_n"))
+    if depths.shape != moved.shape[:1] or forces.shape != (*depths.shape, 3):
+        raise InputError(f"{path}: its depths and forces are not those of {len(moved)} steps")
     captions = [
         f"depth {depth:.2f} mm, force {force[2]:.3f} N along the press"
-        for depth, force in zip(arrays["depth_mm"], arrays["force_n"], strict=True)
+        for depth, force in zip(depths, forces, strict=True)
     ]
     return GelStates(
-        rest_mm=1e3 * arrays["contact_rest_m"],
+        rest_mm=1e3 * finite_numbers(arrays, "contact_rest_m", path),
         tets=np.zeros((0, 4), dtype=np.int64),
         faces=arrays["contact_faces"].astype(np.int64),
         moved_mm=np.concatenate([np.zeros_like(moved[:1]), moved]),
         captions=["untouched", *captions],
-    )
+    ).checked(path)

@@ -21,6 +21,7 @@ from taccel_lab.calibration.capture.captures import ContactCircle, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder, Frame, in_words
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import real_path
 from taccel_lab.reading.arrays import finite_numbers, read_npz
 from taccel_lab.reading.json_file import read_json
 from taccel_lab.reading.plain_values import number_at
@@ -87,7 +88,7 @@ def load_taxim_folder(path: Path, mm_per_px: tuple[float, float] | None = None) 
         )
         for i in range(len(images))
     )
-    folder = path.resolve().parent.name
+    folder = real_path(path).parent.name
     mini = "mini" in folder.lower()
     sensor = "gelsight_mini" if mini else "gelsight"
     assumed = {"sensor": f"{sensor}, by the name of the folder, {folder}"}

@@ -22,6 +22,7 @@ import torch
 
 from taccel_lab.calibration.force.options import ForceOptions
 from taccel_lab.calibration.force.samples import Samples
+from taccel_lab.inner_path import real_path
 from taccel_lab.output import atomic_file
 from taccel_lab.signals.force_settings import ForceModelConfig
 from taccel_lab.version import __version__
@@ -52,7 +53,7 @@ class TrainingFile:
     @classmethod
     def beside(cls, out: Path, say: Callable[[str], None]) -> TrainingFile:
         """Of the profile folder ``out``, which may hold nothing but a profile."""
-        out = out.resolve()
+        out = real_path(out)
         return cls(out.with_name(f".{out.name}.training.pt"), say)
 
     def load(self, key: str) -> dict[str, Any] | None:

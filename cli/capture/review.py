@@ -37,10 +37,11 @@ class CaptureReview:
         from taccel_lab.calibration.result import Severity, judge
         from taccel_lab.cli.console import notes, print_json
         from taccel_lab.cli.progress import stage_progress
+        from taccel_lab.inner_path import real_path
         from taccel_lab.output_folder import require_replaceable
 
         console = notes()
-        source = self.captures.resolve()
+        source = real_path(self.captures)
         name = source.stem if source.is_file() else source.name
         out = self.out or source.with_name(f"{name}_review")
         require_replaceable(out)

@@ -9,7 +9,11 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.cli.app import main
+from taccel_lab.datasets.folder import ABOUT
+from taccel_lab.inner_path import WHOLES
 from taccel_lab.profile import save_profile
+from taccel_lab.profile.io import PROFILE_FILE
+from taccel_lab.studies.study_folder import STUDY_MARKER
 from tests.calibration.synthetic import synthetic_captures, write_captures
 from tests.sensors.imported_profiles import imported
 
@@ -92,3 +96,32 @@ def test_a_link_to_itself_is_no_folder(
         words = [word.replace(name, value) for word in words]
     assert main(words) == 2
     assert "a link that leads back to itself" in capsys.readouterr().err.replace("\n", " ")
+
+
+FOLDERS = sorted({*COMMANDS} - {"capture guide", "sensors show"})
+"""Commands whose output is a folder; a single file lies anywhere by its own name."""
+
+
+@pytest.mark.parametrize("sign", WHOLES)
+@pytest.mark.parametrize("command", FOLDERS)
+def test_nothing_is_written_into_another_product(
+    command: str,
+    sign: str,
+    places: dict[str, str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "product").mkdir()
+    (tmp_path / "product" / sign).write_text("{}")
+    (tmp_path / "link").symlink_to("product")
+    words = COMMANDS[command].split()
+    known = {**places, "OUT": str(tmp_path / "link" / "in" / "out"), "FREE": str(tmp_path / "free")}
+    for name, value in known.items():
+        words = [word.replace(name, value) for word in words]
+    assert main(words) == 2
+    assert f"lies inside the {WHOLES[sign]}" in capsys.readouterr().err.replace("\n", " ")
+    assert [path.name for path in (tmp_path / "product").iterdir()] == [sign]
+
+
+def test_products_are_known_by_their_own_files() -> None:
+    assert list(WHOLES) == [PROFILE_FILE, ABOUT, STUDY_MARKER]

@@ -105,10 +105,8 @@ def plan(profile: Path | str, base: Path | None = None, **changes: Any) -> Plan:
 
 def make(profile: Path | str, out: Path, shard: tuple[int, int] = (1, 1), **more: Any) -> Outcome:
     """Make the small data set in this process."""
-    processes = more.pop("processes", 0)
-    return make_dataset(
-        plan(profile, **more), out, source="small", shard=shard, processes=processes
-    )
+    given = {"processes": 0} | {key: more.pop(key) for key in ("processes", "say") if key in more}
+    return make_dataset(plan(profile, **more), out, source="small", shard=shard, **given)
 
 
 def parts_of(root: Path) -> dict[str, bytes]:

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,6 +20,7 @@ from taccel_lab.datasets.check import check_dataset
 from taccel_lab.datasets.folder import DatasetFolder
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
+from taccel_lab.output_folder import OUTPUT_MARKER
 from tests.datasets.small import make, parts_of, plan
 
 ROOT = Path(__file__).parents[2]
@@ -113,3 +116,53 @@ def test_timing_writes_nothing(profile: Path, tmp_path: Path, monkeypatch: Any) 
     record = outcome.record()
     assert record["images"] > 2 and not record["written"] and record["bytes"] == 0
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("sizes", ["kept", "of an earlier version"])
+def test_damaged_parts_are_made_again_and_told(
+    sizes: str, profile: Path, made: Path, tmp_path: Path
+) -> None:
+    """By a look at their files: missing, cut short; a part beside them is not touched."""
+    shutil.copytree(made, tmp_path / "data")
+    gone, cut, *sound = DatasetFolder(tmp_path / "data").part_folders()
+    chunks = [
+        next(path for path in (part / "data.zarr" / "rgb" / "c").rglob("*") if path.is_file())
+        for part in (gone, cut)
+    ]
+    chunks[0].unlink()
+    chunks[1].write_bytes(chunks[1].read_bytes()[:10] if sizes == "kept" else b"")
+    if sizes != "kept":
+        for part in (gone, cut):
+            marker = json.loads((part / OUTPUT_MARKER).read_text())
+            (part / OUTPUT_MARKER).write_text(json.dumps({"files": marker["files"]}))
+    stamps = [(part / "steps.parquet").stat().st_mtime_ns for part in sound]
+    said: list[str] = []
+    outcome = make(profile, tmp_path / "data", say=said.append)
+    assert outcome.complete and [done.part for done in outcome.done] == [0, 1]
+    assert parts_of(tmp_path / "data") == parts_of(made)
+    assert [(part / "steps.parquet").stat().st_mtime_ns for part in sound] == stamps
+    assert said[0] == (
+        "part 000000 is damaged and made again: "
+        f"{chunks[0].relative_to(gone).as_posix()} is missing"
+    )
+    assert "000001" in said[1] and ("has 10 bytes of" if sizes == "kept" else "is empty") in said[1]
+    assert make(profile, tmp_path / "data", say=said.append).done == [] and len(said) == 2
+
+
+def test_a_damaged_part_with_files_of_somebody_else_is_left_alone(
+    profile: Path, made: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(made, tmp_path / "data")
+    part = DatasetFolder(tmp_path / "data").part_folders()[0]
+    (part / "episodes.parquet").unlink()
+    (part / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"holds notes\.txt, which .*; delete the part, and"):
+        make(profile, tmp_path / "data")
+    (part / "notes.txt").unlink()
+    marker = (part / OUTPUT_MARKER).read_bytes()
+    (part / OUTPUT_MARKER).write_bytes(marker[:50])
+    with pytest.raises(InputError, match=r"no list of its files, .*; delete the part, and"):
+        make(profile, tmp_path / "data")
+    (part / OUTPUT_MARKER).write_bytes(marker)
+    assert make(profile, tmp_path / "data").complete
+    assert parts_of(tmp_path / "data") == parts_of(made)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import functools
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +20,49 @@ from taccel_lab.model.embedding import rotate
 from tests.datasets.small import plan
 
 NO_IMAGES = {"output": {"channels": ["depth_mm"]}}
+KEPT = (
+    *(1, 0, 2),
+    *(-2.8464645117414267, -1.9822033015002094, 184.41336448418556),
+    *(0.21060967189185284, 0.22673189257728996),
+)
+KEPT_PARTS = [(1, 2), (0, 3), (4, 5)]
+"""As the first version drew them."""
 
 
 def test_episodes_follow_from_seed_and_number() -> None:
     few = plan("flat_pad", dataset={"episodes": 5}, **NO_IMAGES)
     many = plan("flat_pad", dataset={"episodes": 50}, **NO_IMAGES)
     other = plan("flat_pad", dataset={"episodes": 5, "seed": 5}, **NO_IMAGES)
-    assert many.episodes[:5] == few.episodes
-    assert other.episodes != few.episodes
+    assert many.episodes[:5] == few.episodes[:]
+    assert other.episodes[:] != few.episodes[:]
     assert len({few.digest, many.digest, other.digest}) == 3
+
+
+def test_what_was_drawn_once_is_drawn_for_ever() -> None:
+    """Data sets that are there go on: no version may draw other touches."""
+    made = plan("flat_pad", randomise={"friction": [0.2, 0.4]}, **NO_IMAGES)
+    drawn = made.episodes[4]
+    assert (drawn.object, drawn.motion, drawn.path.step_count) == KEPT[:3]
+    put = drawn.placing
+    numbers = (put.x_mm, put.y_mm, put.lean_deg, drawn.path.depth_mm, drawn.friction)
+    assert numbers == pytest.approx(KEPT[3:], rel=1e-12)
+    assert [part.episodes for part in made.parts] == KEPT_PARTS
+
+
+def test_a_great_many_touches_are_not_kept_in_memory() -> None:
+    told: list[tuple[int, int]] = []
+    made = plan("flat_pad", dataset={"episodes": 20_000}, **NO_IMAGES)
+    tracemalloc.start()
+    try:
+        made.group(lambda task, done, total: told.append((done, total)))
+        kept = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    assert kept < 20_000 * 300
+    assert told[0] == (0, 20_000) and told[-1] == (20_000, 20_000) and len(told) > 4
+    assert sum(part.steps for part in made.parts) == sum(
+        episode.path.step_count + 1 for episode in made.episodes
+    )
 
 
 def test_draws_keep_their_ranges() -> None:

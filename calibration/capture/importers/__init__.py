@@ -31,6 +31,7 @@ from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
 from taccel_lab.calibration.capture.taxim_pack import find_taxim_pack
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import real_path
 from taccel_lab.output_folder import atomic_directory
 
 LAYOUTS: dict[str, Layout] = {
@@ -98,7 +99,7 @@ def read_drafts(
         draft.apply(options, source if source.is_dir() else source.parent)
         if options.crop is not None:
             crop_draft(draft, options.crop)
-        of = f"imported from {source.resolve().name}, layout {chosen.name}" + (
+        of = f"imported from {real_path(source).name}, layout {chosen.name}" + (
             f", part {draft.part}" if draft.part else ""
         )
         draft.root = source
@@ -124,10 +125,10 @@ def require_effect(options: ImportOptions, drafts: list[Draft], source: Path, la
 
 def _leave_out_the_rest(source: Path, drafts: list[Draft], layout: str) -> None:
     """Say of every file of the source that no draft mentions that it is not imported."""
-    mentioned = {path.resolve() for d in drafts for path in (*d.used, *d.left_out)}
+    mentioned = {real_path(path) for d in drafts for path in (*d.used, *d.left_out)}
     written = capture_folders(source)
     for path in files_of(source):
-        if path.resolve() not in mentioned:
+        if real_path(path) not in mentioned:
             other = not written.isdisjoint(path.parents)
             why = "part of a capture folder" if other else f"no capture of the layout {layout}"
             drafts[0].leave_out(path, why)

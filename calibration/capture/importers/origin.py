@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import real_path
 from taccel_lab.printable import printable
 from taccel_lab.reading.text_file import read_text
 
@@ -57,7 +58,7 @@ def read_origin(path: Path) -> Origin:
     address that the clone is from.
     """
     folder = path if path.is_dir() else path.parent
-    folder = folder.resolve()
+    folder = real_path(folder)
     clone = next((p for p in (folder, *folder.parents) if (p / ".git").exists()), None)
     above = [] if clone is None or clone == folder else _parents(folder, clone)
     below = [p for p in sorted(folder.iterdir()) if p.is_dir() and p.name[0] != "."]

@@ -22,6 +22,7 @@ from taccel_lab.calibration.capture.importers.layout import FALLBACK_SENSOR, Lay
 from taccel_lab.calibration.capture.importers.markers import VIDEO_SUFFIXES
 from taccel_lab.calibration.capture.records import kind_of_record
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import real_path
 from taccel_lab.reading.images import image_size, read_grey
 
 _MASK_NAME = re.compile(r"(^|[_\-. ])mask($|[_\-. \d])", re.IGNORECASE)
@@ -82,7 +83,7 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
 
 def _draft(path: Path) -> Draft:
     """An empty draft of the sensor that the folder's path names, or else of any flat gel."""
-    text = "/".join(path.resolve().parts[-3:]).lower().replace("-", "_").replace(" ", "_")
+    text = "/".join(real_path(path).parts[-3:]).lower().replace("-", "_").replace(" ", "_")
     for word, name in _SENSOR_WORDS:
         if word in text:
             draft = Draft("", name, path)
@@ -151,8 +152,8 @@ def _take_background(
         draft.set_background(chosen, why)
     else:
         places = (Path(options.background), path / options.background)
-        given = {place.resolve() for place in places if place.is_file()}
-        named = [image for image in named if image.resolve() not in given]
+        given = {real_path(place) for place in places if place.is_file()}
+        named = [image for image in named if real_path(image) not in given]
     further = [image for image in named if image != chosen]
     if further:
         draft.manifest["untouched"] = [draft.add_image(image, "untouched") for image in further]

@@ -13,7 +13,7 @@ from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import first_existing
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import inner_path
+from taccel_lab.inner_path import inner_path, real_path
 from taccel_lab.reading.json_file import read_json
 from taccel_lab.reading.plain_values import number_at
 from taccel_lab.reading.table_file import read_table
@@ -31,7 +31,7 @@ def _recognises(path: Path) -> bool:
 
 
 def _read(path: Path, options: ImportOptions) -> list[Draft]:
-    is_digit = "digit" in "/".join(path.resolve().parts[-3:]).lower()
+    is_digit = "digit" in "/".join(real_path(path).parts[-3:]).lower()
     draft = Draft("", "digit" if is_digit else "gelsight_mini", path)
     draft.assume(
         "sensor",
