@@ -28,11 +28,20 @@ def be_quiet(quiet: bool) -> None:
     _told["quiet"] = quiet
 
 
-def notes() -> Console:
-    """Where a command says how far it is and what it noted: standard error, nothing when quiet."""
+def results() -> Console:
+    """Where a command says what it found: standard output, words as they are. Brackets are no
+    markup, here and in tables: ``[design]`` is a part of a file."""
     from rich.console import Console
 
-    return Console(stderr=True, quiet=_told["quiet"])
+    return Console(markup=False, highlight=False)
+
+
+def notes() -> Console:
+    """Where a command says how far it is and what it noted: standard error, nothing when quiet;
+    words as they are."""
+    from rich.console import Console
+
+    return Console(stderr=True, quiet=_told["quiet"], markup=False, highlight=False)
 
 
 def print_json(value: Any) -> None:
@@ -44,7 +53,7 @@ def print_json(value: Any) -> None:
 
 def say_first_look(console: Console, picture: Path) -> None:
     """Tell where a picture lies that can be looked at while the command goes on."""
-    console.print(f"first look: {picture}", highlight=False, markup=False, soft_wrap=True)
+    console.print(f"first look: {picture}", soft_wrap=True)
 
 
 @contextmanager

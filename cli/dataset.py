@@ -94,7 +94,6 @@ class DatasetMake:
         except KeyboardInterrupt:
             console.print(
                 f"interrupted; finished parts are kept. Go on with:\n  {self._again(root)}",
-                highlight=False,
                 soft_wrap=True,
             )
             raise SystemExit(130) from None
@@ -118,9 +117,7 @@ class DatasetMake:
                 listener=lambda done, total, steps, seconds: progress(
                     f"parts ({steps / seconds:.2f} images/s)" if steps else "parts", done, total
                 ),
-                say=lambda words: console.print(
-                    words, highlight=False, markup=False, soft_wrap=True
-                ),
+                say=lambda words: console.print(words, soft_wrap=True),
             )
 
     def _conclude(self, console: Console, outcome: Outcome, root: Path) -> None:
@@ -139,13 +136,12 @@ class DatasetMake:
             text += (
                 f"; {record['episodes_stopped']} touches stopped early, causes in episodes.parquet"
             )
-        console.print(text, highlight=False, soft_wrap=True)
+        console.print(text, soft_wrap=True)
         if outcome.root is not None:
-            console.print(f"data set: {root}", highlight=False, soft_wrap=True)
+            console.print(f"data set: {root}", soft_wrap=True)
             if not outcome.complete:
                 console.print(
                     f"not finished; go on with:\n  {self._again(root)}",
-                    highlight=False,
                     soft_wrap=True,
                 )
         if outcome.done and outcome.steps <= record["episodes"]:
@@ -183,11 +179,9 @@ class DatasetCheck:
         if self.json:
             print_json([vars(finding) for finding in findings])
         for finding in () if self.json else findings:
-            console.print(
-                f"{finding.severity}: {finding}", highlight=False, markup=False, soft_wrap=True
-            )
+            console.print(f"{finding.severity}: {finding}", soft_wrap=True)
         errors = sum(finding.severity == "error" for finding in findings)
-        console.print(f"{errors} errors, {len(findings) - errors} warnings", highlight=False)
+        console.print(f"{errors} errors, {len(findings) - errors} warnings")
         if errors:
             raise SystemExit(1)
 
@@ -214,7 +208,7 @@ class DatasetLite:
         size = make_lite(_some(self.folders), self.out, int(self.megabytes * 1e6))
         if self.json:
             print_json({"out": self.out, "bytes": size})
-        notes().print(f"wrote {self.out}: {size / 1e6:.1f} MB", highlight=False)
+        notes().print(f"wrote {self.out}: {size / 1e6:.1f} MB")
 
 
 @dataclass(frozen=True)
@@ -247,8 +241,8 @@ class DatasetExport:
         if self.json:
             print_json({"out": self.out, "episodes": count, "left_out": left_out})
         console = notes()
-        console.print(f"wrote {count} episodes to {self.out}", highlight=False, soft_wrap=True)
-        console.print(f"not exported: {left_out}", highlight=False, soft_wrap=True)
+        console.print(f"wrote {count} episodes to {self.out}", soft_wrap=True)
+        console.print(f"not exported: {left_out}", soft_wrap=True)
 
 
 @dataclass(frozen=True)
@@ -273,7 +267,7 @@ class DatasetPage:
         write_page(_some(self.folders), self.out, self.touches)
         if self.json:
             print_json({"out": self.out})
-        notes().print(f"wrote {self.out}", highlight=False, soft_wrap=True)
+        notes().print(f"wrote {self.out}", soft_wrap=True)
 
 
 @dataclass(frozen=True)
@@ -284,14 +278,13 @@ class DatasetChannels:
     """Print JSON instead of tables."""
 
     def run(self) -> None:
-        from rich.console import Console
         from rich.table import Table
         from rich.text import Text
 
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import print_json, results
         from taccel_lab.datasets.channels import ALWAYS, channels_of, known_channels
 
-        console = Console()
+        console = results()
         asked = channels_of(tuple(known_channels()))[len(ALWAYS) :]
         if self.json:
             names = ("name", "dtype", "shape", "unit", "what")
@@ -353,6 +346,5 @@ def _describe(console: Console, plan: Plan, shard: Shard) -> None:
         f"{plan.spec.dataset.name}: {touches} touches, {steps} steps in {len(parts)} parts, shard "
         f"{shard.number} of {shard.count}; {len(plan.sensors)} sensors, "
         f"{len(plan.indenters)} objects, images of {grid.width_px}x{grid.height_px} px",
-        highlight=False,
         soft_wrap=True,
     )

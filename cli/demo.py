@@ -75,7 +75,7 @@ class Demo:
             pressing = {"pressing the calibrated sensor": time.perf_counter() - started}
             seconds = results.seconds | pressing
             for stage, value in seconds.items():
-                console.print(f"{stage}: {value:.1f} s", highlight=False)
+                console.print(f"{stage}: {value:.1f} s")
             mesh = results.design.mesh
             angles = dihedral_angles_deg(mesh.nodes_m, mesh.tets)
             values = write_report(build_report(results, outcome, image, angles, seconds), folder)
@@ -83,7 +83,7 @@ class Demo:
             print_json(values)
         else:
             _print_summary(console, values, seconds)
-        console.print(f"report: {self.out / 'report.html'}", highlight=False)
+        console.print(f"report: {self.out / 'report.html'}")
 
 
 def _print_summary(console: Console, values: dict, seconds: dict[str, float]) -> None:
@@ -100,4 +100,4 @@ def _print_summary(console: Console, values: dict, seconds: dict[str, float]) ->
         table.add_row(label, format(held[key], style), format(bare[key], style))
     console.print(table)
     console.print(f"held-out presses are {values['color']['facts']['held-out presses']}")
-    console.print(f"{sum(seconds.values()):.0f} s in all", highlight=False)
+    console.print(f"{sum(seconds.values()):.0f} s in all")

@@ -72,10 +72,8 @@ class Design:
     """Print quality of the mesh, files and notes as JSON instead of a table."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from taccel_lab.cad.parameters import parse_overrides
-        from taccel_lab.cli.console import notes, print_json, say_first_look
+        from taccel_lab.cli.console import notes, print_json, results, say_first_look
         from taccel_lab.cli.progress import stage_words
         from taccel_lab.sensors.design import design_sensor
         from taccel_lab.sensors.registry import sensor_family
@@ -113,7 +111,7 @@ class Design:
             figures = {"quality": result.quality.to_json(), "files": result.files}
             print_json({**figures, "seconds": result.seconds, "notes": result.warnings})
         else:
-            _print_result(Console(), result)
+            _print_result(results(), result)
 
     def _serve(self, family: SensorFamily, overrides: Mapping[str, Any]) -> None:
         from taccel_lab.cli.console import notes
@@ -128,7 +126,7 @@ class Design:
         require_replaceable(self.out / "everything")
 
         def say(text: str) -> None:
-            notes().print(text, highlight=False, markup=False, soft_wrap=True)
+            notes().print(text, soft_wrap=True)
 
         with suppress(KeyboardInterrupt), design_page(family, overrides, self.out, self.where, say):
             serve_until_stopped()
@@ -157,6 +155,6 @@ def _print_result(console: Console, result: DesignResult) -> None:
         table.add_row(name, "-" if value is None else format(value, style), unit)
     console.print(table)
     for kind, path in result.files.items():
-        console.print(f"{kind:>16}  {path}", highlight=False, soft_wrap=True)
+        console.print(f"{kind:>16}  {path}", soft_wrap=True)
     for words in result.warnings:
-        console.print(f"note: {words}", highlight=False, soft_wrap=True)
+        console.print(f"note: {words}", soft_wrap=True)

@@ -208,11 +208,12 @@ def find_data() -> dict[str, str | None]:
 
 
 def _print_tables(report: dict[str, Any]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
+    from taccel_lab.cli.console import results
+
+    console = results()
     machine = Table("machine", "", title_justify="left")
     for name, value in report["machine"].items():
         machine.add_row(name, Text(str(value)))

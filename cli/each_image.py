@@ -52,12 +52,10 @@ def each_image(
         InputError: With the reasons, when images were refused; after the others' files are written
             and told. Where none could be read, nothing is written.
     """
-    from rich.console import Console
-
-    from taccel_lab.cli.console import print_json
+    from taccel_lab.cli.console import print_json, results
     from taccel_lab.output_folder import atomic_directory
 
-    console, figures = Console(), {}
+    console, figures = results(), {}
     refused: dict[str, str] = {}
     with nullcontext() if out is None else atomic_directory(out) as folder:
         for path in paths:
@@ -68,7 +66,7 @@ def each_image(
                 continue
             figures[path.stem] = about = keep(found, path, folder)
             for line in () if as_json else lines(path, about):
-                console.print(line, highlight=False, markup=False, soft_wrap=True)
+                console.print(line, soft_wrap=True)
         if not figures:
             # Leaving with an error keeps what an earlier run wrote there.
             if as_json:
@@ -78,7 +76,7 @@ def each_image(
         told = None if out is None else str(out)
         print_json({"out": told, "images": figures, "refused": refused})
     elif out is not None:
-        console.print(f"wrote {out}", highlight=False, markup=False, soft_wrap=True)
+        console.print(f"wrote {out}", soft_wrap=True)
     if refused:
         raise InputError("\n".join(refused.values()))
     return figures

@@ -50,9 +50,7 @@ class Export:
     """Print export.json instead of a summary."""
 
     def run(self) -> None:
-        from rich.console import Console
-
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import notes, print_json, results
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
         from taccel_lab.warp_output import quiet_warp
@@ -68,7 +66,7 @@ class Export:
         if self.json:
             print_json(document)
         else:
-            _print_summary(Console(), document, self.out)
+            _print_summary(results(), document, self.out)
 
 
 def _print_summary(console: Any, document: dict[str, Any], out: Path) -> None:
@@ -86,5 +84,5 @@ def _print_summary(console: Any, document: dict[str, Any], out: Path) -> None:
         table.add_row("figure", Text(name), f"{value:.4g}")
     console.print(table)
     for note in document["notes"]:
-        console.print(f"- {note}", highlight=False, markup=False)
-    console.print(f"wrote {len(document['files'])} files to {out}", highlight=False, markup=False)
+        console.print(f"- {note}")
+    console.print(f"wrote {len(document['files'])} files to {out}")

@@ -71,22 +71,20 @@ class ImportStep:
     """Print the faces, or the quality of the mesh and the files, as JSON instead of tables."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cad.step_import import FaceSelection, list_faces, listing
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import notes, print_json, results
         from taccel_lab.cli.progress import stage_words
         from taccel_lab.sensors.imported import import_design
 
-        console = Console()
+        console = results()
         if self.out is None:
             table = list_faces(self.step, self.body)
             if self.json:
                 print_json([vars(face) for face in table])
                 return
             text = listing(table, most=len(table))
-            console.print(text, highlight=False, soft_wrap=True, markup=False)
+            console.print(text, soft_wrap=True)
             return
         given = {name: getattr(self, name) for name in FaceSelection.model_fields}
         stated = FaceSelection.from_toml(self.select).model_dump(exclude_unset=True)
@@ -110,7 +108,7 @@ class ImportStep:
             return
         _print_result(console, result)
         for name, text in assumed.items():
-            console.print(f"assumed {name}: {text}", highlight=False, markup=False)
+            console.print(f"assumed {name}: {text}")
 
 
 def _print_result(console: Console, result: ImportResult) -> None:
@@ -131,4 +129,4 @@ def _print_result(console: Console, result: ImportResult) -> None:
     table.add_row("Hausdorff distance to the CAD", f"{quality.hausdorff_mm:.4f}", "mm")
     console.print(table)
     for kind, path in result.files.items():
-        console.print(f"{kind:>12}  {path}", highlight=False, soft_wrap=True)
+        console.print(f"{kind:>12}  {path}", soft_wrap=True)

@@ -78,7 +78,7 @@ class Live(CameraOptions):
         if self.background == "profile" and rest is None:
             raise InputError(f"{self.profile} has no background; leave --background profile away")
         console = notes()
-        say = partial(console.print, highlight=False, markup=False)
+        say = partial(console.print)
 
         def make_reader(background: np.ndarray) -> LiveReader:
             force = None if profile.force is None else _forces(profile, background)
@@ -106,9 +106,7 @@ class Live(CameraOptions):
         self._report(result)
 
     def _report(self, result: LiveResult) -> None:
-        from rich.console import Console
-
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import print_json, results
 
         reader = result.reader
         if reader is None or result.last is None:
@@ -131,16 +129,15 @@ class Live(CameraOptions):
             }
             print_json(about)
             return
-        console = Console()
+        console = results()
         busy, cpu = found["busy_ms"], found["cpu_ms"]
         console.print(
             f"{found['frames']} frames, {found['rate_hz']:.1f} a second; work {busy['median']:.1f} "
             f"ms a frame (95 %: {busy['p95']:.1f} ms), {cpu['median']:.1f} ms of a core",
-            highlight=False,
         )
         for name, ms in found["stages_ms"].items():
             line = f"  {name}: {ms['median']:.1f} ms (95 %: {ms['p95']:.1f} ms)"
-            console.print(line, highlight=False)
+            console.print(line)
 
 
 def _forces(profile: SensorProfile, background: np.ndarray) -> ForceTold:

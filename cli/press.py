@@ -98,7 +98,7 @@ class Press:
             print_json({"folder": str(self.out), **outcome.figures()})
         else:
             _print_outcome(console, outcome)
-        console.print(f"wrote {self.out}", highlight=False)
+        console.print(f"wrote {self.out}")
 
     def execute(self, console: Console) -> tuple[PressOutcome, np.ndarray | None]:
         """Press, write the files and return what was read and the image, if there is one."""
@@ -136,7 +136,7 @@ class Press:
         friction = stated if self.friction is None else self.friction
         note = physics_difference(profile.material, physics, friction)
         if note is not None:
-            console.print(f"note: {note}", highlight=False)
+            console.print(f"note: {note}")
         first_mm = FIRST_SHARE * profile.gel.thickness_mm
         if self.depth_mm is not None:
             first_mm = self.depth_mm
@@ -300,10 +300,10 @@ def step_progress(console: Console, title: str) -> Any:
     @contextmanager
     def bar() -> Any:
         columns = (
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[note]}"),
+            TextColumn("{task.fields[note]}", markup=False),
             TimeElapsedColumn(),
         )
         with Progress(*columns, console=console) as progress:

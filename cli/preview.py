@@ -85,7 +85,7 @@ class Preview:
         else:
             print_preview(console, preview)
         for kind, path in files.items():
-            console.print(f"{kind:>9}  {self.out / path.name}", highlight=False, soft_wrap=True)
+            console.print(f"{kind:>9}  {self.out / path.name}", soft_wrap=True)
 
 
 def print_preview(console: Console, preview: DesignPreview) -> None:

@@ -52,10 +52,9 @@ class ProfileValidate:
     """Print the findings as JSON."""
 
     def run(self) -> None:
-        from rich.console import Console
         from rich.text import Text
 
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import print_json, results
         from taccel_lab.profile import Finding, load_profile, validate_profile
         from taccel_lab.signals.network_faults import network_faults
 
@@ -75,12 +74,13 @@ class ProfileValidate:
                 }
             )
         else:
-            console = Console(soft_wrap=True)
+            console = results()
             for finding in findings:
                 style = "red" if finding.severity == "error" else "yellow"
-                console.print(Text(f"{finding.severity}: {finding}", style=style))
+                console.print(Text(f"{finding.severity}: {finding}", style=style), soft_wrap=True)
             if not errors:
-                console.print(Text(f"{self.profile} is a sound profile", style="green"))
+                sound = Text(f"{self.profile} is a sound profile", style="green")
+                console.print(sound, soft_wrap=True)
         if errors:
             plural = "s" if errors > 1 else ""
             raise InputError(f"{self.profile} is not a sound profile: {errors} error{plural}")
@@ -122,7 +122,7 @@ class ProfileCompare:
             _print_comparison(found)
         if self.out is not None:
             write_page(found.page(), self.out)
-            notes().print(f"wrote {self.out / 'report.html'}", highlight=False)
+            notes().print(f"wrote {self.out / 'report.html'}")
 
 
 @dataclass(frozen=True)
@@ -152,17 +152,17 @@ class ProfileReport:
             write_page(page, self.out)
         if self.json:
             print_json(loads((self.out / "report.json").read_text("utf-8")))
-        console.print(f"wrote {self.out / 'report.html'}", highlight=False)
+        console.print(f"wrote {self.out / 'report.html'}")
 
 
 def _print_comparison(found: ProfileComparison) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
+    from taccel_lab.cli.console import results
     from taccel_lab.report.build import format_number
 
-    console = Console()
+    console = results()
     for remark in found.remarks:
         console.print(Text(str(remark)))
     for part in found.page().tables:
@@ -206,9 +206,10 @@ _MOST_VALUES, _MOST_RESIDUALS = 4, 2
 
 def _print_overview(profile: SensorProfile, folder: Path) -> None:
     """A table of one screen: what each block says, where from, and what to know of it."""
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
+
+    from taccel_lab.cli.console import results
 
     table = Table(show_lines=False)
     for title in ("block", "from", "values, +- one standard deviation", "to know"):
@@ -223,7 +224,7 @@ def _print_overview(profile: SensorProfile, folder: Path) -> None:
             Text(_said(key, values, provenance)),
             Text(f"{remarks} remark{'s' if remarks > 1 else ''}" if remarks else ""),
         )
-    console = Console()
+    console = results()
     console.print(table)
     for session in profile.sensor.recorded:
         when = "" if session.begun is None else f" on {session.begun:%Y-%m-%d}"
@@ -257,14 +258,15 @@ def _number(value: Any) -> str:
 
 
 def _print_tables(profile: SensorProfile) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
+    from taccel_lab.cli.console import results
+
+    console = results()
     for key, values in _as_dict(profile).items():
         provenance = values.pop("provenance")
-        table = Table(title=f"[bold]{key}[/]", title_justify="left", show_header=False)
+        table = Table(title=Text(key, style="bold"), title_justify="left", show_header=False)
         table.add_column(style="cyan", no_wrap=True)
         table.add_column(overflow="fold")
         for name, value in (_flat(values) | _flat(provenance, "provenance.")).items():

@@ -34,9 +34,9 @@ def _beats(console: Console, title: str) -> Iterator[dict[str, str]]:
         while not stop.wait(BEAT_S):
             where = ", ".join(" ".join(item).strip() for item in tuple(state.items())[-1:])
             seconds = time.monotonic() - started
-            console.print(f"{where or title} ({seconds:.0f} s)", highlight=False, markup=False)
+            console.print(f"{where or title} ({seconds:.0f} s)")
 
-    console.print(f"{title} ...", highlight=False, markup=False)
+    console.print(f"{title} ...")
     thread = threading.Thread(target=beat, name="progress", daemon=True)
     thread.start()
     try:
@@ -58,7 +58,7 @@ def stage_words(console: Console) -> Iterator[Callable[[str], None]]:
         def note(words: str) -> None:
             if said[-1:] != [words]:
                 said.append(words)
-                console.print(f"{words} ...", highlight=False, markup=False, soft_wrap=True)
+                console.print(f"{words} ...", soft_wrap=True)
 
         yield note
         return
@@ -75,7 +75,7 @@ def stage_progress(console: Console) -> Iterator[Progress]:
     from rich.progress import Progress as Bars
 
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),

@@ -49,10 +49,9 @@ class RobotShow:
     """Draw the shapes of its links, coordinates as near to 0 as they can be, into this PNG file."""
 
     def run(self) -> None:
-        from rich.console import Console
         from rich.text import Text
 
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import print_json, results
         from taccel_lab.robots.describe import describe_robot
 
         robot = _robot_of(self.robot)
@@ -62,7 +61,7 @@ class RobotShow:
         if self.json:
             print_json(shown)
             return
-        console = Console()
+        console = results()
         coordinates = len(shown["coordinates"])
         head = f"{shown['name']}: {coordinates} coordinates, base {shown['base']}"
         console.print(Text(head), soft_wrap=True)
@@ -80,7 +79,7 @@ class RobotShow:
         for sentence in shown["refused"]:
             console.print(Text(f"refused: {sentence}", style="yellow"), soft_wrap=True)
         if self.picture is not None:
-            console.print(f"wrote {self.picture}", highlight=False)
+            console.print(f"wrote {self.picture}")
 
 
 def _robot_of(text: str) -> Robot:
@@ -123,13 +122,14 @@ def _number(value: float | None) -> str:
 
 def _print_table(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
     from rich.box import SIMPLE
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
+
+    from taccel_lab.cli.console import results
 
     table = Table(box=SIMPLE, pad_edge=False)
     for heading in headings:
         table.add_column(heading, overflow="fold")
     for first, *others in rows:
         table.add_row(Text(first, style="cyan"), *map(Text, others))
-    Console().print(table)
+    results().print(table)

@@ -37,11 +37,10 @@ class SensorsList:
 
     def run(self) -> None:
         from rich.box import SIMPLE
-        from rich.console import Console
         from rich.table import Table
         from rich.text import Text
 
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import print_json, results
         from taccel_lab.sensors.derived import catalogue_row
         from taccel_lab.sensors.registry import catalogue
 
@@ -61,7 +60,7 @@ class SensorsList:
             cells = (Text(row[key]) for key in _COLUMNS)
             table.add_row(Text(name, style="cyan"), *cells)
         table.columns[0].no_wrap = True
-        console = Console()
+        console = results()
         console.print(table)
         for name, item in known.broken.items():
             text = Text(f"broken: {name} of the package {item.package}: {item.reason}", style="red")
@@ -82,10 +81,8 @@ class SensorsShow:
     """Draw the sensor to scale into this PNG file: two sections and the view from the front."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from taccel_lab.cad.parameters import parse_overrides
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import print_json, results
         from taccel_lab.sensors.derived import describe_sensor
         from taccel_lab.sensors.registry import sensor_family
 
@@ -104,10 +101,10 @@ class SensorsShow:
                 }
             )
             return
-        console = Console()
+        console = results()
         _print_sensor(console, family, parameters)
         if self.picture is not None:
-            console.print(f"wrote {self.picture}", highlight=False)
+            console.print(f"wrote {self.picture}")
 
 
 def _draw(family: SensorFamily, parameters: FamilyParameters, path: Path) -> None:

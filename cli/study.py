@@ -104,7 +104,6 @@ class Study:
         notes().print(
             f"{len(jobs)} jobs submitted ({jobs[0].job_id} ...), logs in {root / JOBS}; when they "
             f"are through:\n  {self._again(file, root)}",
-            highlight=False,
             soft_wrap=True,
         )
 
@@ -128,7 +127,6 @@ class Study:
                 console.print(
                     f"shard {self.shard}: {len(outcome.rows)} designs have rows, {outcome.new} of "
                     f"them new; when all shards are through:\n  {self._again(file, root)}",
-                    highlight=False,
                     soft_wrap=True,
                 )
                 if self.json:
@@ -140,7 +138,6 @@ class Study:
         except KeyboardInterrupt:
             console.print(
                 f"interrupted; finished designs are kept. Go on with:\n  {self._again(file, root)}",
-                highlight=False,
                 soft_wrap=True,
             )
             raise SystemExit(130) from None
@@ -166,7 +163,6 @@ class Study:
         console.print(
             f"{study.spec.study.name}: {study.family.name}, presses {presses}, "
             f"{len(study.metrics)} metrics, into {root}",
-            highlight=False,
             soft_wrap=True,
         )
         with StudyProgress(console, study) as progress:
@@ -194,10 +190,10 @@ class Study:
 
             print_summary(outcome, values)
         note = "" if has_parquet() else " (Parquet too, once pyarrow is installed)"
-        console.print(f"table: {root / CSV_NAME}{note}", highlight=False, soft_wrap=True)
-        console.print(f"report: {root / 'report.html'}", highlight=False, soft_wrap=True)
+        console.print(f"table: {root / CSV_NAME}{note}", soft_wrap=True)
+        console.print(f"report: {root / 'report.html'}", soft_wrap=True)
         if not outcome.complete:
-            console.print(f"not finished; go on with:\n  {again}", highlight=False, soft_wrap=True)
+            console.print(f"not finished; go on with:\n  {again}", soft_wrap=True)
             return
         if not any(row.status == "done" for row in outcome.rows):
             raise SimulationError(f"no design has a figure; the causes stand in {root / CSV_NAME}")
@@ -228,11 +224,12 @@ def _print_lists(options: Study) -> None:
             | ({"presses": presses} if options.list_presses else {})
         )
         return
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
+    from taccel_lab.cli.console import results
+
+    console = results()
     if options.list_metrics:
         table = Table("metric", "unit", "better", "read from", "what it is", title="metrics")
         for name, metric in metrics.items():

@@ -37,13 +37,13 @@ class StudyProgress(Listener):
         self._console = console
         self._study = study
         self._bar = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             TextColumn("left"),
             TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}"),
+            TextColumn("{task.fields[note]}", markup=False),
             console=console,
             speed_estimate_period=3600,
         )
@@ -97,7 +97,6 @@ class StudyProgress(Listener):
         self._console.print(
             f"{self._done} of {self._total} designs, {self._lost} failed, {spent:.0f} s spent, "
             f"about {left:.0f} s left",
-            highlight=False,
             soft_wrap=True,
         )
 
@@ -111,13 +110,13 @@ class StudyProgress(Listener):
 
 def print_summary(outcome: Outcome, values: dict[str, Any]) -> None:
     """The verdict and the best designs, on standard output."""
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
+    from taccel_lab.cli.console import results
     from taccel_lab.report.build import format_number
 
-    console = Console()
+    console = results()
     verdict = values["verdict"]
     console.print(Text(verdict["headline"], style="green" if verdict["good"] else "yellow"))
     for sentence in verdict["sentences"]:

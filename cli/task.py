@@ -29,11 +29,10 @@ class TaskList:
 
     def run(self) -> None:
         from rich.box import SIMPLE
-        from rich.console import Console
         from rich.table import Table
         from rich.text import Text
 
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import print_json, results
         from taccel_lab.tasks.catalogue import named, names
 
         tasks = {name: named(name).parameters for name in names()}
@@ -46,7 +45,7 @@ class TaskList:
         for name, task in tasks.items():
             cells = (task.summary, task.criterion, str(task.seeds))
             table.add_row(Text(name, style="cyan"), *map(Text, cells))
-        Console().print(table)
+        results().print(table)
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,6 @@ class TaskRun:
         if len(result.trials) < result.asked:
             console.print(
                 f"interrupted; {len(result.trials)} of {result.asked} seeds are kept",
-                highlight=False,
             )
             raise SystemExit(130)
 
@@ -148,8 +146,8 @@ class TaskRecord:
         if self.json:
             print_json(told)
         done = "success" if trial.success else trial.cause
-        console.print(f"seed {trial.seed}: {done}", highlight=False, markup=False)
-        console.print(f"wrote {self.output / 'film.mp4'}", highlight=False, soft_wrap=True)
+        console.print(f"seed {trial.seed}: {done}")
+        console.print(f"wrote {self.output / 'film.mp4'}", soft_wrap=True)
 
 
 def _begin(name: str, device: str, output: Path) -> Task:
@@ -199,4 +197,4 @@ def _print(console: Console, result: TaskResult, output: Path) -> None:
         lines.append(f"  and {len(causes) - 10} more failures")
     lines.append(f"wrote {output / 'result.json'}")
     for line in lines:
-        console.print(line, highlight=False, markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)

@@ -47,7 +47,7 @@ class View:
         serve_source(
             find_source(self.source),
             self.page,
-            lambda text: console.print(text, highlight=False, markup=False, soft_wrap=True),
+            lambda text: console.print(text, soft_wrap=True),
             seed=self.seed,
             device=self.device,
         )

@@ -57,6 +57,7 @@ from taccel_lab.calibration.normals.skirt import (
     layer_of,
     layer_skirts,
 )
+from taccel_lab.calibration.normals.told_thickness import told_thickness
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
@@ -236,6 +237,7 @@ def fit_normals(
         baseline_deg=baseline_deg,
         reliability=reliability_of(items, scene) if items else None,
         practised=practised,
+        gel=None if pad is None else told_thickness(training, scene, pad),
         flat_noise_levels=(choice.captured_levels, choice.corrected_levels),
         train_names=tuple(frame.name for frame in training),
         inputs={"background": captures.background_sha256} | {f.name: f.sha256 for f in training},

@@ -9,6 +9,7 @@ import numpy as np
 
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import InverseFrame, Scene
+from taccel_lab.calibration.normals.told_thickness import THICKEST_MM, ToldThickness
 from taccel_lab.calibration.remarks import RemarkKind
 from taccel_lab.calibration.result import Remark, Severity
 
@@ -22,6 +23,9 @@ SURE_RATIO = 1.5
 LAYER_ERROR = 0.06
 """Share of the depth by which a bonded layer and finite elements differ at one contact radius: -4 %
 without friction and deep, +7 % with friction 1."""
+LAYER_FACTOR = 1.25
+"""By what a layer of small strains without friction may misjudge the thickness of a gel: GelSight
+Minis of 4 mm are read as 3.3 to 3.6 mm."""
 GREY_LEVELS = 1.5
 
 FEW_PRESSES = RemarkKind(
@@ -59,6 +63,13 @@ DEPTH_DISAGREES = RemarkKind(
     "their circles goes into the stated pad ({wanted:.2f} mm): its thickness, the ball's radius or "
     "the scale is not as stated. Measure the gel's thickness, or press once to a known depth",
 )
+GEL_DIFFERS = RemarkKind(
+    "normals_gel_thickness",
+    Severity.WARNING,
+    "around the contacts the gel sinks as one of {told} would, {stated:g} mm are stated: in such a "
+    "gel these presses are {depths} as deep. Measure its thickness and state it as thickness_mm "
+    "under [design] in captures.toml, or press once to a known depth",
+)
 LIGHT_DRIFTS = RemarkKind(
     "normals_light_drifts",
     Severity.INFO,
@@ -94,7 +105,7 @@ def remarks_of(
     if result.failures:
         reasons = "; ".join(f"{name}: {why}" for name, why in result.failures.items())
         found.append(HELDOUT_FAILED(count=len(result.failures), reasons=reasons))
-    found += _depth_disagrees(result)
+    found += _depth_disagrees(result) + _gel_differs(result.gel)
     ratio = None if result.reliability is None else result.reliability.ratio()
     if ratio is not None and not 1 / SURE_RATIO < ratio < SURE_RATIO:
         found.append(UNCERTAINTY_OFF(ratio=ratio))
@@ -120,6 +131,18 @@ def _depth_disagrees(result: NormalCalibration) -> list[Remark]:
         return []
     direction = "deeper" if mean > 0 else "shallower"
     return [DEPTH_DISAGREES(off=abs(mean), error=error, direction=direction, wanted=wanted)]
+
+
+def _gel_differs(gel: ToldThickness | None) -> list[Remark]:
+    if gel is None or gel.low_mm / LAYER_FACTOR <= gel.stated_mm <= gel.high_mm * LAYER_FACTOR:
+        return []
+    if gel.high_mm < 0.99 * THICKEST_MM:
+        told = f"{gel.low_mm:.1f} to {gel.high_mm:.1f} mm"
+        depths = f"{gel.depth_low:.2f} to {gel.depth_high:.2f} times"
+    else:
+        told = f"{gel.low_mm:.1f} mm or more"
+        depths = f"{gel.depth_low:.2f} times or more"
+    return [GEL_DIFFERS(told=told, stated=gel.stated_mm, depths=depths)]
 
 
 def _grey_share(frame: InverseFrame, scene: Scene) -> float:

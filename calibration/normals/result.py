@@ -15,6 +15,7 @@ from taccel_lab.calibration.normals.network_fit import InverseFit
 from taccel_lab.calibration.normals.reading_error import PracticeScore
 from taccel_lab.calibration.normals.samples import Scene
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
+from taccel_lab.calibration.normals.told_thickness import ToldThickness
 from taccel_lab.calibration.result import Remark, judge, mean_figures
 from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
 
@@ -36,6 +37,8 @@ class NormalCalibration:
     reliability: Reliability | None
     practised: PracticeScore | None
     """Heights of practice presses that the networks never saw; None without practice."""
+    gel: ToldThickness | None
+    """Thickness of the gel that the images tell; None without a pad, and where they do not."""
     flat_noise_levels: tuple[float, float]
     """Mean difference of frames to the background where the gel is at rest, as captured and with
     the light's drift taken off [levels]."""
@@ -91,6 +94,7 @@ class NormalCalibration:
             "pixel_baseline_deg": self.baseline_deg,
             "reliability": None if self.reliability is None else asdict(self.reliability),
             "practice": None if self.practised is None else asdict(self.practised),
+            "gel_thickness": None if self.gel is None else asdict(self.gel),
             "presses": rows,
             "left_out_deg": self.fit.left_out_deg,
             "flat_noise_levels": self.flat_noise_levels,

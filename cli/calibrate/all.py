@@ -33,10 +33,8 @@ class CalibrateAll(CalibrationFiles):
     """Blocks to fit, by name; all when left out."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from taccel_lab.calibration.calibrate import calibrate
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import notes, print_json, results
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.profile import save_profile
         from taccel_lab.warp_output import quiet_warp
@@ -55,30 +53,27 @@ class CalibrateAll(CalibrationFiles):
             outcomes = [outcome.figures() for outcome in found.blocks]
             print_json({"profile": str(self.out), "blocks": outcomes})
         else:
-            _print_outcomes(Console(), found)
-        console.print(f"wrote {self.out} and {report / 'report.html'}", highlight=False)
+            _print_outcomes(results(), found)
+        console.print(f"wrote {self.out} and {report / 'report.html'}")
         if found.unfit:
             raise SystemExit(1)
 
 
 def _print_remarks(console: Console, found: Calibration) -> None:
     for note in found.notes:
-        console.print(f"note: {note}", highlight=False, markup=False)
+        console.print(f"note: {note}")
     for outcome in found.blocks:
         if outcome.page is not None:
             console.rule(outcome.name, align="left")
             for remark in outcome.page.remarks:
-                console.print(str(remark), highlight=False, markup=False)
-            console.print(f"verdict: {outcome.message}", highlight=False)
+                console.print(str(remark))
+            console.print(f"verdict: {outcome.message}")
 
 
 def _print_outcomes(console: Console, found: Calibration) -> None:
-    from rich.markup import escape
     from rich.table import Table
 
     table = Table("block", "state", "verdict or reason", "seconds")
     for outcome in found.blocks:
-        table.add_row(
-            outcome.name, str(outcome.state), escape(outcome.message), f"{outcome.seconds:.0f}"
-        )
+        table.add_row(outcome.name, str(outcome.state), outcome.message, f"{outcome.seconds:.0f}")
     console.print(table)

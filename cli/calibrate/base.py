@@ -133,11 +133,9 @@ def write_results(
 ) -> None:
     """Save the extended profile and the report, say the verdict with its remarks, and give the
     figures: on standard output, as JSON or for people."""
-    from rich.console import Console
-
     from taccel_lab.calibration.report import write_page
     from taccel_lab.calibration.result import judge
-    from taccel_lab.cli.console import print_json
+    from taccel_lab.cli.console import print_json, results
     from taccel_lab.profile import save_profile
 
     result = fitted.result
@@ -146,11 +144,11 @@ def write_results(
     for path, write in fitted.files.items():
         write(path)
     for remark in result.remarks:
-        console.print(str(remark), highlight=False)
-    console.print(f"verdict: {judge(result.remarks)}", highlight=False)
+        console.print(str(remark))
+    console.print(f"verdict: {judge(result.remarks)}")
     wrote = " and ".join(str(path) for path in (out, report / "report.html", *fitted.files))
-    console.print(f"wrote {wrote}", highlight=False)
+    console.print(f"wrote {wrote}")
     if json:
         print_json({"profile": str(out), fitted.name: result.figures()})
     elif fitted.summarise is not None:
-        fitted.summarise(Console())
+        fitted.summarise(results())

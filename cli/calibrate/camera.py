@@ -69,7 +69,6 @@ def _print_summary(result: CameraCalibration, console: Console) -> None:
             f"{found.chosen.heldout_all_px:.3f} px (root mean square, {len(found.outliers)} "
             f"outliers counted; {found.chosen.heldout_robust_px:.3f} px robust, "
             f"{found.chosen.heldout_half_px:.3f} px with half of each held-out board)",
-            highlight=False,
         )
         for name, value, sigma in zip(
             found.lens.parameter_names,
@@ -77,10 +76,9 @@ def _print_summary(result: CameraCalibration, console: Console) -> None:
             found.chosen.fit.sigma,
             strict=True,
         ):
-            console.print(f"  {name} = {value:.5g} ± {sigma:.2g}", highlight=False)
+            console.print(f"  {name} = {value:.5g} ± {sigma:.2g}")
     if result.on_gel is not None:
         frame = result.on_gel.frame
         console.print(
             f"on the gel: {frame.mm_per_px_x} along x, {frame.mm_per_px_y} along y",
-            highlight=False,
         )

@@ -72,5 +72,4 @@ def _print_figures(result: ColorCalibration, console: Console) -> None:
     console.print(
         f"noise floor (captures against background beyond 3 r): {result.noise_floor_l1:.2f} "
         f"levels; fit took {result.fit.seconds:.0f} s",
-        highlight=False,
     )

@@ -52,5 +52,4 @@ def _print_summary(result: DepthCalibration, console: Console) -> None:
     console.print(
         f"depth up to {result.response.depth_mm[-1]:.2f} mm over "
         f"{result.response.drop_levels[-1]:.0f} levels: {result.headline()}",
-        highlight=False,
     )

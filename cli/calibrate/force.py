@@ -67,7 +67,7 @@ class CalibrateForce(ForceOptions):
         console = notes()
 
         def say(words: str) -> None:
-            console.print(words, highlight=False, markup=False, soft_wrap=True)
+            console.print(words, soft_wrap=True)
 
         kept = TrainingFile.beside(self.out, say)
         try:
@@ -95,9 +95,8 @@ def _print_errors(result: ForceCalibration, console: Console) -> None:
         numbers = (row.fz_n, row.fz_spread_n, row.shear_n, row.shear_spread_n, row.area_mm2)
         table.add_row(row.name, str(row.images), *(f"{number:.3f}" for number in numbers))
     console.print(table)
-    console.print(result.headline(), highlight=False)
+    console.print(result.headline())
     console.print(
         f"{result.false_alarms:.2%} of held-out images are called outside the training's range; "
         f"trained in {result.seconds:.0f} s on {result.options.device}",
-        highlight=False,
     )

@@ -91,4 +91,4 @@ def _print_figures(result: MarkerCalibration, console: Console) -> None:
                 f", back to {figures.return_median_px:.2f} px at the median in frame "
                 f"{figures.return_frame}"
             )
-        console.print(line, highlight=False)
+        console.print(line)

@@ -102,4 +102,4 @@ def _print_estimates(result: MaterialCalibration, console: Console) -> None:
         table.add_row(name, f"{value:.4g}", "held", "", "")
     console.print(table)
     for name, value in result.residuals().items():
-        console.print(f"{name}: {value:.3g}", highlight=False)
+        console.print(f"{name}: {value:.3g}")

@@ -55,13 +55,11 @@ def _print_summary(result: NormalCalibration, console: Console) -> None:
     console.print(
         f"{len(result.heldout)} held-out presses, {len(result.train_names)} fitted in "
         f"{result.fit.seconds:.0f} s",
-        highlight=False,
     )
     console.print(
         f"  normals off by {used['mean_deg']:.2f} deg ({given['mean_deg']:.2f} in the given "
         f"circles; a flat guess {used['flat_deg']:.1f}, colour of the pixel alone "
         f"{result.baseline_deg or float('nan'):.2f})",
-        highlight=False,
     )
     absolute = result.absolute_means()
     if absolute is not None:
@@ -69,22 +67,18 @@ def _print_summary(result: NormalCalibration, console: Console) -> None:
             f"  depth off by {absolute['mae_mm']:.3f} mm of {absolute['wanted_mm']:.2f} mm, "
             f"against the ball pressed into the pad; {absolute['within_68']:.0%} within one "
             f"standard deviation, {absolute['within_95']:.0%} within two",
-            highlight=False,
         )
     console.print(
         f"  aligned on the circle, depth off by {used['depth_mae_mm']:.3f} mm of "
         f"{used['depth_mm']:.2f} mm",
-        highlight=False,
     )
     if result.practised is not None:
         console.print(
             f"  depth off by {result.practised.rmse_mm:.3f} mm rms on "
             f"{result.practised.count} simulated presses of other tools",
-            highlight=False,
         )
     if result.reliability is not None:
         console.print(
             f"  {result.reliability.within_68:.0%} of errors within the 68 % radius, "
             f"{result.reliability.within_95:.0%} within the 95 % radius",
-            highlight=False,
         )

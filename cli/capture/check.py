@@ -37,11 +37,9 @@ class CaptureCheckCommand:
     """Print everything found as JSON."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from taccel_lab.calibration.check import check_captures, check_page
         from taccel_lab.calibration.report import write_page
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import notes, print_json, results
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.output_folder import require_replaceable
 
@@ -55,11 +53,11 @@ class CaptureCheckCommand:
                     check = check_captures(folder, notes=notes, progress=progress)
                 checks.append(check)
                 if not self.json:
-                    _print_check(Console(), check)
+                    _print_check(results(), check)
                 if self.report is not None:
                     place = self.report if len(parts) == 1 else self.report / folder.root.name
                     write_page(check_page(check), place)
-                    console.print(f"wrote {place / 'report.html'}", highlight=False)
+                    console.print(f"wrote {place / 'report.html'}")
         if self.json:
             figures = [check.figures() for check in checks]
             print_json(figures[0] if len(figures) == 1 else {"parts": figures})
@@ -93,12 +91,11 @@ def _opened(path: Path) -> Iterator[list[tuple[CaptureFolder, tuple[str, ...]]]]
 
 
 def _print_check(console: Console, check: CaptureCheck) -> None:
-    from rich.markup import escape
     from rich.table import Table
 
-    console.print(f"{check.folder.source} ({check.folder.sensor})", highlight=False, markup=False)
+    console.print(f"{check.folder.source} ({check.folder.sensor})")
     for note in check.notes:
-        console.print(f"note: {note}", highlight=False, markup=False)
+        console.print(f"note: {note}")
     table = Table("command", "state", "found", "missing")
     colors = {"ready": "green", "weak": "yellow", "blocked": "red"}
     absent = [block for block in check.blocks if block.readiness == "absent"]
@@ -109,14 +106,14 @@ def _print_check(console: Console, check: CaptureCheck) -> None:
         table.add_row(
             f"calibrate {block.command}",
             f"[{color}]{block.readiness}[/{color}]",
-            escape(block.found),
-            escape(block.missing),
+            block.found,
+            block.missing,
         )
     if len(absent) < len(check.blocks):
         console.print(table)
     for block in absent:
-        console.print(f"calibrate {block.command} needs {block.missing}", highlight=False)
+        console.print(f"calibrate {block.command} needs {block.missing}")
     for finding in check.findings:
-        console.print(str(finding), highlight=False, markup=False)
+        console.print(str(finding))
     if not check.findings:
         console.print("no findings")

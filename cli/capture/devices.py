@@ -18,18 +18,16 @@ class CaptureDevices:
     """Print the list as JSON."""
 
     def run(self) -> None:
-        from rich.console import Console
-        from rich.markup import escape
         from rich.table import Table
 
         from taccel_lab.calibration.capture.camera import list_devices
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import print_json, results
 
         devices = list_devices()
         if self.json:
             print_json({"cameras": [asdict(device) for device in devices]})
             return
-        console = Console()
+        console = results()
         if not devices:
             console.print("no camera is plugged in")
             return
@@ -37,5 +35,5 @@ class CaptureDevices:
         for device in devices:
             formats = ", ".join(f"{code} {wide}x{high}" for code, wide, high in device.formats)
             cells = (device.id, device.name, device.serial or "-", formats or "not told")
-            table.add_row(*(escape(cell) for cell in cells))
+            table.add_row(*cells)
         console.print(table)

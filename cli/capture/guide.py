@@ -29,11 +29,10 @@ class CaptureGuide:
     def run(self) -> None:
         from dataclasses import asdict
 
-        from rich.console import Console
         from rich.table import Table
 
         from taccel_lab.calibration.capture.guide import capture_plan
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import print_json, results
         from taccel_lab.output import atomic_file
 
         plan = capture_plan(self.sensor)
@@ -45,19 +44,19 @@ class CaptureGuide:
         if self.json:
             print_json({**asdict(plan), "minutes": plan.minutes})
             return
-        console = Console()
-        console.print(f"{plan.title}\n{plan.minutes} minutes in all\n", highlight=False)
+        console = results()
+        console.print(f"{plan.title}\n{plan.minutes} minutes in all\n")
         table = Table("step", "for", "count", "min", "equipment")
         for number, step in enumerate(plan.steps, 1):
             name = f"{number} {step.title}" + (" (optional)" if step.optional else "")
             table.add_row(name, step.block, step.count, str(step.minutes), step.equipment)
         console.print(table)
         for number, step in enumerate(plan.steps, 1):
-            console.print(f"\n{number} {step.title}", style="bold", highlight=False)
-            console.print(step.how, highlight=False)
-            console.print(f"Why: {step.why}", highlight=False)
-        console.print("\ncaptures.toml to fill in, beside the images:\n", highlight=False)
-        console.print(plan.manifest, highlight=False, markup=False, soft_wrap=True)
-        console.print("Then: taccel-lab capture check FOLDER", highlight=False)
+            console.print(f"\n{number} {step.title}", style="bold")
+            console.print(step.how)
+            console.print(f"Why: {step.why}")
+        console.print("\ncaptures.toml to fill in, beside the images:\n")
+        console.print(plan.manifest, soft_wrap=True)
+        console.print("Then: taccel-lab capture check FOLDER")
         if self.out is not None:
-            console.print(f"wrote {self.out}", highlight=False)
+            console.print(f"wrote {self.out}")

@@ -60,15 +60,13 @@ class CaptureImport:
     """Print what was written as JSON."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from taccel_lab.calibration.capture.importers import (
             AUTO,
             ImportOptions,
             detect_layout,
             import_folders,
         )
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import notes, print_json, results
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.sensors import sensor_family
 
@@ -89,7 +87,7 @@ class CaptureImport:
         )
         require_replaceable(self.out)
         layout = self.layout if self.layout != AUTO else detect_layout(self.source).name
-        console = Console(stderr=self.json)
+        console = notes() if self.json else results()
         with console.status(f"importing {self.source} as {layout}"):
             folders = import_folders(self.source, self.out, layout, options)
         found = []
@@ -105,19 +103,17 @@ class CaptureImport:
                 }
             )
             words = f"wrote {folder.path}: {_in_words(folder.contents)}"
-            console.print(words, highlight=False, markup=False)
+            console.print(words)
             said = [
                 *(f"{key}: {text}" for key, text in origin.items()),
                 *(f"assumed {name}: {text}" for name, text in folder.assumed.items()),
                 *folder.notes,
             ]
             for text in said:
-                console.print(f"  {text}", highlight=False, markup=False)
+                console.print(f"  {text}")
         for folder in folders:
             console.print(
                 f"next: taccel-lab capture check {shlex.quote(str(folder.path))}",
-                highlight=False,
-                markup=False,
             )
         if self.json:
             print_json({"layout": layout, "folders": found})

@@ -81,7 +81,7 @@ class _Session(CameraOptions):
                 if self.page:
                     options = PageOptions(port=self.port, browser=self.browser)
                     title = f"Recording {self.out.name}"
-                    say = partial(console.print, highlight=False, markup=False)
+                    say = partial(console.print)
                     server = stack.enter_context(live_page(title, options, say))
                     watchers.append(RecordPage(server, quick))
                 status = run_session(
@@ -100,8 +100,6 @@ class _Session(CameraOptions):
                     console.print(
                         f"stopped at {len(folder.presses)} of {wanted} presses; {self.out} is "
                         "whole, and the same command goes on with it",
-                        highlight=False,
-                        markup=False,
                     )
                 if isinstance(error, KeyboardInterrupt):
                     raise SystemExit(130) from None
@@ -130,11 +128,9 @@ class _Session(CameraOptions):
         )
 
     def _report(self, status: Status, facts: RecordFacts, quick: bool) -> None:
-        from rich.console import Console
-
         from taccel_lab.calibration.capture import load_capture_folder
         from taccel_lab.calibration.record.facts import QUICK_LEAVES_OUT
-        from taccel_lab.cli.console import print_json
+        from taccel_lab.cli.console import print_json, results
 
         if status.image is None or not (self.out / "captures.toml").is_file():
             ended = (
@@ -158,17 +154,15 @@ class _Session(CameraOptions):
                 }
             )
             return
-        console = Console()
-        console.print(
-            f"wrote {self.out}: {status.taken} of {status.wanted} presses", highlight=False
-        )
+        console = results()
+        console.print(f"wrote {self.out}: {status.taken} of {status.wanted} presses")
         for lamp in status.lamps:
             if lamp.state in ("warn", "bad"):
-                console.print(f"  {lamp.name}: {lamp.told}", highlight=False, markup=False)
+                console.print(f"  {lamp.name}: {lamp.told}")
         out = shlex.quote(str(self.out))
         if status.taken < status.wanted:
-            console.print("the same command goes on with it", highlight=False)
-        console.print(f"next: taccel-lab capture check {out}", highlight=False, markup=False)
+            console.print("the same command goes on with it")
+        console.print(f"next: taccel-lab capture check {out}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,17 +215,17 @@ class _Lines:
             new.append(message)
         self._said = status.messages
         for message in reversed(new):
-            self._console.print(message, highlight=False, markup=False)
+            self._console.print(message)
         bad = {lamp.name for lamp in status.lamps if lamp.state == "bad"}
         for lamp in status.lamps:
             if lamp.name in bad - self._bad and lamp.told != status.prompt:
                 words = f"{lamp.name}: {lamp.told}"
-                self._console.print(words, highlight=False, markup=False)
+                self._console.print(words)
         self._bad |= bad
         if status.prompt != self._prompt:
             self._prompt = status.prompt
             words = f"[{status.taken}/{status.wanted}] {status.prompt}"
-            self._console.print(words, highlight=False, markup=False)
+            self._console.print(words)
 
     def orders(self) -> list:
         return []
@@ -240,6 +234,6 @@ class _Lines:
 def _say_left_out(console: Console) -> None:
     from taccel_lab.calibration.record.facts import QUICK_LEAVES_OUT
 
-    console.print("A quick session leaves out:", highlight=False)
+    console.print("A quick session leaves out:")
     for line in QUICK_LEAVES_OUT:
-        console.print(f"- {line}", highlight=False, markup=False)
+        console.print(f"- {line}")

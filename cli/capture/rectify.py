@@ -39,12 +39,11 @@ class CaptureRectify:
         with console.status("rectifying the images"):
             remarks = rectify_captures(folder, maps, self.out)
         for remark in remarks:
-            console.print(f"note: {remark}", highlight=False)
+            console.print(f"note: {remark}")
         grid = maps.require_grid()
         console.print(
             f"wrote {self.out}: {grid.width_px}x{grid.height_px} px at {grid.mm_per_px_x:.5g} x "
             f"{grid.mm_per_px_y:.5g} mm/px",
-            highlight=False,
         )
         if self.json:
             print_json({"folder": str(self.out), **asdict(grid), "notes": remarks})

@@ -54,9 +54,9 @@ class CaptureReview:
         if self.json:
             print_json(review.figures())
         for remark in review.remarks:
-            console.print(str(remark), highlight=False)
-        console.print(f"verdict: {judge(review.remarks)}", highlight=False)
-        console.print(f"wrote {out / 'review.html'}", highlight=False)
+            console.print(str(remark))
+        console.print(f"verdict: {judge(review.remarks)}")
+        console.print(f"wrote {out / 'review.html'}")
         stopped = any(remark.severity == Severity.ERROR for remark in review.remarks)
         if stopped or review.found.refusals:
             raise SystemExit(1)
