@@ -130,7 +130,7 @@ def measure(count: int, suite: DatasetSpeed, motion: Motion) -> dict[str, Any]:
     wp.synchronize()
     simulated = time.perf_counter()
     data = PartData(
-        Part(0, 0, 0, tuple(range(count))),
+        Part(0, 0, 0, tuple(range(count)), count * (motion.step_count + 1)),
         channels,
         joined(records, channels),
         {},

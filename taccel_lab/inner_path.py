@@ -13,12 +13,14 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from taccel_lab.errors import InputError
 
 WHOLES = {
-    "profile.toml": "profile",
-    "dataset.json": "data set",
-    ".taccel_lab_study": "study",
+    "profile.toml": ("profile", b"\n[sensor]"),
+    "dataset.json": ("data set", b'"taccel-lab data set"'),
+    ".taccel_lab_study": ("study", b""),
 }
-"""Folders that no other output may lie in, as it would become a part of them: what they are, by the
-file that they are known by. They grow by their own commands alone."""
+"""Folders that no other output may lie in, as it would become a part of them, by the file that they
+are known by: what they are, and what that file says, since others name files like this too. They
+grow by their own commands alone."""
+_LOOKED_AT = 1 << 16
 
 
 def real_path(path: Path | str) -> Path:
@@ -38,11 +40,23 @@ def require_outside(target: Path | str) -> None:
     """Refuse an output inside a profile, a data set or a study: it would change what that
     folder means. The folder itself is its own commands' to go on with."""
     for folder in real_path(target).parents:
-        for sign, what in WHOLES.items():
-            if os.path.isfile(folder / sign):
+        for sign, (what, says) in WHOLES.items():
+            if _says(folder / sign, says):
                 raise InputError(
                     f"{target} lies inside the {what} {folder}; name a folder beside it"
                 )
+
+
+def _says(path: Path, words: bytes) -> bool:
+    """Whether a file is there and has these words near its beginning; as good as, where it may not
+    be read."""
+    if not os.path.isfile(path):
+        return False
+    try:
+        with open(path, "rb") as file:
+            return words in file.read(_LOOKED_AT)
+    except OSError:
+        return True
 
 
 def _require_possible(name: str) -> None:

@@ -10,11 +10,12 @@ import pytest
 
 from taccel_lab.cli.app import main
 from taccel_lab.datasets.folder import ABOUT
-from taccel_lab.inner_path import WHOLES
+from taccel_lab.errors import InputError
+from taccel_lab.inner_path import WHOLES, require_outside
 from taccel_lab.profile import save_profile
 from taccel_lab.profile.io import PROFILE_FILE
 from taccel_lab.studies.study_folder import STUDY_MARKER
-from tests.calibration.synthetic import synthetic_captures, write_captures
+from tests.calibration.synthetic import GRID, flat_profile, synthetic_captures, write_captures
 from tests.sensors.imported_profiles import imported
 
 STUDY = """
@@ -112,16 +113,26 @@ def test_nothing_is_written_into_another_product(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     (tmp_path / "product").mkdir()
-    (tmp_path / "product" / sign).write_text("{}")
+    what, says = WHOLES[sign]
+    (tmp_path / "product" / sign).write_bytes(says)
     (tmp_path / "link").symlink_to("product")
     words = COMMANDS[command].split()
     known = {**places, "OUT": str(tmp_path / "link" / "in" / "out"), "FREE": str(tmp_path / "free")}
     for name, value in known.items():
         words = [word.replace(name, value) for word in words]
     assert main(words) == 2
-    assert f"lies inside the {WHOLES[sign]}" in capsys.readouterr().err.replace("\n", " ")
+    assert f"lies inside the {what}" in capsys.readouterr().err.replace("\n", " ")
     assert [path.name for path in (tmp_path / "product").iterdir()] == [sign]
 
 
 def test_products_are_known_by_their_own_files() -> None:
     assert list(WHOLES) == [PROFILE_FILE, ABOUT, STUDY_MARKER]
+
+
+def test_a_saved_profile_is_known_and_files_of_others_with_its_name_are_not(tmp_path: Path) -> None:
+    save_profile(flat_profile(GRID), tmp_path / "profile")
+    with pytest.raises(InputError, match="lies inside the profile"):
+        require_outside(tmp_path / "profile" / "out")
+    for name, text in (("profile.toml", "[tool]\nx = 1\n"), ("dataset.json", '{"kind": "other"}')):
+        (tmp_path / name).write_text(text)
+        require_outside(tmp_path / "out")
