@@ -60,7 +60,7 @@ class Live(CameraOptions):
     def run(self) -> None:
         from taccel_lab.calibration.capture.camera import CameraLostError
         from taccel_lab.calibration.live.page import LivePage
-        from taccel_lab.calibration.live.reader import LiveReader
+        from taccel_lab.calibration.live.reader import LiveReader, require_readable
         from taccel_lab.calibration.live.run import run_live
         from taccel_lab.cli.console import notes
         from taccel_lab.profile import load_profile
@@ -73,6 +73,7 @@ class Live(CameraOptions):
         if not 0.1 <= self.pictures_hz <= 100:
             raise InputError(f"--pictures-hz is {self.pictures_hz:g}; 0.1 to 100 are allowed")
         profile = load_profile(self.profile)
+        require_readable(profile)
         framing, open_ = self.framing(), self.opener(self.paced)
         rest = profile.background_rgb if self.background == "profile" else None
         if self.background == "profile" and rest is None:

@@ -35,6 +35,7 @@ class View:
     def run(self) -> None:
         from taccel_lab.cli.console import notes
         from taccel_lab.model.devices import require_device
+        from taccel_lab.reading.seed import require_seed
         from taccel_lab.report.live_page import viser_module
         from taccel_lab.viewer.pages import serve_source
         from taccel_lab.viewer.sources import find_source
@@ -43,6 +44,7 @@ class View:
         quiet_warp()
         viser_module()
         require_device(self.device)
+        require_seed(self.seed)
         console = notes()
         serve_source(
             find_source(self.source),

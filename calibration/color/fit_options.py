@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from taccel_lab.calibration.color.options import ColorTraining
 from taccel_lab.errors import InputError
+from taccel_lab.reading.seed import require_seed
 from taccel_lab.signals.color_model import INPUT_NAMES
 from taccel_lab.signals.position_encoding import require_bands
 
@@ -41,6 +42,7 @@ class ColorFitOptions(ColorTraining):
             if not 0 < getattr(self, name) < 1e3:
                 raise InputError(f"{name} must be positive, got {getattr(self, name)}")
         require_bands("color model", self.position_bands)
+        require_seed(self.seed)
 
 
 SHORT_FIT = ColorFitOptions(

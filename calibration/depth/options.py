@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from taccel_lab.reading.seed import require_seed
+
 
 @dataclass(frozen=True, kw_only=True)
 class DepthOptions:
@@ -25,3 +27,6 @@ class DepthOptions:
     """Contact circles: those given, and found where none is given; or all of them found."""
     seed: int = 0
     """Seed of the resampling that gives the curve's uncertainty."""
+
+    def __post_init__(self) -> None:
+        require_seed(self.seed)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from taccel_lab.errors import InputError
+from taccel_lab.reading.seed import require_seed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,3 +43,4 @@ class ForceOptions:
             raise InputError(f"light must lie in 0..10, got {self.light}")
         if self.stiffness is not None and not 0 <= self.stiffness < 1:
             raise InputError(f"stiffness must lie in 0..1, got {self.stiffness}")
+        require_seed(self.seed)

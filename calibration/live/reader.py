@@ -62,6 +62,16 @@ class LiveReading:
     """Time that each stage took [s]."""
 
 
+def require_readable(profile: SensorProfile) -> None:
+    """InputError for a profile without any block that tells something of a frame."""
+    blocks = (profile.normals, profile.depth_response, profile.markers, profile.force)
+    if all(block is None for block in blocks):
+        raise InputError(
+            f"the profile of {profile.sensor.name} has no normals, depth_response, markers or "
+            "force block, so that nothing can be read from a frame; calibrate one first"
+        )
+
+
 class LiveReader:
     """Reads frames of one sensor, one after another."""
 
@@ -87,12 +97,8 @@ class LiveReader:
         """
         self.profile, self.force = profile, force
         self.background = background
+        require_readable(profile)
         has_depth = profile.normals is not None or profile.depth_response is not None
-        if not has_depth and profile.markers is None and force is None:
-            raise InputError(
-                f"the profile of {profile.sensor.name} has no normals, depth_response or markers "
-                "block, so that nothing can be read from a frame; calibrate one first"
-            )
         grid = profile.grid()
         if background.shape != (grid.height_px, grid.width_px, 3):
             raise InputError(

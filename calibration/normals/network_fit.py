@@ -42,6 +42,7 @@ from taccel_lab.calibration.training import (
 )
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
+from taccel_lab.reading.seed import require_seed
 from taccel_lab.signals.normal_model import (
     MAX_TILT_RAD,
     RAYLEIGH_MEAN,
@@ -63,6 +64,8 @@ STEEPEST_SLOPE = 6.0
 BETA = 0.5
 """How far large expected errors keep their weight in the loss; 0 is the likelihood itself, which
 gives up on what is hard, 1 least squares, which lets the hardest pixels rule."""
+MOST_PRACTICE = 10_000
+"""Practice presses; each takes half a second."""
 WARM_UP = 0.15
 """Share of the steps in which the learning rate rises."""
 
@@ -92,7 +95,10 @@ class InverseFitOptions(NormalTraining):
         for name in ("members", "steps", "batch_pixels"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not 0 <= self.practice <= MOST_PRACTICE:
+            raise InputError(f"practice must lie in 0..{MOST_PRACTICE}, got {self.practice}")
         require_bands("normal model", self.position_bands)
+        require_seed(self.seed)
         if not 0 < self.learning_rate < 1:
             raise InputError(f"learning_rate must lie in 0..1, got {self.learning_rate}")
 
