@@ -84,10 +84,6 @@ def first_repeated(names: Iterable[str]) -> str | None:
 def _require_text(value: Any, source: str, place: _Place) -> None:
     if not isinstance(value, str):
         raise InputError(f"{source}: {_path(place)}: the key {shown(value)} is no text")
-    if "\0" in value:
-        raise InputError(
-            f"{source}: {_path(place)}: {shown(value)} has a NUL in it, which no text may have"
-        )
     try:
         value.encode()
     except UnicodeEncodeError:
