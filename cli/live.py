@@ -73,11 +73,11 @@ class Live(CameraOptions):
         if not 0.1 <= self.pictures_hz <= 100:
             raise InputError(f"--pictures-hz is {self.pictures_hz:g}; 0.1 to 100 are allowed")
         profile = load_profile(self.profile)
-        require_readable(profile)
         framing, open_ = self.framing(), self.opener(self.paced)
         rest = profile.background_rgb if self.background == "profile" else None
         if self.background == "profile" and rest is None:
             raise InputError(f"{self.profile} has no background; leave --background profile away")
+        require_readable(profile)
         console = notes()
         say = partial(console.print)
 
