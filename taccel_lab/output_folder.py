@@ -160,8 +160,9 @@ def _files(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _write_marker(folder: Path) -> None:
-    digests = {name: _digest(path) for name, path in sorted(_files(folder))}
-    sizes = {name: path.stat().st_size for name, path in sorted(_files(folder)) if path.is_file()}
+    files = sorted(_files(folder))
+    digests = {name: _digest(path) for name, path in files}
+    sizes = {name: path.stat().st_size for name, path in files if path.is_file()}
     text = json.dumps({"files": digests, "bytes": sizes}, indent=1)
     (folder / OUTPUT_MARKER).write_text(text + "\n", encoding="utf-8")
 

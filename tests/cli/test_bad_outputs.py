@@ -63,6 +63,15 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     }
 
 
+def words_of(command: str, places: dict[str, str], out: Path | str, tmp_path: Path) -> list[str]:
+    """A command's words, with what it reads and where it writes."""
+    words = COMMANDS[command].split()
+    known = {**places, "OUT": str(out), "FREE": str(tmp_path / "free")}
+    for name, value in known.items():
+        words = [word.replace(name, value) for word in words]
+    return words
+
+
 @pytest.mark.parametrize("bad", ["/proc/x", "FILE", "FILE/inside"])
 @pytest.mark.parametrize("command", COMMANDS)
 def test_it_is_refused_before_any_work(
@@ -74,10 +83,7 @@ def test_it_is_refused_before_any_work(
 ) -> None:
     (tmp_path / "file").write_text("mine")
     out = bad.replace("FILE", str(tmp_path / "file"))
-    words = COMMANDS[command].split()
-    known = {**places, "OUT": out, "FREE": str(tmp_path / "free")}
-    for name, value in known.items():
-        words = [word.replace(name, value) for word in words]
+    words = words_of(command, places, out, tmp_path)
     started = time.process_time()
     assert main(words) == 2
     assert time.process_time() - started < 15
@@ -92,9 +98,7 @@ def test_a_link_to_itself_is_no_folder(
     command: str, places: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "loop").symlink_to("loop")
-    words = COMMANDS[command].split()
-    for name, value in {**places, "OUT": str(tmp_path / "loop")}.items():
-        words = [word.replace(name, value) for word in words]
+    words = words_of(command, places, tmp_path / "loop", tmp_path)
     assert main(words) == 2
     assert "a link that leads back to itself" in capsys.readouterr().err.replace("\n", " ")
 
@@ -116,10 +120,7 @@ def test_nothing_is_written_into_another_product(
     what, says = WHOLES[sign]
     (tmp_path / "product" / sign).write_bytes(says)
     (tmp_path / "link").symlink_to("product")
-    words = COMMANDS[command].split()
-    known = {**places, "OUT": str(tmp_path / "link" / "in" / "out"), "FREE": str(tmp_path / "free")}
-    for name, value in known.items():
-        words = [word.replace(name, value) for word in words]
+    words = words_of(command, places, tmp_path / "link" / "in" / "out", tmp_path)
     assert main(words) == 2
     assert f"lies inside the {what}" in capsys.readouterr().err.replace("\n", " ")
     assert [path.name for path in (tmp_path / "product").iterdir()] == [sign]
