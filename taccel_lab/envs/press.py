@@ -40,7 +40,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC, StepReport
-from taccel_lab.state import initial_state
+from taccel_lab.state import State, initial_state
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
@@ -281,6 +281,25 @@ class PressEnv:
         dhat = self.solver.config.dhat_m
         touching = (self.setback_m == dhat) & (depth_m > dhat) & ~resting
         self.setback_m = np.where(touching, FIRST_SETBACK * dhat, self.setback_m)
+        try:
+            return self._settle(depth_m, shear_m, twist_rad, resting, before, held_back)
+        except BaseException:
+            self.state.restore(before)
+            self.setback_m = held_back
+            raise
+
+    def _settle(
+        self,
+        depth_m: np.ndarray,
+        shear_m: np.ndarray,
+        twist_rad: np.ndarray | float,
+        resting: np.ndarray,
+        before: State,
+        held_back: np.ndarray,
+    ) -> StepReport:
+        """Step until the mean gap is what the indenter is held back by; back to ``before``, with
+        ``held_back``, where that fails. ``resting`` (bool, [env_count]) are left alone."""
+        stay = resting.copy()
         report: StepReport | None = None
         for left in reversed(range(SETBACK_ROUNDS)):
             target = self._poses(depth_m, shear_m, twist_rad)
@@ -295,13 +314,12 @@ class PressEnv:
                 break
             self.setback_m = np.where(resting, self.setback_m, gap)
         assert report is not None
-        moved = report.converged
-        lost = ~moved if stay is None else ~moved & ~stay
+        lost = ~report.converged & ~stay
         if lost.any():
             self.state.restore(before, lost)
             self.setback_m = np.where(lost, held_back, self.setback_m)
             self.solver.refresh_forces(self.state, lost)
-        self.depth_m = np.where(moved, depth_m, self.depth_m)
+        self.depth_m = np.where(report.converged, depth_m, self.depth_m)
         return report
 
     def failure(self, env: int, report: StepReport, depth_mm: np.ndarray | float) -> str:

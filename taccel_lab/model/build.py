@@ -25,6 +25,7 @@ from taccel_lab.model.layout import Layout
 from taccel_lab.model.matrix_pattern import block_gather, block_pattern
 from taccel_lab.model.model import AffineArrays, BodyKind, BodyRange, Model, RigidTarget
 from taccel_lab.model.surface import Put, surface_arrays, surface_trees
+from taccel_lab.model.turns import TURNS, in_turn
 
 MAX_CONTACT_COUPLES = 400
 """Surface nodes beside affine bodies up to which their contact has blocks in the matrix."""
@@ -198,6 +199,7 @@ def _contact_couples(scene: SceneDescription, layout: Layout, free_index: np.nda
     return np.concatenate(couples)
 
 
+@in_turn
 def build_model(
     scene: SceneDescription, device: str, contact_in_pattern: bool | None = None
 ) -> Model:
@@ -208,6 +210,7 @@ def build_model(
     sorting a list; the sweeps of the CPU take half as long again over all the zeros.
     """
     wp_device = wp.get_device(device)
+    TURNS.watch(wp_device)
     if contact_in_pattern is None:
         contact_in_pattern = wp_device.is_cuda
 

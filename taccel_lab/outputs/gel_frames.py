@@ -14,7 +14,7 @@ import warp as wp
 from taccel_lab.ipc.affine.orthogonality import affine_map
 from taccel_lab.ipc.svd import signed_svd_3x3
 from taccel_lab.model import Model
-from taccel_lab.state import State
+from taccel_lab.state import State, check_state
 
 wp.set_module_options({"enable_backward": False})
 
@@ -86,6 +86,7 @@ class GelFrames:
         """world_from_mesh of each soft body, transformd, shape [env_count, soft_count]; the
         identity for one without a mount."""
         model = self._model
+        check_state(state, model)
         shape = (model.env_count, len(self.columns))
         result = wp.empty(shape, dtype=wp.transformd, device=model.device)
         affine = model.affine

@@ -103,6 +103,7 @@ def read_sliding(solver: SolverIPC, state: State, into: Sliding | None = None) -
         raise InputError(
             "sliding needs friction: give the bodies of the scene a friction coefficient above 0"
         )
+    solver.require_latest(state)
     result = Sliding.empty(solver) if into is None else into
     result.slips.zero_()
     result.limits.zero_()

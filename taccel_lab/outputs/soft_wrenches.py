@@ -74,6 +74,7 @@ class SoftWrenchReader:
     def read(self, state: State, who: np.ndarray | None = None) -> wp.array:
         """Wrenches of the last step, which led to ``state``; see ``Outputs.soft_wrenches``."""
         solver, model = self._solver, self._solver.model
+        solver.require_latest(state)
         envs = self._everyone if who is None else chosen_envs(who, model.env_count, model.device)
         count = model.env_count if who is None else len(envs)
         poses = self._frames.read(state) if self._on_affine else state.poses

@@ -89,7 +89,7 @@ def lift_cube(scene: Scene, **options: object) -> tuple[SolverIPC, State]:
 @pytest.fixture(scope="module")
 def lifted() -> np.ndarray:
     solver, state = lift_cube(grasp())
-    assert solver.graphs.launches == 23
+    assert solver.graph.launches == 23
     x = state.positions.numpy()
     rise = x[:, solver.model.affine.first_control, 2]
     assert (rise > 1e-3).all(), "the cube is carried"
