@@ -103,8 +103,9 @@ class State:
     """All that the next step of the environments depends on, but for the model and what is asked of
     it: a copy is a checkpoint, which any solver of the model goes on from.
 
-    A step reads it when it begins and writes it when it is over; one that is interrupted leaves it
-    as it was. Who writes positions or poses into it says so by ``moved``.
+    A step reads it when it begins and writes it when it is over: whatever interrupts one, each
+    environment is where its step began or where it ended. Who writes positions or poses into it
+    says so by ``moved``.
     """
 
     positions: wp.array
@@ -138,6 +139,12 @@ class State:
         if self.joints is not None:
             found += self.joints.arrays()[1:]
         return found
+
+    def asked(self) -> list[wp.array]:
+        """What steps go by and leave as it is; that which there is."""
+        joints = None if self.joints is None else self.joints.targets
+        found = (joints, self.external_forces, self.wrenches)
+        return [array for array in found if array is not None]
 
     @in_turn
     def copy(self) -> State:

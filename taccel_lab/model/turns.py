@@ -38,6 +38,7 @@ class Turns:
         self._depth = 0
         self._threads: set[int] = set()
         self._devices: list[wp.Device] = []
+        self._streams: dict[tuple[str, int], wp.Stream] = {}
 
     def watch(self, device: wp.Device) -> None:
         """Keep the current stream of a device as it is within turns."""
@@ -105,7 +106,15 @@ class Turns:
             # Streams of Warp and torch's usual one, which is 0, wait for each other by themselves.
             if theirs.cuda_stream not in (0, device.stream.cuda_stream):
                 if not (device.stream.is_capturing or torch.cuda.is_current_stream_capturing()):
-                    wait(device.stream, wp.Stream(device, cuda_stream=theirs.cuda_stream))
+                    wait(device.stream, self._known(device, theirs.cuda_stream))
+
+    def _known(self, device: wp.Device, handle: int) -> wp.Stream:
+        """A stream of torch's, which has few and never destroys them. Warp must not make or drop
+        one while another thread does."""
+        key = (device.alias, handle)
+        if key not in self._streams:
+            self._streams[key] = wp.Stream(device, cuda_stream=handle)
+        return self._streams[key]
 
 
 TURNS = Turns()

@@ -71,23 +71,22 @@ class ReadySteps:
             separate = solver.find_separate(state)
             overlapping = who & ~separate
             who &= separate
-            solver.begin(state, beginning)
+            solver.begin(state)
             p.again.zero_()
             p.most_rounds.fill_(self.iterations)
-            report = solver.attempt_once(who | progress.again)
+            report = solver.attempt_once(who | progress.again, who, np.ones_like(who))
             p.most_rounds.fill_(NO_LIMIT)
             progress.underway |= who
             status = np.where(progress.underway, report.status, int(EnvStatus.SKIPPED))
             progress.again[:] = solver.prepare_again(status)
             status[progress.again] = EnvStatus.RUNNING
-            done = status == EnvStatus.CONVERGED
-            solver.finish(state, device_mask(done, count, solver.model.device))
             progress.underway &= status == EnvStatus.RUNNING
+            solver.end(state)
         status[overlapping] = EnvStatus.OVERLAP
         return replace(
             report,
             status=status,
-            substeps=done.astype(np.int64),
+            substeps=(status == EnvStatus.CONVERGED).astype(np.int64),
             seconds=time.perf_counter() - started,
         )
 

@@ -123,7 +123,7 @@ class SolverIPC(SolverParts):
             separate = self.find_separate(state)
             self.begin(state)
             self.progress.data.again.fill_(int(again))
-            report = self._attempt(separate & who, dt)
+            report = self._attempt(separate & who, dt, whole=True)
             overlapping = ~separate & who
             if overlapping.any():
                 status = np.where(overlapping, np.int32(EnvStatus.OVERLAP), report.status)
@@ -132,7 +132,9 @@ class SolverIPC(SolverParts):
                 report = self._in_halves(report, dt, 1)
             if not report.converged[who].all():
                 self._evaluate_forces(~report.converged & who)
-            self.finish(state)
+            if (report.substeps > 1).any():
+                self._write(report.converged)
+            self.end(state)
         return report.timed(time.perf_counter() - started)
 
     def reset(self, state: State, mask: Any, poses: Any = None) -> None:
@@ -165,8 +167,8 @@ class SolverIPC(SolverParts):
         with self.at_work():
             check_state(state, self.model)
             self.begin(state)
-            self._evaluate_forces(who)
-            self.finish(state)
+            self._evaluate_forces(checked_mask(who, self.model.env_count))
+            self.end(state)
 
     def require_latest(self, state: State) -> None:
         """Refuse to read forces of a state when the last step was one of another state.
@@ -223,42 +225,20 @@ class SolverIPC(SolverParts):
             part.renew()
         self.pairs.forget(mask)
         self.graph.clear()
-        self._who, self._dt, self._changes = None, math.nan, -1
+        self._masks.clear()
+        self._dt, self._changes = math.nan, -1
         self._torn = False
 
-    def begin(self, state: State, mask: wp.array | None = None) -> None:
-        """Work on ``state`` from now on, in the environments of ``mask`` (int32, [env_count]), in
-        all when None."""
+    def begin(self, state: State) -> None:
+        """Step ``state`` from now on."""
         self._torn = True
         self._latest = lambda: None
         state.complete(self.model)
-        mine, work = state.motion(), self.work.motion()
-        if state.joints is not None and self.work.joints is not None:
-            mine, work = [*mine, state.joints.targets], [*work, self.work.joints.targets]
-        for source, target in zip(mine, work, strict=True):
-            copy_rows(mask, source, target)
-        given = (state.external_forces, state.wrenches)
-        if any(array is not None for array in (*given, self.work.external_forces)):
-            loads = self.work.loads(self.model)
-            for source, target in zip(given, loads, strict=True):
-                copy_rows(mask, wp.zeros_like(target) if source is None else source, target)
+        if self.rows.point(state):
+            self.graph.clear()
 
-    def finish(self, state: State, mask: wp.array | None = None) -> None:
-        """Write what was worked on to ``state``, in the environments of ``mask`` (int32,
-        [env_count]), in all when None; it is there when this returns."""
-
-        def write() -> None:
-            for source, target in zip(self.work.motion(), state.motion(), strict=True):
-                copy_rows(mask, source, target)
-
-        try:
-            write()
-        except BaseException:
-            # Half of it would be no state at all.
-            write()
-            raise
-        if self.model.device.is_cuda:
-            wp.synchronize_stream(self.model.device)
+    def end(self, state: State) -> None:
+        """Nothing is left to do: contacts and forces are those of ``state``."""
         self._latest = ref(state)
         self._torn = False
 
@@ -336,18 +316,21 @@ class SolverIPC(SolverParts):
 
     # Parts of a step -----------------------------------------------------------------------------
 
-    def _attempt(self, who: np.ndarray, dt: float) -> StepReport:
-        """One undivided step of length dt in the environments ``who``, to ``end_poses``.
+    def _attempt(self, who: np.ndarray, dt: float, whole: bool = False) -> StepReport:
+        """One undivided step of length dt in the environments ``who``, to ``end_poses``: the
+        ``whole`` step, from the user's state to it, or a part, from and to ``work``.
 
         Where the lists of contacts are too short it is taken again when they have grown, and where
         BDF2 met an impact by implicit Euler.
         """
         report: StepReport | None = None
         self.set_dt(dt)
+        reads = who & whole
         while True:
-            part = self.attempt_once(who)
+            part = self.attempt_once(who, reads, np.full_like(who, whole))
             report = part if report is None else report.retaken(part, who)
             who = self.prepare_again(part.status)
+            reads = np.zeros_like(who)
             if not who.any():
                 return report
 
@@ -366,15 +349,18 @@ class SolverIPC(SolverParts):
             self.work.history.forget(impacts)
         return impacts | short
 
-    def attempt_once(self, who: np.ndarray) -> StepReport:
-        """One undivided step in the environments ``who``; lists may be too short."""
+    def attempt_once(self, who: np.ndarray, reads: np.ndarray, writes: np.ndarray) -> StepReport:
+        """One undivided step in the environments ``who``; lists may be too short. Those of
+        ``reads`` are read from the user's state first, those of ``writes`` written to it where they
+        converge; masks all, bool, [env_count]."""
         if self.work.external_forces is not None and self.load is None:
             self.load = ExternalLoad(self.model)
             self.share_energies()
             self.graph.clear()
-        if self._who is None or not np.array_equal(who, self._who):
-            self.progress.data.who.assign(who.astype(np.int32))
-            self._who = who.copy()
+        for name, mask in (("who", who), ("reads", reads), ("writes", writes)):
+            if name not in self._masks or not np.array_equal(mask, self._masks[name]):
+                getattr(self.progress.data, name).assign(mask.astype(np.int32))
+                self._masks[name] = mask.copy()
         self.graph.launch(self)
         block = self.progress.report.copy()
         TURNS.wait_for(self.model.device)
@@ -406,11 +392,20 @@ class SolverIPC(SolverParts):
         wp.copy(self.end_poses, end)
         return report
 
+    def _write(self, who: np.ndarray) -> None:
+        """Write ``work`` to the user's state where ``who`` (bool, [env_count]); wait for it, as the
+        stream may be another one later."""
+        mask = device_mask(who, len(who), self.model.device)
+        self.rows.write(mask, mask)
+        if self.model.device.is_cuda:
+            wp.synchronize_stream(self.model.device)
+
     def _evaluate_forces(self, who: np.ndarray) -> None:
-        """Forces where ``who`` (bool, [env_count]) was rolled back, put back or never stepped."""
+        """Forces of the user's state where ``who``, bool, [env_count]."""
         run, work = StepLaunches(self), self.work
         mask = run.p.active
         mask.assign(who.astype(np.int32))
+        self.rows.read(mask)
         self.displacements.zero_()
         dhat = self.config.dhat_m
         self.candidates.update(

@@ -24,6 +24,7 @@ from taccel_lab.ipc.trial import StraightNodes
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.env_progress import EnvProgressArrays, make_rules
+from taccel_lab.solvers.state_rows import StateRows
 from taccel_lab.state import State, StepHistory
 
 
@@ -98,6 +99,7 @@ class SolverParts:
         )
         """What a step works on: read from a user's state when the step begins, written to it when
         the step is over."""
+        self.rows = StateRows(model, self.work)
         self.gradient, self.trial, self.previous = nodal(), nodal(), nodal()
         self.displacements = nodal()
         self.origin = nodal()
@@ -118,8 +120,8 @@ class SolverParts:
         """Length of the step that each environment is in, or of its last one [s], float64."""
         self._dt = 0.0
         """The same where all have one; not a number where they differ."""
-        self._who: np.ndarray | None = None
-        """What ``progress.who`` holds; None where that is not known."""
+        self._masks: dict[str, np.ndarray] = {}
+        """What masks of ``progress`` hold that the host says; those that are known."""
         self.trial_poses = wp.zeros_like(self.work.poses)
         self.target_poses = wp.zeros_like(self.trial_poses)
         self.start_poses = wp.zeros_like(self.trial_poses)

@@ -3,11 +3,37 @@
 
 from __future__ import annotations
 
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
 import warp as wp
 
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.step import take_step
 from taccel_lab.solvers.step_launches import StepLaunches
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Ctrl-C and SIGTERM wait until this is over. A capture takes milliseconds, and one that an
+    exception leaves by half keeps the streams of the device busy for good."""
+    held: list[tuple[Any, ...]] = []
+    handlers: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            # Of no handler of Python's nothing is known; it does not raise either.
+            if callable(signal.getsignal(number)):
+                handlers[number] = signal.signal(number, lambda *caught: held.append(caught))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    for number, frame in held:
+        handlers[number](number, frame)
 
 
 class StepGraph:
@@ -37,7 +63,7 @@ class StepGraph:
             self._arrays = arrays
             return
         if self._graph is None:
-            with wp.ScopedCapture(solver.model.device) as capture:
+            with _undisturbed(), wp.ScopedCapture(solver.model.device) as capture:
                 take_step(StepLaunches(solver))
             self._graph = capture.graph
         assert self._graph is not None

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -72,7 +73,7 @@ def interrupted_at(count: int) -> Iterator[None]:
     def counted(*args: Any, **options: Any) -> Any:
         left[0] -= 1
         if left[0] == 0:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
         return launch(*args, **options)
 
     with pytest.MonkeyPatch.context() as patch:
