@@ -25,7 +25,7 @@ from taccel_lab.model.layout import Layout
 from taccel_lab.model.matrix_pattern import block_gather, block_pattern
 from taccel_lab.model.model import AffineArrays, BodyKind, BodyRange, Model, RigidTarget
 from taccel_lab.model.surface import Put, surface_arrays, surface_trees
-from taccel_lab.model.turns import TURNS, in_turn
+from taccel_lab.model.turns import TURNS
 
 MAX_CONTACT_COUPLES = 400
 """Surface nodes beside affine bodies up to which their contact has blocks in the matrix."""
@@ -199,7 +199,6 @@ def _contact_couples(scene: SceneDescription, layout: Layout, free_index: np.nda
     return np.concatenate(couples)
 
 
-@in_turn
 def build_model(
     scene: SceneDescription, device: str, contact_in_pattern: bool | None = None
 ) -> Model:

@@ -3,19 +3,19 @@
 
 Warp keeps the current stream of a device, and a capture that is under way, once for the process.
 A thread that launches while another one captures has its kernels recorded instead of run; one that
-switches streams takes the other's launches along. So what launches here does it ``in_turn``, and a
-step lets others have their turn while its device is at work. A program with one thread pays for
-taking a lock that nobody holds.
+switches streams takes the other's launches along. So what launches here does it ``in_turn``, a step
+lets others have their turn while its device is at work, and each thread has a current stream of its
+own, as in torch. A program with one thread pays for taking a lock that nobody holds.
 
-Kernels that a user launches from another thread need a turn as well: ``with TURNS: ...``.
+What a user makes or launches in another thread needs a turn as well: ``with TURNS: ...``.
 """
 
 from __future__ import annotations
 
 import sys
+import threading
 from collections.abc import Callable
-from functools import wraps
-from threading import RLock, get_ident
+from functools import cache, wraps
 from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
@@ -25,39 +25,64 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
+@cache
+def _with_streams_of_threads(kind: type) -> type:
+    """Warp's class of devices, with a current stream for each thread. Below it, where arrays are
+    made and dropped, Warp knows one: that of the thread whose turn it is."""
+
+    class DeviceOfThreads(kind):
+        @property
+        def stream(self) -> wp.Stream:
+            return getattr(_MINE, self.alias, None) or TURNS.default_streams[self.alias]
+
+        @stream.setter
+        def stream(self, stream: wp.Stream) -> None:
+            self.set_stream(stream)
+
+        def set_stream(self, stream: wp.Stream, sync: bool = True) -> None:
+            with TURNS.lock:
+                if sync and stream is not self.stream:
+                    stream.wait_stream(self.stream)
+                super().set_stream(stream, False)
+                setattr(_MINE, self.alias, stream)
+
+    return DeviceOfThreads
+
+
+_MINE = threading.local()
+"""Current streams of this thread, by alias of the device."""
+
+
 class Turns:
     """A lock that the thread which holds it may take again.
 
-    On a GPU the current stream stays the same within a turn. When it begins the stream waits for
-    torch's current one, and torch's for it when it ends. Once several threads have had turns, one
-    ends when its stream is through: a thread may find another stream to be current afterwards.
+    On a GPU, the stream waits for torch's current one when a turn begins, and torch's for it when
+    it ends. Once several threads have had turns, one ends when its stream is through, as what it
+    drops may be taken by the next one.
     """
 
     def __init__(self) -> None:
-        self._lock = RLock()
+        self.lock = threading.RLock()
+        self.default_streams: dict[str, wp.Stream] = {}
+        """Of the devices that are watched, by alias."""
         self._depth = 0
         self._threads: set[int] = set()
         self._devices: list[wp.Device] = []
-        self._streams: dict[tuple[str, int], wp.Stream] = {}
+        self._of_torch: dict[tuple[str, int], wp.Stream] = {}
 
     def watch(self, device: wp.Device) -> None:
-        """Keep the current stream of a device as it is within turns."""
+        """Give each thread a current stream of a device."""
         if device.is_cuda and device not in self._devices:
-            set_stream = device.set_stream
-
-            @wraps(set_stream)
-            def in_turn_only(stream: wp.Stream, sync: bool = True) -> None:
-                with self._lock:
-                    set_stream(stream, sync)
-
-            device.set_stream = in_turn_only
+            self.default_streams[device.alias] = device.stream
+            device.__class__ = _with_streams_of_threads(type(device))
             self._devices.append(device)
 
     def __enter__(self) -> Turns:
-        self._lock.acquire()
+        self.lock.acquire()
         self._depth += 1
         if self._depth == 1:
-            self._threads.add(get_ident())
+            self._threads.add(threading.get_ident())
+            self._make_current()
             self._meet_torch(lambda ours, theirs: ours.wait_stream(theirs))
         return self
 
@@ -76,25 +101,28 @@ class Turns:
                             wp.synchronize_stream(device.stream)
         finally:
             self._depth -= 1
-            self._lock.release()
+            self.lock.release()
 
     def wait_for(self, device: wp.Device) -> None:
-        """Wait until the current stream of ``device`` is through; others have their turn until
-        then. Afterwards the stream is current again."""
-        if not device.is_cuda:
+        """Wait until the current stream of ``device`` is through; others have their turn."""
+        if not device.is_cuda or len(self._threads) == 1:
             return
-        depth, stream = self._depth, device.stream
-        self._depth = 0
+        depth, self._depth = self._depth, 0
         for _ in range(depth):
-            self._lock.release()
+            self.lock.release()
         try:
-            wp.synchronize_stream(stream)
+            wp.synchronize_stream(device.stream)
         finally:
             for _ in range(depth):
-                self._lock.acquire()
+                self.lock.acquire()
             self._depth = depth
-            if device.stream is not stream:
-                device.set_stream(stream, False)
+            self._make_current()
+
+    def _make_current(self) -> None:
+        """Below Warp's devices, too."""
+        if len(self._threads) > 1:
+            for device in self._devices:
+                device.set_stream(device.stream, False)
 
     def _meet_torch(self, wait: Callable[[wp.Stream, wp.Stream], None]) -> None:
         """Have one of two streams wait for the other where torch's current one is another one."""
@@ -112,9 +140,9 @@ class Turns:
         """A stream of torch's, which has few and never destroys them. Warp must not make or drop
         one while another thread does."""
         key = (device.alias, handle)
-        if key not in self._streams:
-            self._streams[key] = wp.Stream(device, cuda_stream=handle)
-        return self._streams[key]
+        if key not in self._of_torch:
+            self._of_torch[key] = wp.Stream(device, cuda_stream=handle)
+        return self._of_torch[key]
 
 
 TURNS = Turns()

@@ -35,6 +35,7 @@ class Outputs:
     they are refused. Arrays that were handed out keep their values at the next update.
     """
 
+    @in_turn
     def __init__(self, solver: SolverIPC) -> None:
         self._solver = solver
         self._model = solver.model

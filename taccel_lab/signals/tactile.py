@@ -66,6 +66,7 @@ class SignalTactile:
     ``wp.to_torch(signal.rgb)`` shares their memory.
     """
 
+    @in_turn
     def __init__(
         self,
         mesh: TetMesh | QuadraticMesh,

@@ -27,7 +27,7 @@ from taccel_lab.model import Model
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import checked_mask, copy_rows, device_mask, given_array
 from taccel_lab.model.kinematics import place_at_start, place_poses_between
-from taccel_lab.model.turns import TURNS
+from taccel_lab.model.turns import TURNS, in_turn
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.control import Control
 from taccel_lab.solvers.env_progress import NO_LIMIT
@@ -64,6 +64,7 @@ class SolverIPC(SolverParts):
     of forces, and the pairs near each other that it found, which are checked before they are used.
     """
 
+    @in_turn
     def __init__(self, model: Model, config: SolverConfig | None = None) -> None:
         super().__init__(model, config)
         self.graph = StepGraph()
