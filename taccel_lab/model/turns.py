@@ -25,32 +25,29 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-@cache
-def _with_streams_of_threads(kind: type) -> type:
-    """Warp's class of devices, with a current stream for each thread. Below it, where arrays are
-    made and dropped, Warp knows one: that of the thread whose turn it is."""
-
-    class DeviceOfThreads(kind):
-        @property
-        def stream(self) -> wp.Stream:
-            return getattr(_MINE, self.alias, None) or TURNS.default_streams[self.alias]
-
-        @stream.setter
-        def stream(self, stream: wp.Stream) -> None:
-            self.set_stream(stream)
-
-        def set_stream(self, stream: wp.Stream, sync: bool = True) -> None:
-            with TURNS.lock:
-                if sync and stream is not self.stream:
-                    stream.wait_stream(self.stream)
-                super().set_stream(stream, False)
-                setattr(_MINE, self.alias, stream)
-
-    return DeviceOfThreads
-
-
 _MINE = threading.local()
 """Current streams of this thread, by alias of the device."""
+
+
+@cache
+def _give_threads_streams(kind: Any) -> None:
+    """Make the current stream of Warp's class of devices that of the thread. Below it, where arrays
+    are made and dropped, Warp knows one: that of the thread whose turn it is."""
+    of_warp, set_of_warp = kind.stream.fget, kind.set_stream
+
+    def stream(self: wp.Device) -> wp.Stream:
+        usual = TURNS.default_streams.get(self.alias)
+        return getattr(_MINE, self.alias, usual) or of_warp(self)
+
+    @wraps(set_of_warp)
+    def set_stream(self: wp.Device, stream: wp.Stream, sync: bool = True) -> None:
+        with TURNS.lock:
+            if sync and stream is not self.stream:
+                stream.wait_stream(self.stream)
+            set_of_warp(self, stream, False)
+            setattr(_MINE, self.alias, stream)
+
+    kind.stream, kind.set_stream = property(stream, set_stream), set_stream
 
 
 class Turns:
@@ -74,7 +71,7 @@ class Turns:
         """Give each thread a current stream of a device."""
         if device.is_cuda and device not in self._devices:
             self.default_streams[device.alias] = device.stream
-            device.__class__ = _with_streams_of_threads(type(device))
+            _give_threads_streams(type(device))
             self._devices.append(device)
 
     def __enter__(self) -> Turns:
