@@ -68,6 +68,8 @@ class SolverIPC(SolverParts):
     def __init__(self, model: Model, config: SolverConfig | None = None) -> None:
         super().__init__(model, config)
         self.graph = StepGraph()
+        self._everyone = np.ones(model.env_count, dtype=bool)
+        self._nobody = np.zeros(model.env_count, dtype=bool)
         self._start: State | None = None
         """Where environments are put back to; made by the first reset."""
         self._overlaps: OverlapSearch | None = None
@@ -117,14 +119,15 @@ class SolverIPC(SolverParts):
                 raise InputError("some environments are in a step of their own: see ReadySteps")
             if again:
                 self._require_again(state)
-            everyone = np.ones(self.model.env_count, dtype=bool)
-            who = everyone if who is None else checked_mask(who, self.model.env_count)
+            who = self._everyone if who is None else checked_mask(who, self.model.env_count)
             dt = self.take(control, state)
             self.follow_parameters()
             separate = self.find_separate(state)
             self.begin(state)
             self.progress.data.again.fill_(int(again))
-            report = self._attempt(separate & who, dt, whole=True)
+            # The same array as in the step before where all go on: nothing to compare.
+            able = separate if who is self._everyone else separate & who
+            report = self._attempt(able, dt, whole=True)
             overlapping = ~separate & who
             if overlapping.any():
                 status = np.where(overlapping, np.int32(EnvStatus.OVERLAP), report.status)
@@ -218,9 +221,8 @@ class SolverIPC(SolverParts):
         """Forget what a step that was interrupted has left: steps underway, pairs, rooms."""
         if not self._torn:
             return
-        everyone = np.ones(self.model.env_count, dtype=bool)
-        mask = device_mask(everyone, len(everyone), self.model.device)
-        self.progress.drop(everyone, mask)
+        mask = device_mask(self._everyone, self.model.env_count, self.model.device)
+        self.progress.drop(self._everyone, mask)
         self.progress.data.most_rounds.fill_(NO_LIMIT)
         for part in self.lists:
             part.renew()
@@ -260,7 +262,7 @@ class SolverIPC(SolverParts):
         """Environments whose bodies did not overlap when they were searched, bool, [env_count];
         those that were not looked at yet are."""
         if not self.config.check_start:
-            return np.ones(self.model.env_count, dtype=bool)
+            return self._everyone
         state.complete(self.model)
         separate = state.separate
         if separate is None or not separate.all():
@@ -326,12 +328,12 @@ class SolverIPC(SolverParts):
         """
         report: StepReport | None = None
         self.set_dt(dt)
-        reads = who & whole
+        reads, writes = (who, self._everyone) if whole else (self._nobody, self._nobody)
         while True:
-            part = self.attempt_once(who, reads, np.full_like(who, whole))
+            part = self.attempt_once(who, reads, writes)
             report = part if report is None else report.retaken(part, who)
             who = self.prepare_again(part.status)
-            reads = np.zeros_like(who)
+            reads = self._nobody
             if not who.any():
                 return report
 
@@ -359,9 +361,10 @@ class SolverIPC(SolverParts):
             self.share_energies()
             self.graph.clear()
         for name, mask in (("who", who), ("reads", reads), ("writes", writes)):
-            if name not in self._masks or not np.array_equal(mask, self._masks[name]):
+            known = self._masks.get(name)
+            if known is not mask and (known is None or not np.array_equal(mask, known)):
                 getattr(self.progress.data, name).assign(mask.astype(np.int32))
-                self._masks[name] = mask.copy()
+                self._masks[name] = mask
         self.graph.launch(self)
         block = self.progress.report.copy()
         TURNS.wait_for(self.model.device)
