@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -177,6 +178,11 @@ def test_states_of_other_models_are_refused() -> None:
     for use in uses:
         with pytest.raises(InputError, match=r"nodes|have shape"):
             use()
+
+
+def test_a_state_is_not_pickled() -> None:
+    with pytest.raises(InputError, match="cannot be pickled"):
+        pickle.dumps(make(True)[1])
 
 
 def test_forces_of_another_state_are_refused() -> None:
