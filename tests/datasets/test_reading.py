@@ -24,7 +24,7 @@ from taccel_lab.datasets.torch_dataset import TouchDataset
 from taccel_lab.errors import InputError
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
 from tests.datasets.small import SIZE, make
-from tests.strangers import Payload
+from tests.strangers import Payload, lure
 
 
 def test_labels_agree_with_one_another(made: Path) -> None:
@@ -415,3 +415,16 @@ def test_a_channel_is_an_array_of_its_part(arrays: Path, name: str) -> None:
     about.write_text(json.dumps(document))
     with pytest.raises(InputError, match="is damaged"):
         Dataset(arrays.parents[2]).read(name, [0])
+
+
+@pytest.mark.timeout(60)
+def test_tables_are_files_of_a_bounded_size(
+    arrays: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A column of equal values takes a few bytes for any number of rows."""
+    monkeypatch.setattr("taccel_lab.datasets.folder.MAX_TABLE_VALUES", 10)
+    with pytest.raises(InputError, match=r"says that it has 2 rows; 10 values are allowed"):
+        _ = Dataset(arrays.parents[2]).episodes
+    lure(arrays.parent / "episodes.parquet", "pipe", tmp_path / "outside")
+    with pytest.raises(InputError, match="no regular file"):
+        _ = Dataset(arrays.parents[2]).episodes

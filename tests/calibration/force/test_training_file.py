@@ -129,7 +129,7 @@ def test_nothing_that_a_file_holds_is_run(tmp_path: Path, content: str) -> None:
     said: list[str] = []
     state = {"key": "k", "step": Payload(place), "seconds": 0.0}
     if content == "pickle":
-        path.write_bytes(pickle.dumps(state))
+        path.write_bytes(pickle.dumps(state, protocol=2))
     elif content == "pipe":
         os.mkfifo(path)
     else:
