@@ -206,6 +206,7 @@ class SolverGel(newton.solvers.SolverBase):
         ):
             array.assign(value)
             embed_vertices(self.gel_model, array)
+        self.gel_state.moved(who)
         if self._written is not None:
             for now, before in zip(found, self._written, strict=True):
                 before[who] = now[who]
