@@ -19,7 +19,7 @@ from typing import Any
 from taccel_lab.calibration.base_profile import base_profile, with_measured_scale
 from taccel_lab.calibration.blocks import BLOCKS, CalibrationBlock
 from taccel_lab.calibration.camera.rectification import RectificationMaps
-from taccel_lab.calibration.camera.rectify_captures import rectify_captures
+from taccel_lab.calibration.camera.rectify_captures import LEFT_OUT, rectify_captures
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.check.block_findings import capture_check
@@ -171,14 +171,19 @@ def calibrate(
         if block.name not in _MEASURE_SCALE:
             folder = with_measured_scale(folder, profile)
         outcome, result, profile = _fit(block, folder, profile, options, progress)
+        if rectified is not None:  # In a folder that goes: the user knows what it was made of.
+            known = outcome.message.replace(str(folder.root), str(raw.root))
+            outcome = replace(outcome, message=known)
         outcomes.append(outcome)
         if result is not None and block.name == "camera" and on_gel:
             maps = result.maps()
             if raw.background is not None:
                 rectified = TemporaryDirectory(prefix="taccel_lab_")
                 place = Path(rectified.name) / "captures"
-                notes = tuple(rectify_captures(raw, maps, place))
-                folder = load_capture_folder(place)
+                left_out = rectify_captures(raw, maps, place)
+                # Boards have done all they can: the maps are of them.
+                notes = tuple(note for note in left_out if note != LEFT_OUT.format("boards"))
+                folder = replace(load_capture_folder(place), source=raw.source)
     if not any(outcome.state is State.DONE for outcome in outcomes):
         lines = "\n".join(f"  {o.name}: {o.message}" for o in outcomes)
         raise InputError(f"{raw.source}: nothing could be calibrated\n{lines}")

@@ -22,6 +22,7 @@ from typing import Any
 
 from taccel_lab.calibration.result import Remark, Severity
 
+_LAST_STOP = re.compile(r"(?<!\.)\.$")
 _FIELD = re.compile(r"\{(\w+)[^}]*\}")
 
 
@@ -53,13 +54,18 @@ class RemarkKind:
             frames: Names of the images it is about.
             blocks: Blocks it concerns, where these depend on the captures.
             grave: Take the graver severity.
-            figures: By the names of the sentence.
+            figures: By the names of the sentence; sentences among them without their last stop,
+                which the sentence has where another one follows.
         """
+        figures = {
+            name: _LAST_STOP.sub("", value) if isinstance(value, str) else value
+            for name, value in figures.items()
+        }
         severity = self.graver if grave and self.graver is not None else self.severity
         return Remark(
             severity,
             self.code,
-            self.text.format(**figures),
+            self.text.format(**figures).strip(),
             tuple(frames),
             self.blocks if blocks is None else tuple(blocks),
         )

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from rich.console import Console
+    from rich.status import Status
 
 _told = {"quiet": False}
 _results: list[IO[str]] = []
@@ -51,9 +52,21 @@ def print_json(value: Any) -> None:
     out.flush()
 
 
+def working(console: Console, words: str) -> Status:
+    """Words beside a turning sign while the block runs, on a terminal alone; brackets are no
+    markup there either, as rich would have it."""
+    from rich.text import Text
+
+    return console.status(Text(words))
+
+
 def say_first_look(console: Console, picture: Path) -> None:
-    """Tell where a picture lies that can be looked at while the command goes on."""
-    console.print(f"first look: {picture}", soft_wrap=True)
+    """Tell where a picture lies that can be looked at while the command goes on, and after it: a
+    copy in the cache folder, as a folder that is being written has a hidden name, which goes."""
+    from taccel_lab.file_cache import keep_file
+
+    if not console.quiet:
+        console.print(f"first look: {keep_file('first_look', picture)}", soft_wrap=True)
 
 
 @contextmanager

@@ -60,7 +60,7 @@ class DatasetMake:
     """Print images a second and what else was measured as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.cli.console import notes
+        from taccel_lab.cli.console import notes, working
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.datasets.plan import Plan
         from taccel_lab.datasets.spec import load_spec
@@ -79,7 +79,7 @@ class DatasetMake:
         require_device(self.device)
         if self.write and not self.check_only:
             _require_zarr()
-        with console.status("reading sensors and objects"):
+        with working(console, "reading sensors and objects"):
             with naming(self.spec):
                 plan = Plan(load_spec(self.spec), real_path(self.spec).parent)
         if plan.spec.dataset.episodes >= LONG_DRAW:

@@ -50,7 +50,7 @@ class Export:
     """Print export.json instead of a summary."""
 
     def run(self) -> None:
-        from taccel_lab.cli.console import notes, print_json, results
+        from taccel_lab.cli.console import notes, print_json, results, working
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
         from taccel_lab.warp_output import quiet_warp
@@ -61,7 +61,7 @@ class Export:
         from taccel_lab.interop.export import export_profile
 
         quiet_warp()
-        with notes().status(f"exporting {profile.sensor.name} to {self.to}"):
+        with working(notes(), f"exporting {profile.sensor.name} to {self.to}"):
             document = export_profile(profile, self.to, self.out, table=self.table)
         if self.json:
             print_json(document)

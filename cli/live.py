@@ -79,7 +79,7 @@ class Live(CameraOptions):
             raise InputError(f"{self.profile} has no background; leave --background profile away")
         require_readable(profile)
         console = notes()
-        say = partial(console.print)
+        say = partial(console.print, soft_wrap=True)
 
         def make_reader(background: np.ndarray) -> LiveReader:
             force = None if profile.force is None else _forces(profile, background)

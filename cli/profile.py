@@ -141,14 +141,14 @@ class ProfileReport:
 
         from taccel_lab.calibration.report import write_page
         from taccel_lab.calibration.report.profile_page import profile_page
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import notes, print_json, working
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
 
         require_replaceable(self.out)
         page = profile_page(load_profile(self.profile))
         console = notes()
-        with console.status("drawing the pictures"):
+        with working(console, "drawing the pictures"):
             write_page(page, self.out)
         if self.json:
             print_json(loads((self.out / "report.json").read_text("utf-8")))

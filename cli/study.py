@@ -108,7 +108,7 @@ class Study:
         )
 
     def _run(self, file: Path) -> None:
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import notes, print_json, working
         from taccel_lab.studies.report import write_study_report
         from taccel_lab.studies.runner import read_outcome
         from taccel_lab.studies.study import default_kit, read_study
@@ -133,7 +133,7 @@ class Study:
                     print_json({"designs": len(outcome.rows), "new": outcome.new})
                 outcome.require_whole()
                 return
-            with console.status("writing the report"):
+            with working(console, "writing the report"):
                 values = write_study_report(outcome)
         except KeyboardInterrupt:
             console.print(

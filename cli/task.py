@@ -122,7 +122,7 @@ class TaskRecord:
     """Print what became of the seed as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import notes, print_json, working
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.output import write_json
         from taccel_lab.output_folder import atomic_directory
@@ -136,7 +136,7 @@ class TaskRecord:
         with atomic_directory(self.output) as folder:
             with stage_progress(console) as progress:
                 film, trial = film_seed(task, self.seed, self.device, progress)
-            with console.status("writing the film"):
+            with working(console, "writing the film"):
                 write_film_files(film, folder)
                 if self.states:
                     write_replay(film, folder)

@@ -75,18 +75,10 @@ class CachedFile(Generic[Result]):
         Raises:
             InputError: The cache folder cannot be written.
         """
-        path = self.path
         content = io.BytesIO()
         self.save(content, result)
         data = content.getvalue()
-        try:
-            with atomic_file(path) as staging:
-                staging.write_bytes(_HEAD + hashlib.sha256(data).digest() + data)
-        except OSError as error:
-            raise InputError(
-                f"cannot write the cache of {self.what} {path.parent} ({error.strerror}); set "
-                f"{CACHE_VARIABLE} to a folder that can be written"
-            ) from error
+        _write(self.what, self.path, _HEAD + hashlib.sha256(data).digest() + data)
 
     def read_or_make(self, make: Callable[[], Result]) -> Result:
         """What is kept, or else ``make()``, which is then kept."""
@@ -95,6 +87,28 @@ class CachedFile(Generic[Result]):
             found = make()
             self.write(found)
         return found
+
+
+def keep_file(what: str, path: Path) -> Path:
+    """A copy of a file, by its name in the cache's folder ``what``, in place of an earlier one.
+
+    Raises:
+        InputError: The cache folder cannot be written.
+    """
+    kept = cache_folder() / what / path.name
+    _write(what, kept, path.read_bytes())
+    return kept
+
+
+def _write(what: str, path: Path, data: bytes) -> None:
+    try:
+        with atomic_file(path) as staging:
+            staging.write_bytes(data)
+    except OSError as error:
+        raise InputError(
+            f"cannot write the cache of {what} {path.parent} ({error.strerror}); set "
+            f"{CACHE_VARIABLE} to a folder that can be written"
+        ) from error
 
 
 def _checked(data: bytes) -> bytes:

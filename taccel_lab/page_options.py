@@ -11,7 +11,8 @@ class PageOptions:
     """Where a page is served and how it looks."""
 
     host: str = "127.0.0.1"
-    """Address to listen at; 0.0.0.0 lets other machines in, who may then do what the page can."""
+    """Address to listen at; 0.0.0.0 lets other machines in: whoever has the address that is printed
+    may do what the page can. A name of this machine: the page opens by that name, too."""
     port: int = 8080
     """TCP port; 0 takes any that is free."""
     browser: bool = True

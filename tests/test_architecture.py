@@ -204,3 +204,19 @@ def test_text_formats_are_read_in_one_place() -> None:
                 and node.value.id in TEXT_FORMATS
             ):
                 assert OWN_FILES.get(name) == node.value.id, f"{name} parses {node.value.id}"
+
+
+SERVING, WRITING = "taccel_lab/report/live_page.py", "taccel_lab/report/page_text.py"
+PAGE_WORDS = {
+    r"ViserServer\(": SERVING,
+    r"\bhttp\.server\b|\bsocketserver\b|\.listen\(|\b(create|start)_server\(|aiohttp": None,
+    r"\badd_markdown\(|\badd_html\(|\bimport html\b": WRITING,
+}
+
+
+def test_pages_are_served_and_written_in_one_place() -> None:
+    """Behind the guard of pages; what they show is escaped there."""
+    for path in SOURCES:
+        text, name = path.read_text(encoding="utf-8"), name_of(path)
+        for word, place in PAGE_WORDS.items():
+            assert not re.search(word, text) or name == place, f"{name}: {word} is for {place}"

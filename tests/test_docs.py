@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from taccel_lab.cli.app import parse
+from taccel_lab.cli.app import main, parse
+from tests.cli.test_press import FILES, IMAGES, PREDICTED
+from tests.sensors.test_template import template  # noqa: F401
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -40,13 +42,20 @@ def named(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
+def installed(page: Path) -> list[str]:
+    """Packages of our examples that a page installs."""
+    return re.findall(r"cp -r docs/examples/(\w+)", page.read_text(encoding="utf-8"))
+
+
 WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]
 
 
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=named)
-def test_python_runs(page: Path) -> None:
+def test_python_runs(page: Path, request: pytest.FixtureRequest) -> None:
     if page.name == "newton.md":
         pytest.importorskip("newton", reason="newton is not installed")
+    if installed(page):
+        request.getfixturevalue("template")
     names: dict[str, object] = {"__name__": page.name}
     for block in blocks(page, "python"):
         code = compile(block, page.name, "exec")
@@ -82,3 +91,64 @@ def test_commands_are_there(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
         parse(words)
     except SystemExit as left:  # --help and --version
         assert left.code in (0, None), f"{line}: exit code {left.code}"
+
+
+INSTALLING = [page for page in PAGES if page.parent.name == "tutorials" and installed(page)]
+
+
+@pytest.mark.parametrize("page", INSTALLING, ids=named)
+def test_tutorials_show_the_sensor_that_they_install(page: Path) -> None:
+    (name,) = installed(page)
+    text = page.read_text(encoding="utf-8")
+    shown = re.findall(r"taccel-lab (?:sensors show|design|preview|press) (\w+)", text)
+    shown += re.findall(r"sensor_family\(\"(\w+)\"\)", text)
+    assert shown and set(shown) == {name}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("template")
+@pytest.mark.parametrize("page", INSTALLING, ids=named)
+def test_commands_of_tutorials_that_install_run(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for line in commands(page):
+        assert main(shlex.split(line, comments=True)[1:]) == 0, line
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        f"{installed(page)[0]}{ending}" for ending in ("", ".png", "_preview")
+    ]
+
+
+WRITTEN = {
+    "capture record": {"captures.toml", "background.png", "press_000.png"},
+    "depth": {f"press_000.{ending}" for ending in ("json", "npz", "png")},
+    "design": {"profile"},
+    "import-step": {"profile"},
+    "study": {"report.html"},
+}
+"""Files of a command that pages name; those of a press go with its profile."""
+
+
+def outputs(page: Path) -> dict[str, set[str]]:
+    """Files that the commands of a page write, by the folder that they are given."""
+    found: dict[str, set[str]] = {}
+    calibrated: set[str] = set()
+    for line in commands(page):
+        words = shlex.split(line, comments=True)[1:]
+        if "--out" not in words:
+            continue
+        out = words[words.index("--out") + 1]
+        if words[0] == "calibrate":
+            calibrated.add(out)
+        command = " ".join(words[:2]) if words[0] in ("capture", "calibrate") else words[0]
+        of_press = FILES | (IMAGES if set(words) & calibrated else PREDICTED)
+        found[out] = of_press if command == "press" else WRITTEN.get(command, set())
+    return found
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=named)
+def test_files_that_pages_name_are_written(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for out, files in outputs(page).items():
+        named_here = re.findall(rf"(?<![\w/.-]){re.escape(out)}/([\w.-]*\w)", text)
+        assert set(named_here) <= files, f"no command of {page.name} writes these into {out}"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.report.page_text import PageText, add_note
 from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.dataset_touches import read_touch
 from taccel_lab.viewer.gel_view import GelView
@@ -54,14 +55,15 @@ class DatasetPage:
         self._data, self._lock = data, threading.Lock()
         gui = server.gui
         rows = data.episodes
-        gui.add_markdown(f"**{data.about[0]['name']}**: {len(rows)} touches, {len(data)} steps")
+        about = PageText("**{}**: {} touches, {} steps")
+        add_note(gui, about.format(data.about[0]["name"], len(rows), len(data)))
         with gui.add_folder("Touch"):
             self._filters = {
                 name: gui.add_dropdown(name, [ANY, *sorted({str(row[name]) for row in rows})])
                 for name in ("sensor", "object", "motion", "status")
             }
             self._touch = gui.add_slider("touch", 0, 1, 1, 0)
-            self._what = gui.add_markdown("")
+            self._what = add_note(gui)
         self._chosen: list[int] = []
         first = next(place for place, row in enumerate(rows) if row["rows"] > 0)
         states = read_touch(data, first)
@@ -97,16 +99,16 @@ class DatasetPage:
             number = min(int(self._touch.value), len(self._chosen) - 1)
             place = self._chosen[number]
             row = self._data.episodes[place]
-            self._what.content = (
-                f"{number + 1} of {len(self._chosen)}: **{row['object']}**, {row['motion']}, "
-                f"to {row['depth_mm']:.2f} mm, {row['split']}, {row['status']}"
-                + (f" ({row['cause']})" if row["cause"] else "")
-            )
+            place_text = f"{number + 1} of {len(self._chosen)}"
+            cause = f" ({row['cause']})" if row["cause"] else ""
+            self._what.content = PageText(
+                "{place}: **{object}**, {motion}, to {depth_mm:.2f} mm, {split}, {status}{cause}"
+            ).format_map({**row, "place": place_text, "cause": cause})
             rows = self._data.rows_of(place)
             try:
                 states = read_touch(self._data, place)
             except InputError as error:
-                self._what.content += f"\n\nIt cannot be shown: {error}"
+                self._what.content += PageText("\n\nIt cannot be shown: {}").format(error)
                 return
             deepest = int(np.argmax(self._data.steps["press_force_z_n"][rows]))
             self.view.show_states(states, deepest)

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import html
 import math
 import re
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.cad.parameters import Parameter
+from taccel_lab.report.page_text import Note, PageText, add_html_note
 from taccel_lab.viewer.arrows import round_length
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class DesignControls:
         self._known = family.parameters_type.parameters()
         self._handles: dict[str, Any] = {}
         self._initial: dict[str, Any] = {}
-        self._notes: dict[str, Any] = {}
+        self._notes: dict[str, Note] = {}
         self._silent = False
         self._changed = changed
         groups: dict[str, list[Parameter]] = {}
@@ -79,10 +79,9 @@ class DesignControls:
         """Show a refusal at the parameters that it names, or at the one that was moved last."""
         named = [name for name in self._known if re.search(rf"\b{name}\b", sentence)]
         for name in named or [moved] * bool(moved):
-            self._notes[name].content = (
-                '<div style="color:#d55e00;font-size:0.8em;padding:0 1em 0.4em">'
-                f"{html.escape(sentence)}</div>"
-            )
+            self._notes[name].content = PageText(
+                '<div style="color:#d55e00;font-size:0.8em;padding:0 1em 0.4em">{}</div>'
+            ).format(sentence)
             self._notes[name].visible = True
 
     def accept(self) -> None:
@@ -111,7 +110,7 @@ class DesignControls:
                 )
         self._handles[parameter.name] = handle
         self._initial[parameter.name] = (handle.value, value)
-        self._notes[parameter.name] = server.gui.add_html("", visible=False)
+        self._notes[parameter.name] = add_html_note(server.gui, visible=False)
         handle.on_update(lambda _: None if self._silent else self._changed(parameter.name))
 
 

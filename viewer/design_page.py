@@ -15,6 +15,7 @@ import numpy as np
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.errors import InputError
 from taccel_lab.report.live_page import PageOptions, live_page, viser_module
+from taccel_lab.report.page_text import PageText, add_html_note, add_note
 from taccel_lab.scene import sphere_mesh
 from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.design_answer import PICTURES, Answer, Choice, DesignAnswers
@@ -44,7 +45,7 @@ PRESS, SOLID = "press", "solid"
 """What may be shown in the middle."""
 BLANK = np.full((4, 4, 3), 255, dtype=np.uint8)
 NO_HEIGHTS = (np.array([0.0, 1.0]), np.zeros(2), np.zeros(2))
-WIDE_MODAL = "<style>.mantine-Modal-content { flex: 0 0 min(95vw, 100vh); }</style>"
+WIDE_MODAL = PageText("<style>.mantine-Modal-content { flex: 0 0 min(95vw, 100vh); }</style>")
 """As wide as an A4 sheet fits the page: viser's modals are hardly wider than its panels, and have
 no width to set."""
 
@@ -92,14 +93,14 @@ class DesignPage:
         gui = self._server.gui
         left = gui.add_panel()
         with left.add_tab("Parameters"):
-            gui.add_markdown(self._family.title)
+            add_note(gui, self._family.title)
             gui.add_button("Reset", color="gray").on_click(lambda _: self.controls.reset())
             self.controls = DesignControls(self._server, self._family, overrides, self._change)
         left.dock_left()
         left.set_width(320)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Result"):
-            self._status = gui.add_markdown("")
+            self._status = add_note(gui)
             self._middle = gui.add_dropdown(
                 "in the middle", (PRESS, SOLID),
                 hint="The press has a mesh of its own, fine around the ball and coarse at the rim.",
@@ -107,19 +108,17 @@ class DesignPage:
             with gui.add_folder("Press of a ball"):
                 self._radius = gui.add_slider("radius [mm]", 1.0, 8.0, 0.1, 3.0)
                 self._depth = gui.add_slider("depth [mm]", 0.1, 2.0, 0.05, 0.5)
-                self._force = gui.add_markdown("")
-                gui.add_markdown(
-                    "Height along the middle of the gel: grey untouched, blue pressed."
-                )
+                self._force = add_note(gui)
+                add_note(gui, "Height along the middle of the gel: grey untouched, blue pressed.")
                 self._plot = self._add_plot()
             with gui.add_folder("What the camera sees"):
                 self._sensor = SensorPanel(
                     self._server, single="Of the untouched gel.", own_panel=False
                 )
             with gui.add_folder("Mesh"):
-                self._quality = gui.add_markdown("")
+                self._quality = add_note(gui)
         with tabs.add_tab("Drawing"):
-            self._drawing_note = gui.add_markdown("")
+            self._drawing_note = add_note(gui)
             self._drawing = gui.add_image(BLANK, format="png")
             gui.add_button("Enlarge", color="gray").on_click(self._enlarge)
         with tabs.add_tab("Look"):
@@ -127,11 +126,11 @@ class DesignPage:
             states = _untouched(gel_mesh(pad))
             self._view = GelView(self._server, states, self._sensor)
         with tabs.add_tab("Export"):
-            gui.add_markdown(f"Files go to `{self._out}`.")
+            add_note(gui, f"Files go to {self._out}.")
             for kind in (*EXPORTS, TOML):
                 gui.add_button(kind, color="gray").on_click(lambda _, kind=kind: self.export(kind))
-            self._exported = gui.add_markdown("")
-            gui.add_markdown("The same without this page:")
+            self._exported = add_note(gui)
+            add_note(gui, "The same without this page:")
             self._command = gui.add_text("command", "", multiline=True)
         look_at(self._server, states.rest_mm, distance=2.2)
         for control in (self._radius, self._depth):
@@ -175,20 +174,19 @@ class DesignPage:
     def _work(self, choice: Choice, superseded: Callable[[], bool]) -> None:
         """In the thread of the work: answer one choice, as far as it is still wanted."""
         try:
-            self._status.content = "*working …*"
+            self._status.content = PageText("*working …*")
             self._answers.answer(choice, self._tell, superseded)
         except SupersededError:
             return
         except InputError as error:
             self._refuse(str(error))
-            self._status.content = f"**Refused:** {error}"
+            self._status.content = PageText("**Refused:** {}").format(error)
         except Exception as fault:
             # The thread must live: without it the page would never answer again.
             traceback.print_exc()
-            self._status.content = (
-                f"**A fault of the program:** {fault!r}. The terminal has all of it; other values "
-                "may do."
-            )
+            self._status.content = PageText(
+                "**A fault of the program:** {!r}. The terminal has all of it; other values may do."
+            ).format(fault)
 
     def _refuse(self, words: str) -> None:
         """Put a refusal beside the controls that it names."""
@@ -204,7 +202,7 @@ class DesignPage:
         press = answer.exact or answer.quick
         if piece == "formula":
             self.controls.accept()
-            self._drawing_note.content = "*of the design before; drawing the new one …*"
+            self._drawing_note.content = PageText("*of the design before; drawing the new one …*")
         elif piece == "solid":
             assert answer.mesh is not None
             self._draw()
@@ -247,22 +245,22 @@ class DesignPage:
             return
         gui = event.client.gui
         with gui.add_modal("Drawing of the gel") as modal:
-            gui.add_html(WIDE_MODAL)
+            add_html_note(gui, WIDE_MODAL)
             gui.add_image(self.shown.drawing_rgb, format="png")
             gui.add_button("Close").on_click(lambda _: modal.close())
 
     def export(self, kind: str) -> None:
         """Write files, as the buttons do."""
         with self._exporting:
-            self._exported.content = f"*writing {kind} …*"
+            self._exported.content = PageText("*writing {} …*").format(kind)
             try:
                 files = export(kind, self._family, self.controls.overrides(), self._out)
             except (InputError, OSError) as error:
-                self._exported.content = f"**Not written:** {error}"
+                self._exported.content = PageText("**Not written:** {}").format(error)
                 return
             # Below the folder that is named above: whole paths would break over lines.
-            self._exported.content = "\n".join(
-                f"- `{path.relative_to(self._out)}`" for path in files.values()
+            self._exported.content = PageText("\n").join(
+                PageText("- {}").format(path.relative_to(self._out)) for path in files.values()
             )
 
 

@@ -6,6 +6,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from taccel_lab.report.page_text import PageText, page_table
+
 if TYPE_CHECKING:
     from taccel_lab.viewer.design_answer import Answer
 
@@ -26,16 +28,18 @@ _WORDS = {
 """Of ``design_answer.PIECES``."""
 
 
-def stage_words(answer: Answer) -> str:
+def stage_words(answer: Answer) -> PageText:
     """What is missing, since when all is there, and what this design does not have."""
     at = max(answer.seconds.values(), default=0.0)
     missing = answer.missing
-    lines = [f"**No {_WORDS[piece]}:** {why}" for piece, why in answer.failed.items()]
+    failed = PageText("**No {}:** {}")
+    lines = [failed.format(_WORDS[piece], why) for piece, why in answer.failed.items()]
     if missing:
-        lines.insert(0, f"*Next: {' and '.join(_next(answer, missing))} … ({at:.1f} s)*")
+        words = " and ".join(_next(answer, missing))
+        lines.insert(0, PageText("*Next: {} … ({:.1f} s)*").format(words, at))
     else:
-        lines.insert(0, f"**Done** {at:.1f} s after the change.")
-    return "\n\n".join(lines)
+        lines.insert(0, PageText("**Done** {:.1f} s after the change.").format(at))
+    return PageText("\n\n").join(lines)
 
 
 def _next(answer: Answer, missing: list[str]) -> list[str]:
@@ -48,7 +52,7 @@ def _next(answer: Answer, missing: list[str]) -> list[str]:
     return words
 
 
-def force_table(answer: Answer) -> str:
+def force_table(answer: Answer) -> PageText:
     """The force three times: by the formula, quickly, and as ``press`` by default."""
     press = answer.press
     rows = []
@@ -75,14 +79,15 @@ def force_table(answer: Answer) -> str:
             cells = "… | | " + (f"step {done + 1} of {steps}" if steps else "")
         lines.append(f"| {name} | {cells} |")
     head = f"Ball of {press.radius_mm:g} mm, **{press.depth_mm:.2f} mm** deep:"
-    return "\n".join([head, "", "| by | force | within | after |", "|---|---|---|---|", *lines])
+    head_of = ["| by | force | within | after |", "|---|---|---|---|"]
+    return PageText("\n".join([head, "", *head_of, *lines]))  # All of it numbers and our words.
 
 
-def quality_table(answer: Answer) -> str:
+def quality_table(answer: Answer) -> PageText:
     """Figures of the mesh, and the limits that it breaks."""
     quality = answer.quality
     if quality is None:
-        return ""
+        return PageText()
     rows = [
         ("nodes", f"{quality.node_count:,}"),
         ("tets", f"{quality.tet_count:,}"),
@@ -90,6 +95,7 @@ def quality_table(answer: Answer) -> str:
         ("its first percentile", f"{quality.p1_dihedral_deg:.1f} deg"),
         ("mean ratio, mean", f"{quality.mean_mean_ratio:.3f}"),
     ]
-    lines = [f"| {name} | {value} |" for name, value in rows]
-    verdict = ["", "**Unfit:** " + "; ".join(answer.refused)] if answer.refused else []
-    return "\n".join(["| mesh | |", "|---|---|", *lines, *verdict])
+    table = page_table(rows, ("mesh", ""))
+    if answer.refused:
+        table += PageText("\n\n**Unfit:** {}").format("; ".join(answer.refused))
+    return table

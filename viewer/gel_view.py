@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.report.page_text import PageText, add_html_note, add_note
 from taccel_lab.viewer.arrows import Forces, arrow_lines, patch_forces, round_length
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 from taccel_lab.viewer.painting import MAPS, bar_html, map_rgb, number_text, painted
@@ -41,13 +42,13 @@ class GelView:
         self._silent = False
         """Whether controls are being set for another gel, which is drawn once they all are."""
         with self._gui.add_folder("Time"):
-            self._caption = self._gui.add_markdown("")
+            self._caption = add_note(self._gui)
             self.time = TimeSlider(server, states.count, lambda _: self._redraw())
         with self._gui.add_folder("On the gel"):
             self._field = self._gui.add_dropdown("field", [f.label for f in self._fields])
             self._wanted = str(self._field.value)
             """Field that was chosen; another one is shown of gels that do not have it."""
-            self._bar = self._gui.add_html("")
+            self._bar = add_html_note(self._gui)
             self._map = self._gui.add_dropdown("colours", MAPS)
             self._range = self._gui.add_dropdown("range", ("all steps", "this step"))
             self._mesh = self._gui.add_checkbox("show the mesh", False)
@@ -66,7 +67,7 @@ class GelView:
             self._arrows = self._gui.add_dropdown("arrows", ARROWS)
             self._patches = self._gui.add_slider("patches along the gel", 2, 60, 1, 24)
             self._length = self._gui.add_slider("length times", 0.2, 5.0, 0.1, 1.0)
-            self._legend = self._gui.add_markdown("")
+            self._legend = add_note(self._gui)
         self.sensor = sensor or SensorPanel(server)
         for control in (
             self._map, self._range, self._mesh, self._tool, self._more, self._plane,
@@ -131,7 +132,7 @@ class GelView:
                 limits = Field(field.label, field.unit, values[None]).limits()
             colors = map_rgb(str(self._map.value))
             positions = states.positions_mm(state, float(self._more.value))
-            self._caption.content = f"**{states.captions[state]}**"
+            self._caption.content = PageText("**{}**").format(states.captions[state])
             self._bar.content = bar_html(field.label, field.unit, limits, colors)
             self._draw_gel(positions, values, limits, colors)
             self._draw_tool(state)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from taccel_lab.report.page_text import PageText, add_note, page_table
 from taccel_lab.tasks.scene_picture import surfaces
 from taccel_lab.viewer.bodies_view import BodiesView
 from taccel_lab.viewer.camera_place import look_at
@@ -62,10 +63,10 @@ class LiveScene:
         self.taken = 0
         """Steps since the start."""
         gui = server.gui
-        self._caption = gui.add_markdown(f"**{title}**: the scene is built …")
+        self._caption = add_note(gui, PageText("**{}**: the scene is built …").format(title))
         self._buttons = gui.add_button_group("run", ("play", "pause", "step", "restart"))
         self._pace = gui.add_checkbox("no faster than real time", True)
-        self._table = gui.add_markdown("")
+        self._table = add_note(gui)
         self._buttons.on_click(lambda event: self.press(event.target.value))
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -102,7 +103,7 @@ class LiveScene:
                 scene.advance()
             except SimulationError as error:
                 self._play.clear()
-                self._caption.content = f"**{self._title}** stopped: {error}"
+                self._caption.content = PageText("**{}** stopped: {}").format(self._title, error)
                 continue
             self.taken += 1
             self._show(scene, seconds=time.perf_counter() - began)
@@ -123,7 +124,8 @@ class LiveScene:
             self._view.move(places)
         done = ", done" if scene.over else ""
         took = f", {seconds:.2f} s a step" if seconds else ""
-        self._caption.content = f"**{self._title}**, step {self.taken}{took}{done}"
+        caption = PageText("**{}**, step {}{}{}")
+        self._caption.content = caption.format(self._title, self.taken, took, done)
         if not first:
-            rows = [f"| {name} | {value:.3f} N |" for name, value in scene.forces().items()]
-            self._table.content = "\n".join(["| force | |", "|---|---|", *rows])
+            forces = [(name, f"{value:.3f} N") for name, value in scene.forces().items()]
+            self._table.content = page_table(forces, ("force", ""))

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import html
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.report.page_text import PageText
 from taccel_lab.viewer.section import Surface
 
 if TYPE_CHECKING:
@@ -35,22 +35,22 @@ def shares(values: np.ndarray, limits: tuple[float, float]) -> np.ndarray:
     return np.nan_to_num(np.clip((values - low) / max(high - low, 1e-30), 0.0, 1.0))
 
 
-def bar_html(title: str, unit: str, limits: tuple[float, float], colors: np.ndarray) -> str:
+def bar_html(title: str, unit: str, limits: tuple[float, float], colors: np.ndarray) -> PageText:
     """The bar of a colour map: title with unit, five numbers below."""
-    stops = ", ".join(f"rgb({r},{g},{b})" for r, g, b in colors[:: _STEPS // 16])
+    stops = PageText(", ").join(f"rgb({r},{g},{b})" for r, g, b in colors[:: _STEPS // 16])
     low, high = limits
-    numbers = "".join(
-        f"<span>{number_text(low + share * (high - low), high - low)}</span>"
+    numbers = PageText().join(
+        PageText("<span>{}</span>").format(number_text(low + share * (high - low), high - low))
         for share in (0.0, 0.25, 0.5, 0.75, 1.0)
     )
-    return (
+    return PageText(
         '<div style="padding:0.2em 1em 0.4em;font-size:0.8em">'
-        f"<div><b>{html.escape(title)}</b> [{html.escape(unit)}]</div>"
-        f'<div style="height:0.9em;border-radius:0.25em;background:linear-gradient(90deg,{stops})">'
+        "<div><b>{}</b> [{}]</div>"
+        '<div style="height:0.9em;border-radius:0.25em;background:linear-gradient(90deg,{})">'
         "</div>"
         '<div style="display:flex;justify-content:space-between;'
-        f'font-variant-numeric:tabular-nums">{numbers}</div></div>'
-    )
+        'font-variant-numeric:tabular-nums">{}</div></div>'
+    ).format(title, unit, stops, numbers)
 
 
 def number_text(value: float, span: float) -> str:

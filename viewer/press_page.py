@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from taccel_lab.report.page_text import PageText, add_note, page_table
 from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.gel_view import GelView
 from taccel_lab.viewer.press_folder import STATES, summary
@@ -18,12 +19,12 @@ if TYPE_CHECKING:
 
 def fill_press_page(server: ViserServer, folder: Path, states: GelStates) -> GelView:
     """Show the press in a folder, which ``read_press`` has read, at its end."""
-    lines = [f"| {name} | {value} |" for name, value in summary(folder)]
-    server.gui.add_markdown("\n".join(["| | |", "|---|---|", *lines]))
+    add_note(server.gui, page_table(summary(folder)))
     if not (folder / STATES).is_file():
-        server.gui.add_markdown(
+        words = (
             "Only the end of this press was kept. `taccel-lab press … --states` keeps every step."
         )
+        add_note(server.gui, PageText(words))
     look_at(server, states.rest_mm)
     view = GelView(server, states)
     view.choose(state=states.count - 1)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.report.page_text import PageText, add_note, page_table
 from taccel_lab.sensors.registry import sensor_families, sensor_family
 from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.gel_states import SensorImages
@@ -32,12 +33,13 @@ VIEW_PX = 320
 def fill_profile_page(server: ViserServer, profile: SensorProfile) -> threading.Thread:
     """Show a profile; what takes long comes later, by the thread that is returned."""
     gui, design = server.gui, profile.optical_design()
-    gui.add_markdown("\n".join(["| | |", "|---|---|", *_rows(profile)]))
+    add_note(gui, page_table(_rows(profile)))
     with gui.add_folder("Parts"):
         add_part_switches(server)
     with gui.add_folder("Where the figures come from"):
-        gui.add_markdown(_evidence(profile))
-    note = gui.add_markdown("")
+        known = [(name, block.provenance.kind) for name, block in profile.blocks().items()]
+        add_note(gui, page_table(known, ("block", "known as")))
+    note = add_note(gui)
     shown = "The optical model" if profile.background_rgb is None else "The captured background"
     panel = SensorPanel(server, "Camera", f"{shown}, without a touch.")
     look_at(server, 1e3 * profile.mesh.nodes_m, distance=2.6)
@@ -51,7 +53,7 @@ def fill_profile_page(server: ViserServer, profile: SensorProfile) -> threading.
         if image is None and design is not None:
             from taccel_lab.optics.render import OpticalModel
 
-            note.content = "*The optical model draws what the camera sees …*"
+            note.content = PageText("*The optical model draws what the camera sees …*")
             markers = None if profile.markers is None else profile.markers.grid()
             size = design.camera.size_within(VIEW_PX)
             seen = OpticalModel(design, profile.mesh, size_px=size, markers=markers).render().rgb
@@ -59,7 +61,7 @@ def fill_profile_page(server: ViserServer, profile: SensorProfile) -> threading.
             panel.show(SensorImages(seen[None]), 0)
         if profile.sensor.family in sensor_families():
             family = sensor_family(profile.sensor.family)
-            note.content = "*CAD builds the housing …*"
+            note.content = PageText("*CAD builds the housing …*")
             try:
                 parameters = family.parameters(profile.sensor.parameters)
                 draw_housing(server, cad_parts(family.name, parameters))
@@ -73,7 +75,7 @@ def fill_profile_page(server: ViserServer, profile: SensorProfile) -> threading.
     return thread
 
 
-def _rows(profile: SensorProfile) -> list[str]:
+def _rows(profile: SensorProfile) -> list[tuple[str, str]]:
     gel, material, camera = profile.gel, profile.material, profile.camera
     size = 1e3 * np.ptp(profile.mesh.nodes_m, axis=0)
     rows = [
@@ -87,12 +89,4 @@ def _rows(profile: SensorProfile) -> list[str]:
     ]
     if profile.markers is not None:
         rows.append(("markers", f"{profile.markers.rows} rows x {profile.markers.columns}"))
-    return [f"| {name} | {value} |" for name, value in rows]
-
-
-def _evidence(profile: SensorProfile) -> str:
-    """A line a block: how it is known."""
-    lines = []
-    for name, block in profile.blocks().items():
-        lines.append(f"| {name} | {block.provenance.kind} |")
-    return "\n".join(["| block | known as |", "|---|---|", *lines])
+    return rows

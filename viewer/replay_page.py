@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.report.page_text import PageText, add_note, page_table
 from taccel_lab.tasks.replay import read_replay
 from taccel_lab.viewer.bodies_view import BodiesView, rise_image
 from taccel_lab.viewer.camera_place import look_at
@@ -28,17 +29,16 @@ def fill_replay_page(server: ViserServer, folder: Path) -> TimeSlider:
     view = BodiesView(server, [(b.kind, b.vertices_m[0], b.faces) for b in replay.bodies])
     reach = max(float(np.nanquantile(np.abs(replay.rises_m), 0.99)), 1e-6)
     rises = SensorImages(np.stack([rise_image(rise, reach) for rise in replay.rises_m]))
-    caption = server.gui.add_markdown("")
+    caption = add_note(server.gui)
     panel = SensorPanel(server, "Rise of the gel")
 
     def show(frame: int) -> None:
         view.move([body.vertices_m[frame] for body in replay.bodies])
-        forces = [f"| {name} | {values[frame]:.3f} N |" for name, values in replay.forces_n.items()]
-        head = f"**{replay.task}**, {replay.times_s[frame]:.2f} s"
-        side = (
-            f"Beside: rise of the gel's face, blue below and red above, to ±{1e3 * reach:.2f} mm."
-        )
-        caption.content = "\n".join([head, "", "| force | |", "|---|---|", *forces, "", side])
+        forces = [(name, f"{values[frame]:.3f} N") for name, values in replay.forces_n.items()]
+        caption.content = PageText(
+            "**{}**, {:.2f} s\n\n{}\n\n"
+            "Beside: rise of the gel's face, blue below and red above, to ±{:.2f} mm."
+        ).format(replay.task, replay.times_s[frame], page_table(forces, ("force", "")), 1e3 * reach)
         panel.show(rises, frame)
 
     slider = TimeSlider(server, len(replay.times_s), show)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.report.page_text import add_note
 from taccel_lab.viewer.gel_states import SensorImages
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class SensorPanel:
         self.panel = server.gui.add_panel(visible=False) if own_panel else None
         with nullcontext() if self.panel is None else self.panel.add_tab(title):
             self._image = server.gui.add_image(BLANK, format="png")
-            self._note = server.gui.add_markdown("")
+            self._note = add_note(server.gui)
             self._markers = server.gui.add_checkbox("show markers and their motion", True)
             self._times = server.gui.add_slider("motion of markers times", 1, 10, 1, 3)
         if self.panel is not None:

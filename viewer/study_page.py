@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.report.page_text import PageText, add_note, page_table
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.study_folder import StudyFolder
@@ -38,13 +39,13 @@ class StudyPage:
         self._swept = _swept(self._designs)
         metrics = sorted({name for row in self._designs for name in row.figures})
         gui = server.gui
-        gui.add_markdown(f"{len(found)} designs, {len(self._designs)} with figures")
+        add_note(gui, f"{len(found)} designs, {len(self._designs)} with figures")
         with gui.add_folder("Designs"):
             self._metric = gui.add_dropdown("sorted by", metrics)
             self._order = gui.add_dropdown("first", ("largest", "smallest"))
             self._from = gui.add_slider("from place", 1, max(len(self._designs), 2), 1, 1)
             self._buttons = [gui.add_button("", visible=False, color="gray") for _ in range(ROWS)]
-        self._about = gui.add_markdown("")
+        self._about = add_note(gui)
         self._press = gui.add_dropdown("press", [GEL])
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Picture of the design"):
@@ -91,12 +92,12 @@ class StudyPage:
         if not 0 <= place < len(rows):
             return
         self._chosen = row = rows[place]
-        lines = [
-            f"| {name} | {'-' if value is None else format(value, '.4g')} |"
+        figures = [
+            (name, "-" if value is None else format(value, ".4g"))
             for name, value in sorted(row.figures.items())
         ]
-        table = "\n".join(["| figure | value |", "|---|---|", *lines])
-        self._about.content = f"**{_parameters(row)}**\n\n{table}"
+        table = page_table(figures, ("figure", "value"))
+        self._about.content = PageText("**{}**\n\n{}").format(_parameters(row), table)
         self._show_picture(row)
         options = (GEL, *press_files(self._root, row))
         kept = self._press.value if self._press.value in options else options[-1]
@@ -129,7 +130,7 @@ class StudyPage:
                 self._picture.image = read_image(path)
             except InputError as error:
                 self._panel.visible = False
-                self._about.content += f"\n\nIts picture cannot be shown: {error}"
+                self._about.content += PageText("\n\nIts picture cannot be shown: {}").format(error)
 
 
 def _swept(rows: list[DesignRow]) -> list[str]:

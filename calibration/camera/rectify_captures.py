@@ -19,6 +19,8 @@ from taccel_lab.inner_path import copy_inner
 from taccel_lab.output_folder import atomic_directory
 from taccel_lab.reading.toml_file import read_toml
 
+LEFT_OUT = "{} were left out"
+
 
 def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) -> list[str]:
     """Write the captures of ``folder``, rectified, as the capture folder ``out``.
@@ -67,7 +69,7 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
             entry.pop("line", None)
         for name in ("boards", "landmarks"):
             if document.pop(name, None):
-                notes.append(f"{name} were left out")
+                notes.append(LEFT_OUT.format(name))
         if folder.markers is not None:
             document["markers"] = _markers(document["markers"], folder, writer)
         for entry in document.get("records", []):

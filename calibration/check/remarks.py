@@ -149,7 +149,7 @@ MIXED_SENSORS = RemarkKind(
 NO_CONTACT = RemarkKind(
     "no_contact",
     Severity.WARNING,
-    "no contact was found in {lost} of {count} presses ({names}). {first}: {reason}{border}",
+    "no contact was found in {lost} of {count} presses ({names}). {first}: {reason}.{border}",
     ("color", "normals", "scale"),
     graver=Severity.ERROR,
 )

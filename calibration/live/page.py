@@ -12,6 +12,7 @@ from taccel_lab.calibration.live.latency import Latency
 from taccel_lab.calibration.live.pictures import pictures
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
 from taccel_lab.calibration.record.tiles import show_tiles, wide_panel
+from taccel_lab.report.page_text import PageText, add_note, page_table
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -33,11 +34,11 @@ class LivePage:
         self._stop, self._again = threading.Event(), threading.Event()
         wide_panel(server)
         gui = server.gui
-        self._prompt = gui.add_markdown("")
-        self._figures = gui.add_markdown("")
+        self._prompt = add_note(gui)
+        self._figures = add_note(gui)
         gui.add_button("Take the untouched gel again").on_click(lambda _: self._again.set())
         gui.add_button("Stop").on_click(lambda _: self._stop.set())
-        self._latency = gui.add_markdown("")
+        self._latency = add_note(gui)
 
     def show(self, reading: LiveReading, reader: LiveReader, latency: Latency) -> None:
         """Draw a reading, unless the last one was drawn just now."""
@@ -52,7 +53,7 @@ class LivePage:
 
     def tell(self, text: str) -> None:
         """Say what to do, in bold."""
-        self._prompt.content = f"**{text}**" if text else ""
+        self._prompt.content = PageText("**{}**").format(text) if text else ""
 
     def wants_background(self) -> bool:
         """Whether the button was pressed since the last call."""
@@ -65,19 +66,20 @@ class LivePage:
         return self._stop.is_set()
 
 
-def figures_text(reading: LiveReading, reader: LiveReader) -> str:
+def figures_text(reading: LiveReading, reader: LiveReader) -> PageText:
     """What the reading says, in Markdown."""
-    lines = []
+    lines: list[str] = []
     figures = reading.figures
     if reading.refused:
-        lines.append(f"## no depth\n\n{reading.refused}")
+        lines.append(PageText("## no depth\n\n{}").format(reading.refused))
     elif figures:
         sigma = figures["max_depth_sigma_mm"]
         band = "" if sigma is None else f" ± {sigma:.3f}"
-        lines.append(f"## {figures['max_depth_mm']:.3f}{band} mm deep")
+        deep = PageText("## {:.3f}{} mm deep")
+        lines.append(deep.format(figures["max_depth_mm"], band))
         x, y = figures["deepest_gel_mm"]
         lines.append(f"at ({x:.2f}, {y:.2f}) mm, {figures['touched_mm2']:.1f} mm² touched")
-        lines += [f"*{text}*" for text in figures["warnings"]]
+        lines += [PageText("*{}*").format(text) for text in figures["warnings"]]
     if reading.markers_px is not None and reading.seen is not None and reading.rest_px is not None:
         moved = reading.markers_px - reading.rest_px
         largest = float((moved**2).sum(axis=1).max() ** 0.5)
@@ -92,10 +94,10 @@ def figures_text(reading: LiveReading, reader: LiveReader) -> str:
         lines.append("no force: the profile has no force model (taccel-lab calibrate force)")
     elif not reading.forces:
         lines.append("no force: this frame is not like those that the force model knows")
-    return "\n\n".join(lines)
+    return PageText("\n\n").join(lines)
 
 
-def _force_lines(forces: Mapping[str, float]) -> list[str]:
+def _force_lines(forces: Mapping[str, float]) -> list[PageText]:
     """A line for each force, ``Fz +- [N]`` behind the ``Fz [N]`` that it belongs to."""
     lines = []
     for name, value in forces.items():
@@ -104,29 +106,24 @@ def _force_lines(forces: Mapping[str, float]) -> list[str]:
             continue
         spread = forces.get(f"{quantity}{SPREAD} [{unit}")
         band = "" if spread is None else f" ± {spread:.2f}"
-        lines.append(f"{quantity}: **{value:.2f}{band}** {unit.removesuffix(']')}".rstrip())
+        line = PageText("{}: **{:.2f}{}** {}")
+        lines.append(line.format(quantity, value, band, unit.removesuffix("]")).rstrip())
     return lines
 
 
-def latency_text(latency: Latency, reader: LiveReader) -> str:
+def latency_text(latency: Latency, reader: LiveReader) -> PageText:
     """Times by stage, as a table in Markdown."""
     found = latency.figures()
     if not found["frames"]:
-        return ""
+        return PageText()
     rows = [("all work", found["busy_ms"]), *found["stages_ms"].items()]
     table = [
-        f"| {STAGES.get(name, name)} | {ms['median']:.1f} | {ms['p95']:.1f} |"
+        (STAGES.get(name, name), f"{ms['median']:.1f}", f"{ms['p95']:.1f}")
         for name, ms in rows
         if ms
     ]
     grid = reader.grid
-    return "\n".join(
-        [
-            f"**{found['rate_hz']:.1f} frames a second**, depth on {grid.width_px}x"
-            f"{grid.height_px} px (detail {reader.detail})",
-            "",
-            "| stage [ms] | median | 95 % |",
-            "|---|---|---|",
-            *table,
-        ]
+    head = PageText("**{:.1f} frames a second**, depth on {}x{} px (detail {})\n\n")
+    return head.format(found["rate_hz"], grid.width_px, grid.height_px, reader.detail) + page_table(
+        table, ("stage [ms]", "median", "95 %")
     )

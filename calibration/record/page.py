@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-import html
 import queue
 import time
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +16,7 @@ from taccel_lab.calibration.record.pictures import change_picture, coverage_pict
 from taccel_lab.calibration.record.run import Order
 from taccel_lab.calibration.record.session import Status
 from taccel_lab.calibration.record.tiles import show_tiles, wide_panel
+from taccel_lab.report.page_text import PageText, add_html_note, add_note
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -37,18 +38,18 @@ class RecordPage:
         self._server = server
         wide_panel(server)
         gui = server.gui
-        self._prompt = gui.add_markdown("")
+        self._prompt = add_note(gui)
         self._bar = gui.add_progress_bar(0.0, color="blue")
         self._button("Take now", "take", "CAMERA")
         self._button("Undo last", "undo", "ARROW_BACK_UP")
         self._button("Finish", "finish", "CHECK")
-        self._lamps = gui.add_html("")
+        self._lamps = add_html_note(gui)
         blank = np.full((120, 160, 3), 245, np.uint8)
         self._coverage = gui.add_image(blank, label="Presses by place", format="png")
-        self._messages = gui.add_markdown("")
+        self._messages = add_note(gui)
         if quick:
             with gui.add_folder("What a quick session leaves out", expand_by_default=False):
-                gui.add_markdown("\n".join(f"- {line}" for line in QUICK_LEAVES_OUT))
+                add_note(gui, _items(QUICK_LEAVES_OUT))
 
     def show(self, status: Status) -> None:
         """Bring the page up to date, not more often than it can be looked at."""
@@ -58,10 +59,11 @@ class RecordPage:
         self._shown_s = now
         if status.image is not None:
             show_tiles(self._server, [("camera", status.image), ("change", change_picture(status))])
-        self._prompt.content = f"## {status.taken} of {status.wanted}\n\n**{status.prompt}**"
+        prompt = PageText("## {} of {}\n\n**{}**")
+        self._prompt.content = prompt.format(status.taken, status.wanted, status.prompt)
         self._bar.value = 100.0 * min(status.taken / max(status.wanted, 1), 1.0)
         self._lamps.content = _lamps_html(status.lamps)
-        self._messages.content = "\n".join(f"- {text}" for text in status.messages)
+        self._messages.content = _items(status.messages)
         key = hash((status.circles, status.advice, status.finished))
         if key != self._taken:
             self._coverage.image, self._taken = coverage_picture(status), key
@@ -83,11 +85,15 @@ class RecordPage:
             self._orders.put(order)
 
 
-def _lamps_html(lamps: tuple[Lamp, ...]) -> str:
-    rows = [
-        f'<div style="display:flex;gap:8px;margin:4px 12px;font-size:13px">'
-        f'<span style="color:{LAMP_COLORS[lamp.state]}">&#9679;</span>'
-        f"<span><b>{lamp.name}</b> {html.escape(lamp.told)}</span></div>"
-        for lamp in lamps
-    ]
-    return "".join(rows)
+def _items(lines: Iterable[str]) -> PageText:
+    return PageText("\n").join(PageText("- {}").format(line) for line in lines)
+
+
+def _lamps_html(lamps: tuple[Lamp, ...]) -> PageText:
+    row = PageText(
+        '<div style="display:flex;gap:8px;margin:4px 12px;font-size:13px">'
+        '<span style="color:{}">&#9679;</span><span><b>{}</b> {}</span></div>'
+    )
+    return PageText().join(
+        row.format(PageText(LAMP_COLORS[lamp.state]), lamp.name, lamp.told) for lamp in lamps
+    )

@@ -34,7 +34,7 @@ class CalibrateAll(CalibrationFiles):
 
     def run(self) -> None:
         from taccel_lab.calibration.calibrate import calibrate
-        from taccel_lab.cli.console import notes, print_json, results
+        from taccel_lab.cli.console import notes, print_json, results, working
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.profile import save_profile
         from taccel_lab.warp_output import quiet_warp
@@ -45,7 +45,7 @@ class CalibrateAll(CalibrationFiles):
         require_outputs(self.out, report)
         with stage_progress(console) as progress:
             found = calibrate(self.captures, self.base, self.only, progress=progress)
-        with console.status("writing the reports"):
+        with working(console, "writing the reports"):
             found.write_report(report)
         save_profile(found.profile, self.out)
         _print_remarks(console, found)

@@ -92,6 +92,7 @@ def _opened(path: Path) -> Iterator[list[tuple[CaptureFolder, tuple[str, ...]]]]
 
 def _print_check(console: Console, check: CaptureCheck) -> None:
     from rich.table import Table
+    from rich.text import Text
 
     console.print(f"{check.folder.source} ({check.folder.sensor})")
     for note in check.notes:
@@ -102,10 +103,9 @@ def _print_check(console: Console, check: CaptureCheck) -> None:
     for block in check.blocks:
         if block in absent:
             continue
-        color = colors[block.readiness]
         table.add_row(
             f"calibrate {block.command}",
-            f"[{color}]{block.readiness}[/{color}]",
+            Text(block.readiness, style=colors[block.readiness]),
             block.found,
             block.missing,
         )

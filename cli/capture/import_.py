@@ -66,7 +66,7 @@ class CaptureImport:
             detect_layout,
             import_folders,
         )
-        from taccel_lab.cli.console import notes, print_json, results
+        from taccel_lab.cli.console import notes, print_json, results, working
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.sensors import sensor_family
 
@@ -88,7 +88,7 @@ class CaptureImport:
         require_replaceable(self.out)
         layout = self.layout if self.layout != AUTO else detect_layout(self.source).name
         console = notes() if self.json else results()
-        with console.status(f"importing {self.source} as {layout}"):
+        with working(console, f"importing {self.source} as {layout}"):
             folders = import_folders(self.source, self.out, layout, options)
         found = []
         for folder in folders:

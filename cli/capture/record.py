@@ -81,7 +81,7 @@ class _Session(CameraOptions):
                 if self.page:
                     options = PageOptions(port=self.port, browser=self.browser)
                     title = f"Recording {self.out.name}"
-                    say = partial(console.print)
+                    say = partial(console.print, soft_wrap=True)
                     server = stack.enter_context(live_page(title, options, say))
                     watchers.append(RecordPage(server, quick))
                 status = run_session(

@@ -30,13 +30,13 @@ class CaptureRectify:
         from taccel_lab.calibration.camera.rectification import RectificationMaps
         from taccel_lab.calibration.camera.rectify_captures import rectify_captures
         from taccel_lab.calibration.capture import load_capture_folder
-        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.cli.console import notes, print_json, working
         from taccel_lab.output_folder import require_replaceable
 
         require_replaceable(self.out)
         console = notes()
         folder, maps = load_capture_folder(self.captures), RectificationMaps.load(self.maps)
-        with console.status("rectifying the images"):
+        with working(console, "rectifying the images"):
             remarks = rectify_captures(folder, maps, self.out)
         for remark in remarks:
             console.print(f"note: {remark}")

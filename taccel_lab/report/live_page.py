@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
 from taccel_lab.page_options import PageOptions
+from taccel_lab.report.page_guard import run_token, start_guarded
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -52,7 +53,9 @@ def live_page(
     require_free_port(options.host, options.port)
     # viser prints where it listens and that it stopped: no results of the command.
     with contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(options.host, options.port, label=title, verbose=False)
+        server = start_guarded(
+            lambda: viser.ViserServer(options.host, options.port, label=title, verbose=False)
+        )
     try:
         # Sharing sends the page through a server of strangers; no button for that.
         server.gui.configure_theme(
@@ -69,11 +72,13 @@ def live_page(
 
 
 def page_address(server: ViserServer) -> str:
-    """What to type into a browser on this machine."""
+    """What to type into a browser on this machine, with the token of this run. On another machine,
+    where ``host`` lets it in, this one's name or address stands in place of 127.0.0.1."""
     host = server.get_host()
     if host in ("0.0.0.0", "::", ""):
         host = "127.0.0.1"
-    return f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
+    host = f"[{host}]" if ":" in host else host
+    return f"http://{host}:{server.get_port()}/{run_token()}/"
 
 
 def serve_until_stopped(stop: threading.Event | None = None) -> None:

@@ -75,6 +75,23 @@ def new_figure(
 
 @in_report_style
 def save_figure(figure: Figure, path: Path | str, dpi: int = _DPI) -> None:
-    """Write a figure as PNG, whole or not at all."""
+    """Write a figure as PNG, whole or not at all, its texts as they are."""
+    _take_no_formulas(figure)
     with atomic_file(path) as staging:
         figure.savefig(staging, dpi=dpi, format="png", facecolor="white")
+
+
+def _take_no_formulas(figure: Figure) -> None:
+    """Names of images, profiles and records are anybody's: what stands in them between dollars is
+    no formula, and no error of one. Powers of ten at logarithmic axes are."""
+    from matplotlib.text import Text
+    from matplotlib.ticker import LogFormatter
+
+    powers: set[Text] = set()
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            if isinstance(axis.get_major_formatter(), LogFormatter):
+                powers.update(axis.get_ticklabels(which="both"))
+    for text in figure.findobj(Text):
+        if isinstance(text, Text) and text not in powers:
+            text.set_parse_math(False)

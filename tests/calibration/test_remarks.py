@@ -29,6 +29,12 @@ def test_kinds_are_sound(kind: RemarkKind) -> None:
     assert all(name.isidentifier() for name in fields)
     assert not fields & {"frames", "blocks", "grave"}
     assert set(kind.blocks) <= set(COMMANDS)
+    # Where a figure is a sentence, another one follows behind one stop.
+    assert "}{" not in kind.text
+    parts = string.Formatter().parse(kind.text)
+    values = {name: 1 if spec else "It is so." for _, name, spec, _ in parts if name}
+    message = kind(**values).message
+    assert "so.." not in message and message == message.strip()
 
 
 def test_a_remark_takes_figures_images_and_severity() -> None:

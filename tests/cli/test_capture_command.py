@@ -49,7 +49,11 @@ def test_check_fails_when_something_blocks(here: Path, capsys: pytest.CaptureFix
     manifest.write_text(manifest.read_text().replace("[indenter]\nradius_mm = 2.0\n", ""))
     assert run(["capture", "check", "captures"]) == 1
     out = capsys.readouterr().out.replace("\n", " ")
-    assert "error: the radius of the ball is not stated" in out and "blocked" in out
+    assert (
+        "error: the radius of the ball is not stated" in out
+        and "blocked" in out
+        and "[red]" not in out
+    )
 
 
 def test_check_reads_a_plain_folder(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -139,3 +139,51 @@ def test_number_format(value, text):
 
 def test_number_format_with_digits():
     assert format_number(2, 2) == "2.00"
+
+
+TEMPLATES = [
+    path
+    for path in Path(__file__).parents[2].rglob("templates/*.j2")
+    if not {"tests", ".venv"} & set(path.parts)
+]
+
+
+@pytest.mark.parametrize("path", TEMPLATES, ids=lambda path: path.name)
+def test_values_stand_in_templates_where_escaping_makes_them_text(path: Path) -> None:
+    """In text and between quotes: never marked as safe, in scripts, handlers or addresses, and in
+    styles and sources only what we have made ourselves."""
+    text = path.read_text(encoding="utf-8")
+    assert not re.search(r"\|\s*safe|autoescape|Markup|\bon\w+\s*=", text)
+    plain = re.sub(r"\{\{.*?\}\}", "VALUE", re.sub(r"\{%.*?%\}", "", text))
+    outside = re.sub(r'"[^"]*"', "", plain)
+    assert not re.search(r"<[^<>]*=\s*VALUE", outside)
+    for part in re.findall(r"<(?:script|style).*?</(?:script|style)>", text, re.DOTALL):
+        assert "{{" not in part
+    assert not re.search(r'(?:href|action|srcdoc)="[^"#]*\{\{', text)
+    values = re.findall(r'(?:src|style)="[^"]*\{\{\s*("[^"]*"|[\w.]+)', text)
+    assert set(values) <= {"src", "color", '"%.1f"', "frame.image", "frame.depth"}
+
+
+def test_there_are_templates_to_look_at() -> None:
+    assert len(TEMPLATES) == 6
+
+
+def test_names_of_a_report_are_text(tmp_path: Path) -> None:
+    attack = "</title></script><img src=x onerror=alert(1)>\"'"
+    report = full_report()
+    frames = tuple(replace(frame, name=attack) for frame in report.color.frames)
+    report = replace(
+        report,
+        title=attack,
+        remarks=(attack,),
+        provenance={attack: attack},
+        color=replace(report.color, frames=frames, facts={attack: attack}),
+    )
+    write_report(report, tmp_path)
+    plain = tmp_path / "plain"
+    write_report(full_report(), plain)
+    shown, known = (
+        _Page((folder / "report.html").read_text(encoding="utf-8")) for folder in (tmp_path, plain)
+    )
+    assert shown.tags == known.tags and len(shown.images) == len(known.images)
+    assert all(image["src"].startswith("data:image/png;base64,") for image in shown.images)

@@ -22,6 +22,7 @@ from taccel_lab.report import (
 from taccel_lab.report.figures import as_uint8
 from taccel_lab.report.figures_color import disc_normals, draw_heldout_frame
 from taccel_lab.report.model import ForceDepth
+from taccel_lab.report.style import new_figure
 from tests.report.sample_report import GRID, full_report, heldout_frame
 
 
@@ -112,3 +113,15 @@ def test_drawing_leaves_the_callers_settings_alone():
 
 def test_bytes_are_rounded_and_clipped():
     assert as_uint8(np.array([-3.0, 1.6, 300.0, np.nan])).tolist() == [0, 2, 255, 255]
+
+
+def test_names_between_dollars_are_no_formulas(tmp_path):
+    figure, axes = new_figure(3, 2)
+    axes.plot([1, 100], [1, 1000], label="press_$\\frac$.png")
+    axes.set(title="$\\frac$", xlabel="a$_b$c", yscale="log", xticks=[1, 50])
+    axes.set_xticklabels(["$\\frac$", "x"])
+    axes.legend()
+    save_figure(figure, tmp_path / "names.png")  # An error of the formula, had it been one.
+    assert not axes.title.get_parse_math() and not axes.xaxis.label.get_parse_math()
+    powers = [label for label in axes.yaxis.get_ticklabels() if label.get_text()]
+    assert powers and all(label.get_parse_math() for label in powers)

@@ -18,8 +18,13 @@ ARGUMENTS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader",
 
 
 @contextmanager
-def chromium_page(address: str, size: tuple[int, int] = (1100, 640)) -> Iterator[Any]:
-    """The page at an address; skips the test where there is no Chromium or no playwright."""
+def chromium_page(
+    address: str, size: tuple[int, int] = (1100, 640), **options: Any
+) -> Iterator[Any]:
+    """The page at an address; skips the test where there is no Chromium or no playwright.
+
+    ``options``: of playwright's ``new_page``.
+    """
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     path = shutil.which("chromium") or shutil.which("chromium-browser")
     if path is None:
@@ -27,7 +32,7 @@ def chromium_page(address: str, size: tuple[int, int] = (1100, 640)) -> Iterator
     with api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=list(ARGUMENTS))
         try:
-            page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+            page = browser.new_page(viewport={"width": size[0], "height": size[1]}, **options)
             page.goto(address)
             yield page
         finally:

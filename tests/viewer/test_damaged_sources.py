@@ -176,6 +176,17 @@ def test_damaged_data_sets(
 REPLAYED = {"task": "x", "bodies": [{"name": "b", "kind": "soft"}], "forces": ["f"]}
 
 
+def sound_replay() -> Arrays:
+    """What ``task record --states`` keeps, of four frames of two triangles."""
+    return {
+        "times_s": np.arange(4.0),
+        "rises_m": np.zeros((4, 5, 6)),
+        "forces_n": np.zeros((4, 1)),
+        "vertices_m_0": np.random.default_rng(1).random((4, 4, 3)),
+        "faces_0": np.array([[0, 1, 2], [0, 2, 3]]),
+    }
+
+
 @pytest.mark.parametrize(
     ("about", "arrays"),
     [
@@ -198,15 +209,8 @@ def test_damaged_replays(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    sound = {
-        "times_s": np.arange(4.0),
-        "rises_m": np.zeros((4, 5, 6)),
-        "forces_n": np.zeros((4, 1)),
-        "vertices_m_0": np.random.default_rng(1).random((4, 4, 3)),
-        "faces_0": np.array([[0, 1, 2], [0, 2, 3]]),
-    }
     for number, (more, changed) in enumerate([({}, {}), (about, arrays)]):
-        np.savez(tmp_path / "replay.npz", **{**sound, **changed})
+        np.savez(tmp_path / "replay.npz", **{**sound_replay(), **changed})
         (tmp_path / "replay.json").write_text(json.dumps({**REPLAYED, **more}))
         assert viewed(tmp_path, monkeypatch) == 2 * number
     assert "is no replay of a task as it is recorded" in capsys.readouterr().err

@@ -5,16 +5,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
+import taccel_lab.calibration.calibrate as whole
 from taccel_lab.calibration.background.fit import calibrate_background
 from taccel_lab.calibration.base_profile import base_profile, presses_on_camera
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.camera.rectify_captures import rectify_captures
-from taccel_lab.calibration.capture import load_capture_folder
+from taccel_lab.calibration.capture import CaptureFolder, load_capture_folder
 from taccel_lab.calibration.capture.schema import CaptureManifest
 from taccel_lab.calibration.depth.captures import grey_captures
 from taccel_lab.calibration.scale.fit import calibrate_scale
@@ -27,6 +29,8 @@ from taccel_lab.sensors.profile import catalogue_profile
 
 RAW = (60, 80)
 LEFT, TOP = 12, 7
+NOW = None, ""
+"""State and message of a block that is to be fitted."""
 GRID = PixelGrid(50, 40, 0.11, 0.12)
 
 
@@ -116,6 +120,31 @@ def test_presses_that_a_person_skipped_stay_out(captures: Path, tmp_path: Path) 
     even = load_capture_folder(tmp_path / "even")
     assert [press.name for press in even.presses] == ["corner"]
     assert "presses that contacts.toml skips were left out: p0" in notes
+
+
+def test_a_calibration_names_what_the_user_gave(
+    captures: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rectified captures lie in a folder that goes, and boards on the gel have given the scale."""
+    seen: list[CaptureFolder] = []
+
+    def refuse(folder: CaptureFolder, *_: object) -> None:
+        seen.append(folder)
+        raise InputError(f"{folder.root / 'background.png'} of {folder.source} is dark")
+
+    found = SimpleNamespace(apply_to=lambda base: base, maps=cropping_maps, remarks=())
+    blocks = (
+        SimpleNamespace(name="camera", fit=lambda *_: found, page=lambda *_: None),
+        SimpleNamespace(name="background", fit=refuse),
+    )
+    monkeypatch.setattr(whole, "BLOCKS", blocks)
+    monkeypatch.setattr(whole, "capture_check", lambda *_: None)
+    monkeypatch.setattr(whole, "_readiness", lambda _: dict.fromkeys(["camera", "background"], NOW))
+    calibration = whole.calibrate(captures)
+    told = f"{captures}/background.png of {captures}/captures.toml is dark"
+    assert calibration.blocks[1].message == told
+    assert calibration.notes == ("the contact circle of corner was left out",)
+    assert seen[0].source == f"{captures}/captures.toml" and seen[0].root != captures
 
 
 def test_two_presses_of_one_name(captures: Path, tmp_path: Path) -> None:
