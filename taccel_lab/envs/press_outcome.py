@@ -17,7 +17,7 @@ from taccel_lab.envs.press_states import PressStates
 from taccel_lab.envs.press_surface import PressSurface, press_surface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
-from taccel_lab.geometry.tet_mesh import tet_volumes
+from taccel_lab.ipc.potentials.inversion import smallest_ratios
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Material, MaterialField
 from taccel_lab.signals.rest_surface import RestSurface
@@ -76,7 +76,7 @@ class PressOutcome:
     contact_radius_m: float
     """Radius of the disc of the contact's area [m]."""
     smallest_volume_ratio: float
-    """Smallest det F of any tet: above 0 when no tet is inverted."""
+    """Smallest det F anywhere in a tet: above 0 when no tet is inverted."""
     fine_force_n: float | None = None
     """Force against the press of the contact with a texture, of which the solver's force knows the
     mean surface only [N]; None without a texture."""
@@ -191,7 +191,6 @@ def simulate_press(
     pose = env.poses[0, 0]
     seen = pixels()
     error = env.error_estimate()
-    volumes = tet_volumes(env.positions[0], mesh.tets)
     return PressOutcome(
         mesh=env.mesh,
         path=path,
@@ -211,7 +210,7 @@ def simulate_press(
         rest_normals=seen.rest_normals,
         contact_mask=seen.contact_mask,
         contact_radius_m=seen.contact_radius_m,
-        smallest_volume_ratio=float((volumes / mesh.volumes_m3()).min()),
+        smallest_volume_ratio=float(smallest_ratios(env.solver.elastic, env.state.positions)[0]),
         fine_force_n=seen.fine_force_n,
         states=states,
     )
