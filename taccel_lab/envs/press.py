@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 
 from taccel_lab.envs.indenter import Indenter
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
@@ -26,6 +27,7 @@ from taccel_lab.envs.touch import first_touch_m, gel_below_m
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.ipc.intersection import require_separated
+from taccel_lab.model.env_rows import copy_rows, device_mask
 from taccel_lab.outputs.contact_layer import gap_work
 from taccel_lab.outputs.recovery_error import relative_energy_error
 from taccel_lab.process_pool import usable_cores
@@ -40,7 +42,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC, StepReport
-from taccel_lab.state import initial_state
+from taccel_lab.state import State, initial_state
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
@@ -278,31 +280,46 @@ class PressEnv:
         """
         resting = np.zeros(len(self.at_m), dtype=bool) if stay is None else stay.copy()
         before, held_back = self.state.copy(), self.setback_m
+        rubbing = wp.clone(self.solver.friction_gradient)
         dhat = self.solver.config.dhat_m
         touching = (self.setback_m == dhat) & (depth_m > dhat) & ~resting
         self.setback_m = np.where(touching, FIRST_SETBACK * dhat, self.setback_m)
         report: StepReport | None = None
-        for left in reversed(range(SETBACK_ROUNDS)):
-            target = self._poses(depth_m, shear_m, twist_rad)
-            target[resting] = self.poses[resting]
-            again = report is not None
-            found = self.solver.step(self.state, target, who=~resting, again=again)
-            report = report.followed_by(found) if report is not None else found
-            resting |= ~found.converged
-            gap = self._mean_gap_m()
-            resting |= np.abs(gap - self.setback_m) <= SETBACK_TOLERANCE * np.abs(depth_m)
-            if resting.all() or left == 0:
-                break
-            self.setback_m = np.where(resting, self.setback_m, gap)
+        try:
+            for left in reversed(range(SETBACK_ROUNDS)):
+                target = self._poses(depth_m, shear_m, twist_rad)
+                target[resting] = self.poses[resting]
+                again = report is not None
+                found = self.solver.step(self.state, target, who=~resting, again=again)
+                report = report.followed_by(found) if report is not None else found
+                resting |= ~found.converged
+                gap = self._mean_gap_m()
+                resting |= np.abs(gap - self.setback_m) <= SETBACK_TOLERANCE * np.abs(depth_m)
+                if resting.all() or left == 0:
+                    break
+                self.setback_m = np.where(resting, self.setback_m, gap)
+        except BaseException:
+            # An interrupt: what the steps before had reached is whole.
+            self._put_back(before, rubbing, held_back, np.ones(len(self.at_m), dtype=bool))
+            raise
         assert report is not None
         moved = report.converged
         lost = ~moved if stay is None else ~moved & ~stay
         if lost.any():
-            self.state.restore(before, lost)
-            self.setback_m = np.where(lost, held_back, self.setback_m)
-            self.solver.refresh_forces(self.state, lost)
+            self._put_back(before, rubbing, held_back, lost)
         self.depth_m = np.where(moved, depth_m, self.depth_m)
         return report
+
+    def _put_back(
+        self, before: State, rubbing: wp.array, held_back: np.ndarray, lost: np.ndarray
+    ) -> None:
+        """Environments of ``lost`` to where a step began, with the forces there: those of friction
+        hang on the step before."""
+        self.state.restore(before, lost)
+        self.setback_m = np.where(lost, held_back, self.setback_m)
+        self.solver.refresh_forces(self.state, lost)
+        mask = device_mask(lost, len(lost), self.model.device)
+        copy_rows(mask, rubbing, self.solver.friction_gradient)
 
     def failure(self, env: int, report: StepReport, depth_mm: np.ndarray | float) -> str:
         """Why an environment did not converge on its way to a depth, in words."""

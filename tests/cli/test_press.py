@@ -267,6 +267,55 @@ def test_a_press_that_fails_leaves_the_earlier_one(
     assert everything_below(tmp_path) == before
 
 
+@pytest.mark.parametrize(
+    ("error", "code"), [(SimulationError("stuck"), 3), (KeyboardInterrupt(), 130)]
+)
+def test_finished_steps_are_kept(
+    unit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int
+) -> None:
+    """A press that stops in its second step is the one that ends with its first, and says so."""
+    options = ("--step-mm", "0.1", "--mesh", "profile", "--states", *QUICK, "--friction", "0.5")
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    assert press(unit, whole, "--depth-mm", "0.1", *options) == 0
+    gap = PressEnv._mean_gap_m
+
+    def stop(self: PressEnv) -> np.ndarray:
+        # The step has moved everything by now, and it is the last one of a slide.
+        if self.depth_m[0] > 9e-5:
+            raise error
+        return gap(self)
+
+    monkeypatch.setattr(PressEnv, "_mean_gap_m", stop)
+    assert press(unit, out, "--depth-mm", "0.2", *options) == code
+    found, wanted = read(out), read(whole)
+    assert found["failure"] == (str(error) or "interrupted")
+    assert wanted["failure"] is wanted["press"]["stopped"] is None
+    assert found["press"]["stopped"]["depth_mm"] == pytest.approx(0.2)
+    assert found["press"]["stopped"]["why"] == found["failure"]
+    assert found["press"]["force_n"] == wanted["press"]["force_n"] > 0
+    assert found["press"]["step_count"] == 1
+    assert {p.name for p in out.iterdir()} == {p.name for p in whole.iterdir()}
+    for name in ("signals.npz", "states.npz"):
+        with np.load(out / name) as mine, np.load(whole / name) as theirs:
+            for key in theirs.files:
+                np.testing.assert_array_equal(mine[key], theirs[key], err_msg=key)
+    # Whoever interrupts keeps an earlier result; one that fails again has a new one.
+    before = everything_below(whole)
+    assert press(unit, whole, "--depth-mm", "0.2", *options) == code
+    assert (everything_below(whole) == before) == (code == 130)
+
+
+def test_a_force_that_is_not_reached_leaves_the_press_that_came_nearest(
+    unit: Path, tmp_path: Path
+) -> None:
+    options = ("--step-mm", "1", "--mesh", "profile", *QUICK)
+    assert press(unit, tmp_path / "out", "--force-n", "1e4", *options) in (2, 3)
+    found = read(tmp_path / "out")
+    assert "not reached" in found["failure"]
+    assert found["asked_force_n"] == 1e4
+    assert 0 < found["press"]["force_n"] < 1e4
+
+
 def test_an_interrupted_press_leaves_nothing(
     unit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
