@@ -143,6 +143,9 @@ class Press:
             first_mm = self.depth_mm
         self._path(first_mm)  # Refused before a mesh is made for it, as is what cannot be painted.
         check_depth(first_mm, profile)
+        indenter.require_size(first_mm)
+        if indenter.name.startswith("mesh:"):
+            console.print(f"note: {self.indenter} is {indenter.size_words()}", soft_wrap=True)
         ColorModel.from_profile(profile)
         mesh = cache(partial(self._mesh, profile, indenter))
         read: list[PressOutcome] = []

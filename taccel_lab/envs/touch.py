@@ -37,6 +37,14 @@ def first_touch_m(
     return _mesh_touch(shape, points, near)
 
 
+def element_m(positions: np.ndarray, faces: np.ndarray, at_m: np.ndarray) -> float:
+    """Longest edge [m] of the face nearest to an axis; arguments as of ``first_touch_m``."""
+    corners = positions[faces]
+    nearest = ((corners[..., :2].mean(axis=1) - at_m) ** 2).sum(axis=1).argmin()
+    around = corners[nearest]
+    return float(np.linalg.norm(around - np.roll(around, 1, axis=0), axis=1).max())
+
+
 def gel_below_m(
     positions: np.ndarray, contact: np.ndarray, bonded: np.ndarray, at_m: np.ndarray
 ) -> float:

@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import pyvista
 
 from taccel_lab.cli.app import main
 from taccel_lab.envs import PHYSICS, Accuracy
@@ -314,6 +315,26 @@ def test_a_force_that_is_not_reached_leaves_the_press_that_came_nearest(
     assert "not reached" in found["failure"]
     assert found["asked_force_n"] == 1e4
     assert 0 < found["press"]["force_n"] < 1e4
+
+
+@pytest.mark.parametrize("options", [("--mesh", "profile"), ("--mesh", "focused"), ("--texture",)])
+def test_a_part_in_metres_is_refused_with_its_sizes(
+    unit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...]
+) -> None:
+    """A puck of 60 mm as a speck of 0.06 mm, and a texture of 2 mm as one of 2 um."""
+    if options == ("--texture",):
+        cv2.imwrite(str(tmp_path / "t.png"), np.arange(64, dtype=np.uint8).reshape(8, 8))
+        options = ("--texture", str(tmp_path / "t.png"), "--texture-mm", "5e-5", "2e-3")
+        words = ("5e-05 mm", "0.05 mm if its numbers are metres")
+    else:
+        puck = tmp_path / "puck.stl"
+        pyvista.Cylinder(direction=(0, 0, 1), radius=0.03, height=0.01).save(puck)
+        options = (*options, "--indenter", f"mesh:{puck}")
+        words = ("0.06 mm across", "60 mm if its numbers are metres", "1.524 mm")
+    assert press(unit, tmp_path / "out", "--depth-mm", "0.02", *options, *QUICK) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert all(word in told for word in words), told
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_interrupted_press_leaves_nothing(
