@@ -112,8 +112,10 @@ class Press:
         from taccel_lab.envs.press import check_depth, deepest_mm
         from taccel_lab.envs.press_files import write_press
         from taccel_lab.envs.press_force import FIRST_SHARE, check_force
+        from taccel_lab.geometry.length_units import size_words
         from taccel_lab.model.devices import require_device
         from taccel_lab.output_folder import atomic_directory, require_replaceable
+        from taccel_lab.scene import TriangleMesh
         from taccel_lab.sensors.profile import load_sensor
         from taccel_lab.sensors.registry import profile_sensor
         from taccel_lab.signals.color_model import ColorModel
@@ -144,8 +146,9 @@ class Press:
         self._path(first_mm)  # Refused before a mesh is made for it, as is what cannot be painted.
         check_depth(first_mm, profile)
         indenter.require_size(first_mm)
-        if indenter.name.startswith("mesh:"):
-            console.print(f"note: {self.indenter} is {indenter.size_words()}", soft_wrap=True)
+        if indenter.name.startswith("mesh:") and isinstance(indenter.shape, TriangleMesh):
+            words = size_words(indenter.shape.vertices_m)
+            console.print(f"note: {self.indenter} is {words}", soft_wrap=True, markup=False)
         ColorModel.from_profile(profile)
         mesh = cache(partial(self._mesh, profile, indenter))
         read: list[PressOutcome] = []

@@ -10,11 +10,12 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.length_units import other_readings
 from taccel_lab.geometry.tet_checks import check_connectivity, first_of, unique_rows
+from taccel_lab.reading.triangle_file import FLAT as FLAT_TRIANGLE
 
 COINCIDENT = 1e-9
 """Distance over extent at which vertices count as the same."""
-FLAT = 1e-10
-"""Height over longest edge of a triangle, volume over longest edge cubed of a tet."""
+FLAT = FLAT_TRIANGLE
+"""Volume over longest edge cubed of a tet; of a triangle see there."""
 
 
 def check_extent(vertices: np.ndarray, what: str, limits_m: tuple[float, float]) -> None:

@@ -75,12 +75,6 @@ class Indenter:
         half, radius = 0.5 * depth_mm * 1e-3, self.shape.radius_m
         return 1e3 * (math.sqrt(half * (2 * radius - half)) if half < radius else radius)
 
-    def size_words(self) -> str:
-        """Its size along x, y and z, in words."""
-        if isinstance(self.shape, Ball):
-            return f"a ball of {2e3 * self.shape.radius_m:.4g} mm"
-        return " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(self.shape.vertices_m, axis=0)) + " mm"
-
     def require_size(self, depth_mm: float = 0.0, element_mm: float = 0.0) -> None:
         """Refuse a mesh that a press cannot mean, as its numbers are in another unit: InputError
         where it is smaller than ``depth_mm`` or than an element of the gel, ``element_mm``."""

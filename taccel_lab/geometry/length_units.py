@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a length would be if its number were meant in another unit: said where a size cannot be."""
+"""Sizes in words, and what they would be if their numbers were meant in another unit."""
 
 from __future__ import annotations
+
+import numpy as np
 
 _MM = {"millimetres": 1.0, "inches": 25.4, "metres": 1e3}
 """Unit -> its length [mm]."""
@@ -16,3 +18,8 @@ def other_readings(number: float, unit: str) -> str:
         if name != unit
     ]
     return f"it would be {' and '.join(words)}"
+
+
+def size_words(points_m: np.ndarray) -> str:
+    """Size along x, y and z of points [m], [n, 3], in words."""
+    return " x ".join(f"{1e3 * size:.4g}" for size in np.ptp(points_m, axis=0)) + " mm"
