@@ -11,12 +11,19 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.datasets.folder import ABOUT, DatasetFolder, is_as_written, read_parquet
+from taccel_lab.datasets.folder import (
+    ABOUT,
+    PARTS,
+    DatasetFolder,
+    is_as_written,
+    read_parquet,
+)
 from taccel_lab.datasets.part import ARRAYS, EPISODES, STEPS
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.sensor import profile_digest
 from taccel_lab.errors import InputError
 from taccel_lab.file_cache import content_key
+from taccel_lab.inner_path import inner_files
 from taccel_lab.output_folder import OUTPUT_MARKER
 from taccel_lab.profile import Finding, load_profile
 from taccel_lab.progress import Progress, silent
@@ -118,8 +125,9 @@ def _same(one: Any, other: Any) -> bool:
 
 def _belongs(part: Path, plan: str) -> bool:
     """Whether a part is the one that its name says, of this data set."""
-    attributes = read_json(part / ARRAYS / "zarr.json")["attributes"]
-    return (attributes["part"], attributes["plan"]) == (int(part.name), plan)
+    attributes = read_json(part / ARRAYS / "zarr.json").get("attributes")
+    said = attributes if isinstance(attributes, dict) else {}
+    return (said.get("part"), said.get("plan")) == (int(part.name), plan)
 
 
 def _check_files(folder: DatasetFolder, progress: Progress) -> list[Finding]:
@@ -130,16 +138,16 @@ def _check_files(folder: DatasetFolder, progress: Progress) -> list[Finding]:
         progress("digests", done, len(parts))
         where = f"{folder.root.name}/parts/{part.name}"
         try:
+            there = {
+                path.relative_to(part).as_posix()
+                for path in inner_files(folder.root, f"{PARTS}/{part.name}")
+                if path.name != OUTPUT_MARKER
+            }
             marker = read_json(part / OUTPUT_MARKER)
             files = dict(marker["files"])
-        except (InputError, OSError, KeyError, TypeError) as error:
-            found.append(Finding("error", where, f"its list of files cannot be read: {error}"))
+        except (InputError, OSError, KeyError, TypeError, ValueError) as error:
+            found.append(Finding("error", where, f"its files cannot be listed: {error}"))
             continue
-        there = {
-            path.relative_to(part).as_posix()
-            for path in part.rglob("*")
-            if path.is_file() and path.name != OUTPUT_MARKER
-        }
         for name in sorted(set(files) - there):
             found.append(Finding("error", f"{where}/{name}", "is missing"))
         for name in sorted(there - set(files)):
@@ -226,13 +234,15 @@ def _summary(data: Dataset, name: str) -> _Summary:
     table = data.steps
     parts = np.stack([table["folder"], table["part"]], axis=1)
     for folder, part in np.unique(parts, axis=0).tolist():
-        array = data.group(folder, part)[name]
-        for first in range(0, array.shape[0], READ_ROWS):
-            values = np.asarray(array[first : first + READ_ROWS])
-            size += values.size
-            finite = np.isfinite(values)
-            nan += int((~finite.reshape(len(values), -1).all(axis=1)).sum())
-            if finite.any():
-                low = min(low, float(values[finite].min()))
-                high = max(high, float(values[finite].max()))
+        group = data.group(folder, part)
+        with data.sound(folder, part):
+            array = group[name]
+            for first in range(0, array.shape[0], READ_ROWS):
+                values = np.asarray(array[first : first + READ_ROWS])
+                size += values.size
+                finite = np.isfinite(values)
+                nan += int((~finite.reshape(len(values), -1).all(axis=1)).sum())
+                if finite.any():
+                    low = min(low, float(values[finite].min()))
+                    high = max(high, float(values[finite].max()))
     return _Summary(low, high, nan, size)

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any
 from taccel_lab.datasets.part import EPISODES, STEPS
 from taccel_lab.errors import InputError
 from taccel_lab.file_lock import hold
+from taccel_lab.inner_path import inner_path, require_inner_files
 from taccel_lab.output import atomic_file, write_json
 from taccel_lab.output_folder import (
     may_hold,
@@ -36,6 +37,7 @@ from taccel_lab.output_folder import (
     visible_faults,
 )
 from taccel_lab.reading.json_file import read_json
+from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.reading.text_file import shown
 
 if TYPE_CHECKING:
@@ -53,6 +55,8 @@ ABOUT_KEYS = {
     "recipe": dict,
 }
 PARTS = "parts"
+MAX_TABLE_VALUES = 1 << 30
+"""Of all rows and columns: 26 million steps."""
 LOCK = ".lock-"
 
 
@@ -71,6 +75,9 @@ class DatasetFolder:
                 f"{self.root} holds files and no data set; name a new folder, an empty one, or "
                 "that of this data set to go on with it"
             )
+        # What a run writes, locks or takes away lies at these places; the files of parts do not
+        # change.
+        require_inner_files(self.root, levels=2)
         if not (self.root / ABOUT).is_file():
             return
         about = self.about()
@@ -83,7 +90,7 @@ class DatasetFolder:
 
     def about(self) -> dict[str, Any]:
         """``dataset.json``; InputError where there is none."""
-        path = self.root / ABOUT
+        path = inner_path(self.root, ABOUT)
         if not path.is_file():
             raise InputError(f"{self.root} holds no data set: it has no {ABOUT}")
         about = read_json(path)
@@ -182,7 +189,7 @@ class DatasetFolder:
 
         tables = []
         for part in self.part_folders():
-            table = read_parquet(part / name)
+            table = read_parquet(inner_path(self.root, f"{PARTS}/{part.name}/{name}"))
             if name == STEPS:
                 numbers = pa.array([int(part.name)] * len(table), pa.int64())
                 table = table.add_column(0, "part", numbers)
@@ -191,11 +198,18 @@ class DatasetFolder:
 
 
 def read_parquet(path: Path) -> Any:
-    """A table of a file; InputError where it is none."""
+    """A table of a file; InputError where it is none, or larger than ``MAX_TABLE_VALUES``."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    require_regular_file(path, LARGEST_BYTES, "a table (Parquet)")
     try:
+        about = pq.read_metadata(path)
+        if about.num_rows * about.num_columns > MAX_TABLE_VALUES:
+            raise InputError(
+                f"{path} says that it has {about.num_rows:,} rows; {MAX_TABLE_VALUES:,} values are "
+                "allowed"
+            )
         return pq.read_table(path)
     except (pa.ArrowException, OSError) as error:
         raise InputError(

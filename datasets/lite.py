@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-import shutil
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from taccel_lab.datasets.folder import ABOUT, PARTS, DatasetFolder
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import copy_inner, inner_files
 from taccel_lab.output import write_json
 from taccel_lab.output_folder import atomic_directory, require_replaceable
 
@@ -26,7 +27,8 @@ def make_lite(
     byte, so ``dataset check`` still knows them.
 
     Raises:
-        InputError: Folders of different data sets, or a limit below the smallest part.
+        InputError: Folders of different data sets, a limit below the smallest part, or links that
+            lead out of a folder: what they name would be published with it.
     """
     require_replaceable(out)
     data = Dataset(folders)
@@ -38,15 +40,11 @@ def make_lite(
     with atomic_directory(out) as staging:
         lite = DatasetFolder(staging)
         source = data.folders[0].root
-        for name in ("profiles", "objects"):
-            if (source / name).is_dir():
-                shutil.copytree(source / name, staging / name)
-        if (source / "spec.toml").is_file():
-            shutil.copyfile(source / "spec.toml", staging / "spec.toml")
+        for name in _shared(source):
+            copy_inner(source, name, staging)
         episodes = 0
         for folder, part in chosen:
-            name = f"{part:06d}"
-            shutil.copytree(data.folders[folder].root / PARTS / name, staging / PARTS / name)
+            copy_inner(data.folders[folder].root, f"{PARTS}/{part:06d}", staging)
             episodes += int(((table["folder"] == folder) & (table["part"] == part)).sum())
         lite.write_index()
         write_json(
@@ -67,14 +65,13 @@ def _chosen(data: Dataset, limit_bytes: int) -> list[tuple[int, int]]:
         if (int(folder), int(part)) not in group:
             group.append((int(folder), int(part)))
     sizes = {
-        key: _size(data.folders[key[0]].root / PARTS / f"{key[1]:06d}")
+        key: _size(data.folders[key[0]].root, f"{PARTS}/{key[1]:06d}")
         for group in groups.values()
         for key in group
     }
     room = limit_bytes - RESERVE_BYTES
-    room -= sum(
-        _size(data.folders[0].root / name) for name in ("profiles", "objects", "spec.toml", ABOUT)
-    )
+    source = data.folders[0].root
+    room -= sum(_size(source, name) for name in (*_shared(source), ABOUT))
     chosen: list[tuple[int, int]] = []
     turn = 0
     while any(len(group) > turn for group in groups.values()):
@@ -92,7 +89,11 @@ def _chosen(data: Dataset, limit_bytes: int) -> list[tuple[int, int]]:
     return sorted(chosen)
 
 
-def _size(path: Path) -> int:
-    if path.is_file():
-        return path.stat().st_size
-    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+def _shared(source: Path) -> list[str]:
+    """What there is of all that parts share."""
+    names = ("profiles", "objects", "spec.toml")
+    return [name for name in names if os.path.lexists(source / name)]
+
+
+def _size(folder: Path, name: str = "") -> int:
+    return sum(file.stat().st_size for file in inner_files(folder, name))

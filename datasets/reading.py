@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.datasets.arrays import Arrays
 from taccel_lab.datasets.folder import PARTS, DatasetFolder, read_parquet
 from taccel_lab.datasets.part import ARRAYS, EPISODES, STEPS
 from taccel_lab.errors import InputError
+from taccel_lab.inner_path import inner_files, inner_path
 
 FORMATS = (1,)
 """Formats of folders that this reads."""
@@ -56,7 +58,7 @@ class Dataset:
                     f"{', '.join(sorted(set(about['channels']) ^ set(self.channels)))}"
                 )
         self.split = split
-        self._groups: dict[tuple[int, int], Any] = {}
+        self._groups: dict[tuple[int, int], Arrays] = {}
 
     # Tables ----------------------------------------------------------------------------------
 
@@ -107,7 +109,7 @@ class Dataset:
         """A table of a folder: its index where that is up to date, else those of its parts."""
         folder = self.folders[number]
         there = {int(part.name) for part in folder.part_folders()}
-        table = _index(folder.root / name)
+        table = _index(inner_path(folder.root, name))
         if table is None or set(table["part"].to_pylist()) != there:
             table = folder.gathered(name)
             if table is None:
@@ -127,22 +129,26 @@ class Dataset:
 
     # Arrays ----------------------------------------------------------------------------------
 
-    def group(self, folder: int, part: int) -> Any:
-        """The zarr group of a part."""
+    def group(self, folder: int, part: int) -> Arrays:
+        """The zarr arrays of a part; InputError for links that lead out of the folder, and for what
+        ``Arrays`` does not read."""
         if (folder, part) not in self._groups:
-            import zarr
-
-            with self._sound(folder, part) as path:
-                self._groups[folder, part] = zarr.open_group(path, mode="r")
+            root = self.folders[folder].root
+            for _ in inner_files(root, f"{PARTS}/{part:06d}"):
+                pass
+            with self.sound(folder, part) as path:
+                self._groups[folder, part] = Arrays(path)
         return self._groups[folder, part]
 
     @contextmanager
-    def _sound(self, folder: int, part: int) -> Iterator[Path]:
+    def sound(self, folder: int, part: int) -> Iterator[Path]:
         """Reading arrays of a part: InputError where they are damaged."""
         path = self.folders[folder].root / PARTS / f"{part:06d}" / ARRAYS
         try:
             yield path
-        except (ValueError, LookupError, TypeError, RuntimeError, OSError) as error:
+        except InputError:
+            raise
+        except (ValueError, LookupError, TypeError, RuntimeError, OSError, MemoryError) as error:
             raise InputError(
                 f"{path} is damaged ({type(error).__name__}: {error}); taccel-lab dataset check "
                 "says which files are; a part that is deleted is made again by the command that "
@@ -170,7 +176,7 @@ class Dataset:
             rows = table["row"][chosen[places]]
             low, high = int(rows.min()), int(rows.max()) + 1
             group = self.group(folder, part)
-            with self._sound(folder, part):
+            with self.sound(folder, part):
                 array = group[channel]
                 if high - low <= 4 * len(rows):
                     values = array[low:high][rows - low]
@@ -189,7 +195,7 @@ class Dataset:
         of nodal channels belong to these nodes."""
         row = self.episodes[episode]
         group = self.group(row["folder"], row["part"])
-        with self._sound(row["folder"], row["part"]):
+        with self.sound(row["folder"], row["part"]):
             meshes = group["meshes"]
             nodes, faces = meshes["nodes_m"][row["place"]], meshes["faces"][row["place"]]
         return nodes[np.isfinite(nodes[:, 0])], faces[faces[:, 0] >= 0]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import signal
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,11 +113,14 @@ def submit_shards(
     folder = StudyFolder(root)
     with folder.locked():
         (folder.root / JOBS).mkdir(exist_ok=True)
+        # A new one each time: submitit unpickles what it finds under the names of its jobs, and the
+        # folder of the study may be somebody else's.
+        place = tempfile.mkdtemp(dir=folder.root / JOBS)
     texts = (str(real_path(file)), str(folder.root))
     shards = [Shard(number + 1, count) for number in range(count)]
     jobs = [ShardJob(*texts, shard, device, processes, accuracy) for shard in shards]
     try:
-        executor = submitit.AutoExecutor(folder.root / JOBS, cluster=where)
+        executor = submitit.AutoExecutor(place, cluster=where)
         executor.update_parameters(**{"name": f"study-{file.stem}", **settings})
         return executor.submit_array(jobs)
     except (AssertionError, NameError, TypeError, ValueError, RuntimeError) as error:

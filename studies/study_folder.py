@@ -22,6 +22,7 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.file_lock import hold
+from taccel_lab.inner_path import require_inner_files
 from taccel_lab.output import atomic_file, write_json
 from taccel_lab.output_folder import may_hold, require_growable
 from taccel_lab.reading.shard import Shard
@@ -53,6 +54,10 @@ class StudyFolder:
                 f"{self.root} holds files and no study; name a new folder, an empty one, or that "
                 "of an earlier study to go on with it"
             )
+        # Not those of submitit's jobs: it leaves links, which a study that was moved takes along.
+        require_inner_files(self.root, levels=1)
+        for name in ("designs", "figures", "meshes", "steps"):
+            require_inner_files(self.root / name)
         if self.is_study() or not self.root.is_dir():
             # Not into an empty folder: a shard that begins there too would take it for foreign.
             require_growable(self.root)

@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where paths lead; and what a file names lies in its own folder, or is refused.
 
-A manifest may come from anybody. Read and copied are only files in its folder, and nothing is ever
-written by a name of its choice outside of the output.
+A manifest, a data set or a study may come from anybody. Read, copied, written and deleted are only
+files in its folder: no name and no link in it leads anywhere else.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
+import stat
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from taccel_lab.errors import InputError
@@ -89,13 +93,75 @@ def inner_path(folder: Path, name: str) -> Path:
         path = folder / require_inner_name(name)
     except ValueError as error:
         raise InputError(f"{folder}: {name!r}: {error}") from None
-    inside = real_path(path).is_relative_to(real_path(folder))
     try:
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
         pass  # Whether a file has to be there is for the caller to say.
     except OSError as error:  # A circle of links, too long a name, a folder that may not be read.
         raise InputError(f"{path} cannot be followed: {error.strerror}") from None
-    if not inside:
-        raise InputError(f"{path} is a link out of {folder}; put the file itself there")
+    if not real_path(path).is_relative_to(real_path(folder)):
+        raise InputError(
+            f"{path} is a link out of {folder}; put the file itself there: cp -rL makes a copy "
+            "without links"
+        )
     return path
+
+
+def entries_below(folder: Path, levels: int | None = None) -> Iterator[tuple[str, Path]]:
+    """Every file, link and empty folder below ``folder``, with its name from there; no link is
+    followed. ``levels``: how deep, 1 for what lies in the folder itself."""
+    for root, folders, names in os.walk(folder):
+        links = [name for name in folders if os.path.islink(os.path.join(root, name))]
+        inner = Path(root).relative_to(folder)
+        for name in sorted((*names, *links)):
+            yield (inner / name).as_posix(), Path(root, name)
+        if not names and not folders and inner.parts:
+            yield inner.as_posix(), Path(root)
+        if levels is not None and len(inner.parts) + 1 >= levels:
+            folders.clear()
+
+
+def inner_files(folder: Path, name: str = "", levels: int | None = None) -> Iterator[Path]:
+    """The file ``name`` of ``folder``, or every file below the folder of that name; without one,
+    below ``folder``, ``levels`` deep.
+
+    Raises InputError for a link that leads out of ``folder`` or to no file, for what is neither
+    file nor folder (to read a pipe would wait for ever, and a device has no end), and for a name
+    that is not there.
+    """
+    start = inner_path(folder, name) if name else folder
+    if not start.exists():
+        raise InputError(f"{start} does not exist")
+    paths = (path for _, path in entries_below(start, levels)) if start.is_dir() else [start]
+    for path in paths:
+        if path.is_symlink():
+            _require_link_inside(path, folder)
+        with suppress(FileNotFoundError):  # It vanished since: others may write here, too.
+            kind = path.stat().st_mode
+            if stat.S_ISREG(kind):
+                yield path
+            elif not stat.S_ISDIR(kind):
+                raise InputError(f"{path} is no regular file but a pipe, a socket or a device")
+
+
+def _require_link_inside(path: Path, folder: Path) -> None:
+    inner_path(folder, path.relative_to(folder).as_posix())
+    if not path.is_file():
+        raise InputError(f"{path} is a link, and not to a file; put the file itself there")
+
+
+def require_inner_files(folder: Path, levels: int | None = None) -> None:
+    """Refuse a folder in which a command would read, write or delete something that lies elsewhere;
+    errors and ``levels`` of :func:`inner_files`. An absent folder is fine."""
+    if folder.is_dir():
+        for _ in inner_files(folder, levels=levels):
+            pass
+
+
+def copy_inner(folder: Path, name: str, target: Path) -> None:
+    """Copy the file or folder ``name`` of ``folder`` to the same name in ``target``; errors of
+    :func:`inner_files`."""
+    for path in inner_files(folder, name):
+        copy = inner_path(target, path.relative_to(folder).as_posix())
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, copy)

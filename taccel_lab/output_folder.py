@@ -23,7 +23,12 @@ from pathlib import Path
 
 from taccel_lab.errors import InputError
 from taccel_lab.exchange import exchange
-from taccel_lab.inner_path import real_path, require_outside
+from taccel_lab.inner_path import (
+    entries_below,
+    real_path,
+    require_inner_name,
+    require_outside,
+)
 from taccel_lab.output import named_error
 from taccel_lab.reading.json_file import read_json
 
@@ -148,15 +153,7 @@ def _digest(path: Path) -> str:
 def _files(folder: Path) -> Iterator[tuple[str, Path]]:
     """Every file, link and empty folder below ``folder`` but the marker, with its name from
     there."""
-    for root, folders, names in os.walk(folder):
-        links = [name for name in folders if os.path.islink(os.path.join(root, name))]
-        for name in sorted((*names, *links)):
-            path = Path(root, name)
-            relative = path.relative_to(folder).as_posix()
-            if relative != OUTPUT_MARKER:
-                yield relative, path
-        if not names and not folders and Path(root) != folder:
-            yield Path(root).relative_to(folder).as_posix(), Path(root)
+    return (entry for entry in entries_below(folder) if entry[0] != OUTPUT_MARKER)
 
 
 def _write_marker(folder: Path) -> None:
@@ -168,10 +165,14 @@ def _write_marker(folder: Path) -> None:
 
 
 def _read_marker(folder: Path) -> dict[str, str]:
-    """Digest of each file that was written; empty where there is no sound marker."""
+    """Digest of each file that was written; empty where there is no sound marker: one that names
+    files outside the folder is not of our making."""
     try:
         files = read_json(folder / OUTPUT_MARKER).get("files")
-    except (InputError, FileNotFoundError):  # The latter vanished while it was read.
+        for name in files if isinstance(files, dict) else ():
+            require_inner_name(name)
+    # ValueError: such a name. FileNotFoundError: it vanished while it was read.
+    except (InputError, ValueError, FileNotFoundError):
         return {}
     return files if isinstance(files, dict) else {}
 
@@ -221,16 +222,19 @@ def visible_faults(folder: Path) -> list[str]:
 def remove_damaged(folder: Path) -> None:
     """Remove an output with ``visible_faults``; InputError where somebody put other files in it.
 
-    Its list of files goes last: what a kill leaves is known as damaged."""
+    What goes is what lies there, never what the list of files names; the list goes last: what a
+    kill leaves is known as damaged."""
     written = _read_marker(folder)
-    for name, path in _files(folder):
-        if name not in written and path.name not in _DESKTOP_FILES and path.is_file():
+    found = [
+        (name, path) for name, path in _files(folder) if path.is_symlink() or not path.is_dir()
+    ]
+    for name, path in found:
+        if name not in written and path.name not in _DESKTOP_FILES:
             raise InputError(
                 f"{folder} is damaged and holds {name}, which taccel-lab did not write"
             )
-    for name in written:
-        if not (folder / name).is_dir():
-            (folder / name).unlink(missing_ok=True)
+    for _, path in found:
+        path.unlink(missing_ok=True)
     shutil.rmtree(folder)
 
 

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.scene_description import TimeScheme
+from taccel_lab.bodies.joints import ROW_COUNT
 from taccel_lab.errors import InputError
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import control_positions, embed_vertices, rotate
@@ -22,6 +23,7 @@ from taccel_lab.model.env_rows import (
     zero_rows,
 )
 from taccel_lab.model.kinematics import place_at_start
+from taccel_lab.model.turns import in_turn
 
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
@@ -64,8 +66,47 @@ class StepHistory:
 
 
 @dataclass
+class JointState:
+    """What joints carry from one step to the next."""
+
+    targets: wp.array
+    """Targets of the drives [rad, m, rad/s or m/s], float64, [env_count, joint_count]; set them at
+    any time, here or by ``Control.joint_targets``. A step goes by what they are when it begins."""
+    coordinates: wp.array
+    """Angle [rad], whole turns included, or slide [m], float64, shape [env_count, joint_count]."""
+    multipliers: wp.array
+    """Forces that keep joints closed [N; N m for the angle], float64, [env_count, joint_count,
+    ROW_COUNT]; where Newton starts, so that a mechanism under steady load needs no second round."""
+
+    @classmethod
+    def at_rest(cls, model: Model) -> JointState:
+        """No forces, no turns, drives at the targets that the scene says."""
+        motors = [joint.motor for joint in model.scene.joints]
+        shape = (model.env_count, len(motors))
+        targets = np.zeros(shape)
+        for index, motor in enumerate(motors):
+            if motor is not None:
+                targets[:, index] = motor.target
+        return cls(
+            targets=wp.array(targets, dtype=wp.float64, device=model.device),
+            coordinates=wp.zeros(shape, dtype=wp.float64, device=model.device),
+            multipliers=wp.zeros((*shape, ROW_COUNT), dtype=wp.float64, device=model.device),
+        )
+
+    def arrays(self) -> list[wp.array]:
+        """All of it."""
+        return [self.targets, self.coordinates, self.multipliers]
+
+
+@dataclass
 class State:
-    """Positions, velocities and prescribed poses of all environments."""
+    """All that the next step of the environments depends on, but for the model and what is asked of
+    it: a copy is a checkpoint, which any solver of the model goes on from.
+
+    A step reads it when it begins and writes it when it is over: whatever interrupts one, each
+    environment is where its step began or where it ended. Who writes positions or poses into it
+    says so by ``moved``.
+    """
 
     positions: wp.array
     """Node positions [m], vec3d, shape [env_count, node_count]."""
@@ -76,28 +117,49 @@ class State:
     """world_from_body of the kinematic bodies, transformd, shape [env_count, kinematic_count]."""
     history: StepHistory | None = None
     """The step before the last one; in scenes that are stepped by BDF2 only."""
+    joints: JointState | None = None
+    """In scenes with joints only."""
     external_forces: wp.array | None = None
     """Forces on nodes [N], vec3d, shape [env_count, node_count]: on soft nodes and on vertices of
     affine bodies; they stay until changed. See ``load``."""
     wrenches: wp.array | None = None
     """Force [N] and torque about the centre of mass [N m] on each affine body in world axes, vec3d,
     shape [env_count, affine_count, 2]. See ``load``."""
+    unsearched: wp.array | None = None
+    """1 where the next step first searches for bodies that overlap, int32, [env_count]; everywhere
+    when None."""
+    separate: np.ndarray | None = None
+    """Where such a search found none, bool, [env_count], on the host; None when one is due."""
 
+    def motion(self) -> list[wp.array]:
+        """What steps change."""
+        found = [self.positions, self.velocities, self.poses]
+        if self.history is not None:
+            found += self.history.arrays()
+        if self.joints is not None:
+            found += self.joints.arrays()[1:]
+        return found
+
+    def asked(self) -> list[wp.array]:
+        """What steps go by and leave as it is; that which there is."""
+        joints = None if self.joints is None else self.joints.targets
+        found = (joints, self.external_forces, self.wrenches)
+        return [array for array in found if array is not None]
+
+    @in_turn
     def copy(self) -> State:
         """An independent copy."""
-        history = self.history
-        if history is not None:
-            history = StepHistory(*map(wp.clone, history.arrays()))
-        forces, wrenches = self.external_forces, self.wrenches
-        return State(
-            positions=wp.clone(self.positions),
-            velocities=wp.clone(self.velocities),
-            poses=wp.clone(self.poses),
-            history=history,
-            external_forces=None if forces is None else wp.clone(forces),
-            wrenches=None if wrenches is None else wp.clone(wrenches),
-        )
 
+        def twin(part: Any) -> Any:
+            if isinstance(part, wp.array):
+                return wp.clone(part)
+            if isinstance(part, StepHistory | JointState):
+                return type(part)(*map(wp.clone, part.arrays()))
+            return copy(part)
+
+        return State(**{field.name: twin(getattr(self, field.name)) for field in fields(self)})
+
+    @in_turn
     def shared(self) -> State:
         """A copy to ``restore`` from, in which what is the same in all environments has one row."""
 
@@ -106,25 +168,74 @@ class State:
             same = array.size > 0 and (value == value[:1]).all()
             return wp.clone(array[:1] if same else array)
 
-        history = self.history
+        def part(value: Any) -> Any:
+            return None if value is None else type(value)(*map(rows, value.arrays()))
+
         return State(
             positions=rows(self.positions),
             velocities=rows(self.velocities),
             poses=rows(self.poses),
-            history=None if history is None else StepHistory(*map(rows, history.arrays())),
+            history=part(self.history),
+            joints=part(self.joints),
         )
 
-    def restore(self, other: State, mask: np.ndarray | wp.array) -> None:
+    @in_turn
+    def restore(self, other: State, mask: np.ndarray | wp.array | None = None) -> None:
         """Take motion and poses of the environments of ``mask`` (bool, or int32 on the device,
-        [env_count]) from another state, ``shared`` or not; loads stay."""
-        mask = device_mask(mask, len(self.positions), self.positions.device)
-        mine = [self.positions, self.velocities, self.poses]
-        theirs = [other.positions, other.velocities, other.poses]
-        if self.history is not None and other.history is not None:
-            mine += self.history.arrays()
-            theirs += other.history.arrays()
+        [env_count]), of all when None, from another state, ``shared`` or not; loads and targets of
+        drives stay.
+
+        Raises:
+            InputError: The other state is that of another model.
+        """
+        mine, theirs = self.motion(), other.motion()
+        shapes = [array.shape[1:] for array in mine]
+        known = {len(self.positions), 1}
+        if shapes != [array.shape[1:] for array in theirs] or not known.issuperset(
+            array.shape[0] for array in theirs
+        ):
+            raise InputError(
+                f"a state of {_size(other)} cannot be restored into one of {_size(self)}: both "
+                "have to be of the same model"
+            )
+        if mask is not None:
+            mask = device_mask(mask, len(self.positions), self.positions.device)
         for target, source in zip(mine, theirs, strict=True):
             copy_rows(mask, source, target)
+        if self.unsearched is not None:
+            if other.unsearched is None:
+                self.moved(mask)
+            else:
+                copy_rows(mask, other.unsearched, self.unsearched)
+        self.separate = None
+
+    @in_turn
+    def moved(self, mask: np.ndarray | wp.array | None = None) -> None:
+        """Positions or poses of the environments of ``mask`` (bool, or int32 on the device,
+        [env_count]), of all when None, were written by hand: the next step searches them for bodies
+        that overlap."""
+        self.separate = None
+        if self.unsearched is None or mask is None:
+            self.unsearched = None
+            return
+        mask = device_mask(mask, len(self.unsearched), self.unsearched.device)
+        copy_rows(mask, mask, self.unsearched)
+
+    def complete(self, model: Model) -> None:
+        """Add what steps of a model need and the state does not have: no past, joints at rest."""
+        if self.history is None and model.scene.time.bdf2:
+            self.history = StepHistory.empty(model)
+        if self.joints is None and model.scene.joints:
+            self.joints = JointState.at_rest(model)
+        if self.unsearched is None:
+            self.unsearched = wp.full(model.env_count, 1, dtype=wp.int32, device=model.device)
+            self.separate = None
+
+    def __reduce__(self) -> Any:
+        raise InputError(
+            "a State is on a device and cannot be pickled: keep state.positions.numpy() and the "
+            "like, and write them into initial_state(model) again"
+        )
 
     def loads(self, model: Model) -> tuple[wp.array, wp.array]:
         """``external_forces`` and ``wrenches``; made, all zero, when there were none."""
@@ -135,6 +246,7 @@ class State:
             self.wrenches = wp.zeros(shape, dtype=wp.vec3d, device=model.device)
         return self.external_forces, self.wrenches
 
+    @in_turn
     def load(
         self, model: Model, forces: Any = None, wrenches: Any = None, mask: Any = None
     ) -> None:
@@ -197,6 +309,7 @@ def check_state(state: State, model: Model) -> None:
             raise InputError(f"{name} of the state have shape {array.shape}, expected {shape}")
 
 
+@in_turn
 def initial_state(model: Model, poses: np.ndarray | None = None) -> State:
     """All bodies at their initial poses and velocities, gels in their rest shape.
 
@@ -211,17 +324,27 @@ def initial_state(model: Model, poses: np.ndarray | None = None) -> State:
     def nodal(value: np.ndarray) -> wp.array:
         return wp.array(value, dtype=wp.vec3d, device=model.device)
 
-    bdf2 = not model.scene.time.quasi_static and model.scene.time.scheme is TimeScheme.BDF2
     state = State(
         positions=nodal(positions),
         velocities=nodal(velocities),
         poses=wp.clone(poses_array(model, poses), device=model.device),
-        history=StepHistory.empty(model) if bdf2 else None,
     )
+    state.complete(model)
     place_at_start(model, state.poses, state.positions)
     embed_vertices(model, state.positions)
     embed_vertices(model, state.velocities)
     return state
+
+
+def _size(state: State) -> str:
+    envs, nodes = state.positions.shape
+    parts = [(state.poses.shape[1], "kinematic bodies")]
+    if state.joints is not None:
+        parts.append((state.joints.targets.shape[1], "joints"))
+    if state.history is not None:
+        parts.append((1, "step before the last"))
+    more = ", ".join(f"{count} {name}" for count, name in parts)
+    return f"{envs} environments, {nodes} nodes, {more}"
 
 
 def _initial_motion(model: Model) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import inner_path, real_path
+from taccel_lab.inner_path import copy_inner, inner_files, inner_path, real_path
+from tests.strangers import LURES, REFUSED, SECRET, lure
 from tests.test_architecture import SOURCES
 
 PARTS = st.sampled_from(
@@ -58,6 +59,38 @@ def test_links(tmp_path: Path) -> None:
     # The folder itself may be reached by a link.
     (tmp_path / "shortcut").symlink_to(folder)
     assert inner_path(tmp_path / "shortcut", "within").name == "within"
+
+
+@pytest.mark.parametrize("kind", LURES)
+@pytest.mark.parametrize("place", ["x", "sub/x", "sub/below/x"])
+def test_nothing_that_leads_elsewhere_is_among_a_folders_files(
+    tmp_path: Path, kind: str, place: str
+) -> None:
+    folder = tmp_path / "folder"
+    (folder / "sub" / "below").mkdir(parents=True)
+    (folder / "sub" / "file").write_text("own")
+    assert list(inner_files(folder)) == list(inner_files(folder, "sub")) == [folder / "sub/file"]
+    secret = lure(folder / place, kind, tmp_path / "outside")
+    with pytest.raises(InputError, match=REFUSED):
+        list(inner_files(folder))
+    with pytest.raises(InputError, match=REFUSED):
+        copy_inner(folder, "sub" if "/" in place else place, tmp_path / "copy")
+    assert not (tmp_path / "copy" / place).exists() and secret.read_text() == SECRET
+    # Places that are not looked at are not judged.
+    shallow = list(inner_files(folder, levels=1)) if "/" in place else []
+    assert shallow == []
+
+
+def test_a_folder_is_copied_with_what_its_own_links_name(tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    (folder / "sub").mkdir(parents=True)
+    (folder / "file").write_text("own")
+    (folder / "sub" / "link").symlink_to("../file")
+    copy_inner(folder, "sub", tmp_path / "copy")
+    assert not (tmp_path / "copy/sub/link").is_symlink()
+    assert (tmp_path / "copy/sub/link").read_text() == "own"
+    with pytest.raises(InputError, match="does not exist"):
+        copy_inner(folder, "absent", tmp_path / "copy")
 
 
 def test_where_a_path_leads(tmp_path: Path) -> None:

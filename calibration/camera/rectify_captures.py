@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,8 @@ from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
 from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import inner_path
+from taccel_lab.inner_path import copy_inner
 from taccel_lab.output_folder import atomic_directory
-from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.reading.toml_file import read_toml
 
 
@@ -154,10 +152,7 @@ class _Writer:
 
     def copy(self, name: str) -> None:
         """Copy a file as it is."""
-        path = inner_path(self._target, name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        source = require_regular_file(inner_path(self._source, name), LARGEST_BYTES, "a capture")
-        shutil.copyfile(source, path)
+        copy_inner(self._source, name, self._target)
 
 
 def _write_manifest(document: dict[str, Any], target: Path) -> None:

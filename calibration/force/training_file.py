@@ -24,13 +24,16 @@ from taccel_lab.calibration.force.options import ForceOptions
 from taccel_lab.calibration.force.samples import Samples
 from taccel_lab.inner_path import real_path
 from taccel_lab.output import atomic_file
+from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.signals.force_settings import ForceModelConfig
 from taccel_lab.version import __version__
 
 EVERY_S = 10.0
 """Time between two states on disk [s]: what an interrupt loses at most."""
 FORMAT = 1
-_UNREADABLE = (OSError, RuntimeError, EOFError, KeyError, ValueError, pickle.UnpicklingError)
+_UNREADABLE = (
+    OSError, RuntimeError, EOFError, LookupError, TypeError, ValueError, pickle.UnpicklingError,
+)  # fmt: skip
 """What torch raises for files that are no states, or only part of one."""
 
 
@@ -57,10 +60,13 @@ class TrainingFile:
         return cls(out.with_name(f".{out.name}.training.pt"), say)
 
     def load(self, key: str) -> dict[str, Any] | None:
-        """The state of the training with the digest ``key``, if that is what the file holds."""
+        """The state of the training with the digest ``key``, if that is what the file holds.
+
+        The file may be anybody's: only tensors and plain values are read of it, never code."""
         if not self.path.exists():
             return None
         try:
+            require_regular_file(self.path, LARGEST_BYTES, "a training's state")
             state = torch.load(self.path, map_location="cpu", weights_only=True)
             same, step, seconds = state["key"] == key, int(state["step"]), float(state["seconds"])
         except _UNREADABLE:

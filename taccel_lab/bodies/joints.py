@@ -18,6 +18,9 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 
+ROW_COUNT = 7
+"""Scalar rows of every joint, see ``ipc.joints.rows``; those that a kind does not have are zero."""
+
 
 class JointKind(IntEnum):
     """What a joint leaves free."""

@@ -62,6 +62,11 @@ class TimeStepping:
                 f"gravity_m_s2 = {gravity} needs quasi_static=False: otherwise nothing has mass"
             )
 
+    @property
+    def bdf2(self) -> bool:
+        """Whether a step depends on the one before."""
+        return not self.quasi_static and self.scheme is TimeScheme.BDF2
+
 
 @dataclass(frozen=True, init=False)
 class SceneDescription:

@@ -42,7 +42,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC, StepReport
-from taccel_lab.state import State, initial_state
+from taccel_lab.state import initial_state
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
@@ -300,42 +300,54 @@ class PressEnv:
         dhat = self.solver.config.dhat_m
         touching = (self.setback_m == dhat) & (depth_m > dhat) & ~resting
         self.setback_m = np.where(touching, FIRST_SETBACK * dhat, self.setback_m)
-        report: StepReport | None = None
-        try:
-            for left in reversed(range(SETBACK_ROUNDS)):
-                target = self._poses(depth_m, shear_m, twist_rad)
-                target[resting] = self.poses[resting]
-                again = report is not None
-                found = self.solver.step(self.state, target, who=~resting, again=again)
-                report = report.followed_by(found) if report is not None else found
-                resting |= ~found.converged
-                gap = self._mean_gap_m()
-                resting |= np.abs(gap - self.setback_m) <= SETBACK_TOLERANCE * np.abs(depth_m)
-                if resting.all() or left == 0:
-                    break
-                self.setback_m = np.where(resting, self.setback_m, gap)
-        except BaseException:
-            # An interrupt: what the steps before had reached is whole.
-            self._put_back(before, rubbing, held_back, np.ones(len(self.at_m), dtype=bool))
-            raise
-        assert report is not None
-        moved = report.converged
-        lost = ~moved if stay is None else ~moved & ~stay
-        if lost.any():
-            self._put_back(before, rubbing, held_back, lost)
-        self.depth_m = np.where(moved, depth_m, self.depth_m)
-        return report
 
-    def _put_back(
-        self, before: State, rubbing: wp.array, held_back: np.ndarray, lost: np.ndarray
-    ) -> None:
-        """Environments of ``lost`` to where a step began, with the forces there: those of friction
-        hang on the step before."""
-        self.state.restore(before, lost)
-        self.setback_m = np.where(lost, held_back, self.setback_m)
-        self.solver.refresh_forces(self.state, lost)
-        mask = device_mask(lost, len(lost), self.model.device)
-        copy_rows(mask, rubbing, self.solver.friction_gradient)
+        def put_back(lost: np.ndarray, forces: bool = True) -> None:
+            """Environments of ``lost`` to where the step began, with the forces there: those of
+            friction hang on the step before."""
+            self.state.restore(before, lost)
+            self.setback_m = np.where(lost, held_back, self.setback_m)
+            if forces:
+                self.solver.refresh_forces(self.state, lost)
+                mask = device_mask(lost, len(lost), self.model.device)
+                copy_rows(mask, rubbing, self.solver.friction_gradient)
+
+        try:
+            return self._settle(depth_m, shear_m, twist_rad, resting, put_back)
+        except BaseException as error:
+            # After an interrupt what the steps before had reached is whole and can be read.
+            put_back(np.ones_like(resting), forces=not isinstance(error, Exception))
+            raise
+
+    def _settle(
+        self,
+        depth_m: np.ndarray,
+        shear_m: np.ndarray,
+        twist_rad: np.ndarray | float,
+        resting: np.ndarray,
+        put_back: Callable[[np.ndarray], None],
+    ) -> StepReport:
+        """Step until the mean gap is what the indenter is held back by; ``put_back`` where that
+        fails. ``resting`` (bool, [env_count]) are left alone."""
+        stay = resting.copy()
+        report: StepReport | None = None
+        for left in reversed(range(SETBACK_ROUNDS)):
+            target = self._poses(depth_m, shear_m, twist_rad)
+            target[resting] = self.poses[resting]
+            again = report is not None
+            found = self.solver.step(self.state, target, who=~resting, again=again)
+            report = report.followed_by(found) if report is not None else found
+            resting |= ~found.converged
+            gap = self._mean_gap_m()
+            resting |= np.abs(gap - self.setback_m) <= SETBACK_TOLERANCE * np.abs(depth_m)
+            if resting.all() or left == 0:
+                break
+            self.setback_m = np.where(resting, self.setback_m, gap)
+        assert report is not None
+        lost = ~report.converged & ~stay
+        if lost.any():
+            put_back(lost)
+        self.depth_m = np.where(report.converged, depth_m, self.depth_m)
+        return report
 
     def failure(self, env: int, report: StepReport, depth_mm: np.ndarray | float) -> str:
         """Why an environment did not converge on its way to a depth, in words."""

@@ -220,6 +220,11 @@ class GrowingList:
         """For kernels; of the list as it is now."""
         self.room.counts, self.room.starts, self.room.peaks = self.counts, self.starts, self.peaks
 
+    def renew(self) -> None:
+        """Empty, with arrays made anew: whoever was moving entries was interrupted."""
+        self.counts.zero_()
+        self._allocate(self.rooms)
+
     def clear(self, active: wp.array) -> None:
         """Empty the lists of the active environments (int32, [env_count])."""
         clear_all(active, [self])

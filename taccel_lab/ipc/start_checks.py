@@ -13,7 +13,7 @@ from taccel_lab.geometry.tet_checks import first_of
 from taccel_lab.ipc.gaps import SurfacePairs
 from taccel_lab.ipc.intersection import require_separated
 from taccel_lab.model import Model
-from taccel_lab.state import State
+from taccel_lab.state import State, check_state
 
 LEAST_GAP_OVER_DHAT = 1e-4
 """Smallest gap at the start, as a part of dhat: below, the barrier is so stiff that its forces
@@ -29,12 +29,13 @@ def check_start(model: Model, state: State, dhat_m: float) -> None:
         InputError: NaN, inverted tets, bodies that overlap, or gaps below a ten-thousandth of
             ``dhat_m`` between bodies that may touch; with environment, bodies and ids.
     """
-    check_state(model, state)
+    check_state(state, model)
+    check_finite(model, state)
     require_separated(model, state)
     check_gaps(model, state, LEAST_GAP_OVER_DHAT * dhat_m)
 
 
-def check_state(model: Model, state: State) -> None:
+def check_finite(model: Model, state: State) -> None:
     """Refuse a state with NaN or infinite values, naming environment, body and node."""
     bodies = model.surface.node_bodies.numpy()
     for name in ("positions", "velocities", "external_forces"):

@@ -25,6 +25,7 @@ from taccel_lab.model.layout import Layout
 from taccel_lab.model.matrix_pattern import block_gather, block_pattern
 from taccel_lab.model.model import AffineArrays, BodyKind, BodyRange, Model, RigidTarget
 from taccel_lab.model.surface import Put, surface_arrays, surface_trees
+from taccel_lab.model.turns import TURNS
 
 MAX_CONTACT_COUPLES = 400
 """Surface nodes beside affine bodies up to which their contact has blocks in the matrix."""
@@ -208,6 +209,7 @@ def build_model(
     sorting a list; the sweeps of the CPU take half as long again over all the zeros.
     """
     wp_device = wp.get_device(device)
+    TURNS.watch(wp_device)
     if contact_in_pattern is None:
         contact_in_pattern = wp_device.is_cuda
 

@@ -17,8 +17,8 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def _copy_rows_kernel(
     mask: wp.array(dtype=wp.int32),
-    source: wp.array2d(dtype=wp.float64),
-    result: wp.array2d(dtype=wp.float64),
+    source: wp.array2d(dtype=Any),
+    result: wp.array2d(dtype=Any),
 ):
     env, i = wp.tid()
     if mask[env] != 0:
@@ -26,17 +26,25 @@ def _copy_rows_kernel(
 
 
 @wp.kernel
-def _zero_rows_kernel(mask: wp.array(dtype=wp.int32), values: wp.array2d(dtype=wp.float64)):
+def _zero_rows_kernel(mask: wp.array(dtype=wp.int32), values: wp.array2d(dtype=Any)):
     env, i = wp.tid()
     if mask[env] != 0:
-        values[env, i] = wp.float64(0.0)
+        values[env, i] = values.dtype(0)
+
+
+for _word in (wp.int32, wp.float64):
+    _rows = wp.array2d(dtype=_word)
+    wp.overload(_copy_rows_kernel, {"source": _rows, "result": _rows})
+    wp.overload(_zero_rows_kernel, {"values": _rows})
 
 
 def _as_rows(array: wp.array) -> wp.array:
-    """The same memory as float64, [rows, all else]; of arrays of float64, vectors or poses."""
-    count = math.prod(array.shape[1:]) * (wp.types.type_size_in_bytes(array.dtype) // 8)
-    shape = (array.shape[0], count)
-    return wp.array(ptr=array.ptr, dtype=wp.float64, shape=shape, device=array.device)
+    """The same memory as words, [rows, all else]: float64, or int32 where an entry is no multiple
+    of that."""
+    size = wp.types.type_size_in_bytes(array.dtype)
+    word, width = (wp.float64, 8) if size % 8 == 0 else (wp.int32, 4)
+    shape = (array.shape[0], math.prod(array.shape[1:]) * (size // width))
+    return wp.array(ptr=array.ptr, dtype=word, shape=shape, device=array.device)
 
 
 def copy_rows(mask: wp.array | None, source: wp.array, result: wp.array) -> None:
@@ -89,7 +97,7 @@ def chosen_envs(who: Any, env_count: int, device: wp.Device) -> wp.array:
     """
     if on_device(who):
         raise InputError("which environments are read is said by a mask of numpy, not the device's")
-    value = _checked_mask(who, env_count)
+    value = checked_mask(who, env_count)
     return wp.array(np.flatnonzero(value), dtype=wp.int32, device=device)
 
 
@@ -172,11 +180,12 @@ def device_mask(mask: Any, env_count: int, device: wp.Device) -> wp.array:
         result = wp.empty(env_count, dtype=wp.int32, device=device)
         wp.launch(_as_int_kernel, env_count, inputs=[found, result], device=device)
         return result
-    value = _checked_mask(mask, env_count)
+    value = checked_mask(mask, env_count)
     return wp.array(value.astype(np.int32), dtype=wp.int32, device=device)
 
 
-def _checked_mask(mask: Any, env_count: int) -> np.ndarray:
+def checked_mask(mask: Any, env_count: int) -> np.ndarray:
+    """A mask of the host; InputError unless it is bool of shape [env_count]."""
     value = np.asarray(mask)
     if value.shape != (env_count,) or value.dtype != bool:
         raise InputError(

@@ -14,7 +14,8 @@ import warp as wp
 from taccel_lab.ipc.affine.orthogonality import affine_map
 from taccel_lab.ipc.svd import signed_svd_3x3
 from taccel_lab.model import Model
-from taccel_lab.state import State
+from taccel_lab.model.turns import in_turn
+from taccel_lab.state import State, check_state
 
 wp.set_module_options({"enable_backward": False})
 
@@ -59,6 +60,7 @@ def _frames_kernel(
 class GelFrames:
     """Reads the frames of a model's gels, on the device and without waiting for it."""
 
+    @in_turn
     def __init__(self, model: Model) -> None:
         self._model = model
         scene, device = model.scene, model.device
@@ -82,10 +84,12 @@ class GelFrames:
         self._mounts.carriers = wp.array(self.carriers, dtype=wp.int32, device=device)
         self._mounts.offsets = wp.array(offsets, dtype=wp.transformd, device=device)
 
+    @in_turn
     def read(self, state: State) -> wp.array:
         """world_from_mesh of each soft body, transformd, shape [env_count, soft_count]; the
         identity for one without a mount."""
         model = self._model
+        check_state(state, model)
         shape = (model.env_count, len(self.columns))
         result = wp.empty(shape, dtype=wp.transformd, device=model.device)
         affine = model.affine

@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.model import BodyKind
+from taccel_lab.model.turns import in_turn
 from taccel_lab.outputs.arrays import negated
 from taccel_lab.outputs.contact_wrenches import (
     PairWrenches,
@@ -21,7 +22,7 @@ from taccel_lab.outputs.soft_wrenches import SoftWrenchReader
 from taccel_lab.outputs.stress import StressReader, peak_at, von_mises
 from taccel_lab.outputs.surface_load import SurfaceLoad, SurfaceLoadReader
 from taccel_lab.solvers.solver_ipc import SolverIPC
-from taccel_lab.state import State
+from taccel_lab.state import State, check_state
 
 _STORED = ("elastic", "affine", "joints")
 """Potentials whose value is energy that is stored, not a means to a step."""
@@ -30,10 +31,11 @@ _STORED = ("elastic", "affine", "joints")
 class Outputs:
     """Construct once, ``update(state)`` after a step, then read.
 
-    Forces, wrenches and gaps are those of the last step of the solver. Arrays that were handed out
-    keep their values at the next update.
+    Forces, wrenches, gaps and sliding are those of the last step of the solver; of another state
+    they are refused. Arrays that were handed out keep their values at the next update.
     """
 
+    @in_turn
     def __init__(self, solver: SolverIPC) -> None:
         self._solver = solver
         self._model = solver.model
@@ -43,7 +45,12 @@ class Outputs:
         self._soft_wrenches = SoftWrenchReader(solver)
 
     def update(self, state: State) -> Outputs:
-        """Read from now on the step that led to ``state``."""
+        """Read from now on the step that led to ``state``.
+
+        Raises:
+            InputError: A state of another model.
+        """
+        check_state(state, self._model)
         self._state = state
         for name, value in vars(type(self)).items():
             if isinstance(value, cached_property):
@@ -57,20 +64,29 @@ class Outputs:
             raise RuntimeError("update() must be called before an output is read")
         return self._state
 
+    @property
+    def _latest(self) -> State:
+        """The state, of which the solver knows the forces."""
+        self._solver.require_latest(self.state)
+        return self.state
+
     # Contact ---------------------------------------------------------------------------------
 
     @cached_property
+    @in_turn
     def normal_forces(self) -> wp.array:
         """Contact force on each node [N], vec3d, shape [env_count, node_count]."""
-        _ = self.state
+        _ = self._latest
         return negated(self._solver.contact_gradient)
 
     @cached_property
+    @in_turn
     def friction_forces(self) -> wp.array:
         """Friction force on each node [N], vec3d, shape [env_count, node_count]."""
-        _ = self.state
+        _ = self._latest
         return negated(self._solver.friction_gradient)
 
+    @in_turn
     def soft_wrenches(self, who: np.ndarray | None = None) -> wp.array:
         """Force and torque of contact and friction on each soft body, about the origin and in the
         axes of its mesh where its mount carries that (``GelFrames``; on a kinematic mount the
@@ -83,26 +99,29 @@ class Outputs:
         return self._soft_wrenches.read(self.state, who)
 
     @cached_property
+    @in_turn
     def surface_load(self) -> SurfaceLoad:
         """Tractions of contact and friction, and contact pressure, on the surface as it is now."""
         x = self.state.positions
         return self._surface_load.read(x, self.normal_forces, self.friction_forces)
 
     @cached_property
+    @in_turn
     def sliding(self) -> Sliding:
         """How far surfaces slid over each other in the step, and where friction is at its limit;
         InputError in a scene without friction."""
         return read_sliding(self._solver, self.state)
 
+    @in_turn
     def contact_wrenches(self, center_m: tuple[float, float, float] = (0, 0, 0)) -> PairWrenches:
         """Normal forces between bodies, torques about ``center_m``, and gaps."""
-        return contact_wrenches(
-            self._model, self._solver.collisions, self.state.positions, center_m
-        )
+        collisions = self._solver.collisions
+        return contact_wrenches(self._model, collisions, self._latest.positions, center_m)
 
+    @in_turn
     def friction_wrenches(self, center_m: tuple[float, float, float] = (0, 0, 0)) -> PairWrenches:
         """Friction forces between bodies, torques about ``center_m``."""
-        s, state = self._solver, self.state
+        s, state = self._solver, self._latest
         if s.friction is None:
             return PairWrenches.none(self._model)
         motion = s.friction.motion(state.positions, s.origin, state.poses, s.origin_poses)
@@ -112,6 +131,7 @@ class Outputs:
     # Stress ----------------------------------------------------------------------------------
 
     @cached_property
+    @in_turn
     def nodal_stresses(self) -> wp.array:
         """Cauchy stress at the nodes of soft bodies [Pa], mat33d, shape [env_count, node_count];
         zero elsewhere."""
@@ -122,10 +142,12 @@ class Outputs:
         return nodal
 
     @cached_property
+    @in_turn
     def von_mises(self) -> wp.array:
         """Equivalent stress at the nodes of soft bodies [Pa], float64, [env_count, node_count]."""
         return von_mises(self.nodal_stresses)
 
+    @in_turn
     def bond_peak(self) -> tuple[wp.array, wp.array]:
         """Largest equivalent stress at a bonded node [Pa] and that node, [env_count] each."""
         held = self._model.free_index.numpy() < 0
@@ -141,15 +163,17 @@ class Outputs:
 
     # Energy and momentum ---------------------------------------------------------------------
 
+    @in_turn
     def momentum(self, center_m: tuple[float, float, float] = (0, 0, 0)) -> Momentum:
         """Momenta and kinetic energies of the bodies, angular momenta about ``center_m``."""
         return self._momentum.read(self.state.positions, self.state.velocities, center_m)
 
     @cached_property
+    @in_turn
     def energies(self) -> dict[str, np.ndarray]:
         """Stored energies by name [J], shape [env_count]: elastic, affine, joints, contact, weight,
         kinetic; those that the scene has."""
-        s, x = self._solver, self.state.positions
+        s, x = self._solver, self._latest.positions
         everyone = wp.full(self._model.env_count, 1, dtype=wp.int32, device=self._model.device)
         terms = {
             name: part.energy(everyone, x).copy()

@@ -23,6 +23,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.ipc.capacity import list_end
 from taccel_lab.ipc.lanes import lane_count
 from taccel_lab.ipc.potentials.friction import FrozenContacts, StepMotion, sliding
+from taccel_lab.model.turns import in_turn
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State
 
@@ -92,6 +93,7 @@ class Sliding:
         )
 
 
+@in_turn
 def read_sliding(solver: SolverIPC, state: State, into: Sliding | None = None) -> Sliding:
     """Sliding of the step that led to ``state``; does not wait for the device.
 
@@ -103,6 +105,7 @@ def read_sliding(solver: SolverIPC, state: State, into: Sliding | None = None) -
         raise InputError(
             "sliding needs friction: give the bodies of the scene a friction coefficient above 0"
         )
+    solver.require_latest(state)
     result = Sliding.empty(solver) if into is None else into
     result.slips.zero_()
     result.limits.zero_()

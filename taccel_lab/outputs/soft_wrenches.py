@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.model.env_rows import chosen_env, chosen_envs
+from taccel_lab.model.turns import in_turn
 from taccel_lab.outputs.contact_wrenches import vec6d
 from taccel_lab.outputs.gel_frames import GelFrames
 from taccel_lab.solvers.solver_ipc import SolverIPC
@@ -53,6 +54,7 @@ def _soft_wrench_kernel(
 class SoftWrenchReader:
     """Reads the wrenches of contact and friction on a solver's soft bodies."""
 
+    @in_turn
     def __init__(self, solver: SolverIPC, in_mounts: bool = True) -> None:
         """``in_mounts``: in the frames of the gels, about their origins, where they have mounts;
         otherwise in the world's, as bodies without a mount in any case."""
@@ -71,9 +73,11 @@ class SoftWrenchReader:
         self._mounts = wp.array(np.array(mounts), dtype=wp.int32, device=model.device)
         self._everyone = wp.empty(0, dtype=wp.int32, device=model.device)
 
+    @in_turn
     def read(self, state: State, who: np.ndarray | None = None) -> wp.array:
         """Wrenches of the last step, which led to ``state``; see ``Outputs.soft_wrenches``."""
         solver, model = self._solver, self._solver.model
+        solver.require_latest(state)
         envs = self._everyone if who is None else chosen_envs(who, model.env_count, model.device)
         count = model.env_count if who is None else len(envs)
         poses = self._frames.read(state) if self._on_affine else state.poses

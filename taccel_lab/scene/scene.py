@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.model import Model, build_model
+from taccel_lab.model.turns import in_turn
 from taccel_lab.scene.checks import check_scene
 from taccel_lab.scene.profile_gel import profile_gel
 
@@ -45,6 +46,7 @@ class Scene(SceneDescription):
         """
         return cls(profile_gel(profile, mesh, **(gel or {})), **scene)
 
+    @in_turn
     def finalize(self, device: str | None = None) -> Model:
         """Build the device arrays; raises InputError for meshes that cannot be used.
 

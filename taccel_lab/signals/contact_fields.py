@@ -305,6 +305,7 @@ class ContactFields:
     def read_nodes(self, state: State, names: set[str]) -> None:
         """Loads and sliding of all nodes that some signals need."""
         solver = self._solver
+        solver.require_latest(state)
         if not self._forces:
             gradients = solver.contact_gradient, solver.friction_gradient
             self._forces = [wp.empty_like(gradient) for gradient in gradients]

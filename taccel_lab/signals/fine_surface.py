@@ -28,6 +28,7 @@ import warp as wp
 
 from taccel_lab.bodies.material import MaterialField
 from taccel_lab.geometry import PixelGrid, Region
+from taccel_lab.model.turns import in_turn
 from taccel_lab.outputs.arrays import to_torch
 from taccel_lab.outputs.contact_layer import mean_gaps
 from taccel_lab.scene import SoftBody
@@ -120,6 +121,7 @@ class FineSurface:
     stream of the solver's device, and nothing waits for it.
     """
 
+    @in_turn
     def __init__(
         self,
         solver: SolverIPC,
@@ -222,6 +224,7 @@ class FineSurface:
         pixel_m2 = 1e-6 * grid.mm_per_px_x * grid.mm_per_px_y
         return self._counts.numpy() * (pixel_m2 / self.points**2)
 
+    @in_turn
     def update(self, state: State) -> None:
         """Read nodal loads of the step that led to ``state``."""
         self._fields.read_nodes(state, {"pressure_pa"})

@@ -20,6 +20,7 @@ import warp as wp
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.model.env_rows import chosen_envs
+from taccel_lab.model.turns import in_turn
 from taccel_lab.outputs.gel_frames import GelFrames
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS, ContactFields
@@ -31,7 +32,7 @@ from taccel_lab.signals.profile_options import profile_options
 from taccel_lab.signals.raster import grid_map
 from taccel_lab.signals.surface_sampler import SurfaceMode, SurfaceSampler
 from taccel_lab.signals.tactile_image import DeviceColorModel
-from taccel_lab.state import State
+from taccel_lab.state import State, check_state
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
@@ -65,6 +66,7 @@ class SignalTactile:
     ``wp.to_torch(signal.rgb)`` shares their memory.
     """
 
+    @in_turn
     def __init__(
         self,
         mesh: TetMesh | QuadraticMesh,
@@ -217,6 +219,7 @@ class SignalTactile:
         given = profile_options(profile, profile.mesh, options)
         return cls(profile.mesh, profile.grid(), env_count=env_count, **given)
 
+    @in_turn
     def update(
         self,
         positions: wp.array | State,
@@ -240,6 +243,8 @@ class SignalTactile:
         self._state = None
         if isinstance(positions, State):
             self._state = positions
+            if self._solver is not None:
+                check_state(positions, self._solver.model)
             if world_from_gel is None and self._gel_frames is not None:
                 world_from_gel = self._gel_frames.of(self._gel, positions)
             where: Any = positions.positions
@@ -295,6 +300,7 @@ class SignalTactile:
     markers_px = _Signal()
     """Columns and rows (u, v) of the markers [px], vec2f, shape [env, marker]."""
 
+    @in_turn
     def read(self, *names: str) -> tuple[wp.array, ...]:
         """Compute some of ``SIGNALS`` together, which shares their common work.
 

@@ -161,6 +161,7 @@ def _close_kernel(p: EnvProgress):
 def begin_step(run: StepLaunches) -> None:
     """Where everything is at the start; environments that cannot step stop."""
     s, state, p = run.s, run.state, run.p
+    s.rows.read(p.reads)
     poses = [state.poses, s.end_poses, s.start_poses, s.origin_poses]
     run.decide(_begin_kernel, *poses, p, run.rules)
     wp.launch(
@@ -197,7 +198,8 @@ def _begin_potentials(run: StepLaunches) -> None:
 
 
 def end_step(run: StepLaunches) -> None:
-    """Roll back what failed; velocities and joints of what converged."""
+    """Roll back what failed; velocities and joints of what converged, which the user's state
+    gets."""
     s, state, p = run.s, run.state, run.p
     if s.silent:
         p.inverted_after.zero_()
@@ -217,3 +219,4 @@ def end_step(run: StepLaunches) -> None:
         )
     else:
         measure_velocities(p.done, s.origin, state.positions, s.dts, state.velocities)
+    s.rows.write(p.done, p.writes)

@@ -21,7 +21,7 @@ class Control:
     [env_count, kinematic_count, 7]."""
     joint_targets: Any = None
     """Targets of the drives of joints [rad, m, rad/s or m/s], [env_count, joint_count], in the
-    order of the scene; they stay until changed, as ``solver.joints.targets``."""
+    order of the scene; they stay until changed, as ``state.joints.targets``."""
     dt_s: float | None = None
     """Length of the step [s]; the scene's when None. Not of a quasi-static
     scene, whose steps have none."""

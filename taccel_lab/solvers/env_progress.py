@@ -39,6 +39,10 @@ class EnvProgress:
 
     who: wp.array(dtype=wp.int32)
     """Mask of the environments that are to take a step."""
+    reads: wp.array(dtype=wp.int32)
+    """Mask of those that are read from the user's state first."""
+    writes: wp.array(dtype=wp.int32)
+    """Mask of those that are written to it once their step has converged."""
     fresh: wp.array(dtype=wp.int32)
     """Mask of those that begin it in this call."""
     underway: wp.array(dtype=wp.int32)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.model.env_rows import copy_rows, device_mask
+from taccel_lab.model.env_rows import checked_mask, device_mask
 from taccel_lab.solvers.control import Control
 from taccel_lab.solvers.env_progress import NO_LIMIT
 from taccel_lab.solvers.report import EnvStatus, StepReport
@@ -38,7 +38,8 @@ class ReadySteps:
     @property
     def underway(self) -> np.ndarray:
         """Environments whose step is not over, bool, [env_count]."""
-        return self.solver.progress.underway
+        with self.solver.at_work():
+            return self.solver.progress.underway
 
     def step_ready(
         self, control: Control | Any = None, who: np.ndarray | None = None
@@ -52,31 +53,35 @@ class ReadySteps:
         In the report, RUNNING are those whose step is underway, and SKIPPED those that take none.
         All others are ready for their next step, and their forces are those of this report until
         then. One that failed is where its step began; it is not tried in halves here, but
-        ``SolverIPC.step`` will when nothing is underway.
+        ``SolverIPC.step`` will when nothing is underway. In the state each environment is where its
+        last step ended, until its next one has. A call that is interrupted gives up all steps.
         """
         started = time.perf_counter()
-        solver, progress = self.solver, self.solver.progress
-        p = progress.data
-        who = ~self.underway if who is None else np.array(who, dtype=bool)
-        if (who & self.underway).any():
-            env = int(np.flatnonzero(who & self.underway)[0])
-            raise InputError(f"environment {env} has not finished its last step yet")
-        beginning = device_mask(who, len(who), solver.model.device)
-        dt = solver.take(control, self.state, beginning)
-        solver.set_dt(dt, beginning if self.underway.any() else None)
-        solver.follow_parameters()
-        separate = solver.find_separate(self.state)
-        overlapping = who & ~separate
-        who &= separate
-        p.again.zero_()
-        p.most_rounds.fill_(self.iterations)
-        report = solver.attempt_once(self.state, who | progress.again)
-        p.most_rounds.fill_(NO_LIMIT)
-        progress.underway |= who
-        status = np.where(self.underway, report.status, int(EnvStatus.SKIPPED))
-        progress.again[:] = solver.prepare_again(self.state, status)
-        status[progress.again] = EnvStatus.RUNNING
-        progress.underway &= status == EnvStatus.RUNNING
+        solver, state, progress = self.solver, self.state, self.solver.progress
+        with solver.at_work():
+            p, count = progress.data, solver.model.env_count
+            who = ~progress.underway if who is None else checked_mask(who, count).copy()
+            if (who & progress.underway).any():
+                env = int(np.flatnonzero(who & progress.underway)[0])
+                raise InputError(f"environment {env} has not finished its last step yet")
+            beginning = device_mask(who, count, solver.model.device)
+            dt = solver.take(control, state, beginning)
+            solver.set_dt(dt, beginning if progress.underway.any() else None)
+            solver.follow_parameters()
+            separate = solver.find_separate(state)
+            overlapping = who & ~separate
+            who &= separate
+            solver.begin(state)
+            p.again.zero_()
+            p.most_rounds.fill_(self.iterations)
+            report = solver.attempt_once(who | progress.again, who, np.ones_like(who))
+            p.most_rounds.fill_(NO_LIMIT)
+            progress.underway |= who
+            status = np.where(progress.underway, report.status, int(EnvStatus.SKIPPED))
+            progress.again[:] = solver.prepare_again(status)
+            status[progress.again] = EnvStatus.RUNNING
+            progress.underway &= status == EnvStatus.RUNNING
+            solver.end(state)
         status[overlapping] = EnvStatus.OVERLAP
         return replace(
             report,
@@ -88,11 +93,7 @@ class ReadySteps:
     def drop(self, who: np.ndarray) -> None:
         """Give up the steps of the environments of ``who`` (bool, [env_count]) that are underway:
         they are where these began."""
-        solver, progress = self.solver, self.solver.progress
-        who = self.underway & who
-        begun = device_mask(who & ~progress.again, len(who), solver.model.device)
-        copy_rows(begun, solver.previous, self.state.positions)
-        copy_rows(begun, solver.start_poses, self.state.poses)
-        if solver.joints is not None:
-            solver.joints.restore(begun)
-        progress.drop(who, device_mask(who, len(who), solver.model.device))
+        with self.solver.at_work():
+            progress = self.solver.progress
+            who = progress.underway & checked_mask(who, len(progress.underway))
+            progress.drop(who, device_mask(who, len(who), self.solver.model.device))

@@ -4,10 +4,8 @@
 Environments do not influence one another: each device has a model, a solver and a state of its own,
 and nothing passes between devices. For one process a device see ``scene.shards.shard_of``.
 
-There is a thread for each device, but only the one whose turn it is does anything other than wait
-for its device. Warp keeps the default device, and captures that are under way, once for the whole
-process, so threads that launch or capture at the same time would disturb one another; what a step
-asks of the host between two waits is short.
+There is a thread for each device; they take turns (``model.turns``) in launching, and wait side by
+side. What a step asks of the host between two waits is short.
 """
 
 from __future__ import annotations
@@ -16,7 +14,6 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, fields
-from threading import Lock
 from typing import Any, TypeVar
 
 import numpy as np
@@ -32,25 +29,6 @@ from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, as_poses, initial_state
 
 T = TypeVar("T")
-
-
-class _TurnTaker(SolverIPC):
-    """A solver that lets others have their turn while its device is at work."""
-
-    def __init__(self, model: Model, config: SolverConfig | None, turn: Lock) -> None:
-        super().__init__(model, config)
-        self._turn = turn
-
-    def _read_report(self) -> StepReport:
-        if not self._turn.locked():
-            # Stepped by itself, outside ``ShardedSolver.step``.
-            return super()._read_report()
-        self._turn.release()
-        try:
-            wp.synchronize_stream(self.model.device)
-        finally:
-            self._turn.acquire()
-        return super()._read_report()
 
 
 @dataclass(frozen=True)
@@ -90,12 +68,11 @@ class ShardedSolver:
         slices = [shard_slice(scene.env_count, i, len(names)) for i in range(len(names))]
         if poses is not None:
             _check_shape(scene, poses)
-        self._turn = Lock()
         self.shards: list[Shard] = []
         for rank, (name, part) in enumerate(zip(names, slices, strict=True)):
             model = shard_of(scene, rank, len(names)).finalize(name)
             start = None if poses is None else np.asarray(poses)[part]
-            solver = _TurnTaker(model, config, self._turn)
+            solver = SolverIPC(model, config)
             self.shards.append(Shard(part, solver, initial_state(model, start)))
         self._threads = ThreadPoolExecutor(len(names), thread_name_prefix="shard")
 
@@ -161,13 +138,8 @@ class ShardedSolver:
         self, work: Callable[[Shard, np.ndarray | None], T], values: list[np.ndarray | None]
     ) -> list[T]:
         """Run ``work`` for each shard, in turns; all have ended when an error is raised."""
-
-        def in_turn(shard: Shard, value: np.ndarray | None) -> T:
-            with self._turn:
-                return work(shard, value)
-
         pairs = zip(self.shards, values, strict=True)
-        running = [self._threads.submit(in_turn, *pair) for pair in pairs]
+        running = [self._threads.submit(work, *pair) for pair in pairs]
         wait(running)
         return [one.result() for one in running]
 

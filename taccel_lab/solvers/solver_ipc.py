@@ -9,8 +9,12 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from threading import get_ident
 from typing import TYPE_CHECKING, Any
+from weakref import ref
 
 import numpy as np
 import warp as wp
@@ -21,15 +25,17 @@ from taccel_lab.ipc.capacity import grow_all
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import embed_vertices
-from taccel_lab.model.env_rows import copy_rows, device_mask, given_array
+from taccel_lab.model.env_rows import checked_mask, copy_rows, device_mask, given_array
 from taccel_lab.model.kinematics import place_at_start, place_poses_between
+from taccel_lab.model.turns import TURNS, in_turn
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.control import Control
+from taccel_lab.solvers.env_progress import NO_LIMIT
 from taccel_lab.solvers.measure_and_judge import evaluate_forces
 from taccel_lab.solvers.plan import Plan, make_plan
 from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.solvers.solver_parts import SolverParts
-from taccel_lab.solvers.step_graph import StepGraphs
+from taccel_lab.solvers.step_graph import StepGraph
 from taccel_lab.solvers.step_launches import StepLaunches
 from taccel_lab.state import State, check_state, initial_state, poses_array
 
@@ -50,29 +56,32 @@ HALVING_HELPS = [
 too much on its way."""
 
 
-@wp.kernel
-def _add_mask_kernel(mask: wp.array(dtype=wp.int32), result: wp.array(dtype=wp.int32)):
-    env = wp.tid()
-    if mask[env] != 0:
-        result[env] = 1
-
-
 class SolverIPC(SolverParts):
-    """Steps a model."""
+    """Steps a model.
 
+    What a step depends on stands in the ``State`` that it is given: states may take turns on one
+    solver, and solvers on one state. Here is nothing but room to work in, what the last step says
+    of forces, and the pairs near each other that it found, which are checked before they are used.
+    """
+
+    @in_turn
     def __init__(self, model: Model, config: SolverConfig | None = None) -> None:
         super().__init__(model, config)
-        self.graphs = StepGraphs(self)
-        self._unchecked = wp.full(model.env_count, 1, dtype=wp.int32, device=model.device)
-        """Environments that are to be searched for overlaps, int32, [env_count]."""
-        self._all_checked = False
-        """Whether there are none."""
+        self.graph = StepGraph()
+        self._everyone = np.ones(model.env_count, dtype=bool)
+        self._nobody = np.zeros(model.env_count, dtype=bool)
         self._start: State | None = None
         """Where environments are put back to; made by the first reset."""
         self._overlaps: OverlapSearch | None = None
         """Made by the first check of starts."""
         self._changes, self._moves = -1, model.moves
         """Of the parameters of the model, as they were followed last."""
+        self._torn = False
+        """Whether a step is at work, or was interrupted."""
+        self._latest: Callable[[], State | None] | None = None
+        """The state that forces and contacts are those of; None before the first step."""
+        self._thread: dict[str, int] = {}
+        """The thread that is at work."""
 
     @property
     def plan(self) -> Plan:
@@ -105,24 +114,31 @@ class SolverIPC(SolverParts):
         figures stay on the device until they are read from the report.
         """
         started = time.perf_counter()
-        if self.progress.underway.any():
-            raise InputError("some environments are in a step of their own: see ReadySteps")
-        if again and (self.inertia is not None or self.joints is not None):
-            raise InputError("only a step of a quasi-static scene without joints is taken again")
-        who = np.ones(self.model.env_count, dtype=bool) if who is None else who
-        dt = self.take(control, state)
-        self.follow_parameters()
-        separate = self.find_separate(state)
-        self.progress.data.again.fill_(int(again))
-        report = self._attempt(state, separate & who, dt)
-        overlapping = ~separate & who
-        if overlapping.any():
-            status = np.where(overlapping, np.int32(EnvStatus.OVERLAP), report.status)
-            report = replace(report, status=status)
-        if not report.converged.all() and self.config.max_substep_halvings > 0:
-            report = self._in_halves(state, report, dt, 1)
-        if not report.converged[who].all():
-            self.refresh_forces(state, ~report.converged & who)
+        with self.at_work():
+            if self.progress.underway.any():
+                raise InputError("some environments are in a step of their own: see ReadySteps")
+            if again:
+                self._require_again(state)
+            who = self._everyone if who is None else checked_mask(who, self.model.env_count)
+            dt = self.take(control, state)
+            self.follow_parameters()
+            separate = self.find_separate(state)
+            self.begin(state)
+            self.progress.data.again.fill_(int(again))
+            # The same array as in the step before where all go on: nothing to compare.
+            able = separate if who is self._everyone else separate & who
+            report = self._attempt(able, dt, whole=True)
+            overlapping = ~separate & who
+            if overlapping.any():
+                status = np.where(overlapping, np.int32(EnvStatus.OVERLAP), report.status)
+                report = replace(report, status=status)
+            if not report.converged.all() and self.config.max_substep_halvings > 0:
+                report = self._in_halves(report, dt, 1)
+            if not report.converged[who].all():
+                self._evaluate_forces(~report.converged & who)
+            if (report.substeps > 1).any():
+                self._write(report.converged)
+            self.end(state)
         return report.timed(time.perf_counter() - started)
 
     def reset(self, state: State, mask: Any, poses: Any = None) -> None:
@@ -133,54 +149,131 @@ class SolverIPC(SolverParts):
         environments are ignored. They stay where they are when None. The other environments are not
         touched. A step that is underway there (``ReadySteps``) is given up.
         """
-        chosen = device_mask(mask, self.model.env_count, self.model.device)
-        if self.progress.underway.any():
-            self.progress.drop(chosen.numpy() != 0, chosen)
-        if poses is not None:
-            copy_rows(chosen, poses_array(self.model, poses), state.poses)
-        if self._start is None:
-            self._start = initial_state(self.model).shared()
-        start = replace(self._start, poses=state.poses)
-        state.restore(start, chosen)
-        place_at_start(self.model, state.poses, state.positions, chosen)
-        embed_vertices(self.model, state.positions)
-        wp.launch(
-            _add_mask_kernel,
-            self.model.env_count,
-            inputs=[chosen, self._unchecked],
-            device=self.model.device,
-        )
-        self._all_checked = False
-        if self.joints is not None:
-            self.joints.reset(chosen)
+        with self.at_work():
+            check_state(state, self.model)
+            chosen = device_mask(mask, self.model.env_count, self.model.device)
+            if self.progress.underway.any():
+                self.progress.drop(chosen.numpy() != 0, chosen)
+            if poses is not None:
+                copy_rows(chosen, poses_array(self.model, poses), state.poses)
+            if self._start is None:
+                self._start = initial_state(self.model).shared()
+            state.complete(self.model)
+            state.restore(replace(self._start, poses=state.poses), chosen)
+            place_at_start(self.model, state.poses, state.positions, chosen)
+            embed_vertices(self.model, state.positions)
+            if self.joints is not None:
+                self.joints.reset(chosen)
+
+    def refresh_forces(self, state: State, who: np.ndarray) -> None:
+        """Contacts and forces of a state where ``who`` (bool, [env_count]) was put somewhere and
+        not stepped."""
+        with self.at_work():
+            check_state(state, self.model)
+            self.begin(state)
+            self._evaluate_forces(checked_mask(who, self.model.env_count))
+            self.end(state)
+
+    def require_latest(self, state: State) -> None:
+        """Refuse to read forces of a state when the last step was one of another state.
+
+        Raises:
+            InputError: It was, or was interrupted.
+        """
+        if self._latest is not None and self._latest() is not state:
+            raise InputError(
+                "forces and contacts are those of the last step of the solver, which was not one "
+                "of this state, or was interrupted: step it, then read"
+            )
+
+    def _require_again(self, state: State) -> None:
+        if self.inertia is not None or self.joints is not None:
+            raise InputError("only a step of a quasi-static scene without joints is taken again")
+        if self._latest is None or self._latest() is not state:
+            raise InputError(
+                "only the latest step of a solver is taken again, and that was not one of this "
+                "state: step it first"
+            )
+
+    # Before and after ----------------------------------------------------------------------------
+
+    @contextmanager
+    def at_work(self) -> Iterator[None]:
+        """The turn of this thread, at a solver that no other one is using and nothing is left in
+        of a step that was interrupted.
+
+        Raises:
+            InputError: Another thread is stepping it.
+        """
+        if self._thread.setdefault("at work", get_ident()) != get_ident():
+            raise InputError(
+                "another thread is stepping this solver: give each thread a solver and a state of "
+                "its own; models may be shared"
+            )
+        try:
+            with TURNS:
+                self.recover()
+                yield
+        finally:
+            self._thread.pop("at work", None)
+
+    def recover(self) -> None:
+        """Forget what a step that was interrupted has left: steps underway, pairs, rooms."""
+        if not self._torn:
+            return
+        mask = device_mask(self._everyone, self.model.env_count, self.model.device)
+        self.progress.drop(self._everyone, mask)
+        self.progress.data.most_rounds.fill_(NO_LIMIT)
+        for part in self.lists:
+            part.renew()
+        self.pairs.forget(mask)
+        self.graph.clear()
+        self._masks.clear()
+        self._dt, self._changes = math.nan, -1
+        self._torn = False
+
+    def begin(self, state: State) -> None:
+        """Step ``state`` from now on."""
+        self._torn = True
+        self._latest = lambda: None
+        state.complete(self.model)
+        if self.rows.point(state):
+            self.graph.clear()
+
+    def end(self, state: State) -> None:
+        """Nothing is left to do: contacts and forces are those of ``state``."""
+        self._latest = ref(state)
+        self._torn = False
 
     def follow_parameters(self) -> None:
         """What depends on parameters of bodies that were set since the last step."""
         if self._moves != self.model.moves:
+            self.graph.clear()
             self._moves = self.model.moves
-            self.graphs.clear()
         if self._changes != self.model.changes:
-            self._changes = self.model.changes
             rounding = self.progress.data.energy_rounding
             rounding.zero_()
             everyone = wp.full(self.model.env_count, 1, dtype=wp.int32, device=self.model.device)
             for part in self.elastic:
                 part.add_energy_rounding(everyone, rounding)
+            self._changes = self.model.changes
 
     def find_separate(self, state: State) -> np.ndarray:
-        """Environments whose bodies did not overlap before their first step, bool, [env_count];
+        """Environments whose bodies did not overlap when they were searched, bool, [env_count];
         those that were not looked at yet are."""
         if not self.config.check_start:
-            self._separate[:] = True
-        elif not self._all_checked:
+            return self._everyone
+        state.complete(self.model)
+        separate = state.separate
+        if separate is None or not separate.all():
             if self._overlaps is None:
                 from taccel_lab.ipc.overlap_search import OverlapSearch
 
                 self._overlaps = OverlapSearch(self.model)
-            wp.copy(self._unchecked, self._overlaps.find(state, self._unchecked))
-            self._separate[:] = self._unchecked.numpy() == 0
-            self._all_checked = bool(self._separate.all())
-        return self._separate
+            assert state.unsearched is not None
+            wp.copy(state.unsearched, self._overlaps.find(state, state.unsearched))
+            separate = state.separate = state.unsearched.numpy() == 0
+        return separate
 
     def take(self, control: Control | Any, state: State, mask: wp.array | None = None) -> float:
         """Check what is asked of a step, then copy it to where the step reads it, in the
@@ -201,13 +294,15 @@ class SolverIPC(SolverParts):
         if control.joint_targets is not None:
             if self.joints is None:
                 raise InputError("joint_targets are given, but the scene has no joints")
-            shape = self.joints.targets.shape
+            shape = self.joints.state.targets.shape
             values = control.joint_targets
             drives = given_array(values, "joint_targets", shape, wp.float64, model.device)
         if control.forces is not None or control.wrenches is not None:
             state.load(model, control.forces, control.wrenches, mask)
-        if drives is not None and self.joints is not None:
-            copy_rows(mask, drives, self.joints.targets)
+        if drives is not None:
+            state.complete(model)
+            assert state.joints is not None
+            copy_rows(mask, drives, state.joints.targets)
         copy_rows(mask, targets, self.end_poses)
         return dt
 
@@ -224,22 +319,25 @@ class SolverIPC(SolverParts):
 
     # Parts of a step -----------------------------------------------------------------------------
 
-    def _attempt(self, state: State, who: np.ndarray, dt: float) -> StepReport:
-        """One undivided step of length dt in the environments ``who``, to ``end_poses``.
+    def _attempt(self, who: np.ndarray, dt: float, whole: bool = False) -> StepReport:
+        """One undivided step of length dt in the environments ``who``, to ``end_poses``: the
+        ``whole`` step, from the user's state to it, or a part, from and to ``work``.
 
         Where the lists of contacts are too short it is taken again when they have grown, and where
         BDF2 met an impact by implicit Euler.
         """
         report: StepReport | None = None
         self.set_dt(dt)
+        reads, writes = (who, self._everyone) if whole else (self._nobody, self._nobody)
         while True:
-            part = self.attempt_once(state, who)
+            part = self.attempt_once(who, reads, writes)
             report = part if report is None else report.retaken(part, who)
-            who = self.prepare_again(state, part.status)
+            who = self.prepare_again(part.status)
+            reads = self._nobody
             if not who.any():
                 return report
 
-    def prepare_again(self, state: State, status: np.ndarray) -> np.ndarray:
+    def prepare_again(self, status: np.ndarray) -> np.ndarray:
         """Environments whose attempt ended with a ``status`` after which it is made anew, bool,
         [env_count]: those whose lists of contacts were too short, which have room now, and those
         that met an impact, which forget the step before."""
@@ -247,34 +345,37 @@ class SolverIPC(SolverParts):
         if short.any():
             short &= ~grow_all(self.lists)
             if short.any():
-                self.graphs.clear()
+                self.graph.clear()
         impacts = status == EnvStatus.IMPACT
         if impacts.any():
-            assert state.history is not None
-            state.history.forget(impacts)
+            assert self.work.history is not None
+            self.work.history.forget(impacts)
         return impacts | short
 
-    def attempt_once(self, state: State, who: np.ndarray) -> StepReport:
-        """One undivided step in the environments ``who``; lists may be too short."""
-        if (state.external_forces is not None or state.wrenches is not None) and self.load is None:
+    def attempt_once(self, who: np.ndarray, reads: np.ndarray, writes: np.ndarray) -> StepReport:
+        """One undivided step in the environments ``who``; lists may be too short. Those of
+        ``reads`` are read from the user's state first, those of ``writes`` written to it where they
+        converge; masks all, bool, [env_count]."""
+        if self.work.external_forces is not None and self.load is None:
             self.load = ExternalLoad(self.model)
             self.share_energies()
-            self.graphs.clear()
-        if not np.array_equal(who, self._who):
-            self._who = who.copy()
-            self.progress.data.who.assign(who.astype(np.int32))
-        self.graphs.launch(state)
-        return self._read_report()
+            self.graph.clear()
+        for name, mask in (("who", who), ("reads", reads), ("writes", writes)):
+            known = self._masks.get(name)
+            if known is not mask and (known is None or not np.array_equal(mask, known)):
+                getattr(self.progress.data, name).assign(mask.astype(np.int32))
+                self._masks[name] = mask
+        self.graph.launch(self)
+        block = self.progress.report.copy()
+        TURNS.wait_for(self.model.device)
+        return StepReport.of_block(block)
 
-    def _read_report(self) -> StepReport:
-        return StepReport.of_block(self.progress.report.copy())
-
-    def _in_halves(self, state: State, failed: StepReport, dt: float, level: int) -> StepReport:
+    def _in_halves(self, failed: StepReport, dt: float, level: int) -> StepReport:
         """The step of length dt to ``end_poses`` again, in two halves, where it failed."""
         who = np.isin(failed.status, HALVING_HELPS)
         if not who.any():
             return failed
-        before = state.copy()
+        before = self.work.copy()
         end, middle = wp.clone(self.end_poses), wp.empty_like(self.end_poses)
         ones = wp.full(len(who), 1, dtype=wp.int32, device=self.model.device)
         half = wp.full(len(who), 0.5, dtype=wp.float64, device=self.model.device)
@@ -282,30 +383,40 @@ class SolverIPC(SolverParts):
         report = failed
         for target in (middle, end):
             wp.copy(self.end_poses, target)
-            part = self._attempt(state, who, dt / 2)
+            part = self._attempt(who, dt / 2)
             if (who & ~part.converged).any() and level < self.config.max_substep_halvings:
-                part = self._in_halves(state, part, dt / 2, level + 1)
+                part = self._in_halves(part, dt / 2, level + 1)
             report = report.followed_by(part)
             lost = who & ~part.converged
             if lost.any():
-                state.restore(before, lost)
+                self.work.restore(before, lost)
             who = who & part.converged
             if not who.any():
                 break
         wp.copy(self.end_poses, end)
         return report
 
-    def refresh_forces(self, state: State, who: np.ndarray) -> None:
-        """Forces where ``who`` (bool, [env_count]) was rolled back, put back or never stepped."""
-        run = StepLaunches(self, state)
+    def _write(self, who: np.ndarray) -> None:
+        """Write ``work`` to the user's state where ``who`` (bool, [env_count]); wait for it, as the
+        stream may be another one later."""
+        mask = device_mask(who, len(who), self.model.device)
+        self.rows.write(mask, mask)
+        if self.model.device.is_cuda:
+            wp.synchronize_stream(self.model.device)
+
+    def _evaluate_forces(self, who: np.ndarray) -> None:
+        """Forces of the user's state where ``who``, bool, [env_count]."""
+        run, work = StepLaunches(self), self.work
         mask = run.p.active
         mask.assign(who.astype(np.int32))
+        self.rows.read(mask)
         self.displacements.zero_()
+        dhat = self.config.dhat_m
         self.candidates.update(
-            mask, state.positions, self.displacements, state.poses, state.poses, self.config.dhat_m
+            mask, work.positions, self.displacements, work.poses, work.poses, dhat
         )
         self.pairs.forget(mask)
-        self.collisions.update(mask, state.positions, self.candidates)
+        self.collisions.update(mask, work.positions, self.candidates)
         if self.friction is not None:
-            self.friction.lag(mask, state.positions, self.origin)
+            self.friction.lag(mask, work.positions, self.origin)
         evaluate_forces(run, mask)

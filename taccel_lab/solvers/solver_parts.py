@@ -24,6 +24,8 @@ from taccel_lab.ipc.trial import StraightNodes
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.env_progress import EnvProgressArrays, make_rules
+from taccel_lab.solvers.state_rows import StateRows
+from taccel_lab.state import State, StepHistory
 
 
 class SolverParts:
@@ -87,6 +89,17 @@ class SolverParts:
         def nodal() -> wp.array:
             return wp.zeros(shape, dtype=wp.vec3d, device=device)
 
+        poses = (model.env_count, len(model.kinematic))
+        self.work = State(
+            positions=nodal(),
+            velocities=nodal(),
+            poses=wp.zeros(poses, dtype=wp.transformd, device=device),
+            history=StepHistory.empty(model) if scene.time.bdf2 else None,
+            joints=None if self.joints is None else self.joints.state,
+        )
+        """What a step works on: read from a user's state when the step begins, written to it when
+        the step is over."""
+        self.rows = StateRows(model, self.work)
         self.gradient, self.trial, self.previous = nodal(), nodal(), nodal()
         self.displacements = nodal()
         self.origin = nodal()
@@ -107,11 +120,9 @@ class SolverParts:
         """Length of the step that each environment is in, or of its last one [s], float64."""
         self._dt = 0.0
         """The same where all have one; not a number where they differ."""
-        self._who = np.zeros(model.env_count, dtype=bool)
-        self._separate = np.zeros(model.env_count, dtype=bool)
-        """Environments known to have started without overlaps."""
-        poses = (model.env_count, len(model.kinematic))
-        self.trial_poses = wp.zeros(poses, dtype=wp.transformd, device=device)
+        self._masks: dict[str, np.ndarray] = {}
+        """What masks of ``progress`` hold that the host says; those that are known."""
+        self.trial_poses = wp.zeros_like(self.work.poses)
         self.target_poses = wp.zeros_like(self.trial_poses)
         self.start_poses = wp.zeros_like(self.trial_poses)
         self.end_poses = wp.zeros_like(self.trial_poses)

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps as captured graphs: recorded once for a state's arrays, then launched as a whole."""
+"""Steps as a captured graph: recorded once for a solver's arrays, then launched as a whole."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import warp as wp
@@ -11,57 +14,58 @@ import warp as wp
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.step import take_step
 from taccel_lab.solvers.step_launches import StepLaunches
-from taccel_lab.state import State
-
-_MOST = 2
-"""Graphs that are kept, each for the arrays of one state."""
 
 
-class StepGraphs:
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Ctrl-C and SIGTERM wait until this is over. A capture takes milliseconds, and one that an
+    exception leaves by half keeps the streams of the device busy for good."""
+    held: list[tuple[Any, ...]] = []
+    handlers: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            # Of no handler of Python's nothing is known; it does not raise either.
+            if callable(signal.getsignal(number)):
+                handlers[number] = signal.signal(number, lambda *caught: held.append(caught))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    for number, frame in held:
+        handlers[number](number, frame)
+
+
+class StepGraph:
     """Launches whole steps; the first one with new arrays as they come, to load its kernels."""
 
-    def __init__(self, solver: SolverParts) -> None:
-        self._solver = solver
-        self._graphs: dict[tuple, wp.Graph | None] = {}
+    def __init__(self) -> None:
+        self._graph: wp.Graph | None = None
+        self._arrays: tuple[int, ...] = ()
+        """What the graph was captured with, or is to be."""
         self.launches = 0
         """Graphs launched so far."""
 
     def clear(self) -> None:
-        """Forget all graphs: arrays that they use have moved."""
-        self._graphs.clear()
+        """Forget the graph: arrays that it uses have moved."""
+        self._graph, self._arrays = None, ()
 
-    def launch(self, state: State) -> None:
+    def launch(self, solver: SolverParts) -> None:
         """Take a step of the environments in ``progress.who`` to ``end_poses``."""
-        run = StepLaunches(self._solver, state)
-        if not self._solver.config.capture:
-            take_step(run)
+        if not solver.config.capture:
+            take_step(StepLaunches(solver))
             return
-        s = self._solver
         # Lists that have grown since have moved, whoever made room in them.
-        room = [part.capacity for part in s.lists]
-        key = (s.load is not None, *room, *_pointers(state))
-        if key not in self._graphs:
-            if len(self._graphs) >= _MOST:
-                self._graphs.pop(next(iter(self._graphs)))
-            self._graphs[key] = None
-            take_step(run)
+        arrays = (int(solver.load is not None), *(part.capacity for part in solver.lists))
+        if arrays != self._arrays:
+            self.clear()
+            take_step(StepLaunches(solver))
+            self._arrays = arrays
             return
-        graph = self._graphs[key]
-        if graph is None:
-            with wp.ScopedCapture(self._solver.model.device) as capture:
-                take_step(run)
-            graph = self._graphs[key] = capture.graph
-        wp.capture_launch(graph)
+        if self._graph is None:
+            with _undisturbed(), wp.ScopedCapture(solver.model.device) as capture:
+                take_step(StepLaunches(solver))
+            self._graph = capture.graph
+        assert self._graph is not None
+        wp.capture_launch(self._graph)
         self.launches += 1
-
-
-def _pointers(value: Any) -> tuple[int, ...]:
-    """Addresses of all arrays of a state."""
-    found: list[int] = []
-    for field in fields(value):
-        part = getattr(value, field.name)
-        if isinstance(part, wp.array):
-            found.append(part.ptr or 0)
-        elif part is not None:
-            found.extend(_pointers(part))
-    return tuple(found)

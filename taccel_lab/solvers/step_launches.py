@@ -15,7 +15,6 @@ from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import EnvProgress
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.solver_parts import SolverParts
-from taccel_lab.state import State
 
 wp.set_module_options({"enable_backward": False})
 
@@ -49,12 +48,12 @@ def _commit_kernel(
 
 
 class StepLaunches:
-    """A solver's parts at work on a state, in the environments of ``progress.who``."""
+    """A solver's parts at work on its ``work``, in the environments of ``progress.who``."""
 
-    def __init__(self, solver: SolverParts, state: State) -> None:
+    def __init__(self, solver: SolverParts) -> None:
         self.s = solver
         self.model = solver.model
-        self.state = state
+        self.state = solver.work
         self.p = solver.progress.data
         self.rules = solver.rules
 

@@ -22,7 +22,7 @@ from taccel_lab.ipc.potentials.contact_slopes import NOW, ContactSlopes
 from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.model.matrix_pattern import BlockPattern
 from taccel_lab.solvers.solver_ipc import SolverIPC
-from taccel_lab.state import State
+from taccel_lab.state import State, check_state
 
 LINEAR_TOLERANCE = 1e-10
 """Of the solves."""
@@ -69,6 +69,7 @@ class Tangent:
             InputError: A scene with inertia, damping or affine bodies.
         """
         model = solver.model
+        check_state(state, model)
         if solver.inertia is not None or solver.affine is not None or solver.viscosity:
             raise InputError(
                 "slopes are those of quasi-static steps of elastic gels and tools that are moved: "
@@ -93,7 +94,7 @@ class Tangent:
         solver.pairs.forget(self.active)
         solver.collisions.update(self.active, state.positions, solver.candidates)
         if [part.capacity for part in solver.lists] != room:
-            solver.graphs.clear()
+            solver.graph.clear()
 
     def add_elements(self) -> None:
         """The elements' part of the matrix, and of the right-hand side what moves pull."""

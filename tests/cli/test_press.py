@@ -21,6 +21,7 @@ from taccel_lab.errors import SimulationError
 from taccel_lab.output_folder import OUTPUT_MARKER
 from taccel_lab.profile import load_profile
 from taccel_lab.scene import Element
+from taccel_lab.solvers import StepReport
 from tests.cli.small_captures import GRID, background, everything_below, write_profile
 from tests.geometry.vtu_files import read_mesh_vtu
 
@@ -278,15 +279,23 @@ def test_finished_steps_are_kept(
     options = ("--step-mm", "0.1", "--mesh", "profile", "--states", *QUICK, "--friction", "0.5")
     whole, out = tmp_path / "whole", tmp_path / "out"
     assert press(unit, whole, "--depth-mm", "0.1", *options) == 0
-    gap = PressEnv._mean_gap_m
+    gap, move = PressEnv._mean_gap_m, PressEnv.move_to
 
-    def stop(self: PressEnv) -> np.ndarray:
-        # The step has moved everything by now, and it is the last one of a slide.
+    def interrupt(self: PressEnv) -> np.ndarray:
+        # The step has moved everything by now.
         if self.depth_m[0] > 9e-5:
             raise error
         return gap(self)
 
-    monkeypatch.setattr(PressEnv, "_mean_gap_m", stop)
+    def fail(self: PressEnv, depth_mm: float, *words: Any) -> StepReport:
+        if depth_mm > 0.15:
+            raise error
+        return move(self, depth_mm, *words)
+
+    if code == 3:
+        monkeypatch.setattr(PressEnv, "move_to", fail)
+    else:
+        monkeypatch.setattr(PressEnv, "_mean_gap_m", interrupt)
     assert press(unit, out, "--depth-mm", "0.2", *options) == code
     found, wanted = read(out), read(whole)
     assert found["failure"] == (str(error) or "interrupted")

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -14,10 +16,12 @@ import pytest
 
 from taccel_lab.datasets.lerobot import export_lerobot
 from taccel_lab.datasets.lite import make_lite
+from taccel_lab.datasets.page import write_page
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.univtac import export_univtac
 from taccel_lab.errors import InputError
 from tests.datasets.small import parts_of
+from tests.strangers import LURES, REFUSED, lure
 
 
 def test_lerobot(made: Path, tmp_path: Path) -> None:
@@ -97,3 +101,38 @@ def test_nothing_is_written_into_the_data_set_itself(made: Path) -> None:
         ):
             write([made], inside)
     assert parts_of(made) == before and not inside.exists()
+
+
+@pytest.mark.parametrize(
+    ("place", "kinds"),
+    [
+        ("parts/000001/data.zarr/rgb/c/0/0/0/0", LURES),
+        # What is no folder is no part, and an index that cannot be read is that of the parts.
+        ("parts/000001", ["link to a folder"]),
+        ("episodes.parquet", ["link out", "link to a folder"]),
+    ],
+)
+def test_what_links_name_is_not_published(
+    made: Path, tmp_path: Path, place: str, kinds: Sequence[str]
+) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(made, data)
+    for kind in kinds:
+        lure(data / place, kind, tmp_path / "outside")
+        for write in (make_lite, export_lerobot, export_univtac, write_page):
+            with pytest.raises(InputError, match=REFUSED):
+                write([data], tmp_path / "out")
+            assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("kind", LURES)
+@pytest.mark.parametrize("place", ["profiles/0/x", "objects/x", "spec.toml"])
+def test_a_small_data_set_has_no_files_from_elsewhere(
+    made: Path, tmp_path: Path, place: str, kind: str
+) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(made, data)
+    lure(data / place, kind, tmp_path / "outside")
+    with pytest.raises(InputError, match=REFUSED):
+        make_lite([data], tmp_path / "out")
+    assert not (tmp_path / "out").exists()

@@ -22,6 +22,7 @@ from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
 from taccel_lab.output_folder import OUTPUT_MARKER
 from tests.datasets.small import make, parts_of, plan
+from tests.strangers import SECRET, lure
 
 ROOT = Path(__file__).parents[2]
 
@@ -166,3 +167,41 @@ def test_a_damaged_part_with_files_of_somebody_else_is_left_alone(
     (part / OUTPUT_MARKER).write_bytes(marker)
     assert make(profile, tmp_path / "data").complete
     assert parts_of(tmp_path / "data") == parts_of(made)
+
+
+@pytest.mark.parametrize("name", ["{0}/thesis.tex", "../../../thesis.tex", "C:\\x", "a\0b", "up/x"])
+def test_the_list_of_a_part_names_nothing_outside(
+    profile: Path, made: Path, tmp_path: Path, name: str
+) -> None:
+    """A data set of somebody else, one part of which misses a file."""
+    shutil.copytree(made, tmp_path / "data")
+    part = DatasetFolder(tmp_path / "data").part_folders()[0]
+    (tmp_path / "thesis.tex").write_text(SECRET)
+    marker = json.loads((part / OUTPUT_MARKER).read_text())
+    marker["files"] |= {name.format(tmp_path): "0" * 64, "up": "link"}
+    (part / OUTPUT_MARKER).write_text(json.dumps(marker))
+    (part / "up").symlink_to(tmp_path)
+    (part / "steps.parquet").unlink()
+    if name != "up/x":
+        with pytest.raises(InputError, match=r"no list of its files, .*; delete the part, and"):
+            make(profile, tmp_path / "data")
+    else:
+        (tmp_path / "x").write_text(SECRET)
+        assert make(profile, tmp_path / "data").complete
+        assert (tmp_path / "x").read_text() == SECRET
+    assert (tmp_path / "thesis.tex").read_text() == SECRET
+
+
+@pytest.mark.parametrize("kind", ["link out", "link to a folder", "device", "pipe"])
+@pytest.mark.parametrize(
+    "place",
+    ["parts", "parts/000001", "profiles/0", "steps.parquet", "dataset.json", ".lock-1-of-1"],
+)
+def test_a_folder_that_leads_elsewhere_is_not_gone_on_with(
+    profile: Path, made: Path, tmp_path: Path, place: str, kind: str
+) -> None:
+    shutil.copytree(made, tmp_path / "data")
+    secret = lure(tmp_path / "data" / place, kind, tmp_path / "outside")
+    with pytest.raises(InputError, match=r"is a link|no regular file"):
+        make(profile, tmp_path / "data")
+    assert secret.read_text() == SECRET and os.listdir(secret.parent) == [secret.name]

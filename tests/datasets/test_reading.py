@@ -4,11 +4,15 @@
 from __future__ import annotations
 
 import json
+import pickle
+import resource
 import shutil
 from pathlib import Path
 from typing import Any
 
+import numcodecs
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from taccel_lab.datasets.channels import OPTIONAL
@@ -20,6 +24,7 @@ from taccel_lab.datasets.torch_dataset import TouchDataset
 from taccel_lab.errors import InputError
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
 from tests.datasets.small import SIZE, make
+from tests.strangers import Payload, lure
 
 
 def test_labels_agree_with_one_another(made: Path) -> None:
@@ -313,3 +318,113 @@ def test_damage_is_told_by_its_file(made: Path, tmp_path: Path) -> None:
     (data / "steps.parquet").unlink()
     with pytest.raises(InputError, match=r"steps\.parquet cannot be read as Parquet"):
         _ = Dataset(data).steps
+
+
+@pytest.fixture
+def arrays(made: Path, tmp_path: Path) -> Path:
+    """Those of the first part of a data set that a stranger changes."""
+    shutil.copytree(made, tmp_path / "data")
+    return tmp_path / "data" / "parts" / "000000" / "data.zarr"
+
+
+def rgb_of(arrays: Path) -> np.ndarray:
+    return Dataset(arrays.parents[2]).read("rgb", [0])
+
+
+def test_no_array_runs_what_it_holds(
+    arrays: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A filter of zarr's format 2 unpickles its chunk in each numcodecs before 0.16.6."""
+    import zarr
+
+    monkeypatch.setattr(numcodecs.pickles, "ALLOW_UNSAFE_PICKLE_DECODE", True)
+    shutil.rmtree(arrays)
+    group = zarr.create_group(arrays, zarr_format=2)
+    filters, place = [numcodecs.Pickle()], tmp_path / "ran"
+    array = group.create_array(
+        "rgb", shape=(4,), chunks=(4,), dtype="f8", filters=filters, compressors=None
+    )
+    (arrays / "rgb" / "0").write_bytes(pickle.dumps(Payload(place)))
+    with pytest.raises(FileExistsError):  # What is tested can happen.
+        place.mkdir()
+        array[:]
+    place.rmdir()
+    with pytest.raises(InputError, match=r"zarr\.json"):
+        rgb_of(arrays)
+    assert not place.exists()
+
+
+def codec(document: dict[str, Any]) -> dict[str, Any]:
+    return document["codecs"][0]["configuration"]["codecs"][-1]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: codec(d).update(name="numcodecs.pickle"), "packed by 'numcodecs.pickle'"),
+        (lambda d: codec(d).update(name="gzip"), "packed by 'gzip', which is not read; allowed"),
+        (lambda d: d["codecs"].append({"name": "sharding_indexed"}), "packed by 'sharding"),
+        (lambda d: d.update(zarr_format=2), "no array of zarr's format 3"),
+        (lambda d: d.update(data_type="string"), "holds 'string', which is no type of numbers"),
+        (lambda d: d.update(shape=[1 << 40, 24, 32, 3]), "rows; 16,777,216 are allowed"),
+        (lambda d: d.update(shape=[8, 1 << 20, 1 << 20, 3]), "a row of .* has 3072 GiB; 4 GiB is"),
+        (
+            lambda d: d["codecs"][0]["configuration"].update(chunk_shape=[1, 1 << 20, 1 << 20, 3]),
+            "a chunk of .* has 3072 GiB; 4 GiB is allowed",
+        ),
+        (lambda d: d.update(shape="8"), "is damaged"),
+        (lambda d: d.pop("codecs"), "is damaged"),
+    ],
+)
+def test_what_arrays_say_of_themselves_is_not_believed(
+    arrays: Path, change: Any, message: str
+) -> None:
+    path = arrays / "rgb" / "zarr.json"
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=message):
+        rgb_of(arrays)
+
+
+def test_a_chunk_unpacks_to_its_size_and_no_further(arrays: Path) -> None:
+    """1 GiB of zeros is 32 KiB of zstd, and 2^50 bytes are as easily said."""
+    import google_crc32c
+
+    (shard,) = (path for path in (arrays / "rgb" / "c").rglob("*") if path.is_file())
+    sizes = json.loads((arrays / "rgb" / "zarr.json").read_text())
+    blocks = sizes["chunk_grid"]["configuration"]["chunk_shape"][0] // 2
+    declared = b"\x28\xb5\x2f\xfd\xe0" + (1 << 50).to_bytes(8, "little") + b"\x01\0\0"
+    packed = pa.Codec("zstd").compress(bytes(1 << 28), asbytes=True)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for chunk in (packed, declared, packed[:100]):
+        index = np.full((blocks, 2), 2**64 - 1, dtype="<u8")
+        index[0] = 0, len(chunk)
+        table = index.tobytes()
+        shard.write_bytes(chunk + table + google_crc32c.value(table).to_bytes(4, "little"))
+        with pytest.raises(InputError, match=r"is damaged .*ZSTD"):
+            rgb_of(arrays)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 17
+
+
+@pytest.mark.parametrize("name", ["../../../secret", "meshes/nodes_m", "/rgb", "a\0b", ""])
+def test_a_channel_is_an_array_of_its_part(arrays: Path, name: str) -> None:
+    about = arrays.parents[2] / "dataset.json"
+    document = json.loads(about.read_text())
+    document["channels"][name] = document["channels"]["rgb"]
+    about.write_text(json.dumps(document))
+    with pytest.raises(InputError, match="is damaged"):
+        Dataset(arrays.parents[2]).read(name, [0])
+
+
+@pytest.mark.timeout(60)
+def test_tables_are_files_of_a_bounded_size(
+    arrays: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A column of equal values takes a few bytes for any number of rows."""
+    monkeypatch.setattr("taccel_lab.datasets.folder.MAX_TABLE_VALUES", 10)
+    with pytest.raises(InputError, match=r"says that it has 2 rows; 10 values are allowed"):
+        _ = Dataset(arrays.parents[2]).episodes
+    lure(arrays.parent / "episodes.parquet", "pipe", tmp_path / "outside")
+    with pytest.raises(InputError, match="no regular file"):
+        _ = Dataset(arrays.parents[2]).episodes

@@ -83,7 +83,7 @@ class Rig(Dense):
         self.joints.begin_step(self.positions(everywhere), self.poses)
 
     def set_multipliers(self, values: np.ndarray) -> None:
-        self.joints._step.multipliers.assign(np.tile(values, (self.model.env_count, 1, 1)))
+        self.joints.state.multipliers.assign(np.tile(values, (self.model.env_count, 1, 1)))
 
     def rows(self, free: np.ndarray) -> np.ndarray:
         """Values of the rows, [count, ROW_COUNT]."""
@@ -315,7 +315,7 @@ def test_targets_differ_by_environment_and_can_be_set() -> None:
         return r.joints.efforts.numpy()[:, 0]
 
     np.testing.assert_allclose(efforts(), [0, 2.0], atol=1e-12)
-    r.joints.targets.assign(np.array([[0.3], [-0.1]]))
+    r.joints.state.targets.assign(np.array([[0.3], [-0.1]]))
     r.begin(r.start)
     np.testing.assert_allclose(efforts(), [3.0, -1.0], atol=1e-12)
 

@@ -14,7 +14,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.gaps import SurfacePairs, edge_edge_distances, point_triangle_distances
-from taccel_lab.ipc.start_checks import check_gaps, check_state
+from taccel_lab.ipc.start_checks import check_finite, check_gaps
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
@@ -68,7 +68,7 @@ def started(*bodies: AffineBody, env_count: int = 1, ball_z: float = 9e-3) -> tu
 def test_good_scenes_pass() -> None:
     model, state = started(box_at(2e-3, "cube"), box_at(4e-3, "lid"))
     check_scene(model.scene)
-    check_state(model, state)
+    check_finite(model, state)
     check_gaps(model, state, 1e-7)
 
 
@@ -101,12 +101,12 @@ def test_states_that_are_not_finite() -> None:
         bad[2, node, 1] = np.nan
         array.assign(bad)
         with pytest.raises(InputError, match=rf"{name}.*environment 2, node {node} of 'cube'"):
-            check_state(model, state)
+            check_finite(model, state)
         array.assign(good)
     _, wrenches = state.loads(model)
     wrenches.assign(np.array([0, 0, np.inf])[:, None, None, None] * np.ones((3, 1, 2, 3)))
     with pytest.raises(InputError, match=r"wrenches.*environments 2"):
-        check_state(model, state)
+        check_finite(model, state)
 
 
 def test_small_gaps_at_the_start_are_refused() -> None:

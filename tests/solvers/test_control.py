@@ -62,7 +62,7 @@ def asked(step: int) -> dict[str, Any]:
     }
 
 
-def run(put: Any) -> tuple[np.ndarray, SolverIPC]:
+def run(put: Any) -> tuple[State, SolverIPC]:
     solver, state = arm()
     for step in (1, 2, 3):
         request = {
@@ -70,18 +70,19 @@ def run(put: Any) -> tuple[np.ndarray, SolverIPC]:
         }
         report = solver.step(state, Control(**request))
         assert report.converged.all(), report.summary()
-    return state.positions.numpy(), solver
+    return state, solver
 
 
 def test_arrays_of_the_device_do_what_those_of_the_host_do() -> None:
-    expected, solver = run(lambda value: value)
-    assert solver.joints is not None
-    np.testing.assert_array_equal(solver.joints.targets.numpy(), [[0.05 * 3], [-0.02 * 3]])
+    state, solver = run(lambda value: value)
+    assert state.joints is not None and solver.joints is not None
+    expected = state.positions.numpy()
+    np.testing.assert_array_equal(state.joints.targets.numpy(), [[0.05 * 3], [-0.02 * 3]])
     angles = solver.joints.coordinates.numpy()[:, 0]
     assert angles[0] > angles[1], "the drives were meant to turn the arms"
-    np.testing.assert_array_equal(run(torch.from_numpy)[0], expected)
+    np.testing.assert_array_equal(run(torch.from_numpy)[0].positions.numpy(), expected)
     on_warp, _ = run(lambda value: wp.array(value, dtype=wp.float64, device="cpu"))
-    np.testing.assert_array_equal(on_warp, expected)
+    np.testing.assert_array_equal(on_warp.positions.numpy(), expected)
 
 
 def test_a_step_is_as_long_as_asked() -> None:
@@ -168,7 +169,7 @@ def test_bad_requests_are_refused_and_change_nothing(
     with pytest.raises(InputError, match=message):
         solver.step(state, Control(**good, **request_))
     np.testing.assert_array_equal(state.positions.numpy(), before)
-    assert solver.joints is not None and not solver.joints.targets.numpy().any()
+    assert state.joints is not None and not state.joints.targets.numpy().any()
     assert state.external_forces is None and state.wrenches is None
 
 

@@ -8,8 +8,12 @@ which those that ask for the same bits twice fail: contacts come in any order th
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
 import numpy as np
 import pytest
+import torch
 import warp as wp
 
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
@@ -89,7 +93,7 @@ def lift_cube(scene: Scene, **options: object) -> tuple[SolverIPC, State]:
 @pytest.fixture(scope="module")
 def lifted() -> np.ndarray:
     solver, state = lift_cube(grasp())
-    assert solver.graphs.launches == 23
+    assert solver.graph.launches == 23
     x = state.positions.numpy()
     rise = x[:, solver.model.affine.first_control, 2]
     assert (rise > 1e-3).all(), "the cube is carried"
@@ -109,6 +113,37 @@ def test_linear_methods_agree(lifted: np.ndarray, method: str) -> None:
 def test_a_captured_step_is_the_same_as_launches_one_by_one(lifted: np.ndarray) -> None:
     _, state = lift_cube(grasp(), capture=False)
     np.testing.assert_allclose(state.positions.numpy(), lifted, atol=1e-7)
+
+
+def carried(stream: Any = None) -> list[np.ndarray]:
+    """Where a model and solver of one's own, on a stream of its own, lead in a few steps."""
+    if isinstance(stream, wp.Stream):
+        with wp.ScopedStream(stream):
+            return carried()
+    if stream is not None:
+        with torch.cuda.stream(stream):
+            return carried()
+    solver = SolverIPC(grasp(1).finalize("cuda:0"), SolverConfig(dhat_m=1e-4, deterministic=True))
+    state = initial_state(solver.model, grasp_poses(0, 1))
+    found = []
+    for step in range(1, 9):
+        # Of torch's current stream, which is busy with other things first.
+        busy = torch.ones(1500, 1500, device="cuda:0").double()
+        late = 0.0 * (busy @ busy @ busy).sum()
+        target = torch.from_numpy(grasp_poses(step, 1)).to("cuda:0") + late
+        assert solver.step(state, target).converged.all()
+        found += [state.positions.numpy(), solver.contact_gradient.numpy()]
+    return found
+
+
+def test_threads_step_solvers_of_their_own_on_streams_of_their_own() -> None:
+    expected = carried()
+    streams = [*(wp.Stream("cuda:0") for _ in range(2)), *(torch.cuda.Stream() for _ in range(2))]
+    with ThreadPoolExecutor(len(streams)) as threads:
+        for _ in range(10):
+            for found in threads.map(carried, streams):
+                for one, other in zip(found, expected, strict=True):
+                    np.testing.assert_array_equal(one, other)
 
 
 def test_lists_grow() -> None:

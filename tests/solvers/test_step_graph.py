@@ -76,7 +76,7 @@ def run(solver: SolverIPC, state: State, on_device: bool = False) -> np.ndarray:
 def eager() -> np.ndarray:
     solver, state = make(capture=False)
     result = run(solver, state)
-    assert solver.graphs.launches == 0
+    assert solver.graph.launches == 0
     return result
 
 
@@ -84,7 +84,7 @@ def test_a_captured_run_is_bitwise_the_same(eager: np.ndarray) -> None:
     solver, state = make()
     np.testing.assert_array_equal(run(solver, state), eager)
     # The first step comes as it is.
-    assert solver.graphs.launches == STEPS - 2
+    assert solver.graph.launches == STEPS - 2
 
 
 def gel_on_gel() -> Scene:
@@ -122,7 +122,7 @@ def test_trees_of_soft_bodies_are_refitted_in_a_graph(first_contact: int) -> Non
             assert report.converged.all(), report.summary()
             forces.append(report.contact_force_n[0])
         assert (np.array(forces[: first_contact - 1]) == 0).all() and min(forces[-6:]) > 0
-        assert solver.graphs.launches == (len(targets) - 2 if capture else 0)
+        assert solver.graph.launches == (len(targets) - 2 if capture else 0)
         ends.append(state.positions.numpy())
     np.testing.assert_array_equal(*ends)
 

@@ -16,7 +16,7 @@ import pytest
 from taccel_lab.errors import InputError
 from taccel_lab.reading.shard import Shard
 from taccel_lab.studies.cluster import JOBS, ShardJob, submit_shards
-from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.studies.study_folder import STUDY_MARKER, StudyFolder
 
 FILE = (
     'study = {name = "x", sensor = "flat_pad", metrics = ["px_per_mm"]}\n'
@@ -41,7 +41,12 @@ def own_signals() -> Iterator[None]:
 
 
 def test_jobs_of_submitit_do_their_shards(file: Path, tmp_path: Path) -> None:
+    (tmp_path / "out" / JOBS).mkdir(parents=True)
+    (tmp_path / "out" / STUDY_MARKER).touch()
     jobs = submit_shards(file, tmp_path / "out", 2, "local", processes=0)
+    # Where no pickle of an earlier study, or of somebody else, can be taken for theirs.
+    (place,) = {Path(job.paths.folder) for job in jobs}
+    assert place.parent == tmp_path / "out" / JOBS
     assert sum(job.result() for job in jobs) == 4
     assert len(StudyFolder(tmp_path / "out").ids()) == 4
 
@@ -110,7 +115,7 @@ def _cluster_answers() -> bool:
 def test_an_array_of_slurm_does_its_shards(file: Path, tmp_path: Path) -> None:
     submit_shards(file, tmp_path / "out", 2, "slurm", processes=0, settings=SOON)
     folder, until = StudyFolder(tmp_path / "out"), time.monotonic() + 240
-    while len(list((folder.root / JOBS).glob("*_result.pkl"))) < 2 and time.monotonic() < until:
+    while len(list((folder.root / JOBS).glob("*/*_result.pkl"))) < 2 and time.monotonic() < until:
         time.sleep(1)
-    logs = [path.read_text() for path in (folder.root / JOBS).glob("*log.err")]
+    logs = [path.read_text() for path in (folder.root / JOBS).glob("*/*log.err")]
     assert len(folder.ids()) == 4, logs

@@ -15,8 +15,9 @@ from taccel_lab.reading.shard import Shard
 from taccel_lab.studies.design_batch import sharing_key
 from taccel_lab.studies.optimise_optuna import JOURNAL
 from taccel_lab.studies.runner import run_study
-from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.studies.study_folder import STUDY_MARKER, StudyFolder
 from taccel_lab.studies.table import CSV_NAME
+from tests.strangers import SECRET, lure
 from tests.studies.fake_kit import evaluate_and_crash, logged, study
 from tests.studies.run_fake import CHANGES, GP
 
@@ -67,6 +68,33 @@ def test_a_shard_runs_once_and_never_beside_a_whole_run(tmp_path: Path) -> None:
                 pass
     with folder.locked(), pytest.raises(InputError, match="another run"):
         run_study(study(), tmp_path, processes=0, shard=Shard(1, 2))
+
+
+@pytest.mark.parametrize("kind", ["link out", "link to a folder", "device", "pipe"])
+@pytest.mark.parametrize(
+    "place",
+    [
+        ".taccel_lab_study", ".shard_1_of_2", "designs", "designs/a", "designs/a/result.json",
+        "figures", "figures/pareto.png", "meshes", "steps", "designs.csv", JOURNAL,
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("begun", [True, False])
+def test_a_study_that_leads_elsewhere_is_not_gone_on_with(
+    tmp_path: Path, place: str, kind: str, begun: bool
+) -> None:
+    """A run truncates its locks, clears away what killed ones left and draws its figures anew."""
+    folder = StudyFolder(tmp_path / "study")
+    folder.root.mkdir()
+    if begun:
+        (folder.root / STUDY_MARKER).touch()
+    secret = lure(folder.root / place, kind, tmp_path / "outside")
+    for shard in (None, Shard(1, 2)):
+        with (
+            pytest.raises(InputError, match=r"is a link|no regular file|no study"),
+            folder.locked(shard),
+        ):
+            (folder.root / "figures").mkdir(exist_ok=True)
+    assert secret.read_text() == SECRET and list(secret.parent.iterdir()) == [secret]
 
 
 @pytest.mark.parametrize("text", ["0/2", "3/2", "1", "a/b", "-1/2", "1/0", "1/2/3", "1/99999"])

@@ -22,7 +22,7 @@ import warp as wp
 
 from taccel_lab.solvers import SolverIPC, StepReport
 from taccel_lab.solvers.control import Control
-from taccel_lab.state import State, StepHistory
+from taccel_lab.state import JointState, State, StepHistory
 
 FORCES_WITHIN = 10.0
 """Difference of the contact force on a body, over the residual that both steps may leave."""
@@ -49,15 +49,18 @@ class Beside:
 def moved(state: State, device: str) -> State:
     """A copy on another device."""
 
-    def there(array: wp.array | None) -> wp.array | None:
+    def there(array: wp.array | None) -> Any:
         return None if array is None else wp.clone(array, device=device)
 
-    history = state.history
+    def part(value: StepHistory | JointState | None) -> Any:
+        return None if value is None else type(value)(*map(there, value.arrays()))
+
     return State(
         positions=wp.clone(state.positions, device=device),
         velocities=wp.clone(state.velocities, device=device),
         poses=wp.clone(state.poses, device=device),
-        history=None if history is None else StepHistory(*map(there, history.arrays())),  # type: ignore[arg-type]
+        history=part(state.history),
+        joints=part(state.joints),
         external_forces=there(state.external_forces),
         wrenches=there(state.wrenches),
     )
@@ -106,8 +109,6 @@ def steps_beside(
         poses = control.numpy() if isinstance(control, wp.array) else control
         reports = []
         for twin, there in zip(pair, states, strict=True):
-            if self.joints is not None and twin.joints is not None:
-                twin.joints.targets.assign(self.joints.targets.numpy())
             reports.append(step(twin, there, poses, who=who))
         _compare(found, *pair, *reports, before, *states)
         return report

@@ -68,9 +68,10 @@ def test_a_block_pulled_by_a_spring_sticks_and_slips() -> None:
     slips = round(limit / (STIFFNESS * SPEED * DT))
     forces = []
     for step in range(1, steps + 1):
-        targets = joints.targets.numpy()
+        assert run.state.joints is not None
+        targets = run.state.joints.targets.numpy()
         targets[0, 1] = SPEED * step * DT
-        joints.targets.assign(targets)
+        run.state.joints.targets.assign(targets)
         run.step()
         forces.append(STIFFNESS * (SPEED * step * DT - joints.coordinates.numpy()[0, 1]))
         if step == slips - 1:

@@ -120,11 +120,11 @@ def mechanism(draw: Draw) -> Case:
     starts: list[np.ndarray] = []
 
     def prepare(solver: SolverIPC, state: State, step: int) -> None:
-        assert solver.joints is not None
+        assert state.joints is not None
         if step == 0:
-            starts.append(solver.joints.targets.numpy().copy())
+            starts.append(state.joints.targets.numpy().copy())
         if flips and step:
-            solver.joints.targets.assign((1 if step % 2 == 0 else -1) * starts[-1])
+            state.joints.targets.assign((1 if step % 2 == 0 else -1) * starts[-1])
 
     def expect(model: Model, state: State, step: int) -> str | None:
         return _open_anchor(model, state, joints, [body.name for body in bodies])

@@ -31,7 +31,7 @@ from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
 from taccel_lab.calibration.capture.taxim_pack import find_taxim_pack
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import real_path
+from taccel_lab.inner_path import inner_path, real_path
 from taccel_lab.output_folder import atomic_directory
 
 LAYOUTS: dict[str, Layout] = {
@@ -96,6 +96,7 @@ def read_drafts(
     require_effect(options, drafts, source, chosen.name)
     origin = read_origin(source)
     for draft in drafts:
+        _require_own(draft, source)
         draft.apply(options, source if source.is_dir() else source.parent)
         if options.crop is not None:
             crop_draft(draft, options.crop)
@@ -110,6 +111,13 @@ def read_drafts(
         draft.used |= origin.files
     _leave_out_the_rest(source, drafts, chosen.name)
     return chosen, drafts
+
+
+def _require_own(draft: Draft, source: Path) -> None:
+    """Refuse links out of the source: what they name would be copied into a folder for others."""
+    for content in draft.files.values():
+        if isinstance(content, Path) and source in content.parents:
+            inner_path(source, content.relative_to(source).as_posix())
 
 
 def require_effect(options: ImportOptions, drafts: list[Draft], source: Path, layout: str) -> None:

@@ -164,6 +164,7 @@ class KeptPairs:
     def forget(self, mask: wp.array) -> None:
         """Others have written to the lists of the environments of ``mask``: search anew there."""
         zero_rows(mask, self.covered)
+        self._any_stale.zero_()
 
     def cover(
         self,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.bodies.joints import ROW_COUNT
 from taccel_lab.ipc.joints.layout import JointTable
 from taccel_lab.ipc.joints.response import (
     Response,
@@ -19,7 +20,6 @@ from taccel_lab.ipc.joints.response import (
 from taccel_lab.ipc.joints.rows import (
     COORDINATE_ROW,
     REVOLUTE,
-    ROW_COUNT,
     joint_row,
     matrix_row,
     unwrapped,

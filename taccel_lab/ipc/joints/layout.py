@@ -67,8 +67,6 @@ class JointLayout:
     joints: tuple[Joint, ...]
     colors: list[wp.array]
     """Joint indices in groups of which no two share a body, int32: a group runs without atomics."""
-    targets: np.ndarray
-    """Targets of the drives at the start, shape [env_count, joint_count]."""
     smallest_size_m: float
     tree: wp.array
     """Joints in an order in which each has one body placed before: index, and 1 where the second
@@ -78,7 +76,6 @@ class JointLayout:
 def joint_layout(model: Model) -> JointLayout:
     """Build the arrays; ``model.scene.joints`` has been checked with the scene."""
     scene, joints = model.scene, tuple(model.scene.joints)
-    env_count = model.env_count
     affine = [body.name for body in scene.affine_bodies]
     kinematic = [body.name for body in scene.kinematic_bodies]
     solids = model.affine.properties
@@ -146,15 +143,10 @@ def joint_layout(model: Model) -> JointLayout:
     table.gains = put(gains, wp.vec3d)
     table.follows_rate = put([isinstance(d, VelocityDrive) for d in drives], wp.int32)
     table.present = put(present, wp.int32)
-    targets = np.zeros((env_count, len(joints)))
-    for index, drive in enumerate(drives):
-        if drive is not None:
-            targets[:, index] = drive.target
     return JointLayout(
         table=table,
         joints=joints,
         colors=[put(group, wp.int32) for group in _colors(first, second)],
-        targets=targets,
         smallest_size_m=float(sizes.min()),
         tree=put(_tree(first, second, len(solids)), wp.vec2i),
     )

@@ -26,8 +26,6 @@ from taccel_lab.ipc.matrix_types import mat43d
 
 wp.set_module_options({"enable_backward": False})
 
-ROW_COUNT = 7
-"""Rows of every joint; those that a kind does not have are zero."""
 COORDINATE_ROW = 6
 FIXED = wp.constant(0)
 REVOLUTE = wp.constant(1)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.bodies.joints import ROW_COUNT
 from taccel_lab.ipc.joints.kernels import (
     JointStep,
     absorb_forces_kernel,
@@ -31,11 +32,11 @@ from taccel_lab.ipc.joints.kernels import (
 )
 from taccel_lab.ipc.joints.layout import joint_layout
 from taccel_lab.ipc.joints.prediction import close_joints_kernel
-from taccel_lab.ipc.joints.rows import ROW_COUNT
 from taccel_lab.ipc.linear.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import copy_rows, device_mask, zero_rows
+from taccel_lab.state import JointState
 
 
 class JointPotential(Potential):
@@ -52,16 +53,14 @@ class JointPotential(Potential):
         self._shape = shape = (model.env_count, len(layout.joints))
         device = model.device
 
-        def scalars(value: np.ndarray | None = None) -> wp.array:
-            value = np.zeros(shape) if value is None else value
-            return wp.array(value, dtype=wp.float64, device=device)
+        def scalars() -> wp.array:
+            return wp.zeros(shape, dtype=wp.float64, device=device)
 
         self.energies = scalars()
         """Energy of each joint [J], shape [env_count, joint_count]."""
-        self.targets = scalars(layout.targets)
-        """Targets of the drives [rad, m, rad/s or m/s], shape [env_count, joint_count]; set them
-        at any time. A step goes by what they are when it begins."""
-        self.coordinates = scalars()
+        self.state = JointState.at_rest(model)
+        """Of the step at hand: a solver copies it from and to its ``State``."""
+        self.coordinates = self.state.coordinates
         """Angle [rad], whole turns included, or slide [m], shape [env_count, joint_count]."""
         self.rates = scalars()
         """Mean rate over the last step [rad/s or m/s], shape [env_count, joint_count]."""
@@ -88,7 +87,7 @@ class JointPotential(Potential):
         )
         self._step.starts = scalars()
         self._step.targets = scalars()
-        self._step.multipliers = wp.zeros((*shape, ROW_COUNT), dtype=wp.float64, device=device)
+        self._step.multipliers = self.state.multipliers
         self._start_multipliers = wp.zeros_like(self._step.multipliers)
         kinematic = (model.env_count, len(model.scene.kinematic_bodies))
         self._poses = wp.zeros(kinematic, dtype=wp.transformd, device=device)
@@ -127,7 +126,7 @@ class JointPotential(Potential):
         wp.launch(
             begin_joints_kernel,
             dim=self._shape,
-            inputs=[mask, self._values, self.targets, self._step],
+            inputs=[mask, self._values, self.state.targets, self._step],
             outputs=[self._start_multipliers],
             device=self.model.device,
         )
@@ -177,8 +176,8 @@ class JointPotential(Potential):
         copy_rows(mask, self._start_multipliers, self._step.multipliers)
 
     def reset(self, mask: np.ndarray | wp.array) -> None:
-        """Forget forces and whole turns in the environments of ``mask`` (bool, or int32 on the
-        device, [env_count])."""
+        """Forget forces, turns and what was read of the last step in the environments of ``mask``
+        (bool, or int32 on the device, [env_count])."""
         mask = device_mask(mask, self.model.env_count, self.model.device)
         arrays = [self._step.multipliers, self.coordinates, self.rates, self.efforts]
         for array in [*arrays, self.forces, self.torques]:

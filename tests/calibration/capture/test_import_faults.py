@@ -52,6 +52,17 @@ def test_broken_files_are_left_out_and_named(source: Path) -> None:
     assert "# left out, 1 file (p2.png): is not an image" in manifest
 
 
+@pytest.mark.parametrize("crop", [None, "1,1,60,40"])
+@pytest.mark.parametrize("name", ["p1.png", "background.png"])
+def test_what_a_link_names_is_not_taken_in(source: Path, name: str, crop: str | None) -> None:
+    """The folder that is written is one that people publish."""
+    (source / name).rename(source.parent / "private.png")
+    (source / name).symlink_to("../private.png")
+    with pytest.raises(InputError, match=rf"{name} is a link out of .*; put the file itself there"):
+        imported(source, crop)
+    assert not (source.parent / "out").exists()
+
+
 def test_an_image_of_gigabytes_is_refused_before_it_is_copied(tmp_path: Path) -> None:
     rvsathu(tmp_path / "s")
     image = tmp_path / "s" / "calib_10_real.png"

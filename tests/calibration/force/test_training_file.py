@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from taccel_lab.calibration.force.fit import calibrate_force
 from taccel_lab.calibration.force.options import ForceOptions
@@ -19,6 +22,7 @@ from taccel_lab.calibration.force.training_file import TrainingFile
 from taccel_lab.progress import Progress, silent
 from tests.calibration.force.conftest import QUICK
 from tests.calibration.force.small_touches import planned, write_touches
+from tests.strangers import Payload
 
 SHORT = dataclasses.replace(QUICK, steps=20)
 """Nine batches to an order of the samples, so that it is drawn anew on the way."""
@@ -116,6 +120,22 @@ def test_after_a_kill_it_ends_with_the_same_bits(
     file = TrainingFile(tmp_path / "t.pt", every_s=1e9)
     assert same(train(touches, file), whole)
     assert file.earlier_s > 0
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("content", ["pickle", "torch", "list", "pipe"])
+def test_nothing_that_a_file_holds_is_run(tmp_path: Path, content: str) -> None:
+    path, place = tmp_path / "t.pt", tmp_path / "ran"
+    said: list[str] = []
+    state = {"key": "k", "step": Payload(place), "seconds": 0.0}
+    if content == "pickle":
+        path.write_bytes(pickle.dumps(state, protocol=2))
+    elif content == "pipe":
+        os.mkfifo(path)
+    else:
+        torch.save(state if content == "torch" else [1.0], path)
+    assert TrainingFile(path, said.append).load("k") is None
+    assert "cannot be read; the training starts anew" in said[0] and not place.exists()
 
 
 def test_other_settings_begin_anew(touches: Path, stopped: Path) -> None:
