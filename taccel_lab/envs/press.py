@@ -23,7 +23,7 @@ from taccel_lab.envs.indenter import Indenter
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.envs.press_frame import PressFrames
 from taccel_lab.envs.press_path import PressPath
-from taccel_lab.envs.touch import element_m, first_touch_m, gel_below_m
+from taccel_lab.envs.touch import first_touch_m, gel_below_m, require_resolved
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.ipc.intersection import require_separated
@@ -87,21 +87,6 @@ def _reach(shape: Ball | TriangleMesh) -> str:
     )
 
 
-def _check_resolved(
-    indenter: Indenter,
-    mesh: TetMesh,
-    rest_m: np.ndarray | None,
-    frames: PressFrames,
-    at_m: np.ndarray,
-) -> None:
-    """Refuse an indenter that is smaller than an element of the gel where it comes down."""
-    contact = mesh.region_faces(Region.CONTACT)
-    if len(at_m) and len(contact):
-        nodes = mesh.nodes_m if rest_m is None else np.asarray(rest_m)[0]
-        seen = frames.points_in_press(0, nodes)
-        indenter.require_size(element_mm=1e3 * element_m(seen, contact, at_m[0]))
-
-
 class PressEnv:
     """One gel and one indenter in ``env_count`` environments that differ in place and rest shape.
 
@@ -146,7 +131,7 @@ class PressEnv:
             raise InputError("the place of a press must be finite numbers in mm")
         env_count = len(self.at_m)
         self._frames = PressFrames(gel_from_press, env_count)
-        _check_resolved(indenter, mesh, rest_positions_m, self._frames, self.at_m)
+        require_resolved(indenter, mesh, rest_positions_m, self._frames, self.at_m)
         body = KinematicBody(indenter.shape, friction_coefficient, name=indenter.name)
         soft = SoftBody(mesh, material, rest_positions_m=rest_positions_m, element=physics.element)
         self.physics = physics
