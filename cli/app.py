@@ -18,12 +18,14 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from typing import NoReturn, Protocol
+from functools import partial
+from typing import Any, NoReturn, Protocol
 
-from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.errors import InputError, InputWarning, SimulationError
 
 DESCRIPTION = """Design and calibrate vision-based tactile sensors.
 
@@ -170,10 +172,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # File names may hold bytes that no text has, and a terminal may know ASCII alone.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    from taccel_lab.cli.console import only_json
-
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
     words = sys.argv[1:] if arguments is None else arguments
+    with warnings.catch_warnings():
+        warnings.showwarning = partial(_show_warning, warnings.showwarning)
+        return _run(words)
+
+
+def _show_warning(otherwise: Callable[..., None], message: Warning | str, *where: Any) -> None:
+    """Ours are notes to users; those of libraries stay as they are."""
+    if isinstance(message, InputWarning):
+        sys.stderr.write(f"note: {message}\n")
+    else:
+        otherwise(message, *where)
+
+
+def _run(words: Sequence[str]) -> int:
+    from taccel_lab.cli.console import only_json
+
     as_json = "--json" in words and not {"-h", "--help"} & set(words)
     try:
         with _terminable(), only_json() if as_json else nullcontext():

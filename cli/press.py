@@ -37,7 +37,8 @@ class Press:
     """Profile folder, or a sensor of the catalogue, which has no colour model yet: its image is
     the one that the optical model predicts (predicted.png)."""
     out: Path
-    """Folder to write; an earlier one is replaced when everything is done."""
+    """Folder to write; an earlier one is replaced when everything is done. A press that stops on
+    its way leaves its finished steps there, and says where and why in press.json."""
     depth_mm: float | None = None
     """Depth past first touch [mm]; or give --force-n."""
     force_n: float | None = None
@@ -111,8 +112,10 @@ class Press:
         from taccel_lab.envs.press import check_depth, deepest_mm
         from taccel_lab.envs.press_files import write_press
         from taccel_lab.envs.press_force import FIRST_SHARE, check_force
+        from taccel_lab.geometry.length_units import size_words
         from taccel_lab.model.devices import require_device
         from taccel_lab.output_folder import atomic_directory, require_replaceable
+        from taccel_lab.scene import TriangleMesh
         from taccel_lab.sensors.profile import load_sensor
         from taccel_lab.sensors.registry import profile_sensor
         from taccel_lab.signals.color_model import ColorModel
@@ -142,8 +145,15 @@ class Press:
             first_mm = self.depth_mm
         self._path(first_mm)  # Refused before a mesh is made for it, as is what cannot be painted.
         check_depth(first_mm, profile)
+        indenter.require_size(first_mm)
+        if indenter.name.startswith("mesh:") and isinstance(indenter.shape, TriangleMesh):
+            words = size_words(indenter.shape.vertices_m)
+            console.print(f"note: {self.indenter} is {words}", soft_wrap=True, markup=False)
         ColorModel.from_profile(profile)
         mesh = cache(partial(self._mesh, profile, indenter))
+        read: list[PressOutcome] = []
+        failure: BaseException | None = None
+        had_earlier = self.out.exists()
         with atomic_directory(self.out) as folder:
             # All of this without a kernel, which may have to be compiled: a picture within seconds.
             gel, family = mesh(physics, first_mm), profile_sensor(profile)
@@ -155,7 +165,7 @@ class Press:
 
             def press(physics: PressPhysics, path: PressPath, told: Told) -> PressOutcome:
                 gel = mesh(physics, path.depth_mm)
-                return simulate_press(
+                outcome = simulate_press(
                     gel,
                     profile_material(profile.material, gel),
                     indenter,
@@ -168,14 +178,24 @@ class Press:
                     device=self.device,
                     progress=told,
                     keep_states=self.states,
+                    stopped=read.append,
                 )
+                read.append(outcome)
+                return outcome
 
-            with step_progress(console, f"pressing {self.indenter} {aim}") as progress:
-                if self.force_n is None:
-                    outcome = press(physics, self._path(first_mm), progress)
-                else:
-                    limit_mm = deepest_mm(gel, self.at_mm)
-                    outcome = self._to_force(self.force_n, press, physics, limit_mm, progress)
+            try:
+                with step_progress(console, f"pressing {self.indenter} {aim}") as progress:
+                    if self.force_n is None:
+                        outcome = press(physics, self._path(first_mm), progress)
+                    else:
+                        limit_mm = deepest_mm(gel, self.at_mm)
+                        outcome = self._to_force(self.force_n, press, physics, limit_mm, progress)
+            except BaseException as error:
+                # Finished steps are kept; but who interrupts has not asked for an earlier result
+                # to go.
+                if not read or (had_earlier and not isinstance(error, Exception)):
+                    raise
+                failure, outcome = error, read[-1]
             seconds = time.perf_counter() - started
             rgb, frames = _painted(profile, outcome)
             about = {
@@ -187,9 +207,16 @@ class Press:
                 "asked_force_n": self.force_n,
                 "friction_coefficient": friction,
                 "differs_from_calibration": note,
+                "failure": None if failure is None else str(failure) or "interrupted",
                 "seconds": seconds,
             }
             write_press(folder, outcome, profile, rgb, about, indenter, frames)
+        if failure is not None:
+            deepest = outcome.steps[-1].depth_mm
+            console.print(
+                f"wrote {self.out}: {len(outcome.steps)} finished steps, to {deepest:.4g} mm"
+            )
+            raise failure
         return outcome, rgb
 
     def _to_force(

@@ -43,6 +43,11 @@ class RobotShow:
     robot: Positional[str]
     """A URDF, MJCF or USD file (the last two by newton), or a robot of the catalogue, e.g.
     parallel_gripper."""
+    package: tuple[tuple[str, Path], ...] = ()
+    """Name and folder of packages whose meshes a URDF file names, as package://NAME/...; those
+    beside or above the file are found without."""
+    as_drawn: bool = False
+    """Leave up_axis of Collada meshes out, as RViz does."""
     json: bool = False
     """Print JSON instead of tables."""
     picture: Path | None = None
@@ -54,7 +59,7 @@ class RobotShow:
         from taccel_lab.cli.console import print_json, results
         from taccel_lab.robots.describe import describe_robot
 
-        robot = _robot_of(self.robot)
+        robot = _robot_of(self.robot, packages=dict(self.package), as_drawn=self.as_drawn)
         shown = describe_robot(robot)
         if self.picture is not None:
             _draw(robot, self.picture)
@@ -82,7 +87,7 @@ class RobotShow:
             console.print(f"wrote {self.picture}")
 
 
-def _robot_of(text: str) -> Robot:
+def _robot_of(text: str, **options: Any) -> Robot:
     from taccel_lab.reading.xml_file import read_xml
     from taccel_lab.robots.describe import robot_of
 
@@ -95,7 +100,7 @@ def _robot_of(text: str) -> Robot:
         from taccel_lab.newton_door import load_mjcf, load_usd
 
         return load_mjcf(path) if is_mjcf else load_usd(path)
-    return robot_of(text)
+    return robot_of(text, **options)
 
 
 def _draw(robot: Robot, path: Path) -> None:

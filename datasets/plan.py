@@ -140,15 +140,22 @@ class Plan:
             for profile in self.profiles:
                 with naming(f"motions[{number}] on {profile.sensor.name}"):
                     check_depth(motion.depth_mm[1], profile)
+        for number, indenter in enumerate(self.indenters):
+            with naming(f"objects[{number}]"):
+                indenter.require_size(self._deepest_mm)
         for number, sensor in enumerate(self.sensors):
             with naming(f"sensors[{number}] ({sensor.name})"):
                 check_channels(self.spec.output, sensor)
                 self._check_places(sensor)
 
+    @property
+    def _deepest_mm(self) -> float:
+        return max(motion.depth_mm[1] for motion in self.spec.motions)
+
     def _check_places(self, sensor: Sensor) -> None:
         """Refuse ranges of places in whose corners the gel cannot be meshed for some object."""
         low, high = self.place_range_mm(sensor)
-        depth = max(motion.depth_mm[1] for motion in self.spec.motions)
+        depth = self._deepest_mm
         corners = [(x, y) for x in {low[0], high[0]} for y in {low[1], high[1]}]
         for entry, indenter in zip(self.spec.objects, self.indenters, strict=True):
             for x, y in corners:

@@ -10,15 +10,25 @@ import numpy as np
 
 from taccel_lab.bodies.joints import JointKind
 from taccel_lab.errors import InputError
+from taccel_lab.geometry.length_units import size_words
 from taccel_lab.robots.catalogue import named, names
 from taccel_lab.robots.description import RobotJoint
 from taccel_lab.robots.robot import Robot
-from taccel_lab.robots.shapes import BoxShape, CylinderShape, Shape, SphereShape, SurfaceShape
+from taccel_lab.robots.shapes import (
+    BoxShape,
+    CylinderShape,
+    MeshShape,
+    Shape,
+    SphereShape,
+    SurfaceShape,
+)
 from taccel_lab.robots.urdf import load_urdf
+from taccel_lab.scene import TriangleMesh
 
 
-def robot_of(text: str) -> Robot:
-    """A robot of the catalogue by its name, or of a URDF file by its path.
+def robot_of(text: str, **options: Any) -> Robot:
+    """A robot of the catalogue by its name, or of a URDF file by its path, with options of
+    ``load_urdf``.
 
     Raises InputError for a file that cannot be taken over, and a name that is neither.
     """
@@ -28,7 +38,7 @@ def robot_of(text: str) -> Robot:
         raise InputError(
             f"{text!r} is neither a file nor a robot of the catalogue: {', '.join(names())}"
         )
-    return load_urdf(text)
+    return load_urdf(text, **options)
 
 
 def describe_robot(robot: Robot) -> dict[str, Any]:
@@ -37,14 +47,20 @@ def describe_robot(robot: Robot) -> dict[str, Any]:
     refused = []
     links = {}
     for link in robot.links:
+        shapes = []
         for shape in link.shapes:
+            shapes.append(_shape(shape.shape))
             try:
-                shape.surface()
+                surface = shape.surface()[0]
             except InputError as error:
                 refused.append(f"collision shape of link {link.name!r}: {error}")
+                continue
+            if isinstance(shape.shape, (MeshShape, SurfaceShape)):
+                assert isinstance(surface, TriangleMesh)
+                shapes[-1] += f" {size_words(surface.vertices_m)}"
         links[link.name] = {
             "mass_kg": None if link.mass is None else link.mass.mass_kg,
-            "shapes": [_shape(shape.shape) for shape in link.shapes],
+            "shapes": shapes,
         }
     return {
         "name": robot.name,
@@ -73,7 +89,7 @@ def _joint(joint: RobotJoint) -> dict[str, Any]:
 
 def _shape(shape: Shape) -> str:
     if isinstance(shape, BoxShape):
-        return "box " + " x ".join(f"{1e3 * edge:g}" for edge in shape.size_m) + " mm"
+        return f"box {' x '.join(f'{1e3 * edge:g}' for edge in shape.size_m)} mm"
     if isinstance(shape, SphereShape):
         return f"sphere r {1e3 * shape.radius_m:g} mm"
     if isinstance(shape, CylinderShape):

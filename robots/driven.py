@@ -3,15 +3,16 @@
 
 Links that fixed joints connect are one group. A group has an affine body for each collision shape,
 held together by fixed joints. Together they have the mass, centre and inertia that the file states
-of its links; each has a share by its volume, about the group's centre. A gel is mounted on one of
-them, and weighs on it beside that. The base goes where it is told: its shapes are kinematic bodies,
-and what it carries hangs on the first of them. Links do not touch one another unless the robot
-touches itself.
+of its links, or of its shapes where it states none; each has a share by its volume, about the
+group's centre. A gel is mounted on one of them, and weighs on it beside that. The base goes where
+it is told: its shapes are kinematic bodies, and what it carries hangs on the first of them. Links
+do not touch one another unless the robot touches itself.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,7 +22,7 @@ import numpy as np
 from taccel_lab.bodies.bodies import ALL_LAYERS
 from taccel_lab.bodies.joints import Drive, Joint, JointKind
 from taccel_lab.bodies.mass_properties import mass_properties
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.robots.description import LinkMass, RobotJoint, listed
 from taccel_lab.robots.mounts import GEL_LAYER, LINK_LAYER
 from taccel_lab.robots.robot import IDENTITY_POSE, Robot
@@ -46,6 +47,8 @@ from taccel_lab.scene import (
 SURFACE = Surface(layer=LINK_LAYER, collides_with=ALL_LAYERS & ~(LINK_LAYER | GEL_LAYER))
 BALL_EDGE = 0.25
 """Edge of the mesh of a ball that moves freely, over its radius."""
+DENSITY = 1000.0
+"""Of links that state no mass [kg/m^3]: that of affine bodies, about what plastic has."""
 SLIMMEST = 1e-3
 """Smallest second moment of a link over its largest one, where an inertia is of no solid: a rod
 thirty times as long as wide has it."""
@@ -246,12 +249,23 @@ def _group_bodies(
                 ball = sphere_mesh(surface.radius_m, BALL_EDGE * surface.radius_m)
                 surface = TriangleMesh(ball.vertices_m + offset[:3, 3], ball.faces)
             shapes.append((name, surface))
-    if not shapes or not masses:
+    if not shapes:
         raise InputError(
-            f"link {group!r} moves but has no {'mass' if shapes else 'collision shape'}: a body "
-            "that drives move needs one"
+            f"link {group!r} moves but has no collision shape: a body that drives move needs one"
         )
-    volumes = np.array([mass_properties(mesh, 1.0).volume_m3 for _, mesh in shapes])
+    solids = [mass_properties(mesh, DENSITY) for _, mesh in shapes]
+    volumes = np.array([solid.volume_m3 for solid in solids])
+    if not masses:
+        masses = [
+            (LinkMass(solid.mass_kg, solid.center_m, solid.inertia_kg_m2), matrix_of(poses[name]))
+            for (name, _), solid in zip(shapes, solids, strict=True)
+        ]
+        warnings.warn(
+            f"link {group!r} states no mass: its shapes filled with {DENSITY:g} kg/m^3 weigh "
+            f"{sum(solid.mass_kg for solid in solids):.3g} kg",
+            InputWarning,
+            stacklevel=4,
+        )
     total = _total(masses)
     if closest:
         total = replace(total, inertia_kg_m2=closest_solid(total.inertia_kg_m2))

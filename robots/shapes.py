@@ -8,11 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.bodies.mesh_checks import check_surface
+from taccel_lab.bodies.mesh_checks import check_extent, check_surface
 from taccel_lab.errors import InputError, naming
 from taccel_lab.reading.collada_file import SUFFIX, read_collada
 from taccel_lab.reading.triangle_file import read_triangle_file
 from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh
+
+LINK_EXTENT_M = (1e-5, 5.0)
+"""Sizes of a link's mesh: one of 20 m was meant in millimetres."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,8 @@ class MeshShape:
     """File units times this are metres; of Collada its metres, as it names its unit."""
     hull: bool = False
     """Whether its convex hull is touched instead of its triangles."""
+    as_drawn: bool = False
+    """Whether ``up_axis`` of a Collada file is left out."""
 
     def surface(self) -> TriangleMesh:
         """Its triangles in the frame of the shape [m].
@@ -66,9 +71,13 @@ class MeshShape:
         such as a surface that crosses itself.
         """
         collada = self.path.suffix.lower() == SUFFIX
-        points, faces = (read_collada if collada else read_triangle_file)(self.path)
+        if collada:
+            points, faces = read_collada(self.path, self.as_drawn)
+        else:
+            points, faces = read_triangle_file(self.path)
         points = points * np.array(self.scale)
         with naming(self.path):
+            check_extent(points, "its surface", LINK_EXTENT_M)
             if self.hull:
                 return TriangleMesh(*convex_hull(points))
             if np.prod(self.scale) < 0:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -12,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from taccel_lab.bodies.joints import JointKind
-from taccel_lab.errors import InputError, naming
+from taccel_lab.errors import InputError, InputWarning, naming
 from taccel_lab.reading.xml_file import read_xml
 from taccel_lab.robots.description import Link, LinkMass, Mimic, RobotJoint
 from taccel_lab.robots.robot import Robot
@@ -36,7 +38,13 @@ _UNIT_SLACK = 1e-3
 """How far the length of a slide's axis may be from 1: digits that were cut off."""
 
 
-def load_urdf(path: Path | str, *, shapes: bool = True) -> Robot:
+def load_urdf(
+    path: Path | str,
+    *,
+    shapes: bool = True,
+    packages: Mapping[str, Path | str] | None = None,
+    as_drawn: bool = False,
+) -> Robot:
     """A robot of the links, joints, limits, masses and collision shapes of a URDF file.
 
     Looks, transmissions and elements of other programs are left out.
@@ -45,6 +53,12 @@ def load_urdf(path: Path | str, *, shapes: bool = True) -> Robot:
         path: The file.
         shapes: Whether collision shapes are read. Without them a robot has kinematics and gels, and
             its file may name meshes that cannot be read.
+        packages: Folder of each package that meshes are named by, ``package://NAME/...``; those
+            beside or above the file are found without.
+        as_drawn: Whether ``up_axis`` of Collada meshes is left out, as RViz does.
+
+    What is used otherwise than it stands is said by an ``InputWarning``: links whose mass is left
+    out, drives without a limit of their effort, meshes that are turned.
 
     Raises:
         InputError: Names the file and what of it cannot be taken over: no XML, something missing
@@ -53,12 +67,13 @@ def load_urdf(path: Path | str, *, shapes: bool = True) -> Robot:
             installed.
     """
     path = Path(path)
+    folders = {name: Path(folder) for name, folder in (packages or {}).items()}
     root = read_xml(path, "a URDF file")
     with naming(path):
         parsed = _parse(checked_urdf(root, shapes))
         return Robot(
             parsed.name,
-            tuple(_link(link, path) for link in parsed.links),
+            tuple(_link(link, path, folders, as_drawn) for link in parsed.links),
             tuple(_joint(joint) for joint in parsed.joints),
         )
 
@@ -79,9 +94,9 @@ def _origin(matrix: np.ndarray | None) -> np.ndarray:
     return np.eye(4) if matrix is None else np.asarray(matrix, dtype=np.float64)
 
 
-def _link(link: Any, urdf: Path) -> Link:
+def _link(link: Any, urdf: Path, packages: Mapping[str, Path], as_drawn: bool) -> Link:
     shapes = tuple(
-        CollisionShape(_shape(item.geometry, urdf), _origin(item.origin))
+        CollisionShape(_shape(item.geometry, urdf, packages, as_drawn), _origin(item.origin))
         for item in link.collisions
     )
     return Link(link.name, shapes, _mass(link))
@@ -98,7 +113,7 @@ def _mass(link: Any) -> LinkMass | None:
     return LinkMass(mass, origin[:3, 3], turn @ inertia @ turn.T)
 
 
-def _shape(geometry: Any, urdf: Path) -> Shape:
+def _shape(geometry: Any, urdf: Path, packages: Mapping[str, Path], as_drawn: bool) -> Shape:
     if geometry.box is not None:
         x, y, z = map(float, geometry.box.size)
         return BoxShape((x, y, z))
@@ -108,7 +123,8 @@ def _shape(geometry: Any, urdf: Path) -> Shape:
         return CylinderShape(float(geometry.cylinder.radius), float(geometry.cylinder.length))
     scale = geometry.mesh.scale
     x, y, z = (1.0, 1.0, 1.0) if scale is None else map(float, scale)
-    return MeshShape(mesh_path(geometry.mesh.filename, urdf), (x, y, z))
+    file = mesh_path(geometry.mesh.filename, urdf, packages)
+    return MeshShape(file, (x, y, z), as_drawn=as_drawn)
 
 
 def _joint(joint: Any) -> RobotJoint:
@@ -136,6 +152,13 @@ def _joint(joint: Any) -> RobotJoint:
             )
     if joint.limit is not None and joint.limit.effort:
         effort = float(joint.limit.effort)
+    elif joint.limit is not None and joint.limit.effort is not None:
+        warnings.warn(
+            f'effort="0" of joint {joint.name!r} is taken as no limit: a drive without force moves '
+            "nothing; drive(robot, drives) limits it by max_effort",
+            InputWarning,
+            stacklevel=3,
+        )
     mimic = joint.mimic and Mimic(
         joint.mimic.joint, float(joint.mimic.multiplier), float(joint.mimic.offset)
     )

@@ -8,11 +8,13 @@ http://wiki.ros.org/urdf/XML
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from xml.etree.ElementTree import Element
 
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.inner_path import real_path
 from taccel_lab.reading.collada_file import SUFFIX
 from taccel_lab.reading.text_file import shown
@@ -96,6 +98,14 @@ def _checked(element: Element, what: str, left_out: tuple[str, ...]) -> Element:
     kept = Element(tag, dict(element.attrib))
     for child in element:
         if child.tag in _PARTS.get(tag, ()) and child.tag not in left_out:
+            if child.tag == "inertial" and child.find("mass") is None:
+                warnings.warn(
+                    f"<inertial> of {what} has no <mass> and is left out: where drives move the "
+                    "link, mass and inertia are estimated from its collision shapes",
+                    InputWarning,
+                    stacklevel=2,
+                )
+                continue
             part = _checked(child, what, left_out)
             if part.tag != "inertial" or _says_something(part):
                 kept.append(part)
@@ -155,25 +165,39 @@ def _check_numbers(text: str, count: int, what: str) -> None:
         raise InputError(f"{what} must be {wanted}, got {shown(text)}")
 
 
-def mesh_path(name: str, urdf: Path) -> Path:
+def mesh_path(name: str, urdf: Path, packages: Mapping[str, Path] = MappingProxyType({})) -> Path:
     """The file that a mesh's name stands for.
 
-    ``package://a/b`` is looked for as folder ``a`` beside or above the URDF file, and as a folder
-    of that name that it lies in; other names count from the file's own folder. They may lead out
-    of it, as ``../meshes`` does in most packages: what is read there is triangles or refused.
+    ``package://a/b`` is looked for in the folder that ``packages`` names for ``a``, or else as
+    folder ``a`` beside or above the URDF file, and as a folder of that name that it lies in; other
+    names count from the file's own folder. They may lead out of it, as ``../meshes`` does in most
+    packages: what is read there is triangles or refused.
 
     Raises InputError where there is no such file.
     """
-    folder = real_path(urdf).parent
+    folder, hint = real_path(urdf).parent, ""
     if name.startswith("package://"):
         package, _, rest = name.removeprefix("package://").partition("/")
-        places = [
-            place / rest if place.name == package else place / package / rest
-            for place in (folder, *folder.parents)
-        ]
+        if package in packages:
+            places = [packages[package] / rest]
+        else:
+            hint = (
+                f"; say where the package is: load_urdf(..., packages={{{package!r}: FOLDER}}), or "
+                f"--package {package} FOLDER"
+            )
+            places = _beside(folder, package, rest)
     else:
         places = [folder / name.removeprefix("file://")]
     for place in places:
         if place.is_file():
             return place
-    raise InputError(f"mesh file {shown(name)} is not there; looked in {shown(str(places[0]))}")
+    raise InputError(
+        f"mesh file {shown(name)} is not there; looked in {shown(str(places[0]))}{hint}"
+    )
+
+
+def _beside(folder: Path, package: str, rest: str) -> list[Path]:
+    return [
+        place / rest if place.name == package else place / package / rest
+        for place in (folder, *folder.parents)
+    ]

@@ -66,7 +66,7 @@ class StandardPress:
         if not self.indenters or not self.places:
             raise InputError(f"press {self.name}: needs at least one indenter and one place")
         for text in self.indenters:
-            parse_indenter(text)
+            parse_indenter(text).require_size(self.depth_mm)
         if len(set(self.indenters)) < len(self.indenters):
             raise InputError(f"press {self.name}: an indenter is named twice")
         if (self.depth_fraction > 0) == (self.depth_mm > 0):

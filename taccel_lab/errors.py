@@ -21,6 +21,10 @@ class InputError(ValueError):
         super().__init__(readable(str(message)))
 
 
+class InputWarning(UserWarning):
+    """Input that is used otherwise than it stands: the command line prints it as a note."""
+
+
 @contextmanager
 def naming(source: object) -> Iterator[None]:
     """Put ``source``, a file, before the message of an InputError that does not name it."""

@@ -8,26 +8,25 @@ import numpy as np
 from taccel_lab.bodies.crossings import self_crossings
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.length_units import other_readings
 from taccel_lab.geometry.tet_checks import check_connectivity, first_of, unique_rows
+from taccel_lab.reading.triangle_file import FLAT as FLAT_TRIANGLE
 
 COINCIDENT = 1e-9
 """Distance over extent at which vertices count as the same."""
-FLAT = 1e-10
-"""Height over longest edge of a triangle, volume over longest edge cubed of a tet."""
+FLAT = FLAT_TRIANGLE
+"""Volume over longest edge cubed of a tet; of a triangle see there."""
 
 
 def check_extent(vertices: np.ndarray, what: str, limits_m: tuple[float, float]) -> None:
     """Refuse sizes that come from another unit of length."""
     extent = float((vertices.max(axis=0) - vertices.min(axis=0)).max())
     low, high = limits_m
-    if extent > high:
+    if not low <= extent <= high:
+        allowed = f"at most {high:g}" if extent > high else f"at least {low:g}"
         raise InputError(
-            f"{what} is {extent:g} m across; at most {high:g} m is allowed. "
-            "Lengths are in metres: a mesh in millimetres must be scaled by 1e-3"
-        )
-    if extent < low:
-        raise InputError(
-            f"{what} is {extent:g} m across; at least {low:g} m is allowed. Lengths are in metres"
+            f"{what} is {extent:g} m across; {allowed} m is allowed. Lengths are in metres; "
+            f"{other_readings(extent, 'metres')}: a mesh in millimetres must be scaled by 1e-3"
         )
 
 

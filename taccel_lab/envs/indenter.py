@@ -19,6 +19,7 @@ import numpy as np
 from taccel_lab.bodies.mesh_checks import check_edges, check_surface
 from taccel_lab.envs.prisms import edge_mesh, grating_mesh, pair_mesh, roller_mesh
 from taccel_lab.errors import InputError, naming
+from taccel_lab.geometry.length_units import other_readings
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.reading.triangle_file import read_triangle_file
 from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh
@@ -33,6 +34,10 @@ ALLOWED = (
 )
 _HEIGHT_M = 4e-3
 _SIZE_LIMITS_MM = (0.05, 100.0)
+_LEAST_PART_MM = 0.1
+"""Least size of a mesh: the narrowest contact that elements are made for."""
+_LARGEST_PART_MM = 1e3
+"""Largest size of a mesh that is no file's."""
 _MIN_THICKNESS_MM = 1e-3
 """Of a mesh: volume over half of its surface; coordinates of single precision hold 1e-5 mm."""
 _ANGLE_LIMITS_DEG = (10.0, 170.0)
@@ -63,11 +68,33 @@ class Indenter:
     def contact(self, depth_mm: float) -> float | ToolSection:
         """About what of a gel a press touches, by the shape's section at half of the depth: a
         ball's radius there [mm], which is Hertz's, else the section itself."""
+        self.require_size(depth_mm)
         if not isinstance(self.shape, Ball):
             with naming(self.name):
                 return ToolSection.of(self.shape.vertices_m, self.shape.faces, depth_mm)
         half, radius = 0.5 * depth_mm * 1e-3, self.shape.radius_m
         return 1e3 * (math.sqrt(half * (2 * radius - half)) if half < radius else radius)
+
+    def require_size(self, depth_mm: float = 0.0, element_mm: float = 0.0) -> None:
+        """Refuse a mesh that a press cannot mean, as its numbers are in another unit: InputError
+        where it is smaller than ``depth_mm`` or than an element of the gel, ``element_mm``."""
+        if isinstance(self.shape, Ball):
+            return
+        size_mm = 1e3 * float(np.ptp(self.shape.vertices_m, axis=0).max())
+        why = ""
+        if size_mm < _LEAST_PART_MM:
+            why = f"at least {_LEAST_PART_MM:g} mm are needed for elements to see it"
+        elif size_mm > _LARGEST_PART_MM:
+            why = f"at most {_LARGEST_PART_MM:g} mm are allowed"
+        elif size_mm < depth_mm:
+            why = f"less than the press is deep, {depth_mm:.4g} mm"
+        elif size_mm < element_mm:
+            why = f"less than an element of the gel's mesh is long there, {element_mm:.3g} mm"
+        if why:
+            raise InputError(
+                f"indenter {self.name} is {size_mm:.4g} mm across: {why}; "
+                f"{other_readings(size_mm, 'millimetres')}. Scale it"
+            )
 
 
 def parse_indenter(text: str, texture: Texture | None = None) -> Indenter:
@@ -173,11 +200,11 @@ def _read_mesh(text: str) -> TriangleMesh:
     what = f"indenter mesh {path}"
     points, faces = read_triangle_file(path)
     size = float(np.ptp(points, axis=0).max())
-    low, high = _SIZE_LIMITS_MM
+    low, high = _LEAST_PART_MM, _SIZE_LIMITS_MM[1]
     if not low <= size <= high:
         raise InputError(
-            f"{what} is {size:g} units across; a size in [{low:g}, {high:g}] mm is needed "
-            "(is the file in metres or inches?)"
+            f"{what} is {size:g} mm across; a size in [{low:g}, {high:g}] mm is needed. "
+            f"Its numbers count as millimetres; {other_readings(size, 'millimetres')}. Scale it"
         )
     farthest = float(np.abs(points).max())
     if farthest > high:

@@ -17,15 +17,17 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 
 from taccel_lab.envs.indenter import Indenter
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.envs.press_frame import PressFrames
 from taccel_lab.envs.press_path import PressPath
-from taccel_lab.envs.touch import first_touch_m, gel_below_m
+from taccel_lab.envs.touch import first_touch_m, gel_below_m, require_resolved
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.ipc.intersection import require_separated
+from taccel_lab.model.env_rows import copy_rows, device_mask
 from taccel_lab.outputs.contact_layer import gap_work
 from taccel_lab.outputs.recovery_error import relative_energy_error
 from taccel_lab.process_pool import usable_cores
@@ -40,7 +42,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC, StepReport
-from taccel_lab.state import State, initial_state
+from taccel_lab.state import initial_state
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
@@ -128,6 +130,8 @@ class PressEnv:
         if not np.isfinite(self.at_m).all():
             raise InputError("the place of a press must be finite numbers in mm")
         env_count = len(self.at_m)
+        self._frames = PressFrames(gel_from_press, env_count)
+        require_resolved(indenter, mesh, rest_positions_m, self._frames, self.at_m)
         body = KinematicBody(indenter.shape, friction_coefficient, name=indenter.name)
         soft = SoftBody(mesh, material, rest_positions_m=rest_positions_m, element=physics.element)
         self.physics = physics
@@ -140,7 +144,6 @@ class PressEnv:
         rest = self.model.rest_positions.numpy()[:, : self.model.soft_count]
         contact = self.mesh.region_faces(Region.CONTACT)
         bonded = self.mesh.region_faces(Region.BOND, Region.WINDOW)
-        self._frames = PressFrames(gel_from_press, env_count)
         points = [self._frames.points_in_press(i, rest[i % len(rest)]) for i in range(env_count)]
         self.touch_m = np.array(
             [
@@ -278,14 +281,26 @@ class PressEnv:
         """
         resting = np.zeros(len(self.at_m), dtype=bool) if stay is None else stay.copy()
         before, held_back = self.state.copy(), self.setback_m
+        rubbing = wp.clone(self.solver.friction_gradient)
         dhat = self.solver.config.dhat_m
         touching = (self.setback_m == dhat) & (depth_m > dhat) & ~resting
         self.setback_m = np.where(touching, FIRST_SETBACK * dhat, self.setback_m)
+
+        def put_back(lost: np.ndarray, forces: bool = True) -> None:
+            """Environments of ``lost`` to where the step began, with the forces there: those of
+            friction hang on the step before."""
+            self.state.restore(before, lost)
+            self.setback_m = np.where(lost, held_back, self.setback_m)
+            if forces:
+                self.solver.refresh_forces(self.state, lost)
+                mask = device_mask(lost, len(lost), self.model.device)
+                copy_rows(mask, rubbing, self.solver.friction_gradient)
+
         try:
-            return self._settle(depth_m, shear_m, twist_rad, resting, before, held_back)
-        except BaseException:
-            self.state.restore(before)
-            self.setback_m = held_back
+            return self._settle(depth_m, shear_m, twist_rad, resting, put_back)
+        except BaseException as error:
+            # After an interrupt what the steps before had reached is whole and can be read.
+            put_back(np.ones_like(resting), forces=not isinstance(error, Exception))
             raise
 
     def _settle(
@@ -294,11 +309,10 @@ class PressEnv:
         shear_m: np.ndarray,
         twist_rad: np.ndarray | float,
         resting: np.ndarray,
-        before: State,
-        held_back: np.ndarray,
+        put_back: Callable[[np.ndarray], None],
     ) -> StepReport:
-        """Step until the mean gap is what the indenter is held back by; back to ``before``, with
-        ``held_back``, where that fails. ``resting`` (bool, [env_count]) are left alone."""
+        """Step until the mean gap is what the indenter is held back by; ``put_back`` where that
+        fails. ``resting`` (bool, [env_count]) are left alone."""
         stay = resting.copy()
         report: StepReport | None = None
         for left in reversed(range(SETBACK_ROUNDS)):
@@ -316,9 +330,7 @@ class PressEnv:
         assert report is not None
         lost = ~report.converged & ~stay
         if lost.any():
-            self.state.restore(before, lost)
-            self.setback_m = np.where(lost, held_back, self.setback_m)
-            self.solver.refresh_forces(self.state, lost)
+            put_back(lost)
         self.depth_m = np.where(report.converged, depth_m, self.depth_m)
         return report
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,9 +15,9 @@ from taccel_lab.envs.press import PressEnv
 from taccel_lab.envs.press_path import PressPath
 from taccel_lab.envs.press_states import PressStates
 from taccel_lab.envs.press_surface import PressSurface, press_surface
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
-from taccel_lab.geometry.tet_mesh import tet_volumes
+from taccel_lab.ipc.potentials.inversion import smallest_ratios
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Material, MaterialField
 from taccel_lab.signals.rest_surface import RestSurface
@@ -41,8 +41,18 @@ class PressStep:
 
 
 @dataclass(frozen=True)
+class PressStop:
+    """The step that a press did not finish."""
+
+    depth_mm: float
+    shear_mm: tuple[float, float]
+    twist_deg: float
+    why: str
+
+
+@dataclass(frozen=True)
 class PressOutcome:
-    """The steps of a press and the signals at its end."""
+    """The steps of a press and the signals at its end, or at the last step that it finished."""
 
     mesh: TetMesh | QuadraticMesh
     """The gel with all its nodes: middles of edges too where its elements are quadratic."""
@@ -76,12 +86,14 @@ class PressOutcome:
     contact_radius_m: float
     """Radius of the disc of the contact's area [m]."""
     smallest_volume_ratio: float
-    """Smallest det F of any tet: above 0 when no tet is inverted."""
+    """Smallest det F anywhere in a tet: above 0 when no tet is inverted."""
     fine_force_n: float | None = None
     """Force against the press of the contact with a texture, of which the solver's force knows the
     mean surface only [N]; None without a texture."""
     states: PressStates | None = None
     """All steps, where they were to be kept."""
+    stopped: PressStop | None = None
+    """Where and why the press ended before its path did."""
 
     @property
     def last(self) -> StepReport:
@@ -112,6 +124,7 @@ class PressOutcome:
             "contact_radius_mm": self.contact_radius_m * 1e3,
             "fine_force_n": self.fine_force_n,
             "smallest_volume_ratio": self.smallest_volume_ratio,
+            "stopped": None if self.stopped is None else asdict(self.stopped),
             "steps": [
                 {
                     "depth_mm": step.depth_mm,
@@ -146,9 +159,13 @@ def simulate_press(
     device: str = "cpu",
     progress: Callable[[int, int, PressStep], None] | None = None,
     keep_states: bool = False,
+    stopped: Callable[[PressOutcome], None] | None = None,
 ) -> PressOutcome:
     """Press once, read everything. Errors as of ``PressEnv``; see there for the arguments. An
     indenter with a texture must go deeper than that is on the mean.
+
+    Where a step fails, or an interrupt comes, ``stopped`` is given the steps before, if there are
+    any, and what can be read at their end; the error goes on.
 
     ``designed_rest`` is the pad's contact face on ``grid`` where ``mesh`` draws it more coarsely,
     see ``RestCorrection``. ``progress`` is told step, step count and what the step gave.
@@ -185,17 +202,39 @@ def simulate_press(
         if progress is not None:
             progress(done, total, steps[-1])
 
-    env.follow(path, keep)
+    def read(stop: PressStop | None = None) -> PressOutcome:
+        return _read(env, path, steps, outputs, pixels(), states, stop)
+
+    try:
+        env.follow(path, keep)
+    except BaseException as error:
+        broken = isinstance(error, Exception) and not isinstance(error, SimulationError)
+        if stopped is None or not steps or broken:
+            raise
+        if states is not None and not states.cut(len(steps)):
+            states.add(env, outputs.update(env.state), pixels)
+        why = str(error) or "interrupted"
+        stopped(read(PressStop(*waypoints[min(len(steps), len(waypoints) - 1)], why)))
+        raise
+    return read()
+
+
+def _read(
+    env: PressEnv,
+    path: PressPath,
+    steps: list[PressStep],
+    outputs: Outputs,
+    seen: PressSurface,
+    states: PressStates | None,
+    stop: PressStop | None,
+) -> PressOutcome:
     outputs.update(env.state)
     pressures = outputs.surface_load.pressures.numpy()[:, : env.model.soft_count].copy()
-    pose = env.poses[0, 0]
-    seen = pixels()
     error = env.error_estimate()
-    volumes = tet_volumes(env.positions[0], mesh.tets)
     return PressOutcome(
         mesh=env.mesh,
         path=path,
-        physics=physics,
+        physics=env.physics,
         steps=steps,
         force_error_n=float(error.force_n[0]),
         height_error_m=float(error.height_m[0]),
@@ -203,7 +242,7 @@ def simulate_press(
         contact_forces_n=env.contact_forces[0].copy(),
         contact_pressures_pa=pressures[0],
         von_mises_pa=outputs.von_mises.numpy()[0, : env.model.soft_count].copy(),
-        indenter_pose=pose,
+        indenter_pose=env.poses[0, 0],
         setback_m=float(env.setback_m[0]),
         height_m=seen.height_m,
         rest_height_m=seen.rest_height_m,
@@ -211,7 +250,8 @@ def simulate_press(
         rest_normals=seen.rest_normals,
         contact_mask=seen.contact_mask,
         contact_radius_m=seen.contact_radius_m,
-        smallest_volume_ratio=float((volumes / mesh.volumes_m3()).min()),
+        smallest_volume_ratio=float(smallest_ratios(env.solver.elastic, env.state.positions)[0]),
         fine_force_n=seen.fine_force_n,
         states=states,
+        stopped=stop,
     )

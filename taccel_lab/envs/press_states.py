@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,6 +61,15 @@ class PressStates:
         self.von_mises_pa.append(outputs.von_mises.numpy()[0, :count].astype(np.float32))
         self.indenter_poses.append(env.poses[0, 0])
         self.surfaces.append(surface())
+
+    def cut(self, count: int) -> bool:
+        """Drop what is kept beyond the first ``count`` steps, and of one that was kept in part;
+        whether all of them are left."""
+        rows = [getattr(self, entry.name) for entry in fields(self)]
+        whole = min(count, *map(len, rows))
+        for row in rows:
+            del row[whole:]
+        return whole == count
 
     def positions_m(self, mesh: TetMesh | QuadraticMesh) -> np.ndarray:
         """Nodes at rest and after each step [m], [step + 1, node, 3]."""

@@ -11,6 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.bodies.primitives import unique_edges
+from taccel_lab.envs.indenter import Indenter
+from taccel_lab.envs.press_frame import PressFrames
+from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.scene import Ball, TriangleMesh
 
 _CHUNK = 512
@@ -35,6 +38,29 @@ def first_touch_m(
     if isinstance(shape, Ball):
         return _ball_touch(shape.radius_m, points, near)
     return _mesh_touch(shape, points, near)
+
+
+def require_resolved(
+    indenter: Indenter,
+    mesh: TetMesh,
+    rest_m: np.ndarray | None,
+    frames: PressFrames,
+    at_m: np.ndarray,
+) -> None:
+    """Refuse an indenter that is smaller than an element of the gel where it comes down."""
+    contact = mesh.region_faces(Region.CONTACT)
+    if len(at_m) and len(contact):
+        nodes = mesh.nodes_m if rest_m is None else np.asarray(rest_m)[0]
+        seen = frames.points_in_press(0, nodes)
+        indenter.require_size(element_mm=1e3 * _element_m(seen, contact, at_m[0]))
+
+
+def _element_m(positions: np.ndarray, faces: np.ndarray, at_m: np.ndarray) -> float:
+    """Longest edge [m] of the face nearest to an axis; see ``first_touch_m``."""
+    corners = positions[faces]
+    nearest = ((corners[..., :2].mean(axis=1) - at_m) ** 2).sum(axis=1).argmin()
+    around = corners[nearest]
+    return float(np.linalg.norm(around - np.roll(around, 1, axis=0), axis=1).max())
 
 
 def gel_below_m(

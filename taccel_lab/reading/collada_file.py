@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Triangles of Collada files (.dae), read by pycollada in a process of its own.
 
-Lengths are those of the file times its unit, metres where it names none, as
-https://www.khronos.org/collada says. Axes are the file's own: the tag ``up_axis`` is left out, as
-RViz does and robot descriptions count on. Exporters write it whatever is up.
+Lengths are those of the file times its unit, metres where it names none, and the axis that the file
+calls up is turned to z, as https://www.khronos.org/collada says. RViz leaves ``up_axis`` out, and
+some exporters write it whatever is up: ``as_drawn`` leaves it out, too.
 """
 
 from __future__ import annotations
 
 import io
+import warnings
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -16,14 +17,20 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.reading.apart import read_apart
 from taccel_lab.reading.text_file import shown
-from taccel_lab.reading.triangle_file import clean_triangles
+from taccel_lab.reading.triangle_file import clean_triangles, without_idle_faces
 from taccel_lab.reading.xml_file import read_xml
 
 SUFFIX = ".dae"
 _KEPT = ("asset", "library_geometries", "library_nodes", "library_visual_scenes", "scene")
+_Z_UP = {
+    "X_UP": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
+    "Y_UP": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "Z_UP": np.eye(3),
+}
+"""Rotations, z up from the file; the Collada specification 1.4.1 says what is right and inwards."""
 _LEFT_OUT = (
     "bind_material",
     "extra",
@@ -37,10 +44,12 @@ _LEFT_OUT = (
 """Looks, and what else is no surface; parts of it may name other files."""
 
 
-def read_collada(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def read_collada(path: Path, as_drawn: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Points [m], float64, [n, 3], and triangles, int64, [m, 3], of what the file's scene shows.
 
-    Faces of more corners are cut, points merged and counts limited as by ``read_triangle_file``.
+    ``as_drawn``: whether axes are the file's own. Else a file whose z is not up is turned, with a
+    warning. Faces of more corners are cut, points merged and counts limited as by
+    ``read_triangle_file``.
 
     Raises InputError for a file that cannot be read or shows no faces, and where pycollada is not
     installed.
@@ -64,7 +73,24 @@ def read_collada(path: Path) -> tuple[np.ndarray, np.ndarray]:
     points, faces = read_apart(str(path), _read_with_pycollada, path, ElementTree.tostring(root))
     if not len(faces):
         raise InputError(f"{path} shows no faces")
-    return points, faces
+    if not as_drawn and (up := _up_axis(root)) != "Z_UP":
+        warnings.warn(
+            f"{path} says {up}, so it is turned to z up; if it lies wrong then, as files do that "
+            "are made for RViz, which leaves this out, load it as it is drawn",
+            InputWarning,
+            stacklevel=2,
+        )
+        points = points @ _Z_UP[up].T
+    return without_idle_faces(path, points, faces)
+
+
+def _up_axis(root: ElementTree.Element) -> str:
+    """Z_UP where a file says nothing, or nothing that Collada knows: it stays as it is drawn."""
+    for asset in (part for part in root if _name(part) == "asset"):
+        for entry in asset:
+            if _name(entry) == "up_axis" and (entry.text or "").strip() in _Z_UP:
+                return str(entry.text).strip()
+    return "Z_UP"
 
 
 def _check_numbers(path: Path, array: ElementTree.Element) -> None:

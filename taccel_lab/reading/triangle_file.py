@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.reading.apart import read_apart
 from taccel_lab.reading.regular_file import require_regular_file
 
@@ -22,6 +22,8 @@ MAX_TRIANGLES = 500_000
 """Of a surface; scans that are to be touched have a tenth of it, and contact with more is slow."""
 MAX_BYTES = 150 << 20
 """As many triangles in the format that takes the most for each: STL as text, 300 bytes."""
+FLAT = 1e-10
+"""Twice the area of a triangle over its longest edge squared, up to which it has none."""
 _PLY_HEAD_BYTES = 1 << 16
 """Where the header of a PLY file ends, some 400 bytes as a rule."""
 
@@ -30,8 +32,8 @@ def read_triangle_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Points in the unit of the file, float64, [n, 3], and triangles, int64, [m, 3].
 
     Faces of more corners are cut into triangles, points at the same place merged, and triangles
-    without area that this leaves, such as those between two equal points, go. Nothing is said of
-    the surface: it may be open, or cross itself.
+    without area that this leaves, such as those between two equal points, go, and so do those of
+    ``without_idle_faces``. Nothing is said of the surface: it may be open, or cross itself.
 
     Raises InputError for a file that cannot be read, has no faces, more than ``MAX_TRIANGLES``, or
     coordinates that are not finite.
@@ -45,7 +47,43 @@ def read_triangle_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
     points, faces = read_apart(str(path), _read_with_vtk, path)
     if not len(faces):
         raise InputError(f"{path} holds no faces, or is not a readable mesh file")
+    return without_idle_faces(path, points, faces)
+
+
+def without_idle_faces(
+    path: Path, points: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same surface without triangles that have no area or stand there twice, and with a
+    warning, where its edges meet better without them: programs leave some behind in closed
+    surfaces. Points that no face has go with them."""
+    corners = points[faces]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = np.linalg.norm(crosses, axis=1) <= FLAT * longest**2
+    # Each from its smallest corner on, so that those that look the same way are equal.
+    turned = (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3
+    first = np.unique(np.take_along_axis(faces, turned, axis=1), axis=0, return_index=True)[1]
+    twice = np.ones(len(faces), dtype=bool)
+    twice[first] = False
+    for idle in (flat | twice, twice):
+        kept = faces[~idle]
+        if not (idle.any() and len(kept)) or _loose_edges(kept) >= _loose_edges(faces):
+            continue
+        warnings.warn(
+            f"{path}: {idle.sum()} of {len(faces)} triangles have no area or stand there twice; "
+            "they are left out",
+            InputWarning,
+            stacklevel=3,
+        )
+        used, kept = np.unique(kept, return_inverse=True)
+        return points[used], kept.reshape(-1, 3)
     return points, faces
+
+
+def _loose_edges(faces: np.ndarray) -> int:
+    """Edges that are not of two faces."""
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return int((np.unique(edges, axis=0, return_counts=True)[1] != 2).sum())
 
 
 def _read_with_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:

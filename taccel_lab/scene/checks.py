@@ -8,10 +8,10 @@ from taccel_lab.bodies.mesh_checks import check_extent, check_surface, check_tet
 from taccel_lab.bodies.primitives import TriangleMesh
 from taccel_lab.bodies.scene_description import SceneDescription
 
-SOFT_EXTENT_M = (1e-5, 10.0)
-"""Sizes of a soft body: a gel of 20 m was meant in millimetres."""
-RIGID_EXTENT_M = (1e-6, 100.0)
-"""Sizes of an affine or kinematic body."""
+SOFT_EXTENT_M = (1e-5, 1.0)
+"""Sizes of a soft body: a gel of 8 m was meant in millimetres."""
+RIGID_EXTENT_M = (1e-5, 10.0)
+"""Sizes of an affine or kinematic body: one of 20 m was meant in millimetres."""
 
 
 def check_scene(scene: SceneDescription) -> None:

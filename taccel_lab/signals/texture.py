@@ -13,8 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.geometry.length_units import other_readings
 
 _LEAST_PX = 2
+_DEPTHS_M, _WIDTHS_M = (1e-7, 1e-2), (1e-5, 1.0)
+"""What gels show, and what is no slip of a unit."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +40,15 @@ class Texture:
             )
         if heights.min() < 0 or heights.max() > 1:
             raise InputError("the heights of a texture lie between 0 and 1")
-        for name, value in (("depth_m", self.depth_m), ("width_m", self.width_m)):
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"{name} of a texture must be a positive length, got {value}")
+        for name, value, (low, high) in (
+            ("depth_m", self.depth_m, _DEPTHS_M),
+            ("width_m", self.width_m, _WIDTHS_M),
+        ):
+            if not low <= value <= high:
+                raise InputError(
+                    f"{name} of a texture must lie in [{low:g}, {high:g}] m, got {value:g} m: "
+                    f"{1e3 * value:g} mm; {other_readings(1e3 * value, 'millimetres')}"
+                )
 
     @classmethod
     def from_image(cls, path: Path, depth_mm: float, width_mm: float) -> Texture:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.motion import reduce_gradient
+from taccel_lab.ipc.potentials.element_data import ElementSum
 from taccel_lab.ipc.reduce import force_sums
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.solvers.env_phase import CLOSING, FREEZING, enter, leave, stop
@@ -27,31 +28,39 @@ residual has to fall before friction is frozen anew."""
 
 
 @wp.func
-def weigh(env: int, p: EnvProgress, r: Rules):
+def weigh(env: int, elements: wp.array2d(dtype=wp.float64), p: EnvProgress, r: Rules):
     """Find the largest force residual of a body, the largest one over what is allowed that body (at
     most 1 where all have converged), and the contact force of the environment.
 
     Residual and contact force are sums of magnitudes both, over the same body: the resultant on it
     is in doubt by no more than the part of its contact force that the tolerance says, however large
-    the forces on other bodies are, and however fine the mesh is.
+    the forces on other bodies are, and however fine the mesh is. What rounding alone makes of the
+    residual is allowed: ``elements`` says how much of it comes from those of each body [N],
+    [env_count, body_count], where they are stiff.
     """
     total = wp.float64(0.0)
     for body in range(p.body_forces.shape[1]):
         total += p.body_forces[env, body]
     # Action and reaction: half of the sum over both sides of all contacts.
     total = wp.float64(0.5) * total
-    rounding = wp.max(r.absolute_tolerance, r.affine_rounding + p.rounding[env])
+    shared = r.affine_rounding + p.rounding[env]
     residual = wp.float64(0.0)
     excess = wp.float64(0.0)
     for body in range(p.body_forces.shape[1]):
         found = p.body_residuals[env, body]
         force = p.body_forces[env, body]
+        rounding = wp.float64(shared)
+        if elements:
+            rounding += elements[env, body]
         for gel in range(p.carriers.shape[0]):
             # What presses on a gel presses on the body that carries it.
             if p.carriers[gel] == body:
                 force += p.body_forces[env, gel]
+                if elements:
+                    rounding += elements[env, gel]
         force = wp.min(force, total)
-        ratio = found / wp.max(rounding, r.relative_tolerance * force)
+        allowed = wp.max(r.absolute_tolerance, r.relative_tolerance * force)
+        ratio = found / wp.max(allowed, rounding)
         # What is not a number is worse than anything, and stays.
         if not (found <= residual) and not wp.isnan(residual):
             residual = found
@@ -132,10 +141,10 @@ def settle(env: int, p: EnvProgress, r: Rules):
 
 
 @wp.func
-def judge(env: int, p: EnvProgress, r: Rules):
+def judge(env: int, elements: wp.array2d(dtype=wp.float64), p: EnvProgress, r: Rules):
     """See ``_judge_kernel``."""
     leave(env, p)
-    weigh(env, p, r)
+    weigh(env, elements, p, r)
     if p.newton[env] == 0:
         p.untouched[env] = int(p.contact_force[env] == wp.float64(0.0))
     if not (p.min_distance[env] > wp.float64(0.0)):
@@ -151,14 +160,20 @@ def judge(env: int, p: EnvProgress, r: Rules):
 
 
 @wp.kernel
-def _judge_kernel(mask: wp.array(dtype=wp.int32), last: int, p: EnvProgress, r: Rules):
+def _judge_kernel(
+    mask: wp.array(dtype=wp.int32),
+    last: int,
+    elements: wp.array2d(dtype=wp.float64),
+    p: EnvProgress,
+    r: Rules,
+):
     """Stop what cannot go on; with joints, choose the environments whose are to be looked at.
 
     ``last``: without joints, all that follows is decided at once.
     """
     env = wp.tid()
     if p.active[env] != 0 and mask[env] != 0:
-        judge(env, p, r)
+        judge(env, elements, p, r)
     if last != 0:
         go_on(env, p, r)
 
@@ -180,17 +195,22 @@ def _judge_joints_kernel(violations: wp.array(dtype=wp.float64), p: EnvProgress,
 
 
 @wp.kernel
-def _settle_kernel(mask: wp.array(dtype=wp.int32), p: EnvProgress, r: Rules):
+def _settle_kernel(
+    mask: wp.array(dtype=wp.int32),
+    elements: wp.array2d(dtype=wp.float64),
+    p: EnvProgress,
+    r: Rules,
+):
     """After the joints were looked at."""
     env = wp.tid()
     if p.active[env] != 0 and mask[env] != 0:
-        weigh(env, p, r)
+        weigh(env, elements, p, r)
         settle(env, p, r)
     go_on(env, p, r)
 
 
 @wp.kernel
-def _judge_friction_kernel(p: EnvProgress, r: Rules):
+def _judge_friction_kernel(elements: wp.array2d(dtype=wp.float64), p: EnvProgress, r: Rules):
     """Only the residual with the friction that was frozen anew counts as converged.
 
     Freezing is a fixed-point iteration. Where it alternates instead of shrinking (a node leaning on
@@ -201,7 +221,7 @@ def _judge_friction_kernel(p: EnvProgress, r: Rules):
         return
     leave(env, p)
     one = wp.float64(1.0)
-    weigh(env, p, r)
+    weigh(env, elements, p, r)
     excess = p.excess[env]
     damping = p.damping[env]
     if excess > (one - wp.float64(0.1) * damping) * p.lag_change[env]:
@@ -221,14 +241,38 @@ def _judge_friction_kernel(p: EnvProgress, r: Rules):
 def measure_and_judge(run: StepLaunches, mask: wp.array, take_trial: bool = False) -> None:
     """Forces and residual of the environments of ``mask``; those that are through stop.
     ``take_trial``: where the line search has led."""
-    evaluate_gradient(run, mask, take_trial)
     s, p = run.s, run.p
-    run.decide(_judge_kernel, mask, int(s.joints is None), p, run.rules)
+    if not take_trial:
+        _bound_rounding(run)
+    evaluate_gradient(run, mask, take_trial)
+    elements = _element_rounding(run)
+    run.decide(_judge_kernel, mask, int(s.joints is None), elements, p, run.rules)
     if s.joints is not None:
         wp.capture_if(p.closing, on_true=lambda: _close_joints(run))
-        run.decide(_settle_kernel, mask, p, run.rules)
+        run.decide(_settle_kernel, mask, elements, p, run.rules)
     if s.friction is not None:
         wp.capture_if(p.freezing, on_true=lambda: _refreeze_friction(run))
+
+
+def _stiff(run: StepLaunches) -> list[ElementSum]:
+    """Elements of whose forces rounding may make more than the tolerance."""
+    parts = (*run.s.elastic, *run.s.viscosity)
+    return [part for part in parts if part.rounds_above(run.rules.absolute_tolerance)]
+
+
+def _element_rounding(run: StepLaunches) -> wp.array | None:
+    """What ``_bound_rounding`` found."""
+    stiff = _stiff(run)
+    return stiff[0].body_rounding_n if stiff else None
+
+
+def _bound_rounding(run: StepLaunches) -> None:
+    """What rounding makes of the forces of elements at the start of a step."""
+    stiff = _stiff(run)
+    for part in stiff:
+        if part is stiff[0]:
+            zero_rows(run.p.fresh, part.body_rounding_n)
+        part.add_force_rounding(run.p.fresh, run.state.positions, stiff[0].body_rounding_n)
 
 
 def evaluate_gradient(run: StepLaunches, mask: wp.array, take_trial: bool = False) -> None:
@@ -309,4 +353,4 @@ def _refreeze_friction(run: StepLaunches) -> None:
     run.together([lambda: lag(p.inner, x, s.origin), lambda: zero_rows(p.inner, gradient)])
     _add_friction(run, p.inner)
     _measure_residual(run, p.inner)
-    run.decide(_judge_friction_kernel, p, run.rules)
+    run.decide(_judge_friction_kernel, _element_rounding(run), p, run.rules)

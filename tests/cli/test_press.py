@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import pyvista
 
 from taccel_lab.cli.app import main
 from taccel_lab.envs import PHYSICS, Accuracy
@@ -20,6 +21,7 @@ from taccel_lab.errors import SimulationError
 from taccel_lab.output_folder import OUTPUT_MARKER
 from taccel_lab.profile import load_profile
 from taccel_lab.scene import Element
+from taccel_lab.solvers import StepReport
 from tests.cli.small_captures import GRID, background, everything_below, write_profile
 from tests.geometry.vtu_files import read_mesh_vtu
 
@@ -265,6 +267,83 @@ def test_a_press_that_fails_leaves_the_earlier_one(
     assert everything_below(tmp_path) == before
     assert press(unit, tmp_path / "new", "--depth-mm", "0.3", *QUICK) == 3
     assert everything_below(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("error", "code"), [(SimulationError("stuck"), 3), (KeyboardInterrupt(), 130)]
+)
+def test_finished_steps_are_kept(
+    unit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int
+) -> None:
+    """A press that stops in its second step is the one that ends with its first, and says so."""
+    options = ("--step-mm", "0.1", "--mesh", "profile", "--states", *QUICK, "--friction", "0.5")
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    assert press(unit, whole, "--depth-mm", "0.1", *options) == 0
+    gap, move = PressEnv._mean_gap_m, PressEnv.move_to
+
+    def interrupt(self: PressEnv) -> np.ndarray:
+        # The step has moved everything by now.
+        if self.depth_m[0] > 9e-5:
+            raise error
+        return gap(self)
+
+    def fail(self: PressEnv, depth_mm: float, *words: Any) -> StepReport:
+        if depth_mm > 0.15:
+            raise error
+        return move(self, depth_mm, *words)
+
+    if code == 3:
+        monkeypatch.setattr(PressEnv, "move_to", fail)
+    else:
+        monkeypatch.setattr(PressEnv, "_mean_gap_m", interrupt)
+    assert press(unit, out, "--depth-mm", "0.2", *options) == code
+    found, wanted = read(out), read(whole)
+    assert found["failure"] == (str(error) or "interrupted")
+    assert wanted["failure"] is wanted["press"]["stopped"] is None
+    assert found["press"]["stopped"]["depth_mm"] == pytest.approx(0.2)
+    assert found["press"]["stopped"]["why"] == found["failure"]
+    assert found["press"]["force_n"] == wanted["press"]["force_n"] > 0
+    assert found["press"]["step_count"] == 1
+    assert {p.name for p in out.iterdir()} == {p.name for p in whole.iterdir()}
+    for name in ("signals.npz", "states.npz"):
+        with np.load(out / name) as mine, np.load(whole / name) as theirs:
+            for key in theirs.files:
+                np.testing.assert_array_equal(mine[key], theirs[key], err_msg=key)
+    # Whoever interrupts keeps an earlier result; one that fails again has a new one.
+    before = everything_below(whole)
+    assert press(unit, whole, "--depth-mm", "0.2", *options) == code
+    assert (everything_below(whole) == before) == (code == 130)
+
+
+def test_a_force_that_is_not_reached_leaves_the_press_that_came_nearest(
+    unit: Path, tmp_path: Path
+) -> None:
+    options = ("--step-mm", "1", "--mesh", "profile", *QUICK)
+    assert press(unit, tmp_path / "out", "--force-n", "1e4", *options) in (2, 3)
+    found = read(tmp_path / "out")
+    assert "not reached" in found["failure"]
+    assert found["asked_force_n"] == 1e4
+    assert 0 < found["press"]["force_n"] < 1e4
+
+
+@pytest.mark.parametrize("options", [("--mesh", "profile"), ("--mesh", "focused"), ("--texture",)])
+def test_a_part_in_metres_is_refused_with_its_sizes(
+    unit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...]
+) -> None:
+    """A puck of 60 mm as a speck of 0.06 mm, and a texture of 2 mm as one of 2 um."""
+    if options == ("--texture",):
+        cv2.imwrite(str(tmp_path / "t.png"), np.arange(64, dtype=np.uint8).reshape(8, 8))
+        options = ("--texture", str(tmp_path / "t.png"), "--texture-mm", "5e-5", "2e-3")
+        words = ("5e-05 mm", "0.05 mm if its numbers are metres")
+    else:
+        puck = tmp_path / "puck.stl"
+        pyvista.Cylinder(direction=(0, 0, 1), radius=0.03, height=0.01).save(puck)
+        options = (*options, "--indenter", f"mesh:{puck}")
+        words = ("0.06 mm across", "60 mm if its numbers are metres", "1.524 mm")
+    assert press(unit, tmp_path / "out", "--depth-mm", "0.02", *options, *QUICK) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert all(word in told for word in words), told
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_interrupted_press_leaves_nothing(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import pyvista
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,6 +17,7 @@ from taccel_lab.datasets.motion import Motion, rolled_mm
 from taccel_lab.datasets.placing import Placing
 from taccel_lab.datasets.plan import Plan
 from taccel_lab.envs import parse_indenter
+from taccel_lab.errors import InputError
 from taccel_lab.model.embedding import rotate
 from tests.datasets.small import plan
 
@@ -134,3 +136,13 @@ def test_a_tilted_tool_touches_where_it_is_placed() -> None:
     # Along the axis the ball's centre is its radius above the face right over the place.
     centre = frame[:3] + axis * (3e-3 / axis[2])
     assert 1e3 * centre[:2] == pytest.approx([1.0, -2.0])
+
+
+def test_objects_in_another_unit_are_refused_before_any_touch(tmp_path: Path) -> None:
+    """Smaller than touches are deep, or than any element: a puck of 60 mm in metres."""
+    for size, words in ((0.06, "0.06 mm across.* 60 mm if"), (0.3, "0.3 mm across: less than the")):
+        cube = pyvista.Cube(x_length=size, y_length=size, z_length=size).triangulate()
+        cube.save(tmp_path / "cube.stl")
+        objects = [{"tool": f"mesh:{tmp_path / 'cube.stl'}"}]
+        with pytest.raises(InputError, match=rf"objects\[0\].*{words}"):
+            plan("flat_pad", objects=objects, **NO_IMAGES)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,11 @@ import pyvista
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.envs import parse_indenter
+from taccel_lab.envs import Indenter, PressEnv, parse_indenter
 from taccel_lab.errors import InputError
-from taccel_lab.scene import Ball, TriangleMesh
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.scene import Ball, Material, TriangleMesh, box_mesh
+from taccel_lab.studies.presses import StandardPress
 
 
 def signed_volume(mesh: TriangleMesh) -> float:
@@ -213,8 +216,43 @@ def test_faces_that_look_both_ways_are_refused(tmp_path: Path) -> None:
 )
 def test_mesh_in_another_unit_is_refused(tmp_path: Path, scale: float, unit: str) -> None:
     sphere = pyvista.Sphere(radius=0.4 * scale)
-    with pytest.raises(InputError, match=rf"units across; a size in \[0.05, 100\] mm.*{unit}"):
+    with pytest.raises(InputError, match=rf"mm across; a size in \[0.1, 100\] mm.*{unit}"):
         parse_indenter(save(sphere, tmp_path / "ball.stl"))
+
+
+@pytest.fixture
+def puck(tmp_path: Path) -> str:
+    """0.6 mm across: an object of 0.6 m in metres, or one of 15 mm in inches."""
+    return save(
+        pyvista.Cylinder(direction=(0, 0, 1), radius=0.3, height=0.4), tmp_path / "puck.stl"
+    )
+
+
+def test_part_smaller_than_the_depth_is_refused(puck: str) -> None:
+    """By whoever meshes a gel for it, with its size in other units."""
+    indenter = parse_indenter(puck)
+    assert indenter.contact(0.5) is not None
+    words = r"0.6 mm across: less than the press is deep, 0.7 mm; .* 15.24 mm .*inches .* 600 mm"
+    with pytest.raises(InputError, match=words):
+        indenter.contact(0.7)
+    with pytest.raises(InputError, match=words):
+        StandardPress("one", (puck,), depth_mm=0.7)
+
+
+def test_part_smaller_than_an_element_is_refused(puck: str) -> None:
+    cells = block_mesh((4, 4, 2), (6e-3, 6e-3, 3e-3))
+    for mesh in (cells, block_mesh((20, 20, 2), (6e-3, 6e-3, 3e-3))):
+        refused = mesh is cells
+        words = r"less than an element of the gel's mesh is long there, 2.12 mm"
+        with pytest.raises(InputError, match=words) if refused else nullcontext():
+            PressEnv(mesh, Material(1e5, 0.4), parse_indenter(puck), np.zeros((1, 2)))
+
+
+def test_part_of_python_in_millimetres_is_refused() -> None:
+    box = box_mesh((0.06, 0.06, 0.004))
+    tool = Indenter("puck", TriangleMesh(1e3 * box.vertices_m, box.faces))
+    with pytest.raises(InputError, match=r"6e\+04 mm across: at most 1000 mm"):
+        tool.contact(0.3)
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:

@@ -21,9 +21,10 @@ from taccel_lab.envs import (
 )
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region
+from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.output import to_jsonable
-from taccel_lab.scene import Ball, TriangleMesh
+from taccel_lab.scene import Ball, Material, TriangleMesh
 from taccel_lab.signals.forces import resultant_wrench
 from tests.envs.pads import COARSE, FINER, GEL, pad
 
@@ -84,12 +85,44 @@ def test_forces_add_up_to_the_wrench(outcome: PressOutcome) -> None:
 def test_glue_holds_and_no_tet_is_inverted(outcome: PressOutcome) -> None:
     bonded = outcome.mesh.bonded_nodes()
     assert np.array_equal(outcome.positions_m[bonded], outcome.mesh.nodes_m[bonded])
-    corners = outcome.positions_m[outcome.mesh.tets[:, :4]]
+    assert 0 < outcome.smallest_volume_ratio < 1
+
+
+def test_smallest_volume_ratio_is_that_of_curved_tets() -> None:
+    """Under the edges of a box the corners of tets alone tell another one."""
+    outcome = simulate_press(
+        block_mesh((10, 10, 5), (6e-3, 6e-3, 3e-3)),
+        Material(1e5, 0.49),
+        parse_indenter("box:2x2"),
+        (0.0, 0.0),
+        PressPath(0.6, step_mm=0.2),
+        GRID,
+    )
+    mesh = outcome.mesh
+    assert isinstance(mesh, QuadraticMesh)
+    corners = outcome.positions_m[mesh.tets[:, :4]]
     volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
-    assert isinstance(outcome.mesh, QuadraticMesh)
-    ratio = (volumes / outcome.mesh.base.volumes_m3()).min()
-    assert outcome.smallest_volume_ratio == pytest.approx(ratio)
-    assert 0 < ratio < 1
+    assert abs((volumes / mesh.base.volumes_m3()).min() - outcome.smallest_volume_ratio) > 0.1
+    assert outcome.smallest_volume_ratio == pytest.approx(sampled_ratio(mesh, outcome), abs=5e-3)
+
+
+def sampled_ratio(mesh: QuadraticMesh, outcome: PressOutcome, order: int = 8) -> float:
+    """Smallest det of the slope of the ten shape functions, over a lattice in every tet."""
+    at = np.array([p for p in np.ndindex(*4 * [order + 1]) if sum(p) == order]) / order
+    rest = mesh.base.nodes_m[mesh.base.tets]
+    slopes = np.linalg.inv(np.concatenate([rest, np.ones((*rest.shape[:2], 1))], axis=2))
+    b = slopes[:, :3]
+    x = outcome.positions_m[mesh.tets]
+    ends = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
+    smallest = np.inf
+    for point in at:
+        by_corner = np.zeros((10, 4))
+        by_corner[range(4), range(4)] = 4 * point - 1
+        for k, (i, j) in enumerate(ends):
+            by_corner[4 + k, i], by_corner[4 + k, j] = 4 * point[j], 4 * point[i]
+        f = np.einsum("tak,ac,tdc->tkd", x, by_corner, b)
+        smallest = min(smallest, float(np.linalg.det(f).min()))
+    return smallest
 
 
 def test_pose_is_at_the_end_of_the_path(outcome: PressOutcome) -> None:

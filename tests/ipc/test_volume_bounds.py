@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.ipc.elasticity.volume_bounds import is_inside_out, least_coefficient
+from taccel_lab.ipc.elasticity.volume_bounds import (
+    RATIO_SLACK,
+    is_inside_out,
+    least_coefficient,
+    smallest_ratio,
+)
 
 COUNT = 400
 
@@ -24,6 +29,14 @@ def _judge_kernel(
     bounds[i] = least_coefficient(f[i, 0], f[i, 1], f[i, 2], f[i, 3])
     if is_inside_out(f[i, 0], f[i, 1], f[i, 2], f[i, 3]):
         judged[i] = 1
+
+
+@wp.kernel
+def _ratio_kernel(
+    f: wp.array2d(dtype=wp.mat33d), known: wp.float64, ratios: wp.array(dtype=wp.float64)
+):
+    i = wp.tid()
+    ratios[i] = smallest_ratio(f[i, 0], f[i, 1], f[i, 2], f[i, 3], known)
 
 
 def judge(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -64,6 +77,24 @@ def test_judged_as_a_fine_sampling_says(spread: float) -> None:
     # A sample proves inversion; without one J may still dip a little between the samples.
     assert judged[smallest <= 0].all()
     assert not judged[smallest > 0.02].any()
+
+
+@pytest.mark.parametrize("spread", [0.2, 0.35, 0.6])
+def test_smallest_ratio_is_that_of_a_fine_sampling(spread: float) -> None:
+    """Not above any sample, and not below what the samples leave room for: J is smooth."""
+    corners = random_tets(spread)
+    f = wp.array(np.ascontiguousarray(corners), dtype=wp.mat33d)
+    ratios = wp.zeros(COUNT, dtype=wp.float64)
+    wp.launch(_ratio_kernel, dim=COUNT, inputs=[f, np.inf], outputs=[ratios])
+    samples = sampled(corners)
+    # Where J is steep or negative, ``MAX_BISECTIONS`` leaves a little more than the slack.
+    assert (ratios.numpy() <= samples + 5 * float(RATIO_SLACK)).all()
+    assert (ratios.numpy() >= samples - 0.01).all()
+    # It lies inside the tet in some: neither corners nor middles of edges tell it.
+    assert (ratios.numpy() < sampled(corners, 2) - 1e-3).any()
+    # What is known to be less elsewhere stands.
+    wp.launch(_ratio_kernel, dim=COUNT, inputs=[f, -9.0], outputs=[ratios])
+    assert (ratios.numpy() == -9.0).all()
 
 
 def edge_case(a: float, stretch: float = 1.0) -> np.ndarray:

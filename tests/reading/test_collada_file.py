@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.reading.collada_file import read_collada
 from taccel_lab.reading.triangle_file import MAX_TRIANGLES
 
@@ -39,7 +39,7 @@ UNIT = '<unit meter="0.001" name="millimeter"/>'
 PLACE = "<matrix>1 0 0 10  0 1 0 20  0 0 1 30  0 0 0 1</matrix>"
 
 
-def collada(faces: str = POLYLIST, unit: str = UNIT, up: str = "Y_UP", place: str = PLACE) -> str:
+def collada(faces: str = POLYLIST, unit: str = UNIT, up: str = "Z_UP", place: str = PLACE) -> str:
     return f"""<?xml version="1.0" encoding="utf-8"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
   <asset><created>2020-01-01T00:00:00Z</created><modified>2020-01-01T00:00:00Z</modified>
@@ -82,11 +82,27 @@ def volume(points: np.ndarray, faces: np.ndarray) -> float:
 def test_a_box_in_millimetres_is_where_its_nodes_put_it(
     faces: str, up: str, tmp_path: Path
 ) -> None:
-    points, triangles = read(tmp_path, collada(faces, up=up))
+    path = tmp_path / "part.dae"
+    path.write_text(collada(faces, up=up))
+    points, triangles = read_collada(path, as_drawn=True)
     assert points.shape == (8, 3) and triangles.shape == (12, 3)
     assert points.dtype == np.float64 and triangles.dtype == np.int64
     low, high = points.min(axis=0), points.max(axis=0)
     np.testing.assert_allclose([low, high], [[0.01, 0.02, 0.03], [0.012, 0.023, 0.034]], rtol=1e-6)
+    assert volume(points, triangles) == pytest.approx(24e-9, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("up", "low", "high"),
+    [
+        ("X_UP", [-0.023, -0.034, 0.01], [-0.02, -0.03, 0.012]),
+        ("Y_UP", [0.01, -0.034, 0.02], [0.012, -0.03, 0.023]),
+    ],
+)
+def test_what_is_up_becomes_z(up: str, low: list[float], high: list[float], tmp_path: Path) -> None:
+    with pytest.warns(InputWarning, match=f"says {up}, so it is turned to z up"):
+        points, triangles = read(tmp_path, collada(up=up))
+    np.testing.assert_allclose([points.min(axis=0), points.max(axis=0)], [low, high], rtol=1e-6)
     assert volume(points, triangles) == pytest.approx(24e-9, rel=1e-6)
 
 

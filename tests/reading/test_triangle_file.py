@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 import pyvista
 
-from taccel_lab.errors import InputError
+from taccel_lab.bodies.mesh_checks import check_surface
+from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.reading import triangle_file
 from taccel_lab.reading.triangle_file import read_triangle_file
 
@@ -90,3 +92,37 @@ def test_files_cut_short_or_overwritten_never_end_the_process(suffix: str, tmp_p
                 assert str(path) in str(error)
             else:
                 assert np.isfinite(points).all() and faces.max() < len(points)
+
+
+CUBE = """v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0 0 1\nv 1 0 1\nv 1 1 1\nv 0 1 1\nv 0.5 0 0
+f 1 3 2\nf 1 4 3\nf 5 6 7\nf 5 7 8\nf 2 3 7\nf 2 7 6\nf 3 4 8\nf 3 8 7\nf 4 1 5\nf 4 5 8
+"""
+FRONT = "f 1 2 6\nf 1 6 5\n"
+SPLIT_FRONT = "f 1 9 6\nf 9 2 6\nf 1 6 5\n"
+"""A corner in the middle of an edge that the face below does not have."""
+
+
+@pytest.mark.parametrize(
+    ("more", "idle"),
+    [
+        (FRONT, 0),
+        (FRONT + "f 1 2 9\n", 1),
+        (FRONT + "f 2 6 1\n", 1),
+        (FRONT + "f 1 2 9\nf 6 1 2\nf 1 4 3\n", 3),
+        # Without it the surface would be open.
+        (SPLIT_FRONT + "f 1 2 9\n", 0),
+        # Turned around it is a fault of the surface, which others name.
+        (FRONT + "f 1 6 2\n", 0),
+    ],
+)
+def test_idle_triangles_go_from_a_closed_surface(more: str, idle: int, tmp_path: Path) -> None:
+    path = tmp_path / "cube.obj"
+    path.write_text(CUBE + more)
+    words = rf"{idle} of \d+ triangles have no area or stand there twice; they are left out"
+    with pytest.warns(InputWarning, match=words) if idle else nullcontext():
+        points, faces = read_triangle_file(path)
+    if idle:
+        assert len(points) == 8 and len(faces) == 12
+        check_surface(points, faces, "cube", closed=True)
+    else:
+        assert len(faces) == 10 + more.count("f")

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from taccel_lab.errors import InputError
-from taccel_lab.robots import load_urdf
+from taccel_lab.errors import InputError, InputWarning
+from taccel_lab.robots import drive, load_urdf
+from taccel_lab.robots.describe import describe_robot
 from taccel_lab.robots.shapes import MeshShape
-from taccel_lab.scene import Ball, TriangleMesh
+from taccel_lab.scene import Ball, PositionDrive, TriangleMesh
+from tests.reading.test_collada_file import collada
 from tests.robots.robot_files import CHAIN, write
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
@@ -166,3 +169,70 @@ def test_a_ring_beside_the_base_is_no_tree(tmp_path: Path) -> None:
     text += joint.format("a", "b") + joint.format("b", "a") + "</robot>"
     with pytest.raises(InputError, match="links 'a', 'b' carry each other in a ring"):
         load_urdf(write(tmp_path, text))
+
+
+LINKS = """<robot name="r"><link name="base"/><link name="a">{inertial}<collision><geometry>{shape}
+</geometry></collision></link><joint name="j" type="revolute"><parent link="base"/><child link="a"/>
+<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="{effort}" velocity="1"/></joint></robot>"""
+BOX = '<box size="0.02 0.02 0.02"/>'
+
+
+def links(inertial: str = "", shape: str = BOX, effort: str = "1") -> str:
+    return LINKS.format(inertial=inertial, shape=shape, effort=effort)
+
+
+@pytest.mark.parametrize("inertial", ["", '<inertial><origin xyz="0 0 0.001"/></inertial>'])
+def test_a_link_without_mass_has_that_of_its_shapes(tmp_path: Path, inertial: str) -> None:
+    path = write(tmp_path, links(inertial))
+    with pytest.warns(InputWarning, match="has no <mass>") if inertial else nullcontext():
+        robot = load_urdf(path)
+    with pytest.warns(InputWarning, match=r"'a' states no mass: .* 1000 kg/m\^3 weigh 0.008 kg"):
+        (body,) = drive(robot, PositionDrive(1.0, 0.01)).affine_bodies
+    assert body.stated_mass is not None
+    assert body.stated_mass.mass_kg == pytest.approx(8e-3)
+    np.testing.assert_allclose(
+        body.stated_mass.inertia_kg_m2, 8e-3 * 0.02**2 / 6 * np.eye(3), atol=1e-12
+    )
+
+
+def test_no_effort_is_no_limit_and_is_said(tmp_path: Path) -> None:
+    path = write(tmp_path, links(effort="0"))
+    with pytest.warns(InputWarning, match="effort=\"0\" of joint 'j' is taken as no limit"):
+        assert load_urdf(path).joints[0].max_effort == np.inf
+
+
+def test_a_mesh_in_millimetres_is_shown_and_asked_about(tmp_path: Path) -> None:
+    write(tmp_path, TETRAHEDRON, "part.obj")
+    shown = {}
+    for scale in (20.0, 0.02):
+        shape = f'<mesh filename="part.obj" scale="{scale} {scale} {scale}"/>'
+        robot = load_urdf(write(tmp_path, links(shape=shape)))
+        shown[scale] = describe_robot(robot)
+    (sentence,) = shown[20.0]["refused"]
+    assert "20 m across" in sentence and "20 mm if its numbers are millimetres" in sentence
+    assert shown[0.02]["refused"] == []
+    assert shown[0.02]["links"]["a"]["shapes"] == ["part.obj 20 x 20 x 20 mm"]
+
+
+def test_packages_are_where_one_says(tmp_path: Path) -> None:
+    write(tmp_path / "there", TETRAHEDRON, "meshes/part.obj")
+    path = write(tmp_path, links(shape='<mesh filename="package://my_robot/meshes/part.obj"/>'))
+    with pytest.raises(InputError, match=r"packages=\{'my_robot': FOLDER\}\), or --package"):
+        load_urdf(path)
+    robot = load_urdf(path, packages={"my_robot": tmp_path / "there"})
+    surface = robot.links[1].shapes[0].surface()[0]
+    assert isinstance(surface, TriangleMesh) and len(surface.faces) == 4
+    with pytest.raises(InputError, match="is not there; looked in"):
+        load_urdf(path, packages={"my_robot": tmp_path})
+
+
+def test_collada_is_turned_to_z_up_unless_as_drawn(tmp_path: Path) -> None:
+    """Of 2 x 3 x 4 mm, the longest edge along z of the file."""
+    write(tmp_path, collada(place="", up="Y_UP"), "part.dae")
+    path = write(tmp_path, links(shape='<mesh filename="part.dae"/>'))
+    with pytest.warns(InputWarning, match="says Y_UP, so it is turned to z up"):
+        turned = load_urdf(path).links[1].shapes[0].surface()[0]
+    drawn = load_urdf(path, as_drawn=True).links[1].shapes[0].surface()[0]
+    assert isinstance(turned, TriangleMesh) and isinstance(drawn, TriangleMesh)
+    np.testing.assert_allclose(np.ptp(turned.vertices_m, axis=0), [2e-3, 4e-3, 3e-3], rtol=1e-6)
+    np.testing.assert_allclose(np.ptp(drawn.vertices_m, axis=0), [2e-3, 3e-3, 4e-3], rtol=1e-6)

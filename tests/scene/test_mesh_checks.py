@@ -18,10 +18,22 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
 from taccel_lab.geometry.tet_mesh import boundary_faces
-from taccel_lab.scene import TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
+from taccel_lab.scene import (
+    AffineBody,
+    KinematicBody,
+    Material,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    TriangleMesh,
+    box_mesh,
+    cylinder_mesh,
+    sphere_mesh,
+)
 from tests.verification.blocks import bumpy_body
 
 BALL = sphere_mesh(1e-3, 5e-4)
+PAD = SoftBody(block_mesh((2, 2, 1), (8e-3, 8e-3, 2e-3)), Material(1e5, 0.4))
 BLOCK = block_mesh((3, 3, 2), (3e-3, 3e-3, 2e-3), jitter=0.2)
 
 
@@ -173,10 +185,24 @@ def test_a_sliver_of_no_volume_and_overlapping_tets() -> None:
 
 
 def test_units_that_look_like_millimetres() -> None:
-    with pytest.raises(InputError, match=r"gel is 20 m across; at most 10 m.*scaled by 1e-3"):
+    words = r"gel is 20 m across; at most 10 m.* 20 mm if .* millimetres .*508 mm.*scaled by 1e-3"
+    with pytest.raises(InputError, match=words):
         check_extent(np.array([[0, 0, 0], [20.0, 25, 4]]) * [1, 0.8, 1], "gel", (1e-5, 10.0))
     with pytest.raises(InputError, match="at least 1e-05 m"):
         check_extent(np.array([[0, 0, 0], [2e-6, 0, 0]]), "gel", (1e-5, 10.0))
+
+
+def test_bodies_in_millimetres_are_refused() -> None:
+    """A gel of 8 mm that comes as 8 m, and a tool of 60 mm as 60 m."""
+    gel = SoftBody(block_mesh((2, 2, 1), (8.0, 8.0, 2.0)), Material(1e5, 0.4))
+    with pytest.raises(InputError, match=r"is 8 m across; at most 1 m .* 8 mm if its numbers are"):
+        Scene(gel).finalize()
+    box = box_mesh((0.06, 0.06, 0.02))
+    shape = TriangleMesh(1e3 * box.vertices_m, box.faces)
+    moving = Scene(PAD, affine_bodies=AffineBody(shape), time=TimeStepping(quasi_static=False))
+    for scene in (Scene(PAD, KinematicBody(shape)), moving):
+        with pytest.raises(InputError, match=r"is 60 m across; at most 10 m .* 60 mm if"):
+            scene.finalize()
 
 
 @given(st.integers(0, 1000), st.integers(0, 30), st.integers(0, 30))

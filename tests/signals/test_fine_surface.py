@@ -214,7 +214,9 @@ def test_textures_are_checked(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "grey.png"), np.full((16, 16), 90, dtype=np.uint8))
     with pytest.raises(InputError, match="has one level everywhere"):
         Texture.from_image(tmp_path / "grey.png", 0.1, 3.2)
-    with pytest.raises(InputError, match=r"depth_m of a texture must be a positive length, got -1"):
+    with pytest.raises(
+        InputError, match=r"depth_m of a texture must lie in \[1e-07, 0.01\] m, got -1"
+    ):
         Texture(np.eye(4), -1.0, 1e-3)
     with pytest.raises(InputError, match="lie between 0 and 1"):
         Texture(2 * np.eye(4), 1e-4, 1e-3)

@@ -10,9 +10,10 @@ coefficients are (polarisation of the determinant)
 with cof(A, B) = cof(A + B) - cof A - cof B. The smallest coefficient bounds J from below, as the
 B_a are positive and sum to one [Farouki 2012, The Bernstein polynomial basis]; J itself at any
 corner bounds it from above. Between the two the tet is bisected [Maubach 1995], which only takes
-means of corner values, until every part has a positive bound or some corner has J <= 0; the gap of
-the bounds falls with the square of the size of a part [Johnen, Remacle and Geuzaine 2013,
-Geometrical validity of curvilinear finite elements].
+means of corner values, until every part has a positive bound or some corner has J <= 0; for the
+smallest J itself, until no part can have a smaller one than was found. The gap of the bounds falls
+with the square of the size of a part [Johnen, Remacle and Geuzaine 2013, Geometrical validity of
+curvilinear finite elements].
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ still undecided then lies within 1e-3 of zero, measured by the largest coefficie
 MAX_PARTS = wp.constant(4096)
 """Parts that are looked at in one tet; more are needed only where J touches zero on a whole area
 without falling below."""
+
+RATIO_SLACK = wp.constant(wp.float64(1e-4))
+"""How far below the smallest J that is named J may be."""
 
 
 @wp.func
@@ -102,22 +106,37 @@ def halved(f0: wp.mat33d, f1: wp.mat33d, f2: wp.mat33d, f3: wp.mat33d, cut: int,
 
 
 @wp.func
-def is_inside_out(f0: wp.mat33d, f1: wp.mat33d, f2: wp.mat33d, f3: wp.mat33d) -> bool:
-    """Whether J <= 0 anywhere in the tet with these deformation gradients at its corners.
-
-    Found to be so by a point where it is; where J only comes near zero (see ``MAX_BISECTIONS``),
-    the tet passes.
-    """
-    zero = wp.float64(0.0)
-    corners = wp.min(
+def least_corner(f0: wp.mat33d, f1: wp.mat33d, f2: wp.mat33d, f3: wp.mat33d) -> wp.float64:
+    """Smallest J of the corners."""
+    return wp.min(
         wp.min(wp.determinant(f0), wp.determinant(f1)),
         wp.min(wp.determinant(f2), wp.determinant(f3)),
     )
+
+
+@wp.func
+def lowest_found(
+    f0: wp.mat33d,
+    f1: wp.mat33d,
+    f2: wp.mat33d,
+    f3: wp.mat33d,
+    known: wp.float64,
+    enough: wp.float64,
+    slack: wp.float64,
+) -> wp.float64:
+    """Smallest J that was found in the tet with these deformation gradients at its corners, or
+    ``known`` where that is less; what is not a number comes out as such.
+
+    Parts of the tet are left alone whose bound lies above ``enough``, or less than ``slack`` below
+    what was found by then; at or below ``enough`` the search ends.
+    """
     # The other way round, a corner that is not a number passes for in order.
-    if not (corners > zero):
-        return True
-    if least_coefficient(f0, f1, f2, f3) > zero:
-        return False
+    lowest = least_corner(f0, f1, f2, f3)
+    if not (lowest > enough):
+        return lowest
+    lowest = wp.min(lowest, known)
+    if least_coefficient(f0, f1, f2, f3) > wp.max(enough, lowest - slack):
+        return lowest
     # Depth first, without a stack: the bits of ``path`` say which halves lead to the present part.
     path = int(0)
     depth = int(1)
@@ -129,13 +148,12 @@ def is_inside_out(f0: wp.mat33d, f1: wp.mat33d, f2: wp.mat33d, f3: wp.mat33d) ->
         while level < depth:
             a, b, c, d = halved(a, b, c, d, 3 - level % 3, (path >> (depth - 1 - level)) & 1)
             level += 1
-        lowest = wp.min(
-            wp.min(wp.determinant(a), wp.determinant(b)),
-            wp.min(wp.determinant(c), wp.determinant(d)),
-        )
-        if not (lowest > zero):
-            return True
-        if depth < MAX_BISECTIONS and not (least_coefficient(a, b, c, d) > zero):
+        here = least_corner(a, b, c, d)
+        if not (here > enough):
+            return here
+        lowest = wp.min(lowest, here)
+        bound = least_coefficient(a, b, c, d)
+        if depth < MAX_BISECTIONS and not (bound > wp.max(enough, lowest - slack)):
             path = path << 1
             depth += 1
         else:
@@ -143,4 +161,24 @@ def is_inside_out(f0: wp.mat33d, f1: wp.mat33d, f2: wp.mat33d, f3: wp.mat33d) ->
                 path = path >> 1
                 depth -= 1
             path = path | 1
-    return False
+    return lowest
+
+
+@wp.func
+def is_inside_out(f0: wp.mat33d, f1: wp.mat33d, f2: wp.mat33d, f3: wp.mat33d) -> bool:
+    """Whether J <= 0 anywhere in the tet with these deformation gradients at its corners.
+
+    Found to be so by a point where it is; where J only comes near zero (see ``MAX_BISECTIONS``),
+    the tet passes.
+    """
+    infinite = wp.float64(wp.inf)
+    return not (lowest_found(f0, f1, f2, f3, infinite, wp.float64(0.0), infinite) > wp.float64(0.0))
+
+
+@wp.func
+def smallest_ratio(
+    f0: wp.mat33d, f1: wp.mat33d, f2: wp.mat33d, f3: wp.mat33d, known: wp.float64
+) -> wp.float64:
+    """Smallest J in the tet with these deformation gradients at its corners, or ``known`` where
+    that is less; at most ``RATIO_SLACK`` too large, but see ``MAX_BISECTIONS``."""
+    return lowest_found(f0, f1, f2, f3, known, wp.float64(-wp.inf), RATIO_SLACK)
