@@ -25,6 +25,7 @@ from tests.calibration.capture.capture_sets import (
     spread_circles,
 )
 from tests.calibration.drawn.faults import blur, drift
+from tests.calibration.synthetic import GRID
 
 
 def check(maker: CaptureMaker, folder: Path) -> CaptureCheck:
@@ -205,6 +206,18 @@ def test_grey_images_say_so_and_nothing_of_the_sensor(tmp_path: Path) -> None:
     maker.change(range(8), grey)
     (color,) = [b for b in check(maker, tmp_path).blocks if b.command == "color"]
     assert color.missing == "coloured lamps: this sensor, or these images, are grey"
+
+
+def test_colours_of_the_pictures_speak_where_contacts_have_none(tmp_path: Path) -> None:
+    """As a DIGIT's that is pressed so that all three lamps lose alike."""
+    maker = CaptureMaker(circles=spread_circles(3), sensor="gelsight_mini")
+    for i, circle in enumerate(maker.circles):
+        dome = np.clip(1 - (circle.distance_px(GRID) / circle.radius_px) ** 2, 0, None)
+        maker.images[i] = gel() - 50 * dome[..., None]
+    found = check(maker, tmp_path)
+    assert "grey_or_colour" not in by_code(found)
+    (color,) = [block for block in found.blocks if block.command == "color"]
+    assert "coloured" not in color.missing
 
 
 def test_pictures_without_a_contact_do_not_tell_the_lamps(tmp_path: Path) -> None:
