@@ -161,6 +161,19 @@ LABELS_OFF = RemarkKind(
     BY_COLOR,
     graver=Severity.ERROR,
 )
+LABELS_CUT = RemarkKind(
+    "labels_cut",
+    Severity.INFO,
+    "the border of the image cuts {cut} of {count} labelled circles ({names}), down to {least:.0%} "
+    "of the contact: the part in the image is used",
+    ("color", "normals", "depth"),
+)
+LABELS_IMPOSSIBLE = RemarkKind(
+    "labels_impossible",
+    Severity.ERROR,
+    "{wrong} of {count} labelled circles can be of no press: {reason}",
+    ("color", "normals", "depth"),
+)
 ONE_SPOT = RemarkKind(
     "one_spot",
     Severity.ERROR,

@@ -198,6 +198,20 @@ def test_turned_pictures_are_not_swapped_channels(tmp_path: Path) -> None:
     assert "channels_swapped" not in by_code(check(maker, tmp_path))
 
 
+def test_labels_that_the_border_cuts_are_used_and_those_outside_are_told(tmp_path: Path) -> None:
+    circles = [ContactCircle(WIDTH - 6.0, 60.0, 15.0), *spread_circles(3)]
+    maker = CaptureMaker(circles=circles)
+    found = by_code(check(maker, tmp_path / "cut"))
+    assert "no_contact" not in found and "labels_impossible" not in found
+    assert found["labels_cut"].frames == ("p00",)
+    assert "cuts 1 of 4 labelled circles (p00), down to 73%" in found["labels_cut"].message
+    maker.labels[1] = ContactCircle(-4.0, 50.0, 20.0)
+    maker.labels[2] = ContactCircle(WIDTH + 90.0, 50.0, 20.0)
+    impossible = by_code(check(maker, tmp_path / "outside"))["labels_impossible"]
+    assert impossible.severity == Severity.ERROR and impossible.frames == ("p01", "p02")
+    assert "reaches into the image" in impossible.message
+
+
 def test_grey_images_say_so_and_nothing_of_the_sensor(tmp_path: Path) -> None:
     def grey(image: np.ndarray) -> np.ndarray:
         return np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2)
