@@ -104,7 +104,7 @@ def test_empty_folder(tmp_path: Path) -> None:
         (
             "u_px = 30.0",
             "u_px = 99.0",
-            r"a\.png: the circle at .*outside of the image of 64x48",
+            r"a\.png: the contact .*outside of the image of 64x48",
         ),
         ("radius_px = 12.0", "radius_px = 1.0", r"contact radius 1 px is too small"),
         ("radius_px = 12.0", "radius_px = -1.0", r"radius_px.*greater than 0"),
