@@ -264,14 +264,6 @@ BALL_RATIO = RemarkKind(
     "their contacts it is {seen:.2f}. One of the radii is wrong, or the presses are mixed up",
     ("color", "normals", "scale"),
 )
-SCALE_PAST_PAD = RemarkKind(
-    "scale_past_pad",
-    Severity.WARNING,
-    "at {mm_per_px_x:g} x {mm_per_px_y:g} mm/px the image shows {width:.1f} x {height:.1f} mm, the "
-    "pad of a {family} has {pad_x:g} x {pad_y:g} mm: the scale is too large, or the image shows "
-    "more than the gel",
-    ("scale", "color", "normals", "depth"),
-)
 SCALE_UNUSUAL = RemarkKind(
     "scale_unusual",
     Severity.WARNING,

@@ -205,7 +205,7 @@ def press_findings(
     if facts.image_px is not None:
         findings += check_size(size, facts.image_px, facts.family)
     if folder.mm_per_px is not None:
-        findings += check_scale(folder.mm_per_px, size, facts.pad_mm, facts.view_mm, facts.family)
+        findings += check_scale(grid, folder.mask, facts, folder.design)
     grey = is_grey(frames, small)
     if grey is not None and grey != facts.is_grey and facts.family != "flat_pad":
         have, want = ("grey", "coloured") if grey else ("coloured", "grey")

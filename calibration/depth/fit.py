@@ -20,6 +20,7 @@ import numpy as np
 from taccel_lab.calibration.base_profile import (
     lost_blocks,
     on_grid,
+    require_labels_and_view,
     stated_scale_share,
     with_measured_scale,
 )
@@ -79,6 +80,8 @@ def calibrate_depth(
     Raises:
         InputError: Captures that no curve can be fitted to, with what their check found.
     """
+    if options.maps is None:
+        require_labels_and_view(folder, base, "depth")
     captures, assumed = grey_captures(folder, base, options.maps)
     on_captures = on_grid(base, captures.grid, captures.provenance)
     findings = capture_findings(with_measured_scale(folder, base), "depth", progress)

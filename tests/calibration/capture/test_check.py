@@ -377,7 +377,17 @@ def test_ratio_of_two_balls(tmp_path: Path, stated: float, wrong: bool) -> None:
 
 def test_view_past_the_pad(tmp_path: Path) -> None:
     maker = eight(sensor="gelsight_mini", mm_per_px=0.25, radius_mm=5.0)
-    assert "scale_past_pad" in by_code(check(maker, tmp_path))
+    found = check(maker, tmp_path)
+    assert by_code(found)["scale_past_pad"].severity == Severity.ERROR
+    states = {block.command: str(block.readiness) for block in found.blocks}
+    assert states["color"] == states["normals"] == "blocked"
+
+
+def test_a_view_up_to_the_edge_of_the_pad_is_used_without_it(tmp_path: Path) -> None:
+    # 25.3 x 19.0 mm of a pad of 25.25 x 20.75 mm.
+    found = by_code(check(eight(sensor="gelsight_mini", mm_per_px=0.1585), tmp_path))
+    assert "scale_past_pad" not in found
+    assert found["pad_edge"].severity == Severity.WARNING
 
 
 def test_radius_and_scale_that_nobody_states(tmp_path: Path) -> None:
