@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,15 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import taccel_lab.calibration.simulate as simulate
-from taccel_lab.calibration.base_profile import captures_on_pad, on_grid
+from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.simulate import simulate_presses
 from taccel_lab.calibration.surfaces import PressSurface, press_batch
 from taccel_lab.calibration.surfaces.depth_search import MAX_ROUNDS, DepthSearch
 from taccel_lab.calibration.surfaces.press_batch import BatchOutcome, PressBatch
 from taccel_lab.calibration.surfaces.shared_law import SPANNING, spanning_presses
-from taccel_lab.calibration.surfaces.view import inside_mm
-from taccel_lab.envs import press_surface
 from taccel_lab.envs.physics import PHYSICS, SURFACE_PHYSICS, Accuracy
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.file_cache import CACHE_VARIABLE
@@ -31,7 +28,6 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.scene import Element
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.sensors.registry import profile_parameters
 
 BALL_MM = 2.0
 TOLERANCE_MM = 0.007
@@ -285,38 +281,6 @@ def test_a_view_past_the_pad_is_refused(captures: CaptureSet, base: SensorProfil
     wide = replace(captures, grid=PixelGrid(96, 72, 0.28, 0.28), ball_radius_mm=5.0)
     with pytest.raises(InputError, match=r"memory: .* shows 26\.9 x 20\.2 mm, more than the pad"):
         simulate_presses(wide, CIRCLES, base, physics=DEFAULT, processes=1)
-
-
-def test_pixels_that_the_pressed_pad_leaves_are_of_no_use(
-    captures: CaptureSet, base: SensorProfile, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As a GelSight Mini's does at the corners of an image of 0.078 mm/px."""
-    one = replace(captures, presses=captures.presses[:1])
-    whole = press_surface.press_surface
-
-    def without_a_corner(*given: Any) -> press_surface.PressSurface:
-        seen = whole(*given)
-        seen.height_m[0, :2] = seen.normals[0, 0] = np.nan
-        return seen
-
-    monkeypatch.setattr(press_surface, "press_surface", without_a_corner)
-    with pytest.raises(InputError, match=r"memory: p0: .* leaves 2 pixels of the image; press far"):
-        simulate_presses(one, CIRCLES[:1], base, physics=QUICK, processes=1)
-    mask = captures.mask.copy()
-    mask[0, :2] = False
-    masked = replace(one, mask=mask)
-    (surface,) = simulate_presses(masked, CIRCLES[:1], base, physics=QUICK, processes=1)
-    assert surface.height_m[0, 0] == surface.height_m[1, 0]
-    assert np.array_equal(surface.normals[0, 0], surface.normals[1, 0])
-
-
-def test_an_image_up_to_the_edge_is_used_without_it(
-    captures: CaptureSet, base: SensorProfile
-) -> None:
-    wide = replace(captures, grid=PixelGrid(96, 72, 0.25, 0.25), ball_radius_mm=5.0)
-    kept = captures_on_pad(wide, base).mask
-    inside = inside_mm(profile_parameters(base), wide.grid)
-    assert not kept[inside < 0].any() and kept[inside > 1].all() and not kept.all()
 
 
 def test_a_circle_for_every_press(captures: CaptureSet, base: SensorProfile) -> None:

@@ -5,6 +5,7 @@ work."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.calibration import ball_presses
-from taccel_lab.calibration.base_profile import base_profile
+from taccel_lab.calibration.base_profile import base_profile, captures_on_pad, on_grid
 from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
 from taccel_lab.calibration.color.fit import calibrate_color
 from taccel_lab.calibration.depth import fit as depth_fit
 from taccel_lab.calibration.normals.fit import calibrate_normals
 from taccel_lab.calibration.result import Severity
+from taccel_lab.calibration.simulate import simulate_presses
 from taccel_lab.calibration.surfaces.design import fitted_design, fitted_parameters
 from taccel_lab.calibration.surfaces.view import (
     EDGE_MM,
@@ -29,10 +31,14 @@ from taccel_lab.calibration.surfaces.view import (
     pixels_on_pad,
     view_remarks,
 )
+from taccel_lab.envs import press_surface
+from taccel_lab.envs.physics import SURFACE_PHYSICS
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.scene import Element
+from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import profile_parameters, sensor_families, sensor_family
-from tests.calibration.synthetic import GRID, flat_background, write_folder
+from tests.calibration.synthetic import GRID, flat_background, synthetic_captures, write_folder
 
 MINI = sensor_family("gelsight_mini").parameters()
 
@@ -108,3 +114,33 @@ def test_calibrations_refuse_before_they_look_at_a_press(
     with pytest.raises(InputError, match=words[fault]):
         calibrate(folder, base_profile(None, folder))
     assert not looked
+
+
+def test_pixels_that_the_pressed_pad_leaves_are_of_no_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a GelSight Mini's does at the corners of an image of 0.078 mm/px."""
+    captures, _ = synthetic_captures(1)
+    circles = [press.circle for press in captures.presses if press.circle is not None]
+    base = on_grid(catalogue_profile("gelsight"), GRID, {})
+    quick = replace(SURFACE_PHYSICS, element=Element.LINEAR)
+    whole = press_surface.press_surface
+
+    def without_a_corner(*given: Any) -> press_surface.PressSurface:
+        seen = whole(*given)
+        seen.height_m[0, :2] = seen.normals[0, 0] = np.nan
+        return seen
+
+    monkeypatch.setattr(press_surface, "press_surface", without_a_corner)
+    with pytest.raises(InputError, match=r"memory: p0: .* leaves 2 pixels of the image; press far"):
+        simulate_presses(captures, circles, base, physics=quick, processes=1)
+    captures.mask[0, :2] = False
+    (surface,) = simulate_presses(captures, circles, base, physics=quick, processes=1)
+    assert surface.height_m[0, 0] == surface.height_m[1, 0]
+    assert np.array_equal(surface.normals[0, 0], surface.normals[1, 0])
+
+
+def test_an_image_up_to_the_edge_is_used_without_it() -> None:
+    base = catalogue_profile("gelsight")
+    wide = replace(synthetic_captures(1)[0], grid=PixelGrid(160, 120, 0.15, 0.15))
+    kept = captures_on_pad(wide, base).mask
+    inside = inside_mm(profile_parameters(base), wide.grid)
+    assert not kept[inside < 0].any() and kept[inside > 1].all() and not kept.all()
