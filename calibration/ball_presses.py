@@ -10,6 +10,7 @@ import numpy as np
 from taccel_lab.calibration.base_profile import (
     lost_blocks,
     presses_on_camera,
+    require_labels_and_view,
     with_measured_scale,
 )
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
@@ -70,6 +71,7 @@ def ball_presses(
         InputError: Captures that cannot be used, with what their check found.
     """
     folder = with_measured_scale(folder, base)
+    require_labels_and_view(folder, base, block)
     findings = capture_findings(folder, block, progress)
     with refusing_with(findings):
         captures, profile = presses_on_camera(folder, base)

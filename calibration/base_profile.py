@@ -8,11 +8,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from taccel_lab.calibration.capture.captures import CaptureSet
+from taccel_lab.calibration.capture.captures import CaptureSet, check_place
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.report.remarks import BLOCKS_DROPPED
 from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.surfaces.design import fitted_design
+from taccel_lab.calibration.surfaces.view import pixels_on_pad, require_view_on_pad
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile, load_profile
@@ -103,10 +104,39 @@ def presses_on_camera(
         grid = base.camera.grid()
         captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))
         if (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px):
-            return replace(captures, grid=grid), base
+            return captures_on_pad(replace(captures, grid=grid), base), base
     captures = folder.ball_presses()
     profile = on_grid(base, captures.grid, captures.provenance, rectified=folder.rectified)
-    return captures, profile
+    return captures_on_pad(captures, profile), profile
+
+
+def captures_on_pad(captures: CaptureSet, profile: SensorProfile) -> CaptureSet:
+    """The captures with the pixels masked that the pad of ``profile`` does not cover."""
+    mask = pixels_on_pad(profile, captures.grid, captures.mask)
+    return replace(captures, mask=mask)
+
+
+def require_labels_and_view(folder: CaptureFolder, base: SensorProfile, block: str) -> None:
+    """Refuse, before any press is looked at, labels that no press can have and images that show too
+    much beside the pad for ``block``.
+
+    Raises:
+        InputError: Says which, and what is allowed.
+    """
+    if folder.background is None or (folder.mm_per_px is None and not _is_measured(base)):
+        return  # Said of the captures as a whole.
+    grid = folder.grid(folder.mm_per_px or (base.camera.mm_per_px_x, base.camera.mm_per_px_y))
+    own = base.camera.grid()
+    if _is_measured(base) and (own.width_px, own.height_px) == (grid.width_px, grid.height_px):
+        grid = own
+    for press in folder.presses:
+        if press.circle is not None:
+            check_place(press.circle, grid, press.source)
+    require_view_on_pad(base, grid, folder.mask, folder.source, block)
+
+
+def _is_measured(base: SensorProfile) -> bool:
+    return base.camera.provenance.kind in MEASURED
 
 
 def on_grid(

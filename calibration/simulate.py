@@ -37,6 +37,7 @@ from taccel_lab.calibration.surfaces.shared_law import (
     SharedLaw,
     spanning_presses,
 )
+from taccel_lab.calibration.surfaces.view import require_view_on_pad
 from taccel_lab.envs.physics import SURFACE_PHYSICS, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.process_pool import usable_cores
@@ -137,7 +138,7 @@ def simulate_presses(
     for press, circle in zip(captures.presses, circles, strict=True):
         ball_mm = press.radius_mm or captures.ball_radius_mm
         check_radius(circle, captures.grid, ball_mm, f"{captures.source}: {press.name}")
-    _require_view_on_pad(captures, profile)
+    require_view_on_pad(profile, captures.grid, captures.mask, captures.source, "color")
     known = _KnownSurfaces(
         captures, circles, profile, physics, friction_coefficient, processes, cache, progress
     )
@@ -222,7 +223,7 @@ class _KnownSurfaces:
         self._place_batch(batch, outcome)
 
     def _place_batch(self, batch: PressBatch, outcome: BatchOutcome) -> None:
-        found = surfaces_of(batch, outcome, self.captures.grid, self.rest)
+        found = surfaces_of(batch, outcome, self.captures, self.rest)
         for i, surface in zip(batch.presses, found, strict=True):
             self.surfaces[i] = surface
         self._tell()
@@ -276,18 +277,3 @@ def press_batches(
         for ball_mm, indices in of_ball.items()
         for chosen in (indices[k : k + size] for k in range(0, len(indices), size))
     ]
-
-
-def _require_view_on_pad(captures: CaptureSet, profile: SensorProfile) -> None:
-    """Refuse captures that show more than the pad: there is no surface under those pixels."""
-    grid, pad = captures.grid, profile_parameters(profile).pad()
-    last = np.array([grid.width_px - 1, grid.height_px - 1])
-    corners = grid.gel_from_pixel(np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * last)
-    if pad.inside_distance_mm(corners).min() < 0:
-        width_mm, height_mm = last * (grid.mm_per_px_x, grid.mm_per_px_y)
-        size_x_mm, size_y_mm = np.diff(pad.bounds_mm()[:, :2], axis=0)[0]
-        raise InputError(
-            f"{captures.source}: at {grid.mm_per_px_x:g} x {grid.mm_per_px_y:g} mm/px the image "
-            f"shows {width_mm:.1f} x {height_mm:.1f} mm, more than the pad of {size_x_mm:g} x "
-            f"{size_y_mm:g} mm; check the scale, or design a larger pad"
-        )

@@ -41,6 +41,23 @@ class ContactCircle:
         dv = (np.arange(grid.height_px)[:, None] - self.v_px) * ratio
         return np.hypot(du, dv)
 
+    def beyond_px(self, grid: PixelGrid) -> float:
+        """How far the circle reaches out of the image [px]; below 0 where it is inside."""
+        ratio = grid.mm_per_px_x / grid.mm_per_px_y
+        sides_u = (self.u_px, grid.width_px - 1 - self.u_px)
+        sides_v = (self.v_px / ratio, (grid.height_px - 1 - self.v_px) / ratio)
+        return self.radius_px - min(*sides_u, *sides_v)
+
+    def has_center_in(self, grid: PixelGrid) -> bool:
+        """Whether the centre lies in the image."""
+        return 0 <= self.u_px <= grid.width_px - 1 and 0 <= self.v_px <= grid.height_px - 1
+
+    def visible_share(self, grid: PixelGrid) -> float:
+        """Share of the circle's area that lies in the image."""
+        ratio = grid.mm_per_px_x / grid.mm_per_px_y
+        area = math.pi * self.radius_px**2 * ratio
+        return min(1.0, float((self.distance_px(grid) <= self.radius_px).sum()) / area)
+
     def center_gap_px(self, other: ContactCircle, grid: PixelGrid) -> float:
         """Distance of the centres in column pixels, rows weighed as in ``distance_px``."""
         ratio = grid.mm_per_px_y / grid.mm_per_px_x
@@ -134,7 +151,16 @@ class CaptureSet:
 def check_circle(
     circle: ContactCircle, grid: PixelGrid, ball_radius_mm: float, source: str
 ) -> None:
-    """Refuse a contact circle that no press of this ball on this image can leave."""
+    """Refuse a contact circle that no press of this ball on this image can leave.
+
+    The border of the image may cut it, as that of a press near the border does.
+    """
+    check_place(circle, grid, source)
+    check_radius(circle, grid, ball_radius_mm, source)
+
+
+def check_place(circle: ContactCircle, grid: PixelGrid, source: str) -> None:
+    """Refuse a contact circle that is none, or whose centre lies outside of the image."""
     values = (circle.u_px, circle.v_px, circle.radius_px)
     if not all(math.isfinite(value) for value in values):
         raise InputError(
@@ -145,17 +171,15 @@ def check_circle(
         raise InputError(
             f"{source}: contact radius {circle.radius_px:g} px is too small; at least 3 px"
         )
-    ratio = grid.mm_per_px_x / grid.mm_per_px_y
-    if not (
-        circle.radius_px <= circle.u_px <= grid.width_px - 1 - circle.radius_px
-        and circle.radius_px * ratio <= circle.v_px <= grid.height_px - 1 - circle.radius_px * ratio
-    ):
+    if not circle.has_center_in(grid):
+        lies = "reaches into" if circle.visible_share(grid) > 0 else "lies outside of"
         raise InputError(
             f"{source}: the contact circle at ({circle.u_px:g}, {circle.v_px:g}) px with radius "
-            f"{circle.radius_px:g} px reaches outside the image of {grid.width_px}x"
-            f"{grid.height_px} px; it has to be inside it"
+            f"{circle.radius_px:g} px {lies} the image of {grid.width_px}x{grid.height_px} px, and "
+            f"its centre has to be inside: u from 0 to {grid.width_px - 1}, v from 0 to "
+            f"{grid.height_px - 1}. Leave the press out, or was the circle made in an image that "
+            "was turned or of another size?"
         )
-    check_radius(circle, grid, ball_radius_mm, source)
 
 
 def check_radius(

@@ -23,8 +23,6 @@ class SensorFacts:
     """Figures of one family; None where it has none."""
 
     family: str
-    pad_mm: tuple[float, float] | None = None
-    """Plan of the pad, x and y."""
     thickness_mm: float | None = None
     view_mm: float | None = None
     """Longer side of what the camera usually shows."""
@@ -61,7 +59,6 @@ def sensor_facts(name: str, design: Mapping[str, Any] | None = None) -> SensorFa
     view = max(grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y)
     return SensorFacts(
         family=name,
-        pad_mm=(float(size[0]), float(size[1])),
         # A shell on a hard dome is thinner than it is high.
         thickness_mm=float(parameters.values().get("thickness_mm", size[2])),
         view_mm=float(view),

@@ -17,21 +17,25 @@ A radius on its own cannot be read from a contact circle. It shows where it cont
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.sensor_facts import SensorFacts
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.color_law import ColorLaw
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.ball_radius import check_ball
 from taccel_lab.calibration.contacts.fit import find_contacts
-from taccel_lab.calibration.result import Remark
+from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.calibration.robust_spread import spread_about_median
+from taccel_lab.calibration.surfaces.design import fitted_parameters
+from taccel_lab.calibration.surfaces.view import view_remarks
 from taccel_lab.geometry import PixelGrid
 
 SURE = 2.0
@@ -57,7 +61,6 @@ ODD_RATE = 1.45
 """Centre slopes differ by this factor between balls; presses of one ball by 1.25."""
 SAME_PROPORTIONS = 0.02
 """Difference of two images' proportions up to which they may show the same."""
-FIELD_SLACK = 1.05
 FITTED_PRESSES, MIN_PRESSES = 12, 4
 FEW_SHARE = 0.1
 """So many contacts may be wrongly found or labelled before the radius is at fault."""
@@ -323,39 +326,20 @@ def check_size(size_px: tuple[int, int], usual_px: tuple[int, int], family: str)
 
 
 def check_scale(
-    mm_per_px: tuple[float, float],
-    size_px: tuple[int, int],
-    pad_mm: tuple[float, float] | None,
-    usual_width_mm: float | None,
-    family: str,
+    grid: PixelGrid, mask: np.ndarray | None, facts: SensorFacts, design: Mapping[str, Any]
 ) -> list[Remark]:
     """Whether the stated scale fits the sensor: its pad's plan, and its usual field of view."""
-    width, height = size_px[0] * mm_per_px[0], size_px[1] * mm_per_px[1]
-    longer, shorter = max(width, height), min(width, height)
-    # Lenses of domes see past the pad, as their usual view says.
-    wide = pad_mm is None or (usual_width_mm or 0.0) > max(pad_mm)
-    if (
-        pad_mm is not None
-        and not wide
-        and (longer > FIELD_SLACK * max(pad_mm) or shorter > FIELD_SLACK * min(pad_mm))
-    ):
-        return [
-            remarks.SCALE_PAST_PAD(
-                mm_per_px_x=mm_per_px[0],
-                mm_per_px_y=mm_per_px[1],
-                width=width,
-                height=height,
-                family=family,
-                pad_x=pad_mm[0],
-                pad_y=pad_mm[1],
-            )
-        ]
-    if usual_width_mm is not None and not (
-        1 / SCALE_FACTOR < longer / usual_width_mm < SCALE_FACTOR
-    ):
-        return [
+    found = view_remarks(fitted_parameters(facts.family, grid, design), grid, mask)
+    if any(remark.severity == Severity.ERROR for remark in found):
+        return found
+    longer = max(grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y)
+    if facts.view_mm is not None and not (1 / SCALE_FACTOR < longer / facts.view_mm < SCALE_FACTOR):
+        found.append(
             remarks.SCALE_UNUSUAL(
-                mm_per_px=mm_per_px[0], length=longer, family=family, usual=usual_width_mm
+                mm_per_px=grid.mm_per_px_x,
+                length=longer,
+                family=facts.family,
+                usual=facts.view_mm,
             )
-        ]
-    return []
+        )
+    return found

@@ -90,7 +90,14 @@ def _measure(
     lit = np.clip(light.apply(background), 0, 255).astype(np.float32)
     contact, fault, cut = None, "", False
     try:
-        contact = detect_contact(image, background, grid, mask=mask, name=press.name)
+        contact = detect_contact(
+            image,
+            background,
+            grid,
+            mask=mask,
+            name=press.name,
+            label=press.circle,
+        )
     except InputError as error:
         fault = str(error).removeprefix(f"{press.name}: ")
         cut = isinstance(error, CutContactError)

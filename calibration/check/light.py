@@ -25,8 +25,10 @@ with red and blue swapped, 1.0 without."""
 SWAP_NEAR = 3.0
 """How much farther from the background than most frames a swapped one may be when it is put right.
 """
-GREY_SHARE = 0.2
-"""Colour changes across the commonest direction, relative to those along it, under white light."""
+GREY_PICTURE_SHARE, GREY_CONTACT_SHARE = 0.03, 0.2
+"""Colours across the commonest one relative to those along it, at most, under white light: of the
+pixels of whole pictures (two real 9DTacts 0.009 to 0.012, 15 real sensors with coloured lamps 0.07
+to 0.27), and of what contacts change most."""
 MIXED_MIN_LEVELS, MIXED_RATIO = 5.0, 2.0
 """Two groups of frames are of different sensors when they differ by this much, and this many times
 as much as the frames of the tighter group among themselves."""
@@ -45,8 +47,16 @@ def check_light(frames: Sequence[FrameFigures], background: np.ndarray) -> list[
     return [*_check_drift(frames, background), *_check_saturation(frames), *check_mixed(frames)]
 
 
-def is_grey(frames: Sequence[FrameFigures]) -> bool | None:
-    """Whether contacts change all channels alike, as under white light; None without a contact."""
+def is_grey(frames: Sequence[FrameFigures], background: np.ndarray) -> bool | None:
+    """Whether the pictures are those of white light: pixels of one colour, brighter or darker, in
+    the untouched gel and in the presses, and contacts that change all channels alike. None where
+    nothing has a colour and there is no contact to say more.
+
+    ``background``: small, RGB levels.
+    """
+    pictures = [background, *(frame.thumb for frame in frames)]
+    if np.median([_across(picture) for picture in pictures]) >= GREY_PICTURE_SHARE:
+        return False
     strongest = []
     for frame in frames:
         if frame.circle is None:
@@ -56,8 +66,13 @@ def is_grey(frames: Sequence[FrameFigures]) -> bool | None:
         strongest.append(change[size >= np.percentile(size, 97)])
     if not strongest:
         return None
-    values = np.linalg.svd(np.concatenate(strongest), compute_uv=False)
-    return bool(values[1] < GREY_SHARE * values[0])
+    return _across(np.concatenate(strongest)) < GREY_CONTACT_SHARE
+
+
+def _across(colors: np.ndarray) -> float:
+    """What there is of ``colors`` [..., 3] across their commonest direction, over what is along."""
+    along, across, _ = np.linalg.svd(colors.reshape(-1, 3), compute_uv=False)
+    return float(across / max(along, 1e-9))
 
 
 def _check_drift(frames: Sequence[FrameFigures], background: np.ndarray) -> list[Remark]:
@@ -116,14 +131,17 @@ def check_channel_order(frames: Sequence[FrameFigures], background: np.ndarray) 
 
 
 def check_handedness(
-    frames: Sequence[FrameFigures], family: str, expected: float | None
+    frames: Sequence[FrameFigures],
+    background: np.ndarray,
+    family: str,
+    expected: float | None,
 ) -> list[Remark]:
     """Channels that are swapped in all images alike, told by the order of the lamps.
 
     ``expected`` is the handedness of the family's lamps; None when it has no three colours.
     """
     lamps = [frame.lamps for frame in frames if np.isfinite(frame.lamps).all()]
-    if expected is None or not lamps or is_grey(frames):
+    if expected is None or not lamps or is_grey(frames, background):
         return []
     found = float(np.median([handedness(lamp) for lamp in lamps]))
     if abs(found) < HANDED or found * expected > 0:

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.captures import ContactCircle, check_place
 from taccel_lab.calibration.capture.coverage import CELLS, coverage_map, empty_cells
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.usable import too_many_lost
 from taccel_lab.calibration.result import Remark
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.printable import counted
 
@@ -50,6 +51,7 @@ def check_contacts(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Rema
     """All findings of this module on presses of one ball."""
     return [
         *_check_found(frames),
+        *_check_places(frames, grid),
         *_check_labels(frames, grid),
         *_check_spots(frames, grid),
         *_check_count(frames),
@@ -108,6 +110,41 @@ def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap
         off = sure and (center > limit or abs(radius) > LABEL_RADIUS_SHARE * smaller + unsure)
         gaps.append(LabelGap(frame.press.name, center, radius, off))
     return gaps
+
+
+def _check_places(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:
+    """Labels outside of the image, and those that its border cuts."""
+    labels = {f.press.name: f.press.circle for f in frames if f.press.circle is not None}
+    wrong, cut = {}, {}
+    for name, circle in labels.items():
+        try:
+            check_place(circle, grid, name)
+        except InputError as error:
+            wrong[name] = str(error)
+            continue
+        if circle.beyond_px(grid) > 0:
+            cut[name] = circle.visible_share(grid)
+    found = []
+    if wrong:
+        found.append(
+            remarks.LABELS_IMPOSSIBLE(
+                wrong=len(wrong),
+                count=len(labels),
+                reason=next(iter(wrong.values())),
+                frames=list(wrong),
+            )
+        )
+    if cut:
+        found.append(
+            remarks.LABELS_CUT(
+                cut=len(cut),
+                count=len(labels),
+                names=name_some(list(cut)),
+                least=min(cut.values()),
+                frames=list(cut),
+            )
+        )
+    return found
 
 
 def _check_labels(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:

@@ -161,6 +161,19 @@ LABELS_OFF = RemarkKind(
     BY_COLOR,
     graver=Severity.ERROR,
 )
+LABELS_CUT = RemarkKind(
+    "labels_cut",
+    Severity.INFO,
+    "the border of the image cuts {cut} of {count} labelled circles ({names}), down to {least:.0%} "
+    "of the contact: the part in the image is used",
+    ("color", "normals", "depth"),
+)
+LABELS_IMPOSSIBLE = RemarkKind(
+    "labels_impossible",
+    Severity.ERROR,
+    "{wrong} of {count} labelled circles can be of no press: {reason}",
+    ("color", "normals", "depth"),
+)
 ONE_SPOT = RemarkKind(
     "one_spot",
     Severity.ERROR,
@@ -250,14 +263,6 @@ BALL_RATIO = RemarkKind(
     "balls of {first:g} and {last:g} mm are stated, a ratio of {stated:.2f}; by the colours over "
     "their contacts it is {seen:.2f}. One of the radii is wrong, or the presses are mixed up",
     ("color", "normals", "scale"),
-)
-SCALE_PAST_PAD = RemarkKind(
-    "scale_past_pad",
-    Severity.WARNING,
-    "at {mm_per_px_x:g} x {mm_per_px_y:g} mm/px the image shows {width:.1f} x {height:.1f} mm, the "
-    "pad of a {family} has {pad_x:g} x {pad_y:g} mm: the scale is too large, or the image shows "
-    "more than the gel",
-    ("scale", "color", "normals", "depth"),
 )
 SCALE_UNUSUAL = RemarkKind(
     "scale_unusual",

@@ -149,8 +149,8 @@ def check_captures(
     elif folder.background is None and not folder.presses and not _has_other(folder):
         findings.append(remarks.EMPTY())
     grey = None if facts is None else facts.is_grey
-    if frames and grey is not True:
-        grey = is_grey(frames)
+    if background is not None and grey is not True:
+        grey = is_grey(frames, thumb(background.image))
     findings = worst_first([quoted(finding) for finding in findings])
     return CaptureCheck(
         folder=folder,
@@ -182,8 +182,9 @@ def press_findings(
     facts: SensorFacts | None,
 ) -> list[Remark]:
     """All that ball presses say, of their figures."""
+    small = thumb(background.image)
     findings = [
-        *check_light(frames, thumb(background.image)),
+        *check_light(frames, small),
         *check_contacts(frames, grid),
         *check_balls(
             frames,
@@ -195,7 +196,7 @@ def press_findings(
     ]
     if facts is None:
         return findings
-    findings += check_handedness(frames, facts.family, facts.handedness)
+    findings += check_handedness(frames, small, facts.family, facts.handedness)
     assumed = design_remarks(
         facts.family, None if folder.mm_per_px is None else grid, folder.design
     )
@@ -204,8 +205,8 @@ def press_findings(
     if facts.image_px is not None:
         findings += check_size(size, facts.image_px, facts.family)
     if folder.mm_per_px is not None:
-        findings += check_scale(folder.mm_per_px, size, facts.pad_mm, facts.view_mm, facts.family)
-    grey = is_grey(frames)
+        findings += check_scale(grid, folder.mask, facts, folder.design)
+    grey = is_grey(frames, small)
     if grey is not None and grey != facts.is_grey and facts.family != "flat_pad":
         have, want = ("grey", "coloured") if grey else ("coloured", "grey")
         findings.append(remarks.GREY_OR_COLOUR(found=have, family=facts.family, expected=want))

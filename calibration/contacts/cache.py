@@ -54,7 +54,8 @@ def kept_contacts(captures: CaptureSet) -> CachedFile[FoundContacts]:
                     "source": press.source,
                     "sha256": press.sha256,
                     "radius_mm": press.radius_mm,
-                    "corrected": asdict(press.circle) if press.checked and press.circle else None,
+                    "label": asdict(press.circle) if press.circle else None,
+                    "checked": press.checked,
                 }
                 for press in captures.presses
             ],

@@ -63,8 +63,9 @@ CERTAINLY_EXPLAINED = 0.9
 MIN_GATHERED = 0.6
 """Part of a strong colour change through the contact that has to end within two radii: an edge
 goes on."""
-MIN_VISIBLE = 0.55
-"""Share of the rings around a contact that has to lie in the image and outside the mask."""
+MIN_VISIBLE, MIN_LABELLED_VISIBLE = 0.55, 0.2
+"""Share of the rings around a contact that has to lie in the image and outside the mask; the same
+where a label says that a contact is there, which a corner of the image may cut to a quarter."""
 MOSTLY = 0.5
 """Share of a picture that has to be far from its contact for the light to be that of all of it."""
 SAMPLING_BLUR_SHARE = 0.04
@@ -83,12 +84,13 @@ def detect_contact(
     mask: np.ndarray | None = None,
     name: str = "image",
     ball_radius_mm: float | None = None,
+    label: ContactCircle | None = None,
 ) -> DetectedContact:
     """Contact circle of one ball press.
 
     ``image`` and ``background`` are RGB levels, shape [height_px, width_px, 3]. Raises InputError
     naming ``name`` when the image shows no contact or no round one, or when the contact reaches out
-    of the image.
+    of the image; where a ``label`` lies in it, the part in the image is enough.
     """
     start = _start(image, background, grid, mask, name)
     if ball_radius_mm is None:
@@ -96,13 +98,14 @@ def detect_contact(
     else:
         ball_px = ball_radius_mm / grid.mm_per_px_x
     contacts, _ = _refine([start], [ball_px])
-    return _accept(start, contacts[0], grid)
+    return _accept(start, contacts[0], grid, label)
 
 
 def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundContacts:
     """Contact of every press, or the reason why it has none; the presses are fitted together.
 
-    A circle that a person has corrected (``contacts.toml``) is taken as it is.
+    A circle that a person has corrected (``contacts.toml``) is taken as it is. A contact that the
+    border of the image cuts is found by its part inside where its label says that it is one.
     """
     starts: dict[int, _Start] = {}
     refusals: dict[int, Refusal] = {}
@@ -118,14 +121,21 @@ def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundCon
         except InputError as error:
             refusals[i] = Refusal(press.name, str(error), isinstance(error, CutContactError))
         progress(TASK, i + 1, len(captures.presses))
-    if not starts:
+    while starts:
+        balls = [captures.presses[i].radius_mm or captures.ball_radius_mm for i in starts]
+        ball_px = [radius_mm / captures.grid.mm_per_px_x for radius_mm in balls]
+        try:
+            contacts, fit = _refine(list(starts.values()), ball_px)
+            break
+        except _LostContactError as error:
+            gone = next(i for i, start in starts.items() if start is error.start)
+            refusals[gone] = Refusal(captures.presses[gone].name, str(error))
+            del starts[gone]
+    else:
         return FoundContacts(found, refusals, None)
-    balls = [captures.presses[i].radius_mm or captures.ball_radius_mm for i in starts]
-    ball_px = [radius_mm / captures.grid.mm_per_px_x for radius_mm in balls]
-    contacts, fit = _refine(list(starts.values()), ball_px)
     for (i, start), contact in zip(starts.items(), contacts, strict=True):
         try:
-            found[i] = _accept(start, contact, captures.grid)
+            found[i] = _accept(start, contact, captures.grid, captures.presses[i].circle)
         except InputError as error:
             refusals[i] = Refusal(
                 captures.presses[i].name, str(error), isinstance(error, CutContactError)
@@ -170,6 +180,14 @@ class _Start:
     inlier_fraction: float
     edge_rms_px: float
     contrast_levels: float
+
+
+class _LostContactError(InputError):
+    """A contact that the fit moves out of its image; the others are fitted without it."""
+
+    def __init__(self, start: _Start) -> None:
+        super().__init__(f"{start.name}: no contact found inside the image")
+        self.start = start
 
 
 def _start(
@@ -231,8 +249,8 @@ def _refine(
             for start, circle in zip(starts, circles, strict=True)
         ]
         for start, sample in zip(starts, samples, strict=True):
-            if sample.visible < 0.2:
-                raise InputError(f"{start.name}: no contact found inside the image")
+            if sample.visible < MIN_LABELLED_VISIBLE:
+                raise _LostContactError(start)
         fit = fit_contacts(samples, circles, ball_px, blur_px=blur, terms=terms, iterations=rounds)
         circles = [contact.circle for contact in fit.contacts]
     assert fit is not None
@@ -246,9 +264,13 @@ def _refine(
 
 
 def _accept(
-    start: _Start, refined: tuple[FittedContact, RingSamples], grid: PixelGrid
+    start: _Start,
+    refined: tuple[FittedContact, RingSamples],
+    grid: PixelGrid,
+    label: ContactCircle | None,
 ) -> DetectedContact:
-    """The contact in the image's own pixels; InputError when it is none, or cut by the border."""
+    """The contact in the image's own pixels; InputError when it is none, or when the border cuts it
+    and no label lies in it."""
     contact, samples = refined
     circle = contact.circle
     height, width = start.change.change.shape[:2]
@@ -274,22 +296,21 @@ def _accept(
             f"{limit:g} px, {MIN_EXPLAINED:.0%} and {MIN_GATHERED:.0%} are needed. If it "
             "shows a contact, give its circle"
         )
-    beyond = max(
-        circle.radius_px - circle.u_px,
-        circle.radius_px - circle.v_px,
-        circle.u_px + circle.radius_px - (width - 1),
-        circle.v_px + circle.radius_px - (height - 1),
-    )
-    if beyond > 0 or samples.visible < MIN_VISIBLE:
+    own = ContactCircle(circle.u_px, circle.v_px / start.change.ratio, circle.radius_px)
+    beyond = own.beyond_px(grid)
+    known = label is not None and label.center_gap_px(own, grid) < own.radius_px
+    used = beyond <= 0 or (known and own.has_center_in(grid))
+    least = MIN_LABELLED_VISIBLE if known and beyond > 0 else MIN_VISIBLE
+    if not used or samples.visible < least:
         raise CutContactError(
-            f"{start.name}: the contact at ({circle.u_px:.0f}, "
-            f"{circle.v_px / start.change.ratio:.0f}) px with radius {circle.radius_px:.0f} px "
+            f"{start.name}: the contact at ({own.u_px:.0f}, {own.v_px:.0f}) px with radius "
+            f"{own.radius_px:.0f} px "
             + (f"reaches {beyond:.0f} px out of the image" if beyond > 0 else "is mostly masked")
             + f"; {samples.visible:.0%} of it and its surroundings can be seen: it is left out"
         )
     sigma = np.sqrt(np.maximum(np.diag(contact.covariance), 0.0))
     return DetectedContact(
-        circle=ContactCircle(circle.u_px, circle.v_px / start.change.ratio, circle.radius_px),
+        circle=own,
         radius_sigma_px=float(sigma[2]),
         inlier_fraction=inliers,
         edge_rms_px=drop.rms,

@@ -13,7 +13,7 @@ from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.calibration.contacts.fusion import choose_circles, fuse_circles
 from taccel_lab.calibration.contacts.labels import LabelAgreement, compare_with_labels
 from taccel_lab.calibration.contacts.remarks import PRESSES_LEFT_OUT
-from taccel_lab.calibration.contacts.result import DetectedContact
+from taccel_lab.calibration.contacts.result import DetectedContact, Refusal
 from taccel_lab.calibration.error_rates import RATES
 from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
@@ -38,26 +38,31 @@ def usable_presses(
     """
     found = (cached_contacts if cache else find_contacts)(captures, progress)
     refusals = [found.refusals[i] for i in sorted(found.refusals)]
-    if too_many_lost(len(captures.presses), [refusal.cut for refusal in refusals]):
-        raise InputError("\n".join(refusal.message for refusal in refusals))
     contacts = [contact for contact in found.contacts if contact is not None]
     if not refusals:
         return captures, contacts, []
+    remark = left_out_remark(len(captures.presses), refusals, RATES["no_contact"].sentence())
     kept = tuple(
         press
         for press, contact in zip(captures.presses, found.contacts, strict=True)
         if contact is not None
     )
     names = ", ".join(refusal.name for refusal in refusals)
-    remark = PRESSES_LEFT_OUT(
-        lost=len(refusals),
-        count=len(captures.presses),
-        names=names,
-        reasons="; ".join(refusal.message for refusal in refusals),
-        rate=RATES["no_contact"].sentence(),
-    )
     provenance = {**captures.provenance, "left_out": names}
     return replace(captures, presses=kept, provenance=provenance), contacts, [remark]
+
+
+def left_out_remark(press_count: int, refusals: Sequence[Refusal], advice: str) -> Remark:
+    """Says which presses are left out and why; InputError with every reason where too many are."""
+    if too_many_lost(press_count, [refusal.cut for refusal in refusals]):
+        raise InputError("\n".join(refusal.message for refusal in refusals))
+    return PRESSES_LEFT_OUT(
+        lost=len(refusals),
+        count=press_count,
+        names=", ".join(refusal.name for refusal in refusals),
+        reasons="; ".join(refusal.message for refusal in refusals),
+        rate=advice,
+    )
 
 
 def too_many_lost(press_count: int, cut: Sequence[bool]) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.calibration.base_profile import MEASURED, require_image_of
+from taccel_lab.calibration.base_profile import MEASURED, captures_on_pad, require_image_of
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture.captures import CaptureSet, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
@@ -39,12 +39,13 @@ def grey_captures(
     captures = folder.ball_presses((grid.mm_per_px_x, grid.mm_per_px_y))
     same = (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px)
     if folder.mm_per_px is not None and not (same and kind in MEASURED):
-        return folder.ball_presses(), remarks
+        return captures_on_pad(folder.ball_presses(), base), remarks
     if folder.mm_per_px is None:
         remarks.append(
             SCALE_OF_PROFILE(mm_per_px=grid.mm_per_px_x, kind=kind, grave=kind not in MEASURED)
         )
-    return (replace(captures, grid=grid) if same else captures), remarks
+    captures = replace(captures, grid=grid) if same else captures
+    return captures_on_pad(captures, base), remarks
 
 
 def _rectified(captures: CaptureSet, maps: RectificationMaps) -> CaptureSet:

@@ -13,18 +13,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from taccel_lab.calibration.base_profile import (
     lost_blocks,
     on_grid,
+    require_labels_and_view,
     stated_scale_share,
     with_measured_scale,
 )
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.check.balls import CIRCLE_SHARE, LABEL_SIGMA_PX
 from taccel_lab.calibration.check.block_findings import capture_findings, joined, refusing_with
+from taccel_lab.calibration.contacts.result import CutContactError, Refusal
+from taccel_lab.calibration.contacts.usable import left_out_remark
 from taccel_lab.calibration.depth.captures import grey_captures
 from taccel_lab.calibration.depth.curve import (
     ContactPixels,
@@ -35,7 +40,7 @@ from taccel_lab.calibration.depth.curve import (
     left_out_errors,
     reading_sigma_mm,
 )
-from taccel_lab.calibration.depth.grey_contact import find_grey_contact
+from taccel_lab.calibration.depth.grey_contact import GreyContact, find_grey_contact
 from taccel_lab.calibration.depth.options import DepthOptions
 from taccel_lab.calibration.depth.remarks import (
     curve_remarks,
@@ -54,6 +59,7 @@ from taccel_lab.signals.depth_response import DepthResponse, channel_of
 
 BOOTSTRAPS = 40
 TASK = "finding contacts and fitting the curve"
+_CUT = "With its circle in captures.toml such a press is used by its part in the image"
 
 
 def calibrate_depth(
@@ -74,6 +80,8 @@ def calibrate_depth(
     Raises:
         InputError: Captures that no curve can be fitted to, with what their check found.
     """
+    if options.maps is None:
+        require_labels_and_view(folder, base, "depth")
     captures, assumed = grey_captures(folder, base, options.maps)
     on_captures = on_grid(base, captures.grid, captures.provenance)
     findings = capture_findings(with_measured_scale(folder, base), "depth", progress)
@@ -109,19 +117,8 @@ def fit_depth(
     """
     background = channel_of(captures.background, options.channel)
     mask = None if captures.mask.all() else captures.mask
-    drops, contacts, given, seen = [], [], [], []
-    for press in captures.presses:
-        drop = background - channel_of(press.image(), options.channel)
-        found = find_grey_contact(drop, captures.grid, mask=mask, name=press.source)
-        drops.append(drop)
-        seen.append(found.circle)
-        given.append(press.circle is not None and options.circles == "auto")
-        contacts.append((press.circle if given[-1] else found.circle, found.radius_sigma_px))
-    chosen = [circle for circle, _ in contacts if circle is not None]
-    labels = [
-        press.circle if flag else None for press, flag in zip(captures.presses, given, strict=True)
-    ]
-    off = label_remarks(captures, labels, seen)
+    captures, presses, off = _find_contacts(captures, background, mask, options)
+    drops, chosen, sigma_px, given = zip(*presses, strict=True)
     radii = [press.radius_mm or captures.ball_radius_mm for press in captures.presses]
     for press, circle, radius in zip(captures.presses, chosen, radii, strict=True):
         if circle.radius_px * captures.grid.mm_per_px_x >= radius:
@@ -164,8 +161,7 @@ def fit_depth(
     level = float(np.median(background))
     normalised, _ = left_out_errors([_normalised(part, level) for part in parts])
     all_errors = np.concatenate(errors)
-    sigma_px = [sigma for _, sigma in contacts]
-    presses = tuple(
+    figures = tuple(
         _figures(part, response, captures, circle, sigma, flag, radius, rim)
         for part, circle, sigma, flag, radius, rim in zip(
             parts, chosen, sigma_px, given, radii, sunk, strict=True
@@ -188,7 +184,7 @@ def fit_depth(
         zero_gap_mm=gap_mm,
         left_out_mm=all_errors,
         left_out=left_out,
-        presses=presses,
+        presses=figures,
         parts=parts,
         light_r2=_light_r2(parts, response),
         normalised_mae_mm=float(np.concatenate(normalised).mean()),
@@ -203,6 +199,51 @@ def fit_depth(
         *curve_remarks(result, drops),
     )
     return replace(result, remarks=found_remarks)
+
+
+class _Contact(NamedTuple):
+    """Where one press is taken to be."""
+
+    drop: np.ndarray
+    """Of its grey [levels], shape [height_px, width_px]."""
+    circle: ContactCircle
+    radius_sigma_px: float
+    given: bool
+    """Whether it is the label."""
+
+
+def _find_contacts(
+    captures: CaptureSet, background: np.ndarray, mask: np.ndarray | None, options: DepthOptions
+) -> tuple[CaptureSet, list[_Contact], list[Remark]]:
+    """The presses with a contact, these, and what labels and those left out say.
+
+    The border of the image may cut a dark patch: where it ends its label says, or nothing.
+    """
+    contacts: list[_Contact] = []
+    seen: list[ContactCircle] = []
+    cut: dict[int, Refusal] = {}
+    for i, press in enumerate(captures.presses):
+        drop = background - channel_of(press.image(), options.channel)
+        label = press.circle if options.circles == "auto" else None
+        try:
+            found = find_grey_contact(drop, captures.grid, mask=mask, name=press.source)
+        except CutContactError as fault:
+            if label is None or label.beyond_px(captures.grid) <= 0:
+                cut[i] = Refusal(press.name, str(fault), cut=True)
+                continue
+            sigma_px = max(LABEL_SIGMA_PX, CIRCLE_SHARE * label.radius_px)
+            found = GreyContact(label, sigma_px, float(drop.max()))
+        seen.append(found.circle)
+        contacts.append(
+            _Contact(drop, label or found.circle, found.radius_sigma_px, label is not None)
+        )
+    remarks = []
+    if cut:
+        remark = left_out_remark(len(captures.presses), list(cut.values()), _CUT)
+        captures = captures.only([i for i in range(len(captures.presses)) if i not in cut])
+        remarks.append(remark)
+    labels = [contact.circle if contact.given else None for contact in contacts]
+    return captures, contacts, [*remarks, *label_remarks(captures, labels, seen)]
 
 
 def _rim_depth_mm(surface: PressSurface, circle: ContactCircle, captures: CaptureSet) -> float:

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import ndimage
 
 from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.contacts.result import CutContactError
 from taccel_lab.calibration.contacts.rim import RAY_COUNT, circle_on_rays, sample_rays
 from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.errors import InputError
@@ -51,7 +52,8 @@ def find_grey_contact(
 ) -> GreyContact:
     """Contact circle from a map of grey drops [levels], shape [height_px, width_px].
 
-    Raises InputError naming ``name`` when no round dark patch stands out.
+    Raises InputError naming ``name`` when no round dark patch stands out, CutContactError where one
+    touches the image's border.
     """
     values = np.asarray(drop, dtype=np.float32)
     if mask is not None:
@@ -90,7 +92,7 @@ def _rough(smooth: np.ndarray, peak: float, name: str) -> tuple[np.ndarray, floa
     touches = rows.min() == 0 or columns.min() == 0
     touches |= rows.max() == smooth.shape[0] - 1 or columns.max() == smooth.shape[1] - 1
     if radius < MIN_RADIUS_PX or axes[0] < MIN_ROUND * axes[1] or touches:
-        raise InputError(
+        raise (CutContactError if touches else InputError)(
             f"{name}: no round contact found; the dark patch has a radius of {radius:.0f} px, axes "
             f"{axes[0]:.0f} and {axes[1]:.0f} px"
             + (" and touches the image's border" if touches else "")

@@ -33,6 +33,7 @@ from taccel_lab.calibration.refit.result import CHANNELS, FrameError, RefitCalib
 from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.simulate import simulate_presses
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.surfaces.view import require_view_on_pad
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
@@ -74,6 +75,8 @@ def calibrate_refit(
     require_image_of(base, folder)
     _require_background(base)
     surfaces = _simulated(base, progress) if options.surface == "simulated" else "hertz"
+    if options.surface == "simulated":
+        require_view_on_pad(base, base.grid(), folder.mask, folder.source, "color")
     new = refit_frames(base, folder, surfaces)
     return refit_profile(
         base,

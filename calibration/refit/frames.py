@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from taccel_lab.calibration.base_profile import captures_on_pad
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
@@ -157,7 +158,7 @@ def _capture_set(profile: SensorProfile, folder: CaptureFolder) -> CaptureSet:
     old = profile.background_rgb
     assert old is not None
     background = old if folder.background is None else folder.background.image()
-    return CaptureSet(
+    captures = CaptureSet(
         source=folder.source,
         sensor=folder.sensor,
         background=background,
@@ -169,6 +170,7 @@ def _capture_set(profile: SensorProfile, folder: CaptureFolder) -> CaptureSet:
         provenance=folder.provenance,
         heldout=folder.heldout,
     )
+    return captures_on_pad(captures, profile)
 
 
 def _check_size(image: np.ndarray, size: tuple[int, int], source: str) -> None:

@@ -19,6 +19,7 @@ from taccel_lab.calibration.surfaces import remarks
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.quarter_turn import quarter_turned
+from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
 
@@ -47,6 +48,14 @@ def fitted_design(
     if turned:
         return _upright(sensor, {**turned, **given})
     return catalogue_profile(sensor, given)
+
+
+def fitted_parameters(
+    sensor: str, grid: PixelGrid, overrides: Mapping[str, Any]
+) -> FamilyParameters:
+    """Parameters of ``fitted_design``, without meshing it."""
+    given = _made_to_measure(grid) if sensor == FLAT_PAD else _turned(sensor, grid)
+    return sensor_family(sensor).parameters({**given, **overrides})
 
 
 def _upright(sensor: str, overrides: Mapping[str, Any]) -> SensorProfile:

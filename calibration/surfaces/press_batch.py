@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.surfaces.depth_search import DepthSearch
 from taccel_lab.calibration.surfaces.press_surface import PressSurface, SimulationEffort
 from taccel_lab.envs.physics import PressPhysics
+from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.profile import MaterialBlock
 from taccel_lab.sensors.press_mesh import Pad, pad_press_mesh
@@ -123,29 +125,42 @@ def simulate_batch(batch: PressBatch) -> BatchOutcome:
 
 
 def surfaces_of(
-    batch: PressBatch, outcome: BatchOutcome, grid: PixelGrid, designed_rest: RestSurface
+    batch: PressBatch, outcome: BatchOutcome, captures: CaptureSet, designed_rest: RestSurface
 ) -> list[PressSurface]:
     """The surfaces on the pixels of the images; ``designed_rest`` is the face at rest there.
+
+    Pixels of no use that the pad leaves are as the nearest that it covers; InputError where it
+    leaves pixels that are used.
 
     In contact they are the ball's: nodes hover in the barrier's range, corners and middles of faces
     at heights of their own, and a surface through them is bumpy by 2 to 3 degrees under deep
     presses, which no image shows.
     """
     from taccel_lab.envs.press_surface import press_surface
+    from taccel_lab.signals.rest_surface import from_nearest
 
     env, ball = _env(batch)
     poses = np.zeros((len(batch.at_mm), 7))
     poses[:, :3], poses[:, 6] = outcome.ball_m, 1.0
     env.restore(outcome.positions_m, poses)
-    surfaces = []
-    for i in range(len(batch.at_mm)):
+    surfaces, grid = [], captures.grid
+    for i, press in enumerate(batch.presses):
         seen = press_surface(env, ball, grid, designed_rest, i)
+        faces = (seen.height_m, seen.rest_height_m, seen.normals, seen.rest_normals)
+        covered = np.all(np.isfinite(np.dstack(faces)), axis=-1)
+        lost = int((captures.mask & ~covered).sum())
+        if lost:
+            raise InputError(
+                f"{captures.source}: {captures.presses[press].name}: pressed like this, the pad "
+                f"leaves {lost} pixels of the image; press farther from its edge, or mask them"
+            )
+        height_m, rest_height_m, normals, rest_normals = from_nearest(covered, *faces)
         surfaces.append(
             PressSurface(
-                height_m=seen.height_m,
-                rest_height_m=seen.rest_height_m,
-                normals=seen.normals,
-                rest_normals=seen.rest_normals,
+                height_m=height_m,
+                rest_height_m=rest_height_m,
+                normals=normals,
+                rest_normals=rest_normals,
                 contact_radius_px=float(outcome.radius_mm[i] / grid.mm_per_px_x),
                 depth_mm=float(outcome.depth_mm[i]),
                 force_n=float(outcome.force_n[i]),

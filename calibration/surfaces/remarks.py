@@ -27,3 +27,21 @@ IMAGES_ACROSS = RemarkKind(
     "them and is curved: its shape at rest is then wrong. Turn all images by a quarter, unless "
     "they are a crop",
 )
+SCALE_PAST_PAD = RemarkKind(
+    "scale_past_pad",
+    Severity.ERROR,
+    "at {mm_per_px_x:g} x {mm_per_px_y:g} mm/px the image shows {width:.1f} x {height:.1f} mm, "
+    "more than the pad of {pad_x:g} x {pad_y:g} mm; check the scale, mask what lies beside the gel "
+    "(mask.png), or design a larger pad",
+    ("color", "normals", "depth"),
+)
+PAD_EDGE = RemarkKind(
+    "pad_edge",
+    Severity.INFO,
+    "at {mm_per_px_x:g} x {mm_per_px_y:g} mm/px the image shows {width:.1f} x {height:.1f} mm of a "
+    "pad of {pad_x:g} x {pad_y:g} mm: pixels beside the pad and within {edge:g} mm of its edge, "
+    "{share:.1%} of those in use, are left out. Check the scale if the camera does not see the "
+    "edge",
+    ("color", "normals", "depth"),
+    graver=Severity.WARNING,
+)

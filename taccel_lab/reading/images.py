@@ -1,10 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Image files, decoded by OpenCV in the readers' process."""
+"""Image files, decoded by OpenCV in the readers' process.
+
+Pixels are as the file stores them, which is as the sensor gave them. A tag that asks a viewer to
+turn the picture (EXIF, TIFF) is not followed: cameras write it by how they are held, so that it
+differs between pictures whose pixels belong together.
+"""
 
 from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -20,12 +26,16 @@ _PNG_COLOR_TYPE = 25
 """Place of the colour type in a PNG's header."""
 _PNG_WITH_ALPHA = (4, 6)
 """Colour types of grey and of RGB with alpha."""
+_TIFF_ORDER: dict[bytes, Literal["little", "big"]] = {b"II": "little", b"MM": "big"}
+_TIFF_HEADER_BYTES = 16
+_ORIENTATION, _SHORT = 274, 3
+"""Number of TIFF's tag, and of the type of its value."""
 LOW_16_BIT = 4096
 """Sixteen-bit images that stay below this hold 12 bits or fewer in the low places."""
 
 
 def read_image(path: Path) -> np.ndarray:
-    """An image file as RGB uint8, shape [height, width, 3], turned as its EXIF tag says.
+    """An image file as RGB uint8, shape [height, width, 3], as it is stored.
 
     Raises InputError with the path when it is none of ``ALLOWED``, is damaged or cut short, has
     more than ``MAX_IMAGE_PIXELS``, or values of other than 8 or 16 bits.
@@ -87,7 +97,10 @@ def _decoded(path: Path, flags: int) -> np.ndarray:
     image = None
     if data.startswith(_BEGINNINGS):
         try:
-            image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+            image = cv2.imdecode(
+                np.frombuffer(_not_turned(data), dtype=np.uint8),
+                flags | cv2.IMREAD_IGNORE_ORIENTATION,
+            )
         except cv2.error as error:
             if error.code == cv2.Error.StsNoMem:
                 raise MemoryError from None
@@ -99,6 +112,27 @@ def _decoded(path: Path, flags: int) -> np.ndarray:
             "an alpha channel"
         )
     return image
+
+
+def _not_turned(data: bytes) -> bytes:
+    """The file with the orientation 1 in a TIFF's first directory: OpenCV turns TIFF whatever its
+    flags say. Layout: TIFF 6.0 (Adobe, 1992), section 2, and libtiff's BigTIFF."""
+    order = _TIFF_ORDER.get(data[:2])
+    if order is None or len(data) < _TIFF_HEADER_BYTES:
+        return data
+    big = data[2:4].strip(b"\0") == b"+"
+    # Bytes of the directory's address, its count of entries, and an entry.
+    address, counted, entry = (slice(8, 16), 8, 20) if big else (slice(4, 8), 2, 12)
+    start = int.from_bytes(data[address], order)
+    count = int.from_bytes(data[start : start + counted], order)
+    first = start + counted
+    for at in range(first, min(first + count * entry, len(data) - entry + 1), entry):
+        if int.from_bytes(data[at : at + 2], order) == _ORIENTATION:
+            stored = [_ORIENTATION.to_bytes(2, order), _SHORT.to_bytes(2, order)]
+            stored += [(1).to_bytes(8 if big else 4, order), (1).to_bytes(2, order)]
+            upright = b"".join(stored)
+            return data[:at] + upright + data[at + len(upright) :]
+    return data
 
 
 def _is_invisible(data: bytes) -> bool:

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Video files, decoded frame by frame by OpenCV's FFmpeg in the readers' process."""
+"""Video files, decoded frame by frame by OpenCV's FFmpeg in the readers' process.
+
+Pixels are as the file stores them, as those of images are: how a player would turn them is not
+followed.
+"""
 
 from __future__ import annotations
 
@@ -84,6 +88,7 @@ def _opened(path: Path) -> cv2.VideoCapture:
     path = require_regular_file(path, LARGEST_BYTES, "a video")
     # FFmpeg takes some names for addresses, never those that begin with a slash.
     capture = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     width, height = (
         capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
     )

@@ -97,9 +97,16 @@ def rest_surface(mesh: TetMesh, grid: PixelGrid) -> RestSurface:
     covered = np.isfinite(samples).all(axis=-1)
     if not covered.any():
         raise InputError("no pixel of the image lies over the profile's contact face")
-    if not covered.all():
-        from scipy.ndimage import distance_transform_edt
-
-        nearest: Any = distance_transform_edt(~covered, return_distances=False, return_indices=True)
-        samples = samples[tuple(nearest)]
+    (samples,) = from_nearest(covered, samples)
     return RestSurface(samples[..., 2], normals_from_slopes(samples[..., :2]), covered)
+
+
+def from_nearest(covered: np.ndarray, *maps: np.ndarray) -> tuple[np.ndarray, ...]:
+    """``maps`` [height_px, width_px, ...] with pixels that are not ``covered`` [height_px,
+    width_px] as the nearest that is."""
+    if covered.all():
+        return maps
+    from scipy.ndimage import distance_transform_edt
+
+    nearest: Any = distance_transform_edt(~covered, return_distances=False, return_indices=True)
+    return tuple(values[tuple(nearest)] for values in maps)

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, import_taxim, load_captures
-from taccel_lab.calibration.capture.captures import check_circle
+from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, check_circle
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -101,7 +101,11 @@ def test_empty_folder(tmp_path: Path) -> None:
         ('name = "second"', "colour = 3", r"presses\.1\.colour: unknown key"),
         ('name = "second"', 'name = "a"', r"names must differ, a appears twice"),
         ("u_px = 30.0", "u_px = nan", r"presses\.0\.contact\.u_px.*finite"),
-        ("u_px = 30.0", "u_px = 60.0", r"a\.png: the contact circle.*outside the image of 64x48"),
+        (
+            "u_px = 30.0",
+            "u_px = 99.0",
+            r"a\.png: the contact .*outside of the image of 64x48",
+        ),
         ("radius_px = 12.0", "radius_px = 1.0", r"contact radius 1 px is too small"),
         ("radius_px = 12.0", "radius_px = -1.0", r"radius_px.*greater than 0"),
         ("schema_version = 1", "schema_version =", r"not valid TOML"),
@@ -186,7 +190,7 @@ def test_pack_becomes_the_same_folder(tmp_path: Path) -> None:
         ({"f0": np.uint8(3)}, r"f0 is uint8 \(\)"),
         ({"touch_center": np.full((2, 2), "x")}, r"touch_center has type <U1; real numbers"),
         ({"touch_radius": np.array([12, 13, 14])}, r"2 frames need touch_center"),
-        ({"touch_center": np.array([[30.0, 24.0], [3.0, 24.0]])}, r"\[1\].*outside the image"),
+        ({"touch_center": np.array([[30.0, 24.0], [-3.0, 24.0]])}, r"\[1\].*into the image"),
         ({"touch_radius": np.array([12, 21])}, r"\[1\].*(more than the ball|outside)"),
     ],
 )
@@ -220,15 +224,18 @@ def test_accepted_circles_fit_image_and_ball(
 ) -> None:
     grid = PixelGrid(160, 120, 0.1, 0.05)
     circle = ContactCircle(u, v, radius)
+    fits = 3 <= radius <= EQUATOR_SLACK * ball / 0.1 and 0 <= u <= 159 and 0 <= v <= 119
     rows = radius * 0.1 / 0.05
-    fits = 3 <= radius <= ball / 0.1 and radius <= u <= 159 - radius and rows <= v <= 119 - rows
+    inside = radius <= u <= 159 - radius and rows <= v <= 119 - rows
+    assert abs(circle.beyond_px(grid)) < 1e-9 or (circle.beyond_px(grid) < 0) == inside
+    assert circle.has_center_in(grid) == (0 <= u <= 159 and 0 <= v <= 119)
     try:
         check_circle(circle, grid, ball, "x.png")
         accepted = True
     except InputError as error:
         assert "x.png" in str(error)
         accepted = False
-    near = abs(radius * 0.1 - ball) < 1e-9
+    near = abs(radius * 0.1 - EQUATOR_SLACK * ball) < 1e-9
     assert accepted == fits or near
 
 

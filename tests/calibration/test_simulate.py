@@ -278,8 +278,8 @@ def test_circle_larger_than_the_ball_is_refused(captures: CaptureSet, base: Sens
 
 
 def test_a_view_past_the_pad_is_refused(captures: CaptureSet, base: SensorProfile) -> None:
-    wide = replace(captures, grid=PixelGrid(96, 72, 0.26, 0.26), ball_radius_mm=5.0)
-    with pytest.raises(InputError, match=r"memory: .* shows 24\.7 x 18\.5 mm, more than the pad"):
+    wide = replace(captures, grid=PixelGrid(96, 72, 0.28, 0.28), ball_radius_mm=5.0)
+    with pytest.raises(InputError, match=r"memory: .* shows 26\.9 x 20\.2 mm, more than the pad"):
         simulate_presses(wide, CIRCLES, base, physics=DEFAULT, processes=1)
 
 

@@ -49,6 +49,48 @@ def test_the_allowed_formats_give_opencvs_pixels(suffix: str, tmp_path: Path) ->
     assert image_size(path) == (16, 12)
 
 
+def turned_tiff(order: str, big: bool, turn: int, levels: np.ndarray) -> bytes:
+    """An uncompressed grey TIFF whose orientation tag says ``turn``."""
+    end, offset = ("<" if order == "II" else ">"), 16
+    (rows, columns), bits, start = levels.shape, 8 * levels.itemsize, offset + levels.nbytes
+    tags = {
+        256: columns, 257: rows, 258: bits, 259: 1, 262: 1, 273: offset, 274: turn, 277: 1,
+        278: rows, 279: levels.nbytes,
+    }  # fmt: skip
+    head = struct.pack(f"{end}HHHQ", 43, 8, 0, start) if big else struct.pack(f"{end}HI", 42, start)
+    data = (order.encode() + head).ljust(offset, b"\0") + levels.tobytes()
+    data += struct.pack(f"{end}{'Q' if big else 'H'}", len(tags))
+    for tag, value in tags.items():
+        data += struct.pack(f"{end}HH{'QHxxxxxx' if big else 'IHxx'}", tag, 3, 1, value)
+    return data + bytes(8)
+
+
+@pytest.mark.parametrize("turn", range(1, 9))
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp"])
+def test_pixels_are_as_stored_whatever_a_tag_says(suffix: str, turn: int, tmp_path: Path) -> None:
+    for name, tag in (("turned", turn), ("as_stored", 1)):
+        exif = Image.Exif()
+        exif[0x0112] = tag
+        Image.fromarray(RGB).save(tmp_path / f"{name}{suffix}", exif=exif)
+    for read in (read_image, read_grey, image_size):
+        expected = read(tmp_path / f"as_stored{suffix}")
+        np.testing.assert_array_equal(read(tmp_path / f"turned{suffix}"), expected)
+
+
+@pytest.mark.parametrize("turn", range(1, 9))
+@pytest.mark.parametrize("order", ["II", "MM"])
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("kind", ["u1", "u2"])
+def test_pixels_of_tiff_too(order: str, big: bool, kind: str, turn: int, tmp_path: Path) -> None:
+    path, grey = tmp_path / "a.tiff", RGB[..., 0].astype(kind) * (1 if kind == "u1" else 257)
+    path.write_bytes(
+        turned_tiff(order, big, turn, grey.astype({"II": "<", "MM": ">"}[order] + kind))
+    )
+    np.testing.assert_array_equal(read_image(path), np.dstack([RGB[..., 0]] * 3))
+    np.testing.assert_array_equal(read_grey(path), RGB[..., 0])
+    assert image_size(path) == (16, 12)
+
+
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_damaged_files_are_sentences(suffix: str, tmp_path: Path) -> None:
     data, path = encoded(suffix), tmp_path / "a"

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import struct
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -41,6 +42,21 @@ def test_frames_are_those_that_opencv_decodes(name: str, code: str, tmp_path: Pa
         count += 1
     assert count == 120 and not capture.read()[0]
     assert count_frames(path) == (120, 120)
+
+
+@pytest.mark.parametrize("turn", [(0, 1, -1, 0), (-1, 0, 0, -1), (0, -1, 1, 0)])
+def test_frames_are_as_stored_whatever_a_player_is_asked_to_turn(
+    turn: tuple[int, ...], tmp_path: Path
+) -> None:
+    path = write(tmp_path / "v.mp4", "mp4v", 3)
+    stored, data = next(read_frames(path)), bytearray(path.read_bytes())
+    # The matrix of ISO/IEC 14496-12, 8.3.2: a, b, u; c, d, v; x, y, w in the track's header.
+    at = data.index(b"tkhd") + 44
+    a, b, c, d = (value << 16 for value in turn)
+    data[at : at + 36] = struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    path.write_bytes(data)
+    assert cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_ORIENTATION_META) != 0
+    np.testing.assert_array_equal(next(read_frames(path)), stored)
 
 
 def test_only_one_frame_is_held(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from tests.calibration.capture.capture_sets import (
     spread_circles,
 )
 from tests.calibration.drawn.faults import blur, drift
+from tests.calibration.synthetic import GRID
 
 
 def check(maker: CaptureMaker, folder: Path) -> CaptureCheck:
@@ -197,6 +198,20 @@ def test_turned_pictures_are_not_swapped_channels(tmp_path: Path) -> None:
     assert "channels_swapped" not in by_code(check(maker, tmp_path))
 
 
+def test_labels_that_the_border_cuts_are_used_and_those_outside_are_told(tmp_path: Path) -> None:
+    circles = [ContactCircle(WIDTH - 6.0, 60.0, 15.0), *spread_circles(3)]
+    maker = CaptureMaker(circles=circles)
+    found = by_code(check(maker, tmp_path / "cut"))
+    assert "no_contact" not in found and "labels_impossible" not in found
+    assert found["labels_cut"].frames == ("p00",)
+    assert "cuts 1 of 4 labelled circles (p00), down to 73%" in found["labels_cut"].message
+    maker.labels[1] = ContactCircle(-4.0, 50.0, 20.0)
+    maker.labels[2] = ContactCircle(WIDTH + 90.0, 50.0, 20.0)
+    impossible = by_code(check(maker, tmp_path / "outside"))["labels_impossible"]
+    assert impossible.severity == Severity.ERROR and impossible.frames == ("p01", "p02")
+    assert "reaches into the image" in impossible.message
+
+
 def test_grey_images_say_so_and_nothing_of_the_sensor(tmp_path: Path) -> None:
     def grey(image: np.ndarray) -> np.ndarray:
         return np.repeat(image.mean(axis=2, keepdims=True), 3, axis=2)
@@ -205,6 +220,18 @@ def test_grey_images_say_so_and_nothing_of_the_sensor(tmp_path: Path) -> None:
     maker.change(range(8), grey)
     (color,) = [b for b in check(maker, tmp_path).blocks if b.command == "color"]
     assert color.missing == "coloured lamps: this sensor, or these images, are grey"
+
+
+def test_colours_of_the_pictures_speak_where_contacts_have_none(tmp_path: Path) -> None:
+    """As a DIGIT's that is pressed so that all three lamps lose alike."""
+    maker = CaptureMaker(circles=spread_circles(3), sensor="gelsight_mini")
+    for i, circle in enumerate(maker.circles):
+        dome = np.clip(1 - (circle.distance_px(GRID) / circle.radius_px) ** 2, 0, None)
+        maker.images[i] = gel() - 50 * dome[..., None]
+    found = check(maker, tmp_path)
+    assert "grey_or_colour" not in by_code(found)
+    (color,) = [block for block in found.blocks if block.command == "color"]
+    assert "coloured" not in color.missing
 
 
 def test_pictures_without_a_contact_do_not_tell_the_lamps(tmp_path: Path) -> None:
@@ -350,7 +377,17 @@ def test_ratio_of_two_balls(tmp_path: Path, stated: float, wrong: bool) -> None:
 
 def test_view_past_the_pad(tmp_path: Path) -> None:
     maker = eight(sensor="gelsight_mini", mm_per_px=0.25, radius_mm=5.0)
-    assert "scale_past_pad" in by_code(check(maker, tmp_path))
+    found = check(maker, tmp_path)
+    assert by_code(found)["scale_past_pad"].severity == Severity.ERROR
+    states = {block.command: str(block.readiness) for block in found.blocks}
+    assert states["color"] == states["normals"] == "blocked"
+
+
+def test_a_view_up_to_the_edge_of_the_pad_is_used_without_it(tmp_path: Path) -> None:
+    # 25.3 x 19.0 mm of a pad of 25.25 x 20.75 mm.
+    found = by_code(check(eight(sensor="gelsight_mini", mm_per_px=0.1585), tmp_path))
+    assert "scale_past_pad" not in found
+    assert found["pad_edge"].severity == Severity.WARNING
 
 
 def test_radius_and_scale_that_nobody_states(tmp_path: Path) -> None:

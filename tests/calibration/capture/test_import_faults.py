@@ -16,7 +16,7 @@ from taccel_lab.calibration.capture.importers.background_guess import guess_back
 from taccel_lab.calibration.capture.importers.label_tables import read_labels
 from taccel_lab.calibration.capture.records import kind_of_record, read_columns
 from taccel_lab.errors import InputError
-from taccel_lab.reading.images import image_size, read_image
+from taccel_lab.reading.images import read_image
 from tests.calibration.capture.capture_sets import gel, press, spread_circles, write_image
 from tests.calibration.capture.made_up_layouts import rvsathu
 
@@ -90,15 +90,6 @@ def test_sixteen_bits(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "float.tiff"), image.astype(np.float32) / 255)
     with pytest.raises(InputError, match=r"float\.tiff holds float32 values"):
         read_image(tmp_path / "float.tiff")
-
-
-def test_size_of_a_turned_image_is_that_of_what_is_read(tmp_path: Path) -> None:
-    image_module = pytest.importorskip("PIL.Image")
-    exif = image_module.Exif()
-    exif[0x0112] = 6
-    image_module.fromarray(levels(gel())).save(tmp_path / "turned.jpg", exif=exif)
-    height, width = read_image(tmp_path / "turned.jpg").shape[:2]
-    assert image_size(tmp_path / "turned.jpg") == (width, height)
 
 
 def test_tables_of_spreadsheets(tmp_path: Path) -> None:

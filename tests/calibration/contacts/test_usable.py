@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import CaptureSet
-from taccel_lab.calibration.contacts.usable import too_many_lost, usable_presses
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.contacts import fit
+from taccel_lab.calibration.contacts.usable import too_many_lost, usable_circles, usable_presses
 from taccel_lab.errors import InputError
-from tests.calibration.synthetic import synthetic_captures
+from tests.calibration.synthetic import GRID, press_image, synthetic_captures
 
 
 def with_empty_frames(captures: CaptureSet, which: set[int]) -> CaptureSet:
@@ -61,3 +63,39 @@ def test_contacts_that_the_border_cuts_are_left_out() -> None:
     assert len(kept.presses) == 7 and "out of the image" in remark.message
     assert not too_many_lost(10, [True] * 5) and too_many_lost(10, [True] * 6)
     assert not too_many_lost(10, [False]) and too_many_lost(10, [False] * 2)
+
+
+def with_cut_presses(captures: CaptureSet, circles: Mapping[int, ContactCircle]) -> CaptureSet:
+    """Some presses in other circles, which the border of the image may cut, labelled there."""
+    presses, rng = list(captures.presses), np.random.default_rng(4)
+    for i, circle in circles.items():
+        read = partial(np.copy, press_image(circle, rng)[0])
+        presses[i] = replace(presses[i], circle=circle, read=read)
+    return replace(captures, presses=tuple(presses))
+
+
+CUT = {2: ContactCircle(152.0, 60.0, 15.0), 7: ContactCircle(158.0, 116.0, 14.0)}
+
+
+def test_labelled_contacts_that_the_border_cuts_are_found_by_their_part_inside() -> None:
+    captures = with_cut_presses(synthetic_captures(10)[0], CUT)
+    usable = usable_circles(captures, cache=False)
+    assert len(usable.circles) == 10 and usable.remarks == []
+    for i, circle in CUT.items():
+        found, sigma_px = usable.contacts[i].circle, usable.contacts[i].center_sigma_px
+        assert found.center_gap_px(circle, GRID) < 1.0 + 3 * sigma_px
+        assert found.radius_px == pytest.approx(circle.radius_px, abs=2.0)
+    # Without a label nothing says that what is left of it is a contact's.
+    unlabelled = tuple(replace(press, circle=None) for press in captures.presses)
+    _, _, (remark,) = usable_presses(replace(captures, presses=unlabelled))
+    assert "2 of 10 presses were left out: p2, p7" in remark.message
+
+
+def test_a_contact_that_the_fit_loses_does_not_stop_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    captures = with_cut_presses(synthetic_captures(10)[0], CUT)
+    monkeypatch.setattr(fit, "MIN_LABELLED_VISIBLE", 0.6)
+    kept, _, (remark,) = usable_presses(captures)
+    assert "1 of 10 presses were left out: p7" in remark.message
+    assert len(kept.presses) == 9

@@ -125,6 +125,24 @@ def codes(result: DepthCalibration) -> dict[str, str]:
     return {remark.code: str(remark.severity) for remark in result.remarks}
 
 
+def test_a_dark_patch_that_the_border_cuts_is_read_where_its_label_puts_it() -> None:
+    cut = ContactCircle(GRID.width_px - 12.0, 70.0, 28.0)
+    captures = captures_of([*CIRCLES, cut])
+    result = fit_depth(captures, DepthOptions(zero="rim"))
+    assert len(result.presses) == len(CIRCLES) + 1 and result.presses[-1].given
+    assert result.presses[-1].mae_mm < 0.02
+    unlabelled = captures_of([*CIRCLES, cut], labelled=False)
+    for left_out in (
+        fit_depth(unlabelled, DepthOptions(zero="rim")),
+        fit_depth(captures, DepthOptions(zero="rim", circles="detected")),
+    ):
+        assert len(left_out.presses) == len(CIRCLES)
+        (message,) = [r.message for r in left_out.remarks if r.code == "presses_left_out"]
+        assert "p3" in message and "touches the image's border" in message
+    with pytest.raises(InputError, match="touches the image's border"):
+        fit_depth(captures_of([cut]), DepthOptions(circles="detected"))
+
+
 def test_labels_off_the_dark_patch_are_weak() -> None:
     captures = captures_of(CIRCLES, noise=0.5)
     assert (

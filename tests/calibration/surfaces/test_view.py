@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Images against the pad under them: one test for the check and for calibrations, before long
+work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taccel_lab.calibration import ball_presses
+from taccel_lab.calibration.base_profile import base_profile, captures_on_pad, on_grid
+from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
+from taccel_lab.calibration.color.fit import calibrate_color
+from taccel_lab.calibration.depth import fit as depth_fit
+from taccel_lab.calibration.normals.fit import calibrate_normals
+from taccel_lab.calibration.result import Severity
+from taccel_lab.calibration.simulate import simulate_presses
+from taccel_lab.calibration.surfaces.design import fitted_design, fitted_parameters
+from taccel_lab.calibration.surfaces.view import (
+    EDGE_MM,
+    OVERHANG_SHARE,
+    inside_mm,
+    looks_past_pad,
+    pixels_on_pad,
+    view_remarks,
+)
+from taccel_lab.envs import press_surface
+from taccel_lab.envs.physics import SURFACE_PHYSICS
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.scene import Element
+from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.sensors.registry import profile_parameters, sensor_families, sensor_family
+from tests.calibration.synthetic import GRID, flat_background, synthetic_captures, write_folder
+
+MINI = sensor_family("gelsight_mini").parameters()
+
+
+@settings(max_examples=30)
+@given(scale=st.floats(0.05, 0.1), v_px=st.floats(100, 140))
+def test_what_is_left_out_lies_beside_the_pad_or_at_its_edge(scale: float, v_px: float) -> None:
+    """For a lens whose middle is not over the pad's, too."""
+    grid = PixelGrid(320, 240, scale, scale, center_v_px=v_px)
+    x, y = np.meshgrid(grid.x_mm(), grid.y_mm())
+    exact = MINI.pad().inside_distance_mm(np.stack([x, y], axis=-1))
+    assert np.abs(inside_mm(MINI, grid) - exact)[exact < 1].max(initial=0) < 0.1
+    codes = {remark.code: remark.severity for remark in view_remarks(MINI, grid)}
+    least = exact.min()
+    near = [0.0, EDGE_MM, -OVERHANG_SHARE * 25.25]
+    if min(abs(least - limit) for limit in near) > 0.1:
+        expected = (
+            {"scale_past_pad": Severity.ERROR}
+            if least < near[2]
+            else {"pad_edge": Severity.WARNING}
+            if least < 0
+            else {"pad_edge": Severity.INFO}
+            if least < EDGE_MM
+            else {}
+        )
+        assert codes == expected
+
+
+def test_what_is_masked_does_not_count() -> None:
+    grid = PixelGrid(320, 240, 0.09, 0.09)
+    (past,) = view_remarks(MINI, grid)
+    assert past.severity == Severity.ERROR and "28.8 x 21.6 mm, more than" in past.message
+    assert view_remarks(MINI, grid, inside_mm(MINI, grid) > 1.0) == []
+
+
+@pytest.mark.parametrize("name", sensor_families())
+def test_cameras_of_the_catalogue_show_their_pads(name: str) -> None:
+    parameters = sensor_family(name).parameters()
+    found = view_remarks(parameters, parameters.grid())
+    # Domes are read beside their plan, but not simulated there.
+    assert [remark.blocks for remark in found] == [("color",)] * looks_past_pad(parameters)
+
+
+@pytest.mark.parametrize("size", [(320, 240), (240, 320)])
+@pytest.mark.parametrize("sensor", ["gelsight_mini", "digit", "flat_pad"])
+def test_the_check_looks_at_the_pad_that_is_simulated(sensor: str, size: tuple[int, int]) -> None:
+    grid = PixelGrid(*size, 0.05, 0.05)
+    profile = fitted_design(sensor, grid, {})
+    assert fitted_parameters(sensor, grid, {}).pad() == profile_parameters(profile).pad()
+    mask = np.ones(size[::-1], dtype=bool)
+    assert pixels_on_pad(profile, grid, mask) is mask
+
+
+@pytest.mark.parametrize("fault", ["view", "label"])
+@pytest.mark.parametrize(
+    "calibrate", [calibrate_color, calibrate_normals, depth_fit.calibrate_depth]
+)
+def test_calibrations_refuse_before_they_look_at_a_press(
+    calibrate: Callable[..., Any], fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image = flat_background().round().astype(np.uint8)
+    circle = ContactCircle(170.0, 60.0, 15.0) if fault == "label" else ContactCircle(80, 60, 15)
+    path = write_folder(tmp_path / "c", image, {"p": image}, {"p": circle})
+    manifest = path / "captures.toml"
+    if fault == "view":
+        stated = f"= {GRID.mm_per_px_x}"
+        manifest.write_text(manifest.read_text().replace(stated, "= 0.2"))
+    folder = load_capture_folder(path)
+    looked: list[object] = []
+    for module in (ball_presses, depth_fit):
+        monkeypatch.setattr(module, "capture_findings", lambda *_: looked.append(1) or [])
+    words = {"view": "32.0 x 24.0 mm, more than the pad", "label": "its centre has to be inside"}
+    with pytest.raises(InputError, match=words[fault]):
+        calibrate(folder, base_profile(None, folder))
+    assert not looked
+
+
+def test_pixels_that_the_pressed_pad_leaves_are_of_no_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a GelSight Mini's does at the corners of an image of 0.078 mm/px."""
+    captures, _ = synthetic_captures(1)
+    circles = [press.circle for press in captures.presses if press.circle is not None]
+    base = on_grid(catalogue_profile("gelsight"), GRID, {})
+    quick = replace(SURFACE_PHYSICS, element=Element.LINEAR)
+    whole = press_surface.press_surface
+
+    def without_a_corner(*given: Any) -> press_surface.PressSurface:
+        seen = whole(*given)
+        seen.height_m[0, :2] = seen.normals[0, 0] = np.nan
+        return seen
+
+    monkeypatch.setattr(press_surface, "press_surface", without_a_corner)
+    with pytest.raises(InputError, match=r"memory: p0: .* leaves 2 pixels of the image; press far"):
+        simulate_presses(captures, circles, base, physics=quick, processes=1)
+    captures.mask[0, :2] = False
+    (surface,) = simulate_presses(captures, circles, base, physics=quick, processes=1)
+    assert surface.height_m[0, 0] == surface.height_m[1, 0]
+    assert np.array_equal(surface.normals[0, 0], surface.normals[1, 0])
+
+
+def test_an_image_up_to_the_edge_is_used_without_it() -> None:
+    base = catalogue_profile("gelsight")
+    wide = replace(synthetic_captures(1)[0], grid=PixelGrid(160, 120, 0.15, 0.15))
+    kept = captures_on_pad(wide, base).mask
+    inside = inside_mm(profile_parameters(base), wide.grid)
+    assert not kept[inside < 0].any() and kept[inside > 1].all() and not kept.all()
