@@ -139,15 +139,8 @@ class SignalTactile:
             rest = None if solver is None else solver.model.scene.soft_body(gel).nodal_rest_m
             options = {"rest_positions_m": rest, "first_node": first_node, "device": self.device}
             self._dots = DotPainter(dots, markers, mesh, grid, **options)
-        self._surface = SeenSurface(
-            mesh,
-            grid,
-            rows=self.chunk_envs,
-            first_node=first_node,
-            mode=mode,
-            device=self.device,
-            fine=fine,
-        )
+        options = {"first_node": first_node, "mode": mode, "device": self.device, "fine": fine}
+        self._surface = SeenSurface(mesh, grid, rows=self.chunk_envs, **options)
         self._painter: DeviceColorModel | None = None
         self._projection: MarkerProjection | None = None
         self._solver, self._gel = solver, gel
@@ -420,8 +413,9 @@ class SignalTactile:
 
     def _look(self, part: slice) -> tuple[wp.array, wp.array]:
         """What pixels show of a chunk, now and at rest."""
-        every = self._surface.fine is None and not len(self._envs)
-        envs = self._all_envs if every else (self._envs if len(self._envs) else self._numbers)[part]
+        envs = self._all_envs
+        if len(self._envs) or self._surface.fine is not None:
+            envs = (self._envs if len(self._envs) else self._numbers)[part]
         return self._surface.chunk(self._positions, self._state, self._frames, envs, part)
 
     def _render(self, names: list[str]) -> None:
