@@ -35,7 +35,8 @@ class Press:
 
     sensor: Positional[str]
     """Profile folder, or a sensor of the catalogue, which has no colour model yet: its image is
-    the one that the optical model predicts (predicted.png)."""
+    the one that the optical model predicts (predicted.png). Dots of the gel are written to
+    markers.csv and drawn in markers.png."""
     out: Path
     """Folder to write; an earlier one is replaced when everything is done. A press that stops on
     its way leaves its finished steps there, and says where and why in press.json."""
@@ -106,6 +107,7 @@ class Press:
         import time
         from functools import cache, partial
 
+        from taccel_lab.camera.gel_camera import camera_of, face_of
         from taccel_lab.cli.console import say_first_look
         from taccel_lab.envs import parse_indenter, profile_material, simulate_press
         from taccel_lab.envs.fitted_physics import physics_difference
@@ -161,7 +163,8 @@ class Press:
             scene = write_scene(folder, family, gel, indenter, self.at_mm, first_mm, aim)
             say_first_look(console, scene)
             started = time.perf_counter()
-            rest = rest_surface(profile.mesh, profile.grid())
+            camera = camera_of(profile)
+            rest = rest_surface(profile.mesh, face_of(camera))
 
             def press(physics: PressPhysics, path: PressPath, told: Told) -> PressOutcome:
                 gel = mesh(physics, path.depth_mm)
@@ -171,7 +174,7 @@ class Press:
                     indenter,
                     self.at_mm,
                     path,
-                    profile.grid(),
+                    camera,
                     friction_coefficient=friction,
                     physics=physics,
                     designed_rest=rest,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.camera.gel_camera import GelCamera
 from taccel_lab.datasets.motion import rolled_mm
 from taccel_lab.datasets.sensor import Sensor
 from taccel_lab.datasets.view import View
@@ -103,7 +104,7 @@ def _patch_forces(view: View) -> np.ndarray:
     found = np.zeros((len(view.who), rows * columns, 3))
     for row, env in enumerate(view.who.tolist()):
         loaded = np.flatnonzero(np.abs(view.forces_n[row]).sum(axis=1) > 0)
-        uv = view.grid(env).pixel_from_gel(view.positions_m[row, loaded, :2] * 1e3)
+        uv = view.camera(env).pixel_from_gel(view.positions_m[row, loaded] * 1e3)
         size = np.array([view.sensor.grid.width_px, view.sensor.grid.height_px])
         place = (uv + 0.5) / size * [columns, rows] - 0.5
         place = place.clip(0, [columns - 1, rows - 1])
@@ -234,3 +235,8 @@ def check_channels(output: Output, sensor: Sensor) -> None:
 def grid_record(grid: PixelGrid) -> dict[str, Any]:
     """A pixel grid as JSON."""
     return {name: getattr(grid, name) for name in PixelGrid.__dataclass_fields__}
+
+
+def camera_record(camera: GelCamera | PixelGrid) -> dict[str, Any] | None:
+    """What sees the gel in perspective, as JSON; None where pixels are those of the grid."""
+    return None if isinstance(camera, PixelGrid) else camera.record()

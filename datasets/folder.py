@@ -239,7 +239,7 @@ def is_as_written(path: Path, table: Any) -> bool:
 
 
 def _about(plan: Plan) -> dict[str, Any]:
-    from taccel_lab.datasets.channels import channels_of, grid_record
+    from taccel_lab.datasets.channels import camera_record, channels_of, grid_record
 
     spec = plan.spec
     return {
@@ -273,6 +273,7 @@ def _about(plan: Plan) -> dict[str, Any]:
                         "poisson_ratio": unit.poisson_ratio,
                         "friction_coefficient": unit.friction_coefficient,
                         "grid": grid_record(sensor.unit_grid(index)),
+                        "camera": camera_record(sensor.unit_camera(index)),
                     }
                     for index, unit in enumerate(sensor.units)
                 ],

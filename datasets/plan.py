@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from taccel_lab.datasets.channels import check_channels
+from taccel_lab.datasets.channels import camera_record, check_channels
 from taccel_lab.datasets.motion import Motion
 from taccel_lab.datasets.placing import Placing, view_range_mm
 from taccel_lab.datasets.sensor import UNITS_KEY, Sensor, sensor_of
@@ -287,7 +287,10 @@ class Plan:
     def recipe(self) -> dict[str, Any]:
         """All that the data depend on, as JSON."""
         spec = self.spec.model_dump(mode="json")
+        cameras = [camera_record(sensor.camera) for sensor in self.sensors]
         return {
+            # Not with data of earlier versions, whose channels saw a gel along its normal.
+            **({"cameras": cameras} if any(cameras) else {}),
             "format": FORMAT,
             "tool_version": __version__,
             "spec": spec,

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.camera.gel_camera import View, camera_of, face_of
 from taccel_lab.envs import profile_material
 from taccel_lab.envs.measured_ranges import measured_ranges
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.scene import Material, MaterialField
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.dots import PaintedDots
+from taccel_lab.signals.dots import PaintedDots, radius_px
 from taccel_lab.signals.gel_faces import marker_points_mm
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.perturbation import Perturbation, draw_perturbation
@@ -59,33 +60,48 @@ class Sensor:
     material_of: Callable[[TetMesh], Material | MaterialField]
     friction_coefficient: float
     grid: PixelGrid
-    """Pixels of the images."""
+    """Pixels of the images, laid over the gel."""
+    camera: View
+    """What those pixels see: that grid, or the gel in perspective."""
     color: tuple[ColorModel, np.ndarray] | None = None
     """Colour model and image of the untouched gel without its dots, levels, both on ``grid``."""
     dots: PaintedDots | None = None
     """That the camera sees; ``marker_places_mm`` has their places."""
     optics: OpticalDesign | None = None
-    """Predicts images where there is no colour model."""
+    """Predicts images where there is no colour model; its camera is ``camera``."""
     painted: MarkerGrid | None = None
     """Markers on the gel; 8 x 6 imagined ones, which images do not show, when None."""
     units: tuple[Unit, ...] = (Unit(),)
     noise_levels: float = 0.0
     """Measured standard deviation of a pixel."""
+    _cameras: dict[int, View] = field(default_factory=dict)
     _rests: dict[PixelGrid, RestSurface] = field(default_factory=dict)
 
     def marker_places_mm(self) -> np.ndarray:
         """Gel xy of the markers that the camera sees [mm], [marker, 2]."""
         points = marker_points_mm(self.grid) if self.painted is None else self.painted.points_mm()
-        return points[self.grid.contains(points) & MarkerLayout.where_on(self.mesh, points)[1]]
+        return points[MarkerLayout.seen_on(self.mesh, points, self.camera)[1]]
 
     def unit_grid(self, unit: int) -> PixelGrid:
-        """Pixels of a unit."""
+        """Pixels of a unit, laid over the gel."""
         light = self.units[unit].light
         return self.grid if light is None else light.grid(self.grid, 0)
 
+    def unit_camera(self, unit: int) -> View:
+        """What the pixels of a unit see; the same object at each call."""
+        if unit not in self._cameras:
+            grid, camera = self.unit_grid(unit), self.camera
+            if grid == self.grid:
+                self._cameras[unit] = camera
+            else:
+                self._cameras[unit] = (
+                    grid if isinstance(camera, PixelGrid) else camera.regridded(self.grid, grid)
+                )
+        return self._cameras[unit]
+
     def rest(self, unit: int) -> RestSurface:
-        """The untouched face under the pixels of a unit."""
-        grid = self.unit_grid(unit)
+        """The untouched face that the pixels of a unit are computed on."""
+        grid = face_of(self.unit_camera(unit))
         if grid not in self._rests:
             self._rests[grid] = rest_surface(self.mesh, grid)
         return self._rests[grid]
@@ -118,6 +134,7 @@ def sensor_of(
         material_of=lambda mesh: profile_material(profile.material, mesh),
         friction_coefficient=profile.material.friction_coefficient,
         grid=grid,
+        camera=camera_of(profile).resized(width, height),
         color=color,
         optics=None if color else profile.optical_design(),
         painted=painted,
@@ -127,9 +144,7 @@ def sensor_of(
     if color is None or painted is None:
         return sensor
     places = grid.pixel_from_gel(sensor.marker_places_mm())
-    dots = PaintedDots.cut_out(
-        color[1], places, painted.radius_mm / float(np.sqrt(grid.mm_per_px_x * grid.mm_per_px_y))
-    )
+    dots = PaintedDots.cut_out(color[1], places, radius_px(painted.radius_mm, grid))
     return replace(sensor, color=(color[0], dots.clean_rgb), dots=dots)
 
 

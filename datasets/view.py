@@ -12,10 +12,12 @@ from functools import cached_property
 
 import numpy as np
 
+from taccel_lab.camera.gel_camera import GelCamera, face_of
+from taccel_lab.camera.gel_camera import View as Pixels
 from taccel_lab.datasets.sensor import Sensor
 from taccel_lab.datasets.touch import Touch
 from taccel_lab.envs.press import PressEnv, PressError
-from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
+from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.outputs import Outputs
 from taccel_lab.outputs.surface_load import SurfaceLoad
@@ -59,13 +61,13 @@ class View:
         self._outputs = Outputs(env.solver)
         self.face_nodes = np.unique(env.mesh.region_faces(Region.CONTACT))
         """Nodes of the contact face, [face_node]."""
-        self._tactile: dict[PixelGrid, SignalTactile] = {}
-        self._fine: dict[PixelGrid, FineSurface] = {}
+        self._tactile: dict[Pixels, SignalTactile] = {}
+        self._fine: dict[Pixels, FineSurface] = {}
         self._optical: dict[int, OpticalModel] = {}
         body = env.model.scene.soft_body(0)
-        self._layout = MarkerLayout.from_points(
-            body.nodal_mesh, sensor.marker_places_mm(), body.nodal_rest_m
-        )
+        places, mesh, rests = sensor.marker_places_mm(), body.nodal_mesh, body.nodal_rest_m
+        layout = MarkerLayout.from_points(mesh, places, rests)
+        self._layout = layout.over(sensor.mesh, places, mesh, rests)
         self.who = np.zeros(0, dtype=np.int64)
         self.step = 0
         self.touching = False
@@ -177,9 +179,9 @@ class View:
 
     # Surfaces --------------------------------------------------------------------------------
 
-    def grid(self, env: int) -> PixelGrid:
-        """Pixels of an environment's images."""
-        return self.sensor.unit_grid(self.touches[env].unit)
+    def camera(self, env: int) -> Pixels:
+        """What the pixels of an environment's images see."""
+        return self.sensor.unit_camera(self.touches[env].unit)
 
     @cached_property
     def contact_area_m2(self) -> np.ndarray:
@@ -187,52 +189,55 @@ class View:
         area = np.zeros(len(self.who))
         if self.touching:
             self.tactile("contact")
-            for grid, chosen in self._rows_by_grid().items():
-                area[chosen] = self._fine[grid].contact_area_m2[self.who[chosen]]
+            for view, chosen in self._rows_by_view().items():
+                area[chosen] = self._fine[view].contact_area_m2[self.who[chosen]]
         return area
 
-    def _rows_by_grid(self) -> dict[PixelGrid, list[int]]:
-        rows: dict[PixelGrid, list[int]] = {}
+    def _rows_by_view(self) -> dict[Pixels, list[int]]:
+        rows: dict[Pixels, list[int]] = {}
         for row, env in enumerate(self.who.tolist()):
-            rows.setdefault(self._shown_grid(env), []).append(row)
+            rows.setdefault(self._shown_view(env), []).append(row)
         return rows
 
-    def _shown_grid(self, env: int) -> PixelGrid:
-        """Pixels that surfaces are read on: those of the images, or coarser for the area in contact
-        alone."""
-        grid = self.grid(env)
-        if self._images or grid.width_px <= COARSE_PX:
+    def _shown_view(self, env: int) -> Pixels:
+        """Pixels that surfaces are read on: those of the images, or coarser ones over the gel for
+        the area in contact alone."""
+        camera = self.camera(env)
+        if self._images:
+            return camera
+        grid = face_of(camera)
+        if grid.width_px <= COARSE_PX:
             return grid
         return grid.resized(COARSE_PX, max(2, round(grid.height_px * COARSE_PX / grid.width_px)))
 
-    def _signals_of(self, grid: PixelGrid, env: int) -> SignalTactile:
-        """The signals on one of the grids, which that environment is seen on."""
-        if grid not in self._tactile:
+    def _signals_of(self, view: Pixels, env: int) -> SignalTactile:
+        """The signals of one of the views, which that environment is seen in."""
+        if view not in self._tactile:
             body = self.env.model.scene.kinematic_bodies[0].name
             rest = self.sensor.rest(self.touches[env].unit) if self._images else None
-            fine = FineSurface(self.env.solver, body, grid, designed_rest=rest)
+            fine = FineSurface(self.env.solver, body, view, designed_rest=rest)
             model, background = (self._images and self.sensor.color) or (None, None)
-            self._fine[grid] = fine
-            self._tactile[grid] = SignalTactile.from_solver(
+            self._fine[view] = fine
+            self._tactile[view] = SignalTactile.from_solver(
                 self.env.solver,
-                grid,
+                view,
                 fine=fine,
                 color_model=model,
                 background_rgb=background,
                 markers=self._layout,
                 dots=None if model is None else self.sensor.dots,
             )
-        return self._tactile[grid]
+        return self._tactile[view]
 
     def tactile(self, name: str) -> np.ndarray:
         """A signal of ``SignalTactile`` by its name, a row each."""
         rows: np.ndarray | None = None
-        for grid, chosen in self._rows_by_grid().items():
-            signal = self._signals_of(grid, int(self.who[chosen[0]]))
+        for view, chosen in self._rows_by_view().items():
+            signal = self._signals_of(view, int(self.who[chosen[0]]))
             shown = np.zeros(len(self.touches), dtype=bool)
             shown[self.who[chosen]] = True
-            if grid not in self._pointed:
-                self._pointed.add(grid)
+            if view not in self._pointed:
+                self._pointed.add(view)
                 signal.update(self.env.state, who=shown)
                 # All that is going to be asked for, as the surface is sampled once for it.
                 signal.read(*self._signals)
@@ -247,7 +252,7 @@ class View:
         return rows
 
     @cached_property
-    def _pointed(self) -> set[PixelGrid]:
+    def _pointed(self) -> set[Pixels]:
         """Signals that look at this step."""
         return set()
 
@@ -274,12 +279,12 @@ class View:
     def _predicted(self, env: int) -> np.ndarray:
         """The image that the optical model expects."""
         sensor = self.sensor
-        assert sensor.optics is not None
+        camera = self.camera(env)
+        assert sensor.optics is not None and isinstance(camera, GelCamera)
         if env not in self._optical:
-            size = (sensor.grid.width_px, sensor.grid.height_px)
-            self._optical[env] = OpticalModel(
-                sensor.optics, self.meshes[env], size_px=size, markers=sensor.painted
-            )
+            options = {"markers": sensor.painted, "designed": sensor.mesh}
+            mesh = self.meshes[env]
+            self._optical[env] = OpticalModel.through(camera, sensor.optics, mesh, **options)
         row = int(np.searchsorted(self.who, env))
         return self._optical[env].render(self.positions_m[row]).rgb
 
@@ -288,11 +293,7 @@ class View:
     @cached_property
     def markers_px(self) -> np.ndarray:
         """Where the markers are (u, v), [row, marker, 2]."""
-        nodes, weights = self._layout.by_rest()
-        found = []
-        for row, env in enumerate(self.who.tolist()):
-            gel = env % len(nodes)
-            corners = self.positions_m[row][nodes[gel]]
-            points = (corners * weights[gel][..., None]).sum(axis=1)
-            found.append(self.grid(env).pixel_from_gel(points[:, :2] * 1e3))
-        return np.stack(found)
+        return np.stack([
+            self.camera(env).pixel_from_gel(self._layout.places_mm(self.positions_m[row], env))
+            for row, env in enumerate(self.who.tolist())
+        ])  # fmt: skip

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from taccel_lab.camera.gel_camera import GelCamera, View
+from taccel_lab.camera.media import glued_back_mm, media_between
 from taccel_lab.envs.press_force import by_power_law
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.sensors.base import FamilyParameters
@@ -101,6 +103,19 @@ class Evidence:
             model = view_model(self.parameters, record, device=record.device)
             self.changes[key] = picture_change(model, record, steps), record.moved_m
         return self.changes[key][0]
+
+    def marker_motion_px(self, record: PressRecord, steps: Sequence[int]) -> np.ndarray:
+        """Motion of the markers since rest in the camera's image [px], [step, marker, 2]: in
+        perspective, where the family has optics."""
+        layout = MarkerLayout.from_points(record.mesh, self.marker_points_mm())
+        grid, design = self.parameters.grid(), self.parameters.optics()
+        view: View = grid
+        if design is not None:
+            media = media_between(design, glued_back_mm(record.mesh))
+            view = GelCamera(design.camera, media, grid)
+        shapes = np.stack([record.rest_m, *(record.positions_m(step) for step in steps)])
+        places = view.pixel_from_gel(layout.places_mm(shapes))
+        return places[1:] - places[0]
 
     def marker_points_mm(self) -> np.ndarray:
         """Gel xy of the markers that the camera sees, shape [marker, 2].
@@ -199,10 +214,3 @@ def profile_mm(record: PressRecord, half_mm: float) -> tuple[np.ndarray, np.ndar
     """x [mm], and the change of height [mm] at full depth, negative in a dent: ``section_mm``."""
     x, (rest, pressed) = section_mm(record, half_mm, [record.down.stop - 1])
     return x, pressed - rest
-
-
-def marker_motion_mm(record: PressRecord, points_mm: np.ndarray, steps: list[int]) -> np.ndarray:
-    """Gel xy motion of points of the contact face since rest [mm], [len(steps), point, 2]."""
-    layout = MarkerLayout.from_points(record.mesh, points_mm)
-    moved = record.moved_m[steps][:, layout.nodes].astype(np.float64)
-    return (moved * layout.weights[..., None]).sum(axis=2)[..., :2] * 1e3

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.camera.gel_camera import GelCamera, View
 from taccel_lab.datasets.folder import ABOUT
 from taccel_lab.datasets.part import STEPS
 from taccel_lab.datasets.reading import Dataset
@@ -28,7 +29,7 @@ def read_touch(data: Dataset, episode: int) -> GelStates:
     root, number = data.folders[row["folder"]].root, row["episode"]
     if len(rows) == 0:
         raise InputError(f"{root}: touch {number} has no step in {STEPS}")
-    grid = _grid(data, row)
+    view = _view(data, row)
     nodes, faces = data.mesh(episode)
     rest = 1e3 * nodes.astype(np.float64)
     steps = len(rows)
@@ -38,7 +39,7 @@ def read_touch(data: Dataset, episode: int) -> GelStates:
         moved = data.read("node_moved_mm", rows).astype(np.float64)[:, : len(rest)]
     if "depth_mm" in data.channels:
         depth = data.read("depth_mm", rows).astype(np.float64)
-        sunk = np.stack([_sampled(image, grid, rest) for image in depth])
+        sunk = np.stack([_sampled(image, view, rest) for image in depth])
         fields.append(Field("depth image", "mm", sunk))
         if "node_moved_mm" not in data.channels:
             moved[..., 2] = -np.nan_to_num(sunk)
@@ -50,7 +51,7 @@ def read_touch(data: Dataset, episode: int) -> GelStates:
         rgb = data.read("rgb", rows)
         markers = None
         if "markers_px" in data.channels:
-            scale = np.array([rgb.shape[2] / grid.width_px, rgb.shape[1] / grid.height_px])
+            scale = np.array([rgb.shape[2] / view.width_px, rgb.shape[1] / view.height_px])
             markers = (data.read("markers_px", rows) + 0.5) * scale - 0.5
         images = SensorImages(rgb, markers)
     return GelStates(
@@ -60,18 +61,21 @@ def read_touch(data: Dataset, episode: int) -> GelStates:
         moved_mm=moved,
         captions=_captions(data, rows),
         fields=fields,
-        forces_n=_forces(data, rows, grid, rest),
+        forces_n=_forces(data, rows, view, rest),
         images=images,
     ).checked(f"{root}: touch {number}")
 
 
-def _grid(data: Dataset, row: dict[str, Any]) -> PixelGrid:
-    """The pixels of the unit that was touched."""
+def _view(data: Dataset, row: dict[str, Any]) -> View:
+    """What the pixels of the unit that was touched see."""
     folder = data.folders[row["folder"]]
     try:
         units = data.about[row["folder"]]["sensors"][row["sensor_index"]]["units"]
         unit = units[row["unit"]] if len(units) > 1 else units[0]
-        return PixelGrid(**unit["grid"])
+        # None for the grid, and in data sets of earlier versions.
+        if unit.get("camera") is None:
+            return PixelGrid(**unit["grid"])
+        return GelCamera.of_record(unit["camera"])
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise InputError(
             f"{folder.root / ABOUT} does not describe sensor {row['sensor_index']}, unit "
@@ -88,21 +92,19 @@ def _captions(data: Dataset, rows: np.ndarray) -> list[str]:
     ]
 
 
-def _sampled(image: np.ndarray, grid: PixelGrid, points_mm: np.ndarray) -> np.ndarray:
+def _sampled(image: np.ndarray, view: View, points_mm: np.ndarray) -> np.ndarray:
     """A picture of the gel's pixels at points [n, 3], by the nearest pixel; NaN beside it."""
     height, width = image.shape
-    u, v = grid.pixel_from_gel(points_mm[:, :2]).T
-    column = np.round((u + 0.5) * width / grid.width_px - 0.5).astype(int)
-    row = np.round((v + 0.5) * height / grid.height_px - 0.5).astype(int)
+    size = np.array([width / view.width_px, height / view.height_px])
+    places = (view.pixel_from_gel(points_mm) + 0.5) * size - 0.5
+    column, row = np.round(np.nan_to_num(places, nan=-1.0)).astype(int).T
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     values = np.full(len(points_mm), np.nan)
     values[inside] = image[row[inside], column[inside]]
     return values
 
 
-def _forces(
-    data: Dataset, rows: np.ndarray, grid: PixelGrid, rest_mm: np.ndarray
-) -> np.ndarray | None:
+def _forces(data: Dataset, rows: np.ndarray, view: View, rest_mm: np.ndarray) -> np.ndarray | None:
     """Of the object on the nodes [N], [step, node, 3]: the negative of what the object feels."""
     if "node_forces_n" in data.channels:
         return -data.read("node_forces_n", rows).astype(np.float64)[:, : len(rest_mm)]
@@ -110,12 +112,12 @@ def _forces(
         return None
     patches = -data.read("patch_forces_n", rows).astype(np.float64)
     down, across = patches.shape[1:3]
-    u = (np.arange(across) + 0.5) * grid.width_px / across - 0.5
-    v = (np.arange(down) + 0.5) * grid.height_px / down - 0.5
-    x = (u - grid.center_u_px) * grid.mm_per_px_x
-    y = (v - grid.center_v_px) * grid.mm_per_px_y
-    middles = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    away = np.linalg.norm(middles[:, None] - rest_mm[None, :, :2], axis=2)
+    u = (np.arange(across) + 0.5) * view.width_px / across - 0.5
+    v = (np.arange(down) + 0.5) * view.height_px / down - 0.5
+    middles = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    seen = view.pixel_from_gel(rest_mm)
+    away = np.linalg.norm(middles[:, None] - seen[None], axis=2)
+    away = np.nan_to_num(away, nan=np.inf)
     nearest = away.argmin(axis=1)
     found = np.zeros((len(rows), *rest_mm.shape))
     for step in range(len(rows)):

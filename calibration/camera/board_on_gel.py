@@ -23,9 +23,9 @@ from taccel_lab.calibration.camera.plane_fit import (
 )
 from taccel_lab.calibration.camera.plane_models import BentHomography, CameraPose, PlaneModel
 from taccel_lab.calibration.result import Estimate, Remark
+from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.optics.refraction import FlatMedia
 
 MIN_POINTS = 8
 DISTORTED = 0.02

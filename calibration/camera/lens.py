@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.camera.options import LensName
+from taccel_lab.camera.camera_model import CameraModel
 from taccel_lab.errors import InputError
-from taccel_lab.optics.camera_model import CameraModel
 from taccel_lab.profile.optical_design import Camera
 
 

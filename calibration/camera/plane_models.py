@@ -16,8 +16,8 @@ import numpy as np
 
 from taccel_lab.calibration.camera.lens import Lens
 from taccel_lab.calibration.camera.planar_pose import planar_poses
+from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
-from taccel_lab.optics.refraction import FlatMedia
 
 _LEAST_DISTANCE_MM = 0.1
 

@@ -15,13 +15,13 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
+from taccel_lab.camera.camera_model import CameraModel, resized
+from taccel_lab.camera.gel_camera import profile_media
+from taccel_lab.camera.media import without_refraction
+from taccel_lab.camera.refraction import Media
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region
-from taccel_lab.optics.camera_model import CameraModel, resized
-from taccel_lab.optics.media import glued_back_mm, media_between, without_refraction
-from taccel_lab.optics.refraction import Media
-from taccel_lab.profile import OpticsBlock, SensorProfile
-from taccel_lab.profile.optical_design import Light, OpticalDesign
+from taccel_lab.profile import SensorProfile
 
 _FLAT_MM = 0.01
 _STEPS = 40
@@ -117,7 +117,7 @@ def camera_view(
         raise InputError("the profile has no camera to look through (block optics)")
     camera = optics.camera()
     _require_shape("camera", (camera.width_px, camera.height_px), size_px)
-    media = _media(profile, optics)
+    media = profile_media(profile, optics)
     return CameraView(
         CameraModel(resized(camera, *size_px)),
         media if refraction else without_refraction(media),
@@ -126,18 +126,6 @@ def camera_view(
         + ("through window and gel" if refraction else "sight lines straight"),
         _relative_sigma(profile, ("mm_per_px_x", "mm_per_px_y")),
     )
-
-
-def _media(profile: SensorProfile, optics: OpticsBlock) -> Media:
-    """What lies between camera and gel; lights and coating have no part in it."""
-    light = Light((0.0, 0.0, -1.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0))
-    design = OpticalDesign(
-        camera=optics.camera(),
-        lights=(light,),
-        window=None if profile.window is None else profile.window.window(),
-        gel_refractive_index=optics.gel_refractive_index,
-    )
-    return media_between(design, glued_back_mm(profile.mesh))
 
 
 def _require_shape(what: str, theirs: tuple[int, int], size_px: tuple[int, int]) -> None:

@@ -17,8 +17,8 @@ from taccel_lab.sensors.base import NO_FIGURE
 class CameraParameters(ParameterSet):
     """The camera over the middle of the gel, and the tactile image that is made of its pictures.
 
-    The tactile image is orthographic over gel xy. Its scale and the focal length describe the same
-    thing, seen from the image and from the lens; ``scale_from`` says which of them rules.
+    The scale of the tactile image, at the apex, and the focal length describe the same thing, seen
+    from the image and from the lens; ``scale_from`` says which of them rules.
     """
 
     parameter_group: ClassVar[str] = "camera"

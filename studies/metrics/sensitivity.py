@@ -10,7 +10,6 @@ from taccel_lab.studies.evidence import (
     at_load,
     contact_radius_mm,
     dent_mm,
-    marker_motion_mm,
 )
 from taccel_lab.studies.metrics.base import metric
 
@@ -44,10 +43,9 @@ def sensitivity_px(evidence: Evidence) -> float:
 )  # fmt: skip
 def sensitivity_marker_px(evidence: Evidence) -> float:
     """Largest |motion| in the image."""
-    record, grid = evidence.one("sphere"), evidence.parameters.grid()
-    steps = list(range(record.down.stop))
-    moved = marker_motion_mm(record, evidence.marker_points_mm(), steps)
-    pixels = np.linalg.norm(moved / [grid.mm_per_px_x, grid.mm_per_px_y], axis=-1).max(axis=1)
+    record = evidence.one("sphere")
+    moved = evidence.marker_motion_px(record, range(record.down.stop))
+    pixels = np.linalg.norm(moved, axis=-1).max(axis=1)
     return at_load(record, pixels, evidence.load_n) / evidence.load_n
 
 

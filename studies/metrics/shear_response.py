@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from taccel_lab.studies.evidence import Evidence, marker_motion_mm
+from taccel_lab.studies.evidence import Evidence
 from taccel_lab.studies.metrics.base import NoFigure, metric
 from taccel_lab.studies.press_record import PressRecord
 
@@ -59,10 +59,10 @@ def shear_response_mm(evidence: Evidence) -> float:
 )  # fmt: skip
 def shear_response_px(evidence: Evidence) -> float:
     """Motion in the image between the last step down and the most shear."""
-    record, grid = evidence.one("shear"), evidence.parameters.grid()
+    record = evidence.one("shear")
     start, end, force = _stuck_shear(record)
-    before, after = marker_motion_mm(record, evidence.marker_points_mm(), [start, end])
-    pixels = (after - before) / [grid.mm_per_px_x, grid.mm_per_px_y]
+    before, after = evidence.marker_motion_px(record, [start, end])
+    pixels = after - before
     return float(np.linalg.norm(pixels, axis=-1).max()) / force
 
 

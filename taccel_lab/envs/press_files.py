@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.camera.gel_camera import GelCamera, camera_of
+from taccel_lab.envs.press_markers import MARKERS, PressMarkers
 from taccel_lab.envs.press_outcome import PressOutcome
 from taccel_lab.envs.press_states import STATES, PressStates, write_states
 from taccel_lab.geometry import Region
@@ -21,6 +23,7 @@ from taccel_lab.report import (
     draw_force_depth,
     draw_height_map,
     draw_image,
+    draw_markers,
     draw_normals,
     save_figure,
 )
@@ -71,12 +74,22 @@ def write_press(
         "contact_forces_n": outcome.contact_forces_n,
         "contact_pressures_pa": outcome.contact_pressures_pa,
     }
+    seen: np.ndarray | None = None
     if rgb is not None:
-        arrays["rgb"] = eight_bit(rgb)
+        seen = arrays["rgb"] = eight_bit(rgb)
         save_figure(draw_image(rgb, grid), folder / "image.png")
         write_rgb(folder / "image_raw.png", rgb)
     else:
-        _write_predicted(folder / "predicted.png", profile, outcome)
+        model = _optical_model(profile, outcome, PREDICTED_PX)
+        if model is not None:
+            seen = model.render(outcome.positions_m).rgb
+            write_rgb(folder / "predicted.png", seen)
+    markers = PressMarkers.of(profile, outcome.mesh, outcome.positions_m[None])
+    if markers is not None:
+        arrays |= markers.arrays()
+        markers.write_csv(folder / MARKERS)
+        figure = draw_markers(seen, markers.image_px, markers.rest_px, markers.places_px[-1])
+        save_figure(figure, folder / "markers.png")
     np.savez_compressed(folder / "signals.npz", **arrays)
     write_mesh_vtu(
         folder / "gel.vtu",
@@ -122,28 +135,25 @@ def write_press(
             "mesh": {"node_count": outcome.mesh.node_count, "tet_count": outcome.mesh.tet_count},
             "physics": outcome.physics.record(),
             "press": outcome.figures(),
+            "markers": None if markers is None else markers.figures(),
             "indenter_pose": outcome.indenter_pose,
             "tool_version": __version__,
         },
     )
 
 
-def _write_predicted(path: Path, profile: SensorProfile, outcome: PressOutcome) -> None:
-    """The picture that the optical model of an uncalibrated sensor expects, if it has one."""
-    model = _optical_model(profile, outcome, PREDICTED_PX)
-    if model is not None:
-        write_rgb(path, model.render(outcome.positions_m).rgb)
-
-
 def _optical_model(
     profile: SensorProfile, outcome: PressOutcome, longest_px: int
 ) -> OpticalModel | None:
-    design = profile.optical_design()
-    if design is None:
+    """What predicts the pictures of an uncalibrated sensor, through its one camera; None where it
+    has no optics."""
+    design, camera = profile.optical_design(), camera_of(profile)
+    if design is None or not isinstance(camera, GelCamera):
         return None
-    size = design.camera.size_within(longest_px)
+    seen = camera.resized(*camera.camera.size_within(longest_px))
     markers = None if profile.markers is None else profile.markers.grid()
-    return OpticalModel(design, outcome.mesh, size_px=size, markers=markers)
+    options = {"markers": markers, "designed": profile.mesh}
+    return OpticalModel.through(seen, design, outcome.mesh, **options)
 
 
 def _write_states(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.camera.gel_camera import View
 from taccel_lab.envs.indenter import Indenter
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.envs.press import PressEnv
@@ -16,7 +17,7 @@ from taccel_lab.envs.press_path import PressPath
 from taccel_lab.envs.press_states import PressStates
 from taccel_lab.envs.press_surface import PressSurface, press_surface
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
+from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.ipc.potentials.inversion import smallest_ratios
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Material, MaterialField
@@ -150,7 +151,7 @@ def simulate_press(
     indenter: Indenter,
     at_mm: tuple[float, float],
     path: PressPath,
-    grid: PixelGrid,
+    grid: View,
     *,
     friction_coefficient: float = 0.0,
     physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
@@ -167,7 +168,8 @@ def simulate_press(
     Where a step fails, or an interrupt comes, ``stopped`` is given the steps before, if there are
     any, and what can be read at their end; the error goes on.
 
-    ``designed_rest`` is the pad's contact face on ``grid`` where ``mesh`` draws it more coarsely,
+    ``grid``: the pixels, laid over the gel, or the camera that they are of. ``designed_rest`` is
+    the pad's contact face on ``face_of(grid)`` where ``mesh`` draws it more coarsely,
     see ``RestCorrection``. ``progress`` is told step, step count and what the step gave.
     ``keep_states`` keeps gel, loads and pixels of every step, at 0.1 to 0.3 s each.
     """

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.envs.press_markers import PressMarkers
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.output import atomic_file
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Ball, sphere_mesh
-from taccel_lab.signals.markers import MarkerLayout
 
 if TYPE_CHECKING:
     from taccel_lab.envs.indenter import Indenter
@@ -115,10 +115,9 @@ def write_states(
     arrays["indenter_vertices_m"], arrays["indenter_faces"] = tool_surface(indenter)
     if images is not None:
         arrays["images"] = images
-    if profile.markers is not None:
-        grid = profile.grid()
-        arrays["markers_px"] = markers_px(mesh, positions, profile)
-        arrays["image_px"] = np.array([grid.width_px, grid.height_px])
+    markers = PressMarkers.of(profile, mesh, positions)
+    if markers is not None:
+        arrays["markers_px"], arrays["image_px"] = markers.places_px, np.array(markers.image_px)
     with atomic_file(path) as staging, open(staging, "wb") as file:
         np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
 
@@ -129,15 +128,3 @@ def tool_surface(indenter: Indenter) -> tuple[np.ndarray, np.ndarray]:
     if isinstance(shape, Ball):
         shape = sphere_mesh(shape.radius_m, shape.radius_m / BALL_EDGES)
     return shape.vertices_m, shape.faces
-
-
-def markers_px(
-    mesh: TetMesh | QuadraticMesh, positions_m: np.ndarray, profile: SensorProfile
-) -> np.ndarray:
-    """Where the profile's markers are (u, v) [px], [step, marker, 2], at ``positions_m``
-    [step, node, 3]."""
-    assert profile.markers is not None
-    grid = profile.grid()
-    layout, _ = MarkerLayout.where_on(mesh, profile.markers.grid().points_mm())
-    points = (positions_m[:, layout.nodes] * layout.weights[..., None]).sum(axis=2)
-    return grid.pixel_from_gel(points[..., :2] * 1e3)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from taccel_lab.camera.gel_camera import View
 from taccel_lab.envs.indenter import Indenter
 from taccel_lab.envs.press import PressEnv
 from taccel_lab.geometry import PixelGrid
@@ -40,11 +41,12 @@ class PressSurface:
 def press_surface(
     env: PressEnv,
     indenter: Indenter,
-    grid: PixelGrid,
+    grid: View,
     designed_rest: RestSurface | None = None,
     number: int = 0,
 ) -> PressSurface:
-    """What ``grid`` shows of environment ``number`` of a press that has converged.
+    """What the pixels of ``grid``, or of a camera, show of environment ``number`` of a press that
+    has converged; at rest, of the points that they show now.
 
     ``designed_rest``: see ``simulate_press``.
     """
@@ -58,11 +60,10 @@ def press_surface(
     )
     signal = SignalTactile.from_solver(env.solver, grid, fine=fine)
     signal.update(env.state, who=np.arange(env.model.env_count) == number)
-    height, normals, contact, pressure = (
-        array.numpy()[0] for array in signal.read("height_m", "normals", "contact", "pressure_pa")
+    height, normals, contact = (
+        array.numpy()[0] for array in signal.read("height_m", "normals", "contact")
     )
-    rest = fine.rest_samples.numpy().astype(np.float64)
-    force = float(pressure.sum(dtype=np.float64)) * 1e-6 * grid.mm_per_px_x * grid.mm_per_px_y
+    rest = signal.rest_samples().numpy()[0].astype(np.float64)
     return PressSurface(
         height_m=height.astype(np.float64),
         rest_height_m=rest[..., 2],
@@ -70,7 +71,7 @@ def press_surface(
         rest_normals=normals_from_slopes(rest[..., :2]),
         contact_mask=contact.astype(bool),
         contact_radius_m=math.sqrt(fine.contact_area_m2[number] / math.pi),
-        fine_force_n=None if indenter.texture is None else force,
+        fine_force_n=None if indenter.texture is None else fine.pressed_n,
     )
 
 

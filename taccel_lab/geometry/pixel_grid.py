@@ -74,7 +74,7 @@ class PixelGrid:
         )
 
     def pixel_from_gel(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Pixel coordinates (u, v) of gel xy [mm], shape [..., 2]."""
+        """Pixel coordinates (u, v), [..., 2], of gel xy [mm], [..., 2], or of points, [..., 3]."""
         xy = np.asarray(xy_mm, dtype=np.float64)
         return np.stack(
             [
@@ -85,7 +85,7 @@ class PixelGrid:
         )
 
     def contains(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Whether points of the gel [mm], [..., 2], lie in the image, bool, [...]."""
+        """Whether points of the gel [mm], [..., 2] or [..., 3], lie in the image, bool, [...]."""
         u, v = np.moveaxis(self.pixel_from_gel(xy_mm), -1, 0)
         inside = (u > -0.5) & (u < self.width_px - 0.5)
         return inside & (v > -0.5) & (v < self.height_px - 0.5)

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.profile import OpticsBlock, SensorProfile
+from taccel_lab.camera.gel_camera import apparent_distance_mm
+from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.units import m_from_mm
 
 
@@ -61,23 +62,3 @@ def effective_camera(profile: SensorProfile) -> EffectiveCamera | None:
         fx_px=distance_mm / grid.mm_per_px_x,
         fy_px=distance_mm / grid.mm_per_px_y,
     )
-
-
-def apparent_distance_mm(optics: OpticsBlock, profile: SensorProfile) -> float:
-    """From the centre of projection to the gel along the optical axis, as it seems from the lens.
-
-    Focal length times mm/px, of the mean of both axes. The intrinsics may be of another image than
-    the tactile one, which was then cut out of it or made smaller; which of the two is told by what
-    paraxial refraction leaves of the true distance.
-    """
-    grid = profile.grid()
-    scale = np.array([grid.mm_per_px_x, grid.mm_per_px_y])
-    focal = np.array([optics.fx_px, optics.fy_px])
-    smaller = np.array([grid.width_px / optics.width_px, grid.height_px / optics.height_px])
-    cut, resized = (float(np.sqrt(np.prod(pixels * scale))) for pixels in (focal, focal * smaller))
-    axis_z = abs(optics.camera().gel_from_camera()[2, 2])
-    lifted = profile.gel.thickness_mm * (1 - 1 / optics.gel_refractive_index)
-    if profile.window is not None:
-        lifted += profile.window.thickness_mm * (1 - 1 / profile.window.refractive_index)
-    expected = (-optics.position_mm[2] - lifted) / max(axis_z, 1e-3)
-    return min(cut, resized, key=lambda distance: abs(distance - expected))

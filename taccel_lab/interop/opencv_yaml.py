@@ -11,27 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.interop.effective_camera import apparent_distance_mm
+from taccel_lab.camera.gel_camera import rectified_matrix
 from taccel_lab.interop.record import ExportRecord, required
-from taccel_lab.profile import OpticsBlock, SensorProfile
+from taccel_lab.profile import SensorProfile
 
 PEER = "OpenCV 4 and 5, cv2.FileStorage"
 MEASURED = ("calibrated", "measured")
 """Kinds of blocks that say something about the unit at hand."""
-
-
-def rectified_matrix(optics: OpticsBlock, profile: SensorProfile) -> np.ndarray:
-    """Camera matrix of a view along the gel's normal that shows the profile's pixel grid."""
-    grid = profile.grid()
-    x, y, _ = optics.position_mm
-    depth_mm = apparent_distance_mm(optics, profile) * optics.camera().gel_from_camera()[2, 2]
-    return np.array(
-        [
-            [depth_mm / grid.mm_per_px_x, 0.0, grid.center_u_px + x / grid.mm_per_px_x],
-            [0.0, depth_mm / grid.mm_per_px_y, grid.center_v_px + y / grid.mm_per_px_y],
-            [0.0, 0.0, 1.0],
-        ]
-    )
 
 
 def export_opencv(profile: SensorProfile, folder: Path) -> ExportRecord:

@@ -85,7 +85,7 @@ class SensorTactile:
         if profile is None:
             self._signal = SignalTactile(mesh, grid, **options)
         else:
-            self._signal = _of_profile(profile, mesh, grid, options)
+            self._signal = _of_profile(profile, mesh, options)
         self.grid = grid
         """Pixels."""
         self.face_nodes = np.unique(mesh.region_faces(Region.CONTACT))
@@ -142,11 +142,13 @@ class SensorTactile:
         return self._solver.outputs.soft_wrenches().numpy()[self._world, self._index].copy()
 
 
-def _of_profile(profile: SensorProfile, mesh: Any, grid: Any, options: dict[str, Any]) -> Any:
-    """Of the gel's own mesh, which has more nodes than the profile's where it is quadratic."""
+def _of_profile(profile: SensorProfile, mesh: Any, options: dict[str, Any]) -> Any:
+    """Of the gel's own mesh, which has more nodes than the profile's where it is quadratic; through
+    the profile's camera."""
+    from taccel_lab.camera.gel_camera import camera_of
     from taccel_lab.signals.color_model import ColorModel
 
     colors = ColorModel.from_profile(profile)
     if colors is not None and profile.background_rgb is not None:
         options |= {"color_model": colors, "background_rgb": profile.background_rgb}
-    return SignalTactile(mesh, grid, **options)
+    return SignalTactile(mesh, camera_of(profile), **options)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.optics.refraction import FlatMedia
+from taccel_lab.camera.refraction import FlatMedia
 
 if TYPE_CHECKING:
     from taccel_lab.optics.render import LightField, OpticalModel

@@ -10,6 +10,7 @@ lights, against the deformed face.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any
@@ -17,21 +18,22 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.errors import InputError
-from taccel_lab.geometry import QuadraticMesh, TetMesh
-from taccel_lab.optics.camera_model import CameraModel, resized
-from taccel_lab.optics.coating import marker_factor, turbid_reflectance
-from taccel_lab.optics.display import Display, WhiteBalance, exposed
-from taccel_lab.optics.frames import LightField, PreviewImage
-from taccel_lab.optics.light_samples import sample_lights
-from taccel_lab.optics.media import (
+from taccel_lab.camera.camera_model import CameraModel, resized
+from taccel_lab.camera.gel_camera import GelCamera
+from taccel_lab.camera.media import (
     OUTSIDE_INDEX,
     flat_back_z_mm,
     glued_back_mm,
     media_between,
     without_refraction,
 )
-from taccel_lab.optics.refraction import FlatMedia, Media
+from taccel_lab.camera.refraction import FlatMedia, Media
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import QuadraticMesh, TetMesh
+from taccel_lab.optics.coating import marker_factor, turbid_reflectance
+from taccel_lab.optics.display import Display, WhiteBalance, exposed
+from taccel_lab.optics.frames import LightField, PreviewImage
+from taccel_lab.optics.light_samples import sample_lights
 from taccel_lab.optics.shading_kernels import Gloss, Layers, hit_kernel, light_kernel
 from taccel_lab.optics.surface import FineFace, GelFace, height_face
 from taccel_lab.profile.optical_design import MarkerGrid, OpticalDesign
@@ -57,6 +59,8 @@ class OpticalModel:
         white_balance: WhiteBalance = "gray",
         face: FineFace | None = None,
         back_mm: np.ndarray | None = None,
+        media: Media | None = None,
+        designed: TetMesh | None = None,
         device: Any = "cpu",
     ) -> None:
         """
@@ -74,6 +78,9 @@ class OpticalModel:
             white_balance: gray or none; see ``exposed``.
             face: A rigid face in place of a mesh's, such as a formula's; see ``from_formula``.
             back_mm: Points on the glued back of ``face`` [mm], shape [n, 3].
+            media: What bends sight lines; window and gel of the design when None. Light goes
+                through those in any case.
+            designed: The gel as designed, where ``mesh`` is coarser; see ``GelFace``.
             device: Warp device.
 
         Raises:
@@ -95,12 +102,12 @@ class OpticalModel:
         self._gel: GelFace | None = None
         self._grid_mm: tuple[np.ndarray, np.ndarray] | None = None
         if mesh is not None:
-            self._gel = GelFace(mesh, device=device)
+            self._gel = GelFace(mesh, designed=designed, device=device)
             face, back_mm = self._gel.rest, glued_back_mm(mesh)
         if face is None or back_mm is None:
             raise InputError("an optical model needs a mesh, or a face with the points of its back")
         self.rest_face = face
-        bent_media = media_between(design, back_mm)
+        bent_media = media or media_between(design, back_mm)
         self.media: Media = bent_media if refraction else without_refraction(bent_media)
         self._back_z_mm = flat_back_z_mm(back_mm)
         self._layers = self._light_layers(refraction)
@@ -116,6 +123,19 @@ class OpticalModel:
         )
         """Exposure of all frames."""
         self._rest_linear = linear
+
+    @classmethod
+    def through(
+        cls,
+        camera: GelCamera,
+        design: OpticalDesign,
+        mesh: TetMesh | QuadraticMesh,
+        **options: Any,
+    ) -> OpticalModel:
+        """Model of a design whose picture is that of ``camera``, as all its other channels are;
+        ``options`` as of the constructor."""
+        seen = dataclasses.replace(design, camera=camera.camera)
+        return cls(seen, mesh, media=camera.media, **options)
 
     @classmethod
     def from_formula(

@@ -55,7 +55,12 @@ class GelFace:
     """Turns node positions of a tet mesh into the fine face that the camera sees."""
 
     def __init__(
-        self, mesh: TetMesh | QuadraticMesh, cuts: int | None = None, *, device: Any = "cpu"
+        self,
+        mesh: TetMesh | QuadraticMesh,
+        cuts: int | None = None,
+        *,
+        designed: TetMesh | None = None,
+        device: Any = "cpu",
     ) -> None:
         """
         Args:
@@ -63,6 +68,8 @@ class GelFace:
                 the skin: where layer 0 meets the others.
             cuts: Parts that each edge is cut into; as many as make them ``FINE_EDGE_MM`` long, at
                 most ``MAX_CUTS``, when None.
+            designed: The gel as designed, where ``mesh`` draws a curved face with longer chords:
+                the face is moved along z, and turned, by what that leaves out at rest.
             device: Warp device of the network that smooths the face.
 
         Raises:
@@ -87,7 +94,11 @@ class GelFace:
         self._normals_from_controls = _bernstein(barycentric, _QUADRATIC)
         offsets = np.arange(len(self._faces))[:, None, None] * len(barycentric)
         self.triangles = (pattern[None] + offsets).reshape(-1, 3).astype(np.int32)
+        self._lift: tuple[np.ndarray, np.ndarray] | None = None
         self.rest = self.at(mesh.nodes_m)
+        if designed is not None and designed is not mesh:
+            self._lift = _lift_between(self.rest, GelFace(designed, device=device).rest)
+            self.rest = self.at(mesh.nodes_m)
         """The face of the undeformed gel."""
 
     def at(self, positions_m: np.ndarray) -> FineFace:
@@ -105,9 +116,14 @@ class GelFace:
         controls, quadratic = _pn_controls(corners, normals, self._split[self._faces])
         points = np.einsum("kc,fcx->fkx", self._positions_from_controls, controls)
         fine = np.einsum("kc,fcx->fkx", self._normals_from_controls, quadratic)
-        return FineFace(
-            points.reshape(-1, 3), _unit(fine.reshape(-1, 3)), self.triangles, self._edge_mm
-        )
+        points, fine = points.reshape(-1, 3), _unit(fine.reshape(-1, 3))
+        if self._lift is not None:
+            rise, slopes = self._lift
+            points[:, 2] += rise
+            # Of a height over x and y: what turns a slope by a slope.
+            fine[:, :2] -= np.maximum(fine[:, 2:], 0.0) * slopes
+            fine = _unit(fine)
+        return FineFace(points, fine, self.triangles, self._edge_mm)
 
     def _corner_normals(self, nodes: np.ndarray, corners: np.ndarray) -> np.ndarray:
         """Unit normal of every corner of every face, [face, 3, 3]."""
@@ -143,6 +159,22 @@ class GelFace:
         z = np.ascontiguousarray(nodes[None, :, 2])
         height = wp.array(z, dtype=wp.float64, device=self._device)
         return recover_gradients(points, height, *self._rings).numpy()[0]
+
+
+def _lift_between(drawn: FineFace, designed: FineFace) -> tuple[np.ndarray, np.ndarray] | None:
+    """How much higher [mm], [vertex], and steeper along x and y, [vertex, 2], a designed face is
+    than a drawn one at the same places; None for faces that are no function of x and y."""
+    if min(drawn.normals[:, 2].min(), designed.normals[:, 2].min()) < _STEEPEST:
+        return None
+    from scipy.interpolate import LinearNDInterpolator
+
+    def surface(face: FineFace) -> np.ndarray:
+        slopes = -face.normals[:, :2] / face.normals[:, 2:]
+        return np.concatenate([face.points_mm[:, 2:], slopes], axis=1)
+
+    there = LinearNDInterpolator(designed.points_mm[:, :2], surface(designed))
+    away = np.nan_to_num(there(drawn.points_mm[:, :2]) - surface(drawn))
+    return away[:, 0], away[:, 1:]
 
 
 def seen_faces(mesh: TetMesh | QuadraticMesh) -> np.ndarray:

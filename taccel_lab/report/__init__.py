@@ -7,6 +7,7 @@ from taccel_lab.report.figures import (
     draw_force_depth,
     draw_height_map,
     draw_image,
+    draw_markers,
     draw_normals,
 )
 from taccel_lab.report.style import save_figure
@@ -16,6 +17,7 @@ __all__ = [
     "draw_force_depth",
     "draw_height_map",
     "draw_image",
+    "draw_markers",
     "draw_normals",
     "save_figure",
     "write_report",

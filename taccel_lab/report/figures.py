@@ -17,6 +17,7 @@ from taccel_lab.report.model import ForceDepth
 from taccel_lab.report.style import (
     BLUE,
     INK,
+    ORANGE,
     in_report_style,
     new_figure,
 )
@@ -70,6 +71,41 @@ def draw_image(rgb: np.ndarray, grid: PixelGrid, title: str = "Tactile image") -
     _check_image("rgb", rgb, grid, 3)
     figure, axes = _map_axes(grid, title)
     axes.imshow(as_uint8(rgb), extent=_extent_mm(grid))
+    return figure
+
+
+@in_report_style
+def draw_markers(
+    rgb: np.ndarray | None,
+    size_px: tuple[int, int],
+    rest_px: np.ndarray,
+    now_px: np.ndarray,
+    title: str = "Markers",
+) -> Figure:
+    """Where dots were at rest and where they are, over the image where there is one.
+
+    Args:
+        rgb: RGB levels 0..255, [row, column, 3], of any size; None for none.
+        size_px: Width and height of the image that pixels are of.
+        rest_px: Columns and rows (u, v) at rest, [marker, 2].
+        now_px: The same now; NaN for one that is not seen.
+        title: Of the figure.
+    """
+    width, height = size_px
+    figure, axes = new_figure(6.4, 0.8 + 5.4 * height / width)
+    axes.set_title(title)
+    axes.set_xlabel("u [px]")
+    axes.set_ylabel("v [px]")
+    if rgb is not None:
+        axes.imshow(as_uint8(rgb), extent=(-0.5, width - 0.5, height - 0.5, -0.5))
+    axes.plot(*rest_px.T, "o", mfc="none", mec=BLUE, ms=4, label="at rest")
+    axes.plot(*now_px.T, "+", color=ORANGE, ms=5, label="now")
+    for rest, now in zip(rest_px, now_px, strict=True):
+        axes.plot([rest[0], now[0]], [rest[1], now[1]], color=ORANGE, lw=0.9)
+    axes.set_xlim(-0.5, width - 0.5)
+    axes.set_ylim(height - 0.5, -0.5)
+    axes.set_aspect("equal")
+    figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 

@@ -288,8 +288,8 @@ class ContactFields:
         self._face_at_pixel = scratch(pixels, wp.int32)
         self._everyone = wp.full(chunk_envs, 1, dtype=wp.int32, device=device)
 
-    def make(self, name: str, env_count: int) -> wp.array:
-        """Memory of a signal.
+    def make(self, name: str, shape: tuple[int, int, int]) -> wp.array:
+        """Memory of a signal, [env_count, height_px, width_px].
 
         Raises:
             InputError: Sliding of a scene without friction.
@@ -299,7 +299,6 @@ class ContactFields:
                 f"{name} needs friction: give the bodies of the scene a friction coefficient "
                 "above 0"
             )
-        shape = (env_count, self._grid.height_px, self._grid.width_px)
         return wp.empty(shape, dtype=_DTYPES[name], device=self._device)
 
     def read_nodes(self, state: State, names: set[str]) -> None:

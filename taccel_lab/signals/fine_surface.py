@@ -27,7 +27,8 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.bodies.material import MaterialField
-from taccel_lab.geometry import PixelGrid, Region
+from taccel_lab.camera.gel_camera import View, face_of
+from taccel_lab.geometry import Region
 from taccel_lab.model.turns import in_turn
 from taccel_lab.outputs.arrays import to_torch
 from taccel_lab.outputs.contact_layer import mean_gaps
@@ -126,7 +127,7 @@ class FineSurface:
         self,
         solver: SolverIPC,
         body: str,
-        grid: PixelGrid,
+        grid: View,
         *,
         gel: int = 0,
         texture: Texture | None = None,
@@ -138,12 +139,12 @@ class FineSurface:
         Args:
             solver: It keeps the forces of its last step.
             body: Name of the rigid body that touches, of the scene.
-            grid: Pixels of the image.
+            grid: Pixels of the image, or the camera that sees it: then those over its gel.
             gel: Index of the gel among the soft bodies.
             texture: What stands out of the body's surface, which is its mean; the body must be
                 kinematic. The solver does not know of it.
-            designed_rest: The gel's contact face on ``grid`` where its mesh draws it more coarsely,
-                see ``RestCorrection``.
+            designed_rest: The gel's contact face on those pixels where its mesh draws it more
+                coarsely, see ``RestCorrection``.
             points: A pixel is the mean over ``points`` x ``points`` samples; as many as lie
                 ``SAMPLE_MM`` apart (``BALL_SAMPLE_MM``) when None.
             env_count: Most environments of one call; when None all of the model, as far as they
@@ -155,7 +156,9 @@ class FineSurface:
         model = solver.model
         soft = model.scene.soft_body(gel)
         mesh = soft.nodal_mesh
-        self._solver, self._grid = solver, grid
+        grid = self.grid = face_of(grid)
+        """Pixels over the gel."""
+        self._solver = solver
         if points is None:
             smooth = texture is None and is_ball(model, body)
             sample_mm = BALL_SAMPLE_MM if smooth else SAMPLE_MM
@@ -192,16 +195,15 @@ class FineSurface:
         young, poisson = near_moduli(soft)
         compliance = layer_compliance(fine, young, poisson, pad_thickness_m(soft))
         self._compliance = to_torch(wp.array(compliance, dtype=wp.float32, device=device))
-        self._coarse_pa = self._fields.make("pressure_pa", rows)
+        over = (rows, fine.height_px, fine.width_px)
+        self._coarse_pa = self._fields.make("pressure_pa", over)
         shape = (rows, grid.height_px, grid.width_px)
         self._samples = wp.empty(shape, dtype=wp.vec3f, device=device)
         self._pressure = wp.empty(shape, dtype=wp.float32, device=device)
         self._touched = wp.empty(shape, dtype=wp.bool, device=device)
         self._counts = wp.zeros(model.env_count, dtype=wp.int32, device=device)
         self._gaps: Any = None
-        self._no_slopes = wp.full(
-            (rows, fine.height_px, fine.width_px), wp.vec2f(wp.nan), dtype=wp.vec2f, device=device
-        )
+        self._no_slopes = wp.full(over, wp.vec2f(wp.nan), dtype=wp.vec2f, device=device)
         self._corrections = wp.empty((0, 0, 0), dtype=wp.vec3f, device=device)
         meshed = self._rest_of(at_rest, 0)
         self.rest_samples = wp.array(meshed, dtype=wp.vec3f, device=device)
@@ -220,9 +222,17 @@ class FineSurface:
     def contact_area_m2(self) -> np.ndarray:
         """Area in contact of the environments that were sampled last [m2], [env_count]; waits for
         the device."""
-        grid = self._grid
+        grid = self.grid
         pixel_m2 = 1e-6 * grid.mm_per_px_x * grid.mm_per_px_y
         return self._counts.numpy() * (pixel_m2 / self.points**2)
+
+    @property
+    def pressed_n(self) -> float:
+        """Sum of the pressures of the first environment that was sampled last, over the pixels of
+        the face: force along its normal [N]; waits for the device."""
+        grid = self.grid
+        pixel_m2 = 1e-6 * grid.mm_per_px_x * grid.mm_per_px_y
+        return float(self._pressure.numpy()[0].sum(dtype=np.float64)) * pixel_m2
 
     @in_turn
     def update(self, state: State) -> None:
@@ -289,7 +299,7 @@ class FineSurface:
         self, height: Any, pressure: Any, slopes: wp.array, corrections: wp.array, envs: wp.array
     ) -> tuple[wp.array, ...]:
         """What pixels show of samples; heights and pressures are tensors of float32."""
-        grid = self._grid
+        grid = self.grid
         sizes = 1e-3 / self.points * np.array([grid.mm_per_px_x, grid.mm_per_px_y])
         outputs = [array[: len(envs)] for array in (self._samples, self._pressure, self._touched)]
         surface = [wp.from_torch(height), wp.from_torch(pressure), slopes]

@@ -2,8 +2,7 @@
 """Markers painted on the gel: points of its contact faces, seen by the camera.
 
 A marker keeps its place in its face, so its position is the same weighted mean of the face's nodes
-in every shape of the gel, which is where finite elements put that material point. The camera of a
-profile is orthographic (``PixelGrid``).
+in every shape of the gel, which is where finite elements put that material point.
 """
 
 # Warp compiles the kernels from their source; its type stubs describe neither vectors' operators
@@ -13,16 +12,17 @@ profile is orthographic (``PixelGrid``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from taccel_lab.camera.gel_camera import View
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
+from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.model.env_rows import chosen_env
-from taccel_lab.signals.raster import GridMap, grid_map, pixel_of
+from taccel_lab.signals.eye import Eye, eye_of, seen_at
 
 wp.set_module_options({"enable_backward": False})
 
@@ -39,6 +39,9 @@ class MarkerLayout:
     environments have gels of other shapes, whose cells lie elsewhere."""
     weights: np.ndarray
     """Their weights, sum one, float64, of the same shape."""
+    lifts_m: np.ndarray | None = None
+    """How far the designed face stands over the mesh's at rest, along z [m], float64, of the shape
+    but for the last axis: a coarse mesh draws a curved face with chords. 0 when None."""
 
     @property
     def count(self) -> int:
@@ -49,6 +52,67 @@ class MarkerLayout:
         if self.nodes.ndim == 2:
             return self.nodes[None], self.weights[None]
         return self.nodes, self.weights
+
+    def lifts_by_rest(self) -> np.ndarray:
+        """``lifts_m``, [rest_count, marker]."""
+        nodes, _ = self.by_rest()
+        lifts = np.zeros(nodes.shape[:-1]) if self.lifts_m is None else self.lifts_m
+        return lifts.reshape(nodes.shape[:-1])
+
+    def over(
+        self,
+        designed: TetMesh | QuadraticMesh,
+        xy_mm: np.ndarray,
+        mesh: TetMesh | QuadraticMesh,
+        rest_positions_m: np.ndarray | None = None,
+    ) -> MarkerLayout:
+        """The same markers, at ``xy_mm`` [marker, 2], on the face of the ``designed`` gel, which
+        ``mesh``, or those of ``rest_positions_m``, draw more coarsely."""
+        flat, there = MarkerLayout.where_on(designed, xy_mm)
+        height_m = np.full(len(there), np.nan)
+        height_m[there] = 1e-3 * flat.places_mm(designed.nodes_m)[:, 2]
+        nodes, weights = self.by_rest()
+        rests = mesh.nodes_m[None] if rest_positions_m is None else rest_positions_m
+        meshed = [
+            (rest[of, 2] * weight).sum(axis=-1)
+            for rest, of, weight in zip(rests, nodes, weights, strict=False)
+        ]
+        lifts = np.nan_to_num(height_m - np.stack(meshed))
+        return replace(self, lifts_m=lifts.reshape(self.nodes.shape[:-1]))
+
+    @classmethod
+    def seen_on(
+        cls,
+        mesh: TetMesh | QuadraticMesh,
+        xy_mm: np.ndarray,
+        view: View,
+        rest_positions_m: np.ndarray | None = None,
+        designed: TetMesh | QuadraticMesh | None = None,
+    ) -> tuple[MarkerLayout, np.ndarray]:
+        """Place the markers that lie on the undeformed contact face, in every environment, and that
+        a view shows there.
+
+        Arguments and results are those of ``where_on``; ``designed``: see ``over``.
+        """
+        xy = np.asarray(xy_mm, dtype=np.float64)
+        layout, chosen = cls.where_on(mesh, xy, rest_positions_m)
+        if designed is not None and designed is not mesh:
+            layout = layout.over(designed, xy[chosen], mesh, rest_positions_m)
+        rest_m = mesh.nodes_m if rest_positions_m is None else rest_positions_m[0]
+        shown = view.contains(layout.places_mm(rest_m))
+        chosen[chosen] = shown
+        lifts = None if layout.lifts_m is None else layout.lifts_m[..., shown]
+        return cls(layout.nodes[..., shown, :], layout.weights[..., shown, :], lifts), chosen
+
+    def places_mm(self, positions_m: np.ndarray, gel: int = 0) -> np.ndarray:
+        """Where the markers are [mm], [..., marker, 3], with nodes at ``positions_m``
+        [..., node, 3]; ``gel``: which of the rest shapes the gel has."""
+        nodes, weights = self.by_rest()
+        gel %= len(nodes)
+        corners = np.asarray(positions_m, dtype=np.float64)[..., nodes[gel], :]
+        places = (corners * weights[gel][..., None]).sum(axis=-2)
+        places[..., 2] += self.lifts_by_rest()[gel]
+        return 1e3 * places
 
     @classmethod
     def from_points(
@@ -150,7 +214,8 @@ def _project_markers_kernel(
     envs: wp.array(dtype=wp.int32),
     nodes: wp.array3d(dtype=wp.int32),
     weights: wp.array2d(dtype=wp.vec3d),
-    grid: GridMap,
+    lifts: wp.array2d(dtype=wp.float64),
+    eye: Eye,
     # Out
     markers_px: wp.array2d(dtype=wp.vec2f),
 ):
@@ -162,7 +227,8 @@ def _project_markers_kernel(
     point += w[1] * positions[env, nodes[gel, marker, 1]]
     point += w[2] * positions[env, nodes[gel, marker, 2]]
     point = in_gel_frame(frames, env, point)
-    pixel = pixel_of(grid, point)
+    point[2] += lifts[gel, marker]
+    pixel = seen_at(eye, point)
     markers_px[row, marker] = wp.vec2f(wp.float32(pixel[0]), wp.float32(pixel[1]))
 
 
@@ -170,12 +236,12 @@ class MarkerProjection:
     """Pixel positions of markers; one launch for all environments that are asked for."""
 
     def __init__(
-        self, layout: MarkerLayout, grid: PixelGrid, *, env_count: int, first_node: int, device: Any
+        self, layout: MarkerLayout, view: View, *, env_count: int, first_node: int, device: Any
     ) -> None:
         """
         Args:
             layout: Where the markers are painted.
-            grid: Pixels of the image.
+            view: The camera that sees them.
             env_count: Number of environments.
             first_node: Of the gel in the arrays of positions.
             device: Warp device.
@@ -183,12 +249,13 @@ class MarkerProjection:
         Raises:
             InputError: The layout is of another number of gels.
         """
-        self._grid = grid_map(grid)
+        self._eye = eye_of(view)
         nodes, weights = layout.by_rest()
         if len(nodes) not in (1, env_count):
             raise InputError(f"markers of {len(nodes)} gels, but there are {env_count}")
         self._nodes = wp.array(nodes + first_node, dtype=wp.int32, device=device)
         self._weights = wp.array(weights, dtype=wp.vec3d, device=device)
+        self._lifts = wp.array(layout.lifts_by_rest(), dtype=wp.float64, device=device)
         self.markers_px = wp.empty((env_count, layout.count), dtype=wp.vec2f, device=device)
         """Columns and rows (u, v) [px], vec2f, shape [env, marker]."""
 
@@ -202,7 +269,7 @@ class MarkerProjection:
         wp.launch(
             _project_markers_kernel,
             dim=(count, self.markers_px.shape[1]),
-            inputs=[positions, frames, envs, self._nodes, self._weights, self._grid],
+            inputs=[positions, frames, envs, self._nodes, self._weights, self._lifts, self._eye],
             outputs=[self.markers_px],
             device=self.markers_px.device,
         )

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.signals.raster import GridMap, pixel_xy
+from taccel_lab.signals.raster import GridMap, pixel_xy, place_xy
 
 wp.set_module_options({"enable_backward": False})
 
@@ -31,17 +31,18 @@ def height_kernel(
 @wp.kernel
 def depth_kernel(
     samples: wp.array3d(dtype=wp.vec3f),
-    rest_samples: wp.array2d(dtype=wp.vec3f),
+    rest_samples: wp.array3d(dtype=wp.vec3f),
     # Out
     depth_m: wp.array3d(dtype=wp.float32),
 ):
     env, v, u = wp.tid()
-    depth_m[env, v, u] = rest_samples[v, u][2] - samples[env, v, u][2]
+    depth_m[env, v, u] = rest_samples[env % rest_samples.shape[0], v, u][2] - samples[env, v, u][2]
 
 
 @wp.kernel
 def points_kernel(
     samples: wp.array3d(dtype=wp.vec3f),
+    places: wp.array3d(dtype=wp.vec2f),
     grid: GridMap,
     # Out
     points_m: wp.array3d(dtype=wp.vec3f),
@@ -52,6 +53,11 @@ def points_kernel(
     if not wp.isnan(height):
         xy = pixel_xy(grid, u, v)
         point = wp.vec3f(float(xy[0]), float(xy[1]), height)
+        if places:
+            # Of the face that a perspective camera looks at.
+            place = places[env, v, u]
+            xy = place_xy(grid, wp.float64(place[0]), wp.float64(place[1]))
+            point = wp.vec3f(float(xy[0]), float(xy[1]), height)
     points_m[env, v, u] = point
 
 

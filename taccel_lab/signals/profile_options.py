@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.camera.gel_camera import View, camera_of
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.dots import DotPainter, PaintedDots, radius_px
@@ -32,20 +33,28 @@ def profile_options(
     own = own or {}
     found: dict[str, Any] = {}
     model, grid = ColorModel.from_profile(profile), profile.grid()
+    view = profile_view(profile, own)
     if model is not None and profile.background_rgb is not None:
         found |= {"color_model": model, "background_rgb": profile.background_rgb}
     if profile.markers is not None:
         points = profile.markers.grid().points_mm()
-        points = points[grid.contains(points)]
-        found["markers"], on_gel = MarkerLayout.where_on(mesh, points, rest_positions_m)
+        found["markers"], seen = MarkerLayout.seen_on(
+            mesh, points, view, rest_positions_m, profile.mesh
+        )
         if "background_rgb" in found and own.keys().isdisjoint(found):
             dots = PaintedDots.cut_out(
                 found["background_rgb"],
-                grid.pixel_from_gel(points[on_gel]),
+                grid.pixel_from_gel(points[seen]),
                 radius_px(profile.markers.radius_mm, grid),
             )
             found |= {"dots": dots, "background_rgb": dots.clean_rgb}
     return found | dict(own)
+
+
+def profile_view(profile: SensorProfile, own: Mapping[str, Any]) -> View:
+    """What the pixels of a profile's signals see: its camera, or, with colours of one's own, which
+    are of its pixel grid, that."""
+    return profile.grid() if "color_model" in own else camera_of(profile)
 
 
 def image_painter(

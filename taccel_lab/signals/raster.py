@@ -55,12 +55,17 @@ def xy_of(p: wp.vec3d) -> wp.vec2d:
 
 
 @wp.func
+def place_xy(grid: GridMap, u: wp.float64, v: wp.float64) -> wp.vec2d:
+    """Gel xy of pixel coordinates [m]."""
+    return wp.vec2d(
+        (u - grid.center_px[0]) / grid.px_per_m[0], (v - grid.center_px[1]) / grid.px_per_m[1]
+    )
+
+
+@wp.func
 def pixel_xy(grid: GridMap, u: int, v: int) -> wp.vec2d:
     """Gel xy of a pixel centre [m]."""
-    return wp.vec2d(
-        (wp.float64(u) - grid.center_px[0]) / grid.px_per_m[0],
-        (wp.float64(v) - grid.center_px[1]) / grid.px_per_m[1],
-    )
+    return place_xy(grid, wp.float64(u), wp.float64(v))
 
 
 @wp.func

@@ -12,11 +12,13 @@ fixed size.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
+from taccel_lab.camera.gel_camera import View, face_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.model.env_rows import chosen_envs
@@ -28,9 +30,10 @@ from taccel_lab.signals.dots import DotPainter, PaintedDots
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.markers import MarkerLayout, MarkerProjection
 from taccel_lab.signals.pixel_maps import depth_kernel, height_kernel, normals_kernel, points_kernel
-from taccel_lab.signals.profile_options import profile_options
+from taccel_lab.signals.profile_options import profile_options, profile_view
 from taccel_lab.signals.raster import grid_map
-from taccel_lab.signals.surface_sampler import SurfaceMode, SurfaceSampler
+from taccel_lab.signals.seen_surface import FINE, SeenSurface
+from taccel_lab.signals.surface_sampler import SurfaceMode
 from taccel_lab.signals.tactile_image import DeviceColorModel
 from taccel_lab.state import State, check_state
 
@@ -42,7 +45,6 @@ CHUNK_PIXELS = 2**24
 """Pixels computed at a time: 24 bytes of scratch each."""
 
 _IMAGES = ("rgb", "rgb_levels", "height_m", "depth_m", "normals", "points_m")
-_FINE = {"contact", "pressure_pa"}
 SIGNALS = (*_IMAGES, "markers_px", *CONTACT_SIGNALS)
 """Names that ``SignalTactile.read`` knows; docs/signals.md has their shapes and units."""
 
@@ -70,7 +72,7 @@ class SignalTactile:
     def __init__(
         self,
         mesh: TetMesh | QuadraticMesh,
-        grid: PixelGrid,
+        grid: View,
         *,
         env_count: int,
         color_model: ColorModel | None = None,
@@ -90,9 +92,9 @@ class SignalTactile:
         Args:
             mesh: Gel pad at rest, the same in all environments; its faces of region CONTACT are
                 shown.
-            grid: Pixels of the image.
+            grid: Pixels of the image, over the gel or of its camera (``camera_of(profile)``).
             env_count: Number of environments.
-            color_model: For ``rgb`` and ``rgb_levels``.
+            color_model: For ``rgb`` and ``rgb_levels``; colours are of a pixel grid.
             background_rgb: Image of the untouched sensor, levels, [height_px, width_px, 3].
             markers: For ``markers_px``; in each gel's rest shape where these differ.
             dots: Of the markers, to be seen in ``rgb`` and ``rgb_levels``; the background is then
@@ -114,6 +116,8 @@ class SignalTactile:
             raise InputError(f"env_count must be at least 1, got {env_count}")
         if (color_model is None) != (background_rgb is None):
             raise InputError("color_model and background_rgb must be given together")
+        if color_model is not None and not isinstance(grid, PixelGrid):
+            raise InputError("colours are fitted on a pixel grid: give that in place of a camera")
         if dots is not None and (markers is None or color_model is None):
             raise InputError("dots need markers and color_model")
         self.grid = grid
@@ -123,31 +127,31 @@ class SignalTactile:
         self._still_levels = still_levels
         self._mesh = mesh
         self._markers = markers
-        self._mode = mode
         self._first_node = first_node
         # A face's record takes as much scratch as eight pixels.
         face_count = int((mesh.face_regions == int(Region.CONTACT)).sum())
-        pixels = grid.width_px * grid.height_px + 8 * face_count
+        face = face_of(grid)
+        pixels = face.width_px * face.height_px + 8 * face_count
         self.chunk_envs = min(env_count, max(1, chunk_pixels // pixels))
         if fine is not None:
             self.chunk_envs = fine.env_count
         """Environments computed at a time."""
         self._dots: DotPainter | None = None
-        if dots is not None and markers is not None:
+        if dots is not None and markers is not None and isinstance(grid, PixelGrid):
             rest = None if solver is None else solver.model.scene.soft_body(gel).nodal_rest_m
             options = {"rest_positions_m": rest, "first_node": first_node, "device": self.device}
             self._dots = DotPainter(dots, markers, mesh, grid, **options)
-        self._sampler: SurfaceSampler | None = None
+        options = {"first_node": first_node, "mode": mode, "device": self.device, "fine": fine}
+        self._surface = SeenSurface(mesh, grid, rows=self.chunk_envs, **options)
         self._painter: DeviceColorModel | None = None
         self._projection: MarkerProjection | None = None
         self._solver, self._gel = solver, gel
         self._fields: ContactFields | None = None
-        self._fine = fine
         self._gel_frames = None if solver is None else GelFrames(solver.model)
         self._state: State | None = None
         self._arrays: dict[str, Any] = {}
+        self._over: dict[str, Any] = {}
         self._fresh: set[str] = set()
-        self._samples: Any = None
         self._positions: Any = None
         self._no_frames = wp.empty(0, dtype=wp.transformd, device=self.device)
         self._frames: Any = self._no_frames
@@ -159,7 +163,7 @@ class SignalTactile:
 
     @classmethod
     def from_solver(
-        cls, solver: SolverIPC, grid: PixelGrid, *, gel: int = 0, **options: Any
+        cls, solver: SolverIPC, grid: View, *, gel: int = 0, **options: Any
     ) -> SignalTactile:
         """The signals of a gel of a solver's scene, those of its contact too.
 
@@ -196,8 +200,8 @@ class SignalTactile:
         solver: SolverIPC | None = None,
         **options: Any,
     ) -> SignalTactile:
-        """The signals of a profile's sensor: pixels of its camera, its dots that are seen and lie
-        on the gel, and, where it has them, background and colour model: images show the dots.
+        """The signals of a profile's sensor, through its camera (``camera_of``): its dots that are
+        seen and, where it has them, background and colour model: images show the dots.
 
         Args:
             profile: Sensor.
@@ -213,11 +217,11 @@ class SignalTactile:
         if solver is not None:
             body = solver.model.scene.soft_body(options.get("gel", 0))
             given = profile_options(profile, body.nodal_mesh, options, body.nodal_rest_m)
-            return cls.from_solver(solver, profile.grid(), **given)
+            return cls.from_solver(solver, profile_view(profile, given), **given)
         if env_count is None:
             raise InputError("how many environments? Give env_count, or the solver that has them")
         given = profile_options(profile, profile.mesh, options)
-        return cls(profile.mesh, profile.grid(), env_count=env_count, **given)
+        return cls(profile.mesh, profile_view(profile, given), env_count=env_count, **given)
 
     @in_turn
     def update(
@@ -273,7 +277,7 @@ class SignalTactile:
             self._envs = chosen_envs(who, self.env_count, self.device)
             self._count = len(self._envs)
         self._fresh.clear()
-        self._samples = None
+        self._surface.forget()
 
     rgb = _Signal()
     """Tactile image, RGB rounded to uint8, shape [env, height_px, width_px, 3]."""
@@ -315,7 +319,7 @@ class SignalTactile:
                 self._arrays[name] = self._make(name)
         if "markers_px" in stale and self._projection is not None:
             self._projection.update(self._positions, self._frames, self._envs, self._count)
-        of_surface = _IMAGES if self._fine is None else (*_IMAGES, *_FINE)
+        of_surface = _IMAGES if self._surface.fine is None else (*_IMAGES, *FINE)
         images = [name for name in stale if name in of_surface]
         if images:
             self._render(images)
@@ -328,10 +332,17 @@ class SignalTactile:
             arrays = [array[: self._count] for array in arrays]
         return tuple(arrays)
 
+    def rest_samples(self) -> wp.array:
+        """Slope along x, along y and height [m] at rest of the points that pixels of the first
+        chunk show now, vec3f, [row or 1, height_px, width_px]; the same array at each call."""
+        part, _ = next(self._chunks())
+        return self._look(part)[1]
+
     def rasterized_count(self) -> int:
         """Environments of the latest chunk that were folded or left pixels beside the pad, which
         takes longer; waits for the device. For tests and figures."""
-        return 0 if self._sampler is None else int(np.count_nonzero(self._sampler.rasterized))
+        sampler = self._surface.made
+        return 0 if sampler is None else int(np.count_nonzero(sampler.rasterized))
 
     def _make(self, name: str) -> Any:
         """Allocate a signal and what computes it, at its first read."""
@@ -346,38 +357,20 @@ class SignalTactile:
             )
             return self._projection.markers_px
         if name in CONTACT_SIGNALS:
-            return self._contact_fields(name).make(name, self.env_count)
+            fields, grid = self._contact_fields(name), self.grid
+            return fields.make(name, (self.env_count, grid.height_px, grid.width_px))
         shape = (self.env_count, self.grid.height_px, self.grid.width_px)
         if name in ("rgb", "rgb_levels"):
             if self._color is None:
                 raise InputError(f"{name} needs the color_model argument of SignalTactile")
             if self._painter is None:
                 self._painter = DeviceColorModel(
-                    *self._color, self._rest_samples, self._still_levels
+                    *self._color, self._surface.rest_samples, self._still_levels
                 )
             dtype = wp.uint8 if name == "rgb" else wp.float32
             return wp.empty((*shape, 3), dtype=dtype, device=self.device)
         dtype = wp.float32 if name in ("height_m", "depth_m") else wp.vec3f
         return wp.empty(shape, dtype=dtype, device=self.device)
-
-    @property
-    def _sampled(self) -> SurfaceSampler:
-        """What samples the surface of the mesh; made when it is first needed."""
-        if self._sampler is None:
-            self._sampler = SurfaceSampler(
-                self._mesh,
-                self.grid,
-                env_count=self.chunk_envs,
-                first_node=self._first_node,
-                mode=self._mode,
-                device=self.device,
-            )
-        return self._sampler
-
-    @property
-    def _rest_samples(self) -> wp.array:
-        """Samples of the undeformed gel, vec3f, [height_px, width_px]."""
-        return (self._fine or self._sampled).rest_samples
 
     def _contact_fields(self, name: str) -> ContactFields:
         """What computes contact signals; InputError without a solver."""
@@ -388,7 +381,7 @@ class SignalTactile:
                     "SignalTactile.from_solver"
                 )
             self._fields = ContactFields(
-                self._solver, self._gel, self._mesh, self.grid, chunk_envs=self.chunk_envs
+                self._solver, self._gel, self._mesh, self._surface.grid, chunk_envs=self.chunk_envs
             )
         return self._fields
 
@@ -399,57 +392,58 @@ class SignalTactile:
             raise InputError(f"{names[0]} needs the state of the solver: update(state)")
         if self._count:
             fields.read_nodes(self._state, set(names))
+        for part, envs in self._chunks():
+            outputs = {name: self._arrays[name][part] for name in names}
+            if self._surface.looking is None:
+                fields.render(self._state, self._frames, envs, outputs)
+                continue
+            self._look(part)
+            over = {name: self._over_gel(name)[: len(envs)] for name in names}
+            fields.render(self._state, self._frames, envs, over)
+            for name in names:
+                self._surface.show(over[name], outputs[name])
+
+    def _over_gel(self, name: str) -> wp.array:
+        """Memory of a signal of contact over the gel, for a chunk."""
+        if name not in self._over:
+            grid = self._surface.grid
+            shape = (self.chunk_envs, grid.height_px, grid.width_px)
+            self._over[name] = self._contact_fields(name).make(name, shape)
+        return self._over[name]
+
+    def _chunks(self) -> Iterator[tuple[slice, wp.array]]:
+        """Rows that are computed at a time, and the numbers of their environments."""
         for first in range(0, self._count, self.chunk_envs):
             part = slice(first, min(first + self.chunk_envs, self._count))
+            yield part, (self._envs if len(self._envs) else self._numbers)[part]
+
+    def _look(self, part: slice) -> tuple[wp.array, wp.array]:
+        """What pixels show of a chunk, now and at rest."""
+        envs = self._all_envs
+        if len(self._envs) or self._surface.fine is not None:
             envs = (self._envs if len(self._envs) else self._numbers)[part]
-            outputs = {name: self._arrays[name][part] for name in names}
-            fields.render(self._state, self._frames, envs, outputs)
+        return self._surface.chunk(self._positions, self._state, self._frames, envs, part)
 
     def _render(self, names: list[str]) -> None:
         """Bring images up to date, chunk by chunk."""
-        for first in range(0, self._count, self.chunk_envs):
-            part = slice(first, min(first + self.chunk_envs, self._count))
-            samples = self._samples
+        for part, envs in self._chunks():
             outputs = {name: self._arrays[name][part] for name in names}
-            if self._fine is not None:
-                samples = self._fine_samples(part, outputs)
-            elif samples is None and len(self._envs):
-                samples = self._sampled.sample(self._positions, self._frames, self._envs[part])
-            elif samples is None:
-                frames = self._frames[part] if len(self._frames) else self._frames
-                samples = self._sampled.sample(self._positions[part], frames)
-            if self.chunk_envs == self.env_count:
-                # Other images of this state may still read its samples.
-                self._samples = samples
+            samples, rest = self._look(part)
+            self._surface.show_contact(outputs)
             if "height_m" in outputs:
                 self._map(height_kernel, [samples], outputs["height_m"])
             if "depth_m" in outputs:
-                self._map(depth_kernel, [samples, self._rest_samples], outputs["depth_m"])
+                self._map(depth_kernel, [samples, rest], outputs["depth_m"])
             if "normals" in outputs:
                 self._map(normals_kernel, [samples], outputs["normals"])
             if "points_m" in outputs:
-                self._map(points_kernel, [samples, grid_map(self.grid)], outputs["points_m"])
+                where = [self._surface.places, grid_map(self._surface.grid)]
+                self._map(points_kernel, [samples, *where], outputs["points_m"])
             if self._painter is not None and ("rgb" in outputs or "rgb_levels" in outputs):
                 found = outputs.get("rgb"), outputs.get("rgb_levels")
                 self._painter.render(samples, *found)
                 if self._dots is not None:
-                    shown = (self._envs if len(self._envs) else self._numbers)[part]
-                    self._dots.paint(self._positions, self._frames, shown, *found)
-
-    def _fine_samples(self, part: slice, outputs: dict[str, wp.array]) -> wp.array:
-        """Samples of the fine surface of a chunk; its contact and pressure go to ``outputs``."""
-        assert self._fine is not None
-        if self._state is None:
-            raise InputError("a fine surface needs the state of the solver: update(state)")
-        if self._samples is None:
-            if part.start == 0:
-                self._fine.update(self._state)
-            envs = (self._envs if len(self._envs) else self._numbers)[part]
-            self._fine_arrays = self._fine.sample(self._state, self._frames, envs)
-        samples, pressure, touched = self._fine_arrays
-        for name in outputs.keys() & _FINE:
-            wp.copy(outputs[name], pressure if name == "pressure_pa" else touched)
-        return samples
+                    self._dots.paint(self._positions, self._frames, envs, *found)
 
     def _map(self, kernel: Any, inputs: list[Any], output: wp.array) -> None:
         wp.launch(kernel, dim=output.shape, inputs=inputs, outputs=[output], device=self.device)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 from dataclasses import replace
@@ -24,6 +25,7 @@ from taccel_lab.scene import Element
 from taccel_lab.solvers import StepReport
 from tests.cli.small_captures import GRID, background, everything_below, write_profile
 from tests.geometry.vtu_files import read_mesh_vtu
+from tests.signals.find_dots import distances_px, find_dots
 
 FILES = {
     OUTPUT_MARKER,
@@ -356,3 +358,44 @@ def test_an_interrupted_press_leaves_nothing(
     monkeypatch.setattr("taccel_lab.envs.press_files.draw_normals", interrupt)
     assert press(unit, tmp_path / "a" / "press", "--depth-mm", "0.2", *QUICK) == 130
     assert everything_below(tmp_path) == {}
+
+
+def test_press_writes_the_dots_where_its_picture_shows_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()
+    fast = replace(PHYSICS[Accuracy.FAST], element=Element.LINEAR)
+    monkeypatch.setitem(PHYSICS, Accuracy.FAST, fast)
+    out, radius_px = tmp_path / "press", 0.35 / 0.0634
+    options = ["--depth-mm", "0.6", "--shear-mm", "0.4", "0", "--accuracy", "fast", "--states"]
+    assert press("gelsight_mini", out, *options, "--indenter", "sphere:3") == 0
+    files = {path.name for path in out.iterdir()}
+    assert files == FILES | PREDICTED | {"markers.csv", "markers.png", "states.npz"}
+    with (out / "markers.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    table = np.array([[float(row["u_px"]), float(row["v_px"])] for row in rows])
+    picture = cv2.imread(str(out / "predicted.png"))[..., ::-1]
+    found = find_dots(picture, radius_px)
+    assert len(found) == len(table) == 63
+    off = distances_px(found, table)
+    assert off.mean() < 0.25 and off.max() < 0.8
+    values = read(out)["markers"]
+    assert values["count"] == 63 and values["image_px"] == [320, 240]
+    np.testing.assert_allclose(values["px"], table, atol=1e-3)
+    assert values["largest_motion_px"] > 2
+    with np.load(out / "signals.npz") as signals:
+        np.testing.assert_allclose(signals["markers_px"], table, atol=1e-3)
+        at_rest = signals["rest_markers_px"]
+        sunk = signals["rest_height_m"] - signals["height_m"]
+        mask = signals["contact_mask"]
+    v, u = np.nonzero(mask)
+    # The height map is of the picture's pixels: what touches lies where the picture changed.
+    assert sunk[mask].mean() > 2e-4 and sunk[~mask].mean() < 1e-4
+    assert u.mean() == pytest.approx(159.5 + 0.4 / 0.0634, abs=3.0)  # More of its lee touches.
+    assert v.mean() == pytest.approx(119.5, abs=1.5)
+    with np.load(out / "states.npz") as states:
+        np.testing.assert_allclose(states["markers_px"][0], at_rest, atol=1e-9)
+        np.testing.assert_allclose(states["markers_px"][-1], table, atol=1e-3)
+        for row, image in enumerate(states["images"]):
+            dots = find_dots(image, radius_px)
+            assert distances_px(dots, states["markers_px"][row]).mean() < 0.25

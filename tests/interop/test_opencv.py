@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from taccel_lab.camera.camera_model import CameraModel
 from taccel_lab.interop.export import export_profile
-from taccel_lab.optics.camera_model import CameraModel
 from taccel_lab.profile import SensorProfile
 
 POINTS_MM = np.array([[0.0, 0, 0], [4, -3, 0], [-5, 6, -1], [2, 2, -0.5]])

@@ -10,11 +10,11 @@ import pytest
 
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.camera.media import media_between
+from taccel_lab.camera.refraction import DomeMedia, FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh, quadratic_mesh
 from taccel_lab.optics import Camera, Light, MarkerGrid, OpticalDesign, Window
-from taccel_lab.optics.media import media_between
-from taccel_lab.optics.refraction import DomeMedia, FlatMedia
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.optics.surface import GelFace, height_face, seen_faces
 from tests.optics.compare import pressed_top

@@ -90,7 +90,7 @@ def test_pixels_beside_a_pad_need_no_rasterizer(device, shift_mm):
     assert np.isnan(expected["height_m"]).any(axis=(1, 2)).all()
     assert_agrees(signal, expected, device, normal_bound=1e-4)
     # Straight rims; the sheared one is dented, and a walk may end at the dent.
-    assert not signal._sampler.rasterized[[0, 1, 3, 4]].any()
+    assert not signal._surface.made.rasterized[[0, 1, 3, 4]].any()
 
 
 @pytest.mark.parametrize("device", DEVICES)
@@ -104,7 +104,7 @@ def test_only_folded_environments_are_rasterized(device):
     signal.update(on_device(positions, device))
     expected = reference(mesh, positions, GRID, SurfaceMode.SMOOTH)
     assert_agrees(signal, expected, device, normal_bound=1e-4)
-    assert signal._sampler.rasterized.tolist() == [False, False, True, False, False]
+    assert signal._surface.made.rasterized.tolist() == [False, False, True, False, False]
 
 
 @pytest.mark.parametrize("device", DEVICES)

@@ -105,7 +105,7 @@ def test_signals_that_are_not_read_take_no_memory():
     signal = make(mesh)
     signal.update(on_device(presses(mesh), "cpu"))
     signal.read("markers_px")
-    assert signal._sampler is None and signal._painter is None
+    assert signal._surface.made is None and signal._painter is None
     signal.read("height_m")
     assert signal._painter is None
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
 from typing import Protocol
 
@@ -58,7 +59,9 @@ class LinearSystem(LinearProblem):
             method = _method(pattern, self.clusters, env_count, device)
         self.method = method
         """The one of ``METHODS`` that solves."""
-        self._solver = METHODS[method](self)
+        # It is part of this and must not keep it alive: a circle of arrays, hundreds of megabytes,
+        # would wait for the cycle collector.
+        self._solver = METHODS[method](weakref.proxy(self))
 
     def describe(self) -> str:
         """Method, rows and stored blocks of one environment, for people."""

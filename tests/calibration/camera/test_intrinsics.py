@@ -16,8 +16,8 @@ from taccel_lab.calibration.camera.chessboard import detect_chessboard
 from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.result import Severity, judge
+from taccel_lab.camera.camera_model import CameraModel
 from taccel_lab.errors import InputError
-from taccel_lab.optics.camera_model import CameraModel
 from taccel_lab.reading.images import read_image
 from tests.calibration.camera.views import COLUMNS, PITCH, ROWS, SIZE, TRUTHS, views_of
 from tests.calibration.drawn.boards import exact_view, pose_over

@@ -20,8 +20,8 @@ from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.camera.plane_models import CameraPose
 from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_maps
+from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
-from taccel_lab.optics.refraction import FlatMedia
 from taccel_lab.reading.images import read_image
 from tests.calibration.camera.views import SIZE, TRUTHS, views_of
 from tests.calibration.drawn.boards import exact_view, lattice_points, pose_over

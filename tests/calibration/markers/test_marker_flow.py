@@ -23,12 +23,12 @@ from taccel_lab.calibration.markers.gel_view import (
     pixel_jacobian,
 )
 from taccel_lab.calibration.markers.tracks import MarkerTracks
+from taccel_lab.camera.camera_model import CameraModel
+from taccel_lab.camera.media import media_between
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.optics import Camera, Coating, Light, MarkerGrid, OpticalDesign, Window
-from taccel_lab.optics.camera_model import CameraModel
-from taccel_lab.optics.media import media_between
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.profile import Provenance
 from taccel_lab.sensors.profile import catalogue_profile

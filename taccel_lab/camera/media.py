@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.camera.refraction import DomeMedia, FlatMedia, Media
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
-from taccel_lab.optics.refraction import DomeMedia, FlatMedia, Media
 from taccel_lab.profile.optical_design import OpticalDesign
 
 OUTSIDE_INDEX = 1.0

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.optics import Camera
-from taccel_lab.optics.camera_model import (
+from taccel_lab.camera.camera_model import (
     CameraModel,
     resized,
 )
+from taccel_lab.optics import Camera
 
 # DIGIT as calibrated by CANFNet: barrel and tangential terms of a real lens.
 DIGIT = Camera(

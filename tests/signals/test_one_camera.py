@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Markers, heights and points lie where the picture of the same sensor shows them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.camera.gel_camera import GelCamera, camera_of
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.optics.render import OpticalModel
+from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
+from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.signals import MarkerLayout, SignalTactile
+from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
+from tests.profile.sample_blocks import ASSUMED
+from tests.signals.find_dots import distances_px, find_dots
+
+DEVICES = ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
+DOTS: dict[str, dict[str, Any]] = {
+    "gelsight_mini": {},
+    "gelsight_40": {},
+    "digit": {"marker_pitch_mm": 2.0, "marker_area_x_mm": 10.0, "marker_area_y_mm": 12.0},
+    "rtac": {"marker_pitch_mm": 3.0, "marker_area_x_mm": 18.0, "marker_area_y_mm": 18.0},
+}
+"""Sensors with dots: curved and flat gels, a distorted lens, a camera aside and under a dome."""
+ORTHOGRAPHIC_PX = 1.5
+"""Less than by what a view along the normal misses any of them, in the mean."""
+
+
+def dented(profile: SensorProfile) -> np.ndarray:
+    """Nodes of a gel that is pushed in by 1 mm off its middle and dragged by 0.4 mm [m]."""
+    nodes = profile.mesh.nodes_m.copy()
+    low, high = nodes[:, 2].min(), nodes[:, 2].max()
+    share = np.clip((nodes[:, 2] - low) / (high - low), 0, 1)
+    away2 = (nodes[:, 0] - 2e-3) ** 2 + (nodes[:, 1] - 1e-3) ** 2
+    nodes[:, 2] -= 1e-3 * share * np.exp(-away2 / 4e-3**2)
+    nodes[:, 0] += 0.4e-3 * share
+    return nodes
+
+
+def painted(profile: SensorProfile) -> SensorProfile:
+    """The sensor with a background that shows its dots on the pixel grid and colours that no press
+    changes: what a calibration gives."""
+    grid = profile.grid()
+    assert profile.markers is not None
+    v, u = np.mgrid[: grid.height_px, : grid.width_px]
+    image = np.full((*u.shape, 3), 150.0, np.float32)
+    radius = profile.markers.radius_mm / grid.mm_per_px_x
+    for place in grid.pixel_from_gel(profile.markers.grid().points_mm()):
+        image[np.hypot(u - place[0], v - place[1]) <= radius] = 30.0
+    config = ColorModelConfig(grid.width_px, grid.height_px, hidden=(8, 8))
+    still = {name: np.zeros(shape, np.float32) for name, shape in expected_shapes(config).items()}
+    profile = profile.with_block(BackgroundBlock(provenance=ASSUMED), image)
+    return profile.with_block(ColorBlock(architecture=config.to_dict(), provenance=ASSUMED), still)
+
+
+def radius_px(profile: SensorProfile) -> float:
+    assert profile.markers is not None
+    return profile.markers.radius_mm / profile.camera.mm_per_px_x
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("name", DOTS)
+def test_signals_lie_where_the_optical_model_shows_them(name: str, device: str) -> None:
+    profile = catalogue_profile(name, DOTS[name])
+    design, markers = profile.optical_design(), profile.markers
+    assert design is not None and markers is not None
+    model = OpticalModel(design, profile.mesh, markers=markers.grid())
+    states = np.stack([profile.mesh.nodes_m, dented(profile)])
+    signal = SignalTactile.from_profile(profile, env_count=2, device=device)
+    signal.update(wp.array(states, dtype=wp.vec3d, device=device))
+    places, points, normals, depth = (
+        array.numpy() for array in signal.read("markers_px", "points_m", "normals", "depth_m")
+    )
+    assert np.nanmax(np.abs(depth[0])) == 0
+    for row, picture in enumerate(map(model.render, states)):
+        found = find_dots(picture.rgb, radius_px(profile))
+        assert len(found) >= 0.9 * len(places[row])
+        off = distances_px(found, places[row])
+        assert off.mean() < 0.1 and off.max() < 0.3
+        layout = MarkerLayout.where_on(profile.mesh, markers.grid().points_mm())[0]
+        along = profile.grid().pixel_from_gel(layout.places_mm(states[row]))
+        assert distances_px(found, along).mean() > ORTHOGRAPHIC_PX
+        both = picture.mask & np.isfinite(points[row]).all(axis=-1)
+        # Of a dome that is dragged aside, the far flank hangs over.
+        assert both.sum() > (0.95 if name == "rtac" else 0.99) * picture.mask.sum()
+        apart_mm = np.linalg.norm(1e3 * points[row] - picture.points_mm, axis=-1)[both]
+        assert np.quantile(apart_mm, 0.99) < 0.02
+        turned = np.einsum("pi,pi->p", normals[row][both], picture.normals[both])
+        # The two rebuild the face between coarse nodes in ways of their own.
+        assert np.median(turned) > np.cos(np.radians(0.5))
+
+
+@pytest.mark.parametrize("name", ["gelsight_mini", "gelsight_40"])
+def test_dots_of_a_colour_model_lie_where_the_markers_are(name: str) -> None:
+    profile = painted(catalogue_profile(name))
+    assert camera_of(profile) == profile.grid()
+    signal = SignalTactile.from_profile(profile, env_count=2)
+    states = np.stack([profile.mesh.nodes_m, dented(profile)])
+    signal.update(wp.array(states, dtype=wp.vec3d))
+    rgb, places = (array.numpy() for array in signal.read("rgb", "markers_px"))
+    for row in range(2):
+        found = find_dots(rgb[row], radius_px(profile))
+        assert len(found) >= 0.9 * len(places[row])
+        assert distances_px(found, places[row]).mean() < 0.3
+
+
+def test_camera_that_a_profile_has() -> None:
+    profile = catalogue_profile("gelsight_mini")
+    seen = camera_of(profile)
+    assert isinstance(seen, GelCamera)
+    assert seen.camera == profile.optical_design().camera  # type: ignore[union-attr]
+    assert camera_of(profile.without("optics")) == profile.grid()
+    # A measured scale rules over the optics of another unit: straight, at the scale of the grid.
+    measured = Provenance(kind="measured", method="made up", source="tests")
+    wider = profile.camera.replace(
+        mm_per_px_x=1.1 * profile.camera.mm_per_px_x,
+        mm_per_px_y=1.1 * profile.camera.mm_per_px_y,
+        provenance=measured,
+    )
+    straight = camera_of(profile.with_block(wider))
+    assert isinstance(straight, GelCamera)
+    apex = np.array([[0.0, 0.0, 0.0], [2.0, -1.0, 0.0]])
+    np.testing.assert_allclose(straight.pixel_from_gel(apex), wider.grid().pixel_from_gel(apex))
+    lifted = straight.pixel_from_gel(apex + [0, 0, -1.0])[1] - straight.pixel_from_gel(apex[1])
+    assert lifted[0] > 0.5 and lifted[1] < -0.2, "a press moves what it shows outwards"
+
+
+@pytest.mark.parametrize("name", DOTS)
+def test_cameras_are_kept_as_json_and_scaled(name: str) -> None:
+    profile = catalogue_profile(name, DOTS[name])
+    camera = camera_of(profile)
+    assert isinstance(camera, GelCamera)
+    points = np.random.default_rng(2).uniform(-3, 3, (40, 3)) * [1, 1, 0.1]
+    there = camera.pixel_from_gel(points)
+    again = GelCamera.of_record(camera.record())
+    np.testing.assert_array_equal(again.pixel_from_gel(points), there)
+    half = camera.resized(camera.width_px // 2, camera.height_px // 2)
+    np.testing.assert_allclose(half.pixel_from_gel(points), (there + 0.5) / 2 - 0.5, atol=1e-9)
+    before = profile.grid()
+    after = PixelGrid(
+        before.width_px,
+        before.height_px,
+        0.9 * before.mm_per_px_x,
+        before.mm_per_px_y,
+        before.center_u_px + 3,
+        before.center_v_px,
+    )
+    moved = camera.regridded(before, after).pixel_from_gel(points)
+    expected = after.pixel_from_gel(before.gel_from_pixel(there))
+    np.testing.assert_allclose(moved, expected, atol=1e-9)
+
+
+def test_colours_take_no_perspective_camera() -> None:
+    profile = painted(catalogue_profile("gelsight_mini"))
+    options = SignalTactile.from_profile(profile, env_count=1)
+    camera = camera_of(profile.without("color"))
+    with pytest.raises(InputError, match="pixel grid"):
+        SignalTactile(
+            profile.mesh,
+            camera,
+            env_count=1,
+            color_model=options._color[0],  # type: ignore[index]
+            background_rgb=profile.background_rgb,
+        )
