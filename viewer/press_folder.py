@@ -106,7 +106,7 @@ def _end(folder: Path) -> GelStates:
     if not path.is_file():
         raise InputError(f"{folder} has neither {STATES} nor gel.vtu: press again, with --states")
     require_regular_file(path, LARGEST_BYTES, "the mesh of a press")
-    found = read_apart(str(path), _gel_arrays, path)
+    found = read_apart(str(path), _gel_arrays, path, by="vtkmodules")
     moved = 1e3 * found["displacement_m"]
     fields = [
         Field(label, "kPa", 1e-3 * _twice(found[name]))

@@ -61,7 +61,9 @@ def read_collada(path: Path) -> tuple[np.ndarray, np.ndarray]:
                 part.remove(child)
             elif _name(child) == "float_array":
                 _check_numbers(path, child)
-    points, faces = read_apart(str(path), _read_with_pycollada, path, ElementTree.tostring(root))
+    points, faces = read_apart(
+        str(path), _read_with_pycollada, path, ElementTree.tostring(root), by="collada"
+    )
     if not len(faces):
         raise InputError(f"{path} shows no faces")
     return points, faces

@@ -42,7 +42,7 @@ def read_triangle_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(f"{path}: only .stl, .ply and .obj files can be read as triangles")
     if suffix == ".ply":
         _check_ply_counts(path)
-    points, faces = read_apart(str(path), _read_with_vtk, path)
+    points, faces = read_apart(str(path), _read_with_vtk, path, by="vtkmodules")
     if not len(faces):
         raise InputError(f"{path} holds no faces, or is not a readable mesh file")
     return points, faces
