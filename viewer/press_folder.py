@@ -134,7 +134,7 @@ def _gel_arrays(path: Path) -> dict[str, np.ndarray]:
     file that is cut short with an empty grid."""
     import pyvista
 
-    grid: Any = pyvista.read(path)
+    grid: Any = pyvista.read(path, force_ext=".vtu")
     cells, kinds = grid.cells_dict, pyvista.CellType
     needed = {"displacement_m", "contact_force_n"} - set(grid.point_data.keys())
     if needed or kinds.TETRA not in cells or kinds.TRIANGLE not in cells:

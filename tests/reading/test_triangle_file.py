@@ -90,3 +90,22 @@ def test_files_cut_short_or_overwritten_never_end_the_process(suffix: str, tmp_p
                 assert str(path) in str(error)
             else:
                 assert np.isfinite(points).all() and faces.max() < len(points)
+
+
+@pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
+@pytest.mark.parametrize(
+    ("kept", "given"),
+    [("MD5-d41d8cd9", "ball.{}"), ("ball.{}", "newest"), ("ball.v2", "ball.{}"), ("b.stl", "b.{}")],
+)
+def test_links_are_read_by_their_own_name_first(
+    suffix: str, kept: str, given: str, tmp_path: Path
+) -> None:
+    """git-annex and DVC keep the content under a digest; others link to the newest file."""
+    path = tmp_path / f"ball.{suffix}"
+    pyvista.Sphere(radius=2, theta_resolution=6, phi_resolution=6).save(path)
+    (tmp_path / "store").mkdir()
+    path = path.rename(tmp_path / "store" / kept.format(suffix))
+    link = tmp_path / given.format(suffix)
+    link.symlink_to(path)
+    points, faces = read_triangle_file(link)
+    assert len(points) == 26 and len(faces) == 48
