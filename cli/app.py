@@ -13,7 +13,6 @@ heavy libraries inside ``run()`` only, so that help is fast.
 from __future__ import annotations
 
 import io
-import logging
 import os
 import signal
 import sys
@@ -165,6 +164,17 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``taccel-lab`` and return its exit code."""
+    try:
+        with _terminable():
+            _run(sys.argv[1:] if arguments is None else arguments)
+    except BaseException as error:
+        return _exit_code(error)
+    return 0
+
+
+def _run(words: Sequence[str]) -> None:
+    import logging
+
     # A shell can close either (>&-): Python then has none, where libraries expect one.
     sys.stdout = sys.stdout or open(os.devnull, "w")
     sys.stderr = sys.stderr or open(os.devnull, "w")
@@ -172,11 +182,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # File names may hold bytes that no text has, and a terminal may know ASCII alone.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    from taccel_lab.cli.console import only_json
+
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s")
-    words = sys.argv[1:] if arguments is None else arguments
-    with warnings.catch_warnings():
+    as_json = "--json" in words and not {"-h", "--help"} & set(words)
+    with warnings.catch_warnings(), only_json() if as_json else nullcontext():
         warnings.showwarning = partial(_show_warning, warnings.showwarning)
-        return _run(words)
+        parse(words).run()
 
 
 def _show_warning(otherwise: Callable[..., None], message: Warning | str, *where: Any) -> None:
@@ -187,35 +199,37 @@ def _show_warning(otherwise: Callable[..., None], message: Warning | str, *where
         otherwise(message, *where)
 
 
-def _run(words: Sequence[str]) -> int:
-    from taccel_lab.cli.console import only_json
-
-    as_json = "--json" in words and not {"-h", "--help"} & set(words)
-    try:
-        with _terminable(), only_json() if as_json else nullcontext():
-            parse(words).run()
-    except InputError as error:
+def _exit_code(error: BaseException) -> int:
+    """The exit code for what ended a command, its message written; raises bugs again."""
+    if isinstance(error, SystemExit):
+        if isinstance(error.__context__, BrokenPipeError):  # rich says 1 for it.
+            return 141
+        raise error
+    chain = list(_chain(error))
+    if any(isinstance(one, _Terminated) for one in chain):
+        return _fail(143, "asked to end; what was half written was removed")
+    if any(isinstance(one, KeyboardInterrupt) for one in chain):
+        return _fail(130, "interrupted; what was half written was removed")
+    if isinstance(error, InputError):
         return _fail(2, f"error: {error}")
-    except BrokenPipeError:
+    if isinstance(error, SimulationError):
+        return _fail(3, f"simulation failed: {error}")
+    if isinstance(error, BrokenPipeError):
         # Whoever read the output, such as `head`, has enough of it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    except SystemExit as left:
-        if isinstance(left.__context__, BrokenPipeError):  # rich says 1 for it.
-            return 141
-        raise
-    except OSError as error:
-        if error.errno is None:
-            raise
+    if isinstance(error, OSError) and error.errno is not None:
         named = "" if error.filename is None else f"{os.fsdecode(error.filename)}: "
         return _fail(2, f"error: {named}{error.strerror}")
-    except SimulationError as error:
-        return _fail(3, f"simulation failed: {error}")
-    except _Terminated:
-        return _fail(143, "asked to end; what was half written was removed")
-    except KeyboardInterrupt:
-        return _fail(130, "interrupted; what was half written was removed")
-    return 0
+    raise error
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    """An exception and those that it came of: what interrupts the load of a library, such as the
+    CAD kernel, comes out as ImportError or RuntimeError."""
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
 
 
 class _Terminated(BaseException):

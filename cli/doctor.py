@@ -165,7 +165,6 @@ def check_warp() -> dict[str, Any]:
     from taccel_lab.warp_output import quiet_warp
 
     quiet_warp()
-    wp.init()
 
     @wp.kernel
     def _square_and_shift_kernel(x: wp.array(dtype=wp.float64), y: wp.array(dtype=wp.float64)):  # type: ignore[valid-type]

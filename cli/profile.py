@@ -43,8 +43,8 @@ class ProfileShow:
 
 @dataclass(frozen=True)
 class ProfileValidate:
-    """Check a sensor profile: schema, bounds, file hashes, arrays, networks. Exits with 2 when
-    unsound."""
+    """Check a sensor profile: schema, bounds, parameters, file hashes, arrays, networks and their
+    answers. Exits with 2 when unsound."""
 
     profile: Positional[Path]
     """Profile folder."""
@@ -56,13 +56,18 @@ class ProfileValidate:
 
         from taccel_lab.cli.console import print_json, results
         from taccel_lab.profile import Finding, load_profile, validate_profile
+        from taccel_lab.sensors.registry import parameter_faults
         from taccel_lab.signals.network_faults import network_faults
 
         findings = validate_profile(self.profile)
         if all(finding.severity != "error" for finding in findings):
+            profile = load_profile(self.profile)
             findings += [
                 Finding("error", f"{self.profile}: {key}", fault)
-                for key, fault in network_faults(load_profile(self.profile)).items()
+                for key, fault in network_faults(profile).items()
+            ]
+            findings += [
+                Finding("error", str(self.profile), fault) for fault in parameter_faults(profile)
             ]
         errors = sum(finding.severity == "error" for finding in findings)
         if self.json:

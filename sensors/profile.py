@@ -33,7 +33,12 @@ from taccel_lab.profile import (
 )
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
-from taccel_lab.sensors.registry import profile_folder, sensor_families, sensor_family
+from taccel_lab.sensors.registry import (
+    parameter_faults,
+    profile_folder,
+    sensor_families,
+    sensor_family,
+)
 
 _GRID = ("width_px", "height_px", "mm_per_px", "mm_per_px_y")
 _METHOD = "defaults of the catalogue's family, with the overrides given"
@@ -171,7 +176,10 @@ def load_sensor(name: str) -> SensorProfile:
         return catalogue_profile(name)
     folder = profile_folder(name)
     if folder is not None or Path(name).exists():
-        return load_profile(folder or name)
+        profile = load_profile(folder or name)
+        if faults := parameter_faults(profile):
+            raise InputError("\n".join(f"{folder or name}: {fault}" for fault in faults))
+        return profile
     raise InputError(
         f"{name!r} is neither a profile folder nor a sensor of the catalogue "
         f"({', '.join(sorted(sensor_families()))})"

@@ -149,6 +149,24 @@ def profile_parameters(profile: SensorProfile) -> FamilyParameters:
     return profile_sensor(profile).parameters()
 
 
+def parameter_faults(profile: SensorProfile) -> list[str]:
+    """What the bounds of its family refuse of a profile's parameters; nothing of a family that is
+    not in the catalogue, and of parameters that it no longer has."""
+    try:
+        like = catalogue().families.get(like_name(profile))
+    except InputError:  # An imported gel of a version that did not keep it.
+        like = None
+    specs = {} if like is None else like.parameters_type.parameters()
+    faults = []
+    for name, value in profile.sensor.parameters.items():
+        try:
+            if name in specs:
+                specs[name].check(value)
+        except InputError as fault:
+            faults.append(f"sensor.parameters.{fault}")
+    return faults
+
+
 def is_of_sensor(profile: SensorProfile, name: str) -> bool:
     """Whether ``profile`` is of the sensor called ``name``: of that family, or of that very gel."""
     folder = profile_folder(name)

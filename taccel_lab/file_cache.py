@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -20,13 +19,12 @@ from typing import Any, BinaryIO, Generic, TypeVar
 
 import numpy as np
 
+from taccel_lab.cache_place import CACHE_VARIABLE, cache_folder
 from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file, to_jsonable
 
 LARGEST_BYTES = 1 << 30
 """Of a file; a mesh of a hundred thousand nodes takes a fortieth of it."""
-CACHE_VARIABLE = "TACCEL_LAB_CACHE"
-"""Environment variable that names the cache folder."""
 _HEAD = b"taccel-lab cache\n"
 
 Result = TypeVar("Result")
@@ -134,14 +132,6 @@ def load_arrays(file: BinaryIO) -> dict[str, np.ndarray]:
 def save_arrays(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> None:
     """Write arrays by their names."""
     np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
-
-
-def cache_folder() -> Path:
-    """$TACCEL_LAB_CACHE, or taccel_lab in $XDG_CACHE_HOME or ~/.cache."""
-    named = os.environ.get(CACHE_VARIABLE)
-    if named:
-        return Path(named)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "taccel_lab"
 
 
 def content_key(recipe: Mapping[str, Any]) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Warp's own lines, which are for its developers."""
+"""Warp started: its kernels where they can be kept, without lines that are for its developers."""
 
 from __future__ import annotations
 
@@ -10,21 +10,42 @@ from pathlib import Path
 
 import warp as wp
 
+from taccel_lab.cache_place import CACHE_VARIABLE, place_kernels
+from taccel_lab.errors import InputError
+
 _DRIVERS = ("libcuda.so", "libcuda.so.1")
+
+
+def start_warp() -> None:
+    """Initialise Warp, unless it is.
+
+    Raises:
+        InputError: There is no folder for its kernels that can be written.
+    """
+    if wp.config.kernel_cache_dir is None:
+        place_kernels()
+    try:
+        wp.init()
+    except OSError as error:
+        raise InputError(
+            f"Warp cannot keep its kernels in {error.filename} ({error.strerror}); set "
+            f"{CACHE_VARIABLE} to a folder that can be written"
+        ) from None
 
 
 def quiet_warp() -> None:
     """Initialise Warp without its lines on modules loaded and, where there is no GPU, on a missing
-    driver, which its library writes to the standard error of the process itself."""
+    driver, which its library writes to the standard error of the process itself; errors as of
+    ``start_warp``."""
     wp.config.log_level = wp.LOG_ERROR
     if sys.platform != "linux" or any(map(_loads, _DRIVERS)):
-        wp.init()
+        start_warp()
         return
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)
-        wp.init()
+        start_warp()
     finally:
         os.dup2(kept, 2)
         os.close(kept)

@@ -51,6 +51,8 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     beside = "PYTEST_XDIST_WORKER" in os.environ
     folder = tmp_path_factory.getbasetemp()
     with pytest.MonkeyPatch.context() as patch:
+        # But kernels take minutes to compile, and depend on their source alone.
+        patch.setenv("WARP_CACHE_PATH", str(Path(str(wp.config.kernel_cache_dir)).parent))
         patch.setenv(CACHE_VARIABLE, str((folder.parent if beside else folder) / "cache"))
         yield
 

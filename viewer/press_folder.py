@@ -106,7 +106,7 @@ def _end(folder: Path) -> GelStates:
     if not path.is_file():
         raise InputError(f"{folder} has neither {STATES} nor gel.vtu: press again, with --states")
     require_regular_file(path, LARGEST_BYTES, "the mesh of a press")
-    found = read_apart(str(path), _gel_arrays, path)
+    found = read_apart(str(path), _gel_arrays, path, by="vtkmodules")
     moved = 1e3 * found["displacement_m"]
     fields = [
         Field(label, "kPa", 1e-3 * _twice(found[name]))
@@ -134,7 +134,7 @@ def _gel_arrays(path: Path) -> dict[str, np.ndarray]:
     file that is cut short with an empty grid."""
     import pyvista
 
-    grid: Any = pyvista.read(path)
+    grid: Any = pyvista.read(path, force_ext=".vtu")
     cells, kinds = grid.cells_dict, pyvista.CellType
     needed = {"displacement_m", "contact_force_n"} - set(grid.point_data.keys())
     if needed or kinds.TETRA not in cells or kinds.TRIANGLE not in cells:

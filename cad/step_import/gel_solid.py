@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the CAD kernel does with the body of a STEP file: read, checked, labelled, moved.
 
-Runs in the readers' process, since the kernel crashes on some damaged files.
+Runs in the readers' process, since the kernel crashes on some files.
 """
 
 # OCP ships no type stubs.

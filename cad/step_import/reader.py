@@ -128,7 +128,10 @@ def _labels(sequence: Sequence_TDF_Label) -> list[TDF_Label]:
 
 
 def _name(label: TDF_Label) -> str:
+    # Asked first: FindAttribute of a label without one crashes in OCP 8.0 (build123d #1433). Faces
+    # of a part that an assembly places twice have none.
     name = TDataStd_Name()
-    if not label.FindAttribute(TDataStd_Name.GetID_s(), name):
+    if not label.IsAttribute(TDataStd_Name.GetID_s()):
         return ""
+    label.FindAttribute(TDataStd_Name.GetID_s(), name)
     return str(name.Get().ToExtString())

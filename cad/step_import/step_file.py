@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """STEP files of other programs: their faces listed, a gel read, checked and labelled.
 
-The CAD kernel crashes on some damaged files, so it meets a file in the readers' process only, where
+The CAD kernel crashes on some files, so it meets a file in the readers' process only, where
 ``gel_solid`` holds all that becomes of a gel. What comes back has passed every check.
 """
 
@@ -29,7 +29,7 @@ def list_faces(path: Path | str, body: str = "") -> list[FaceInfo]:
     Raises InputError for a file without exactly one solid, or one of the name ``body``.
     """
     path = require_regular_file(Path(path), MAX_BYTES, "a STEP file")
-    return read_apart(str(path), _faces, path, body, limit_s=LIMIT_S)
+    return read_apart(str(path), _faces, path, body, by="OCP", limit_s=LIMIT_S)
 
 
 def import_gel(path: Path | str, selection: FaceSelection | None = None) -> ImportedGel:
@@ -45,7 +45,7 @@ def import_gel(path: Path | str, selection: FaceSelection | None = None) -> Impo
                 f"origin {selection.origin!r} is not allowed; use {' or '.join(_ORIGINS)}"
             )
         path = require_regular_file(Path(path), MAX_BYTES, "a STEP file")
-        return read_apart(str(path), _gel, path, selection, limit_s=LIMIT_S)
+        return read_apart(str(path), _gel, path, selection, by="OCP", limit_s=LIMIT_S)
 
 
 # Called in the readers' process: only there does the kernel load for them.

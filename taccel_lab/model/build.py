@@ -20,6 +20,7 @@ from taccel_lab.bodies.surface_topology import (
 )
 from taccel_lab.model.carried import carried_blocks
 from taccel_lab.model.contact_plan import BodySurface, contact_plan
+from taccel_lab.model.devices import require_device
 from taccel_lab.model.elastic import build_element_groups
 from taccel_lab.model.layout import Layout
 from taccel_lab.model.matrix_pattern import block_gather, block_pattern
@@ -208,7 +209,7 @@ def build_model(
     blocks of its own, unless that would be very many. When None on GPUs only, where it saves
     sorting a list; the sweeps of the CPU take half as long again over all the zeros.
     """
-    wp_device = wp.get_device(device)
+    wp_device = require_device(device)
     TURNS.watch(wp_device)
     if contact_in_pattern is None:
         contact_in_pattern = wp_device.is_cuda

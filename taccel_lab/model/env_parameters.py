@@ -168,7 +168,7 @@ def env_values(
     shapes = [(env_count,), (env_count, tet_count)]
     allowed = " or ".join(str(list(shape)) for shape in (shapes if tet_count > 1 else shapes[:1]))
     if on_device(value):
-        shared = device_array(value)
+        shared = device_array(value, name)
         if shared.dtype is not wp.float64 or shared.shape not in shapes:
             raise InputError(
                 f"{name} on the device must be float64 of shape {allowed}, got "

@@ -106,9 +106,25 @@ def on_device(value: Any) -> bool:
     return hasattr(value, "__dlpack__") and not isinstance(value, np.ndarray | np.generic)
 
 
-def device_array(value: Any) -> wp.array:
-    """The array of Warp on the memory of a value for which ``on_device`` holds."""
-    return value if isinstance(value, wp.array) else wp.from_dlpack(value)
+def device_array(value: Any, name: str) -> wp.array:
+    """The array of Warp on the memory of a value for which ``on_device`` holds.
+
+    Raises:
+        InputError: A tensor that torch keeps a gradient of, or whose memory Warp cannot share.
+    """
+    if isinstance(value, wp.array):
+        return value
+    if getattr(value, "requires_grad", False):
+        raise InputError(
+            f"{name} are a tensor with requires_grad, and no gradient would come back through it: "
+            "give tensor.detach(); gradients of motions are in taccel_lab.gradients"
+        )
+    try:
+        return wp.from_dlpack(value)
+    except (BufferError, RuntimeError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{name} on the device must be dense numbers that Warp can share: {error}"
+        ) from None
 
 
 def host_values(value: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
@@ -142,7 +158,7 @@ def given_array(
     if not on_device(value):
         found = host_values(value, name, expected)
         return wp.array(found, dtype=dtype, shape=shape, device="cpu", copy=False)
-    shared = device_array(value)
+    shared = device_array(value, name)
     if not shared.is_contiguous:
         shared = shared.contiguous()
     if shared.dtype is wp.float64 and shared.shape == expected and width > 1:
@@ -168,7 +184,7 @@ def device_mask(mask: Any, env_count: int, device: wp.Device) -> wp.array:
         InputError: Of another shape, type or device.
     """
     if on_device(mask):
-        found = device_array(mask)
+        found = device_array(mask, "masks")
         known = found.dtype in (wp.int32, wp.bool)
         if found.shape != (env_count,) or not known or found.device != device:
             raise InputError(

@@ -14,20 +14,9 @@ from typing import Literal
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.profile.bounds import Bound, require_finite, require_within
 
 Triple = tuple[float, float, float]
-
-
-def _finite(name: str, values: tuple[float, ...], count: int | None = None) -> None:
-    if count is not None and len(values) != count:
-        raise InputError(f"{name} must be {count} numbers, got {values}")
-    if not all(math.isfinite(v) for v in values):
-        raise InputError(f"{name} must be finite, got {values}")
-
-
-def _in_range(name: str, value: float, low: float, high: float, unit: str = "") -> None:
-    if not (math.isfinite(value) and low <= value <= high):
-        raise InputError(f"{name} must lie in [{low:g}, {high:g}]{unit}, got {value}")
 
 
 @dataclass(frozen=True)
@@ -58,13 +47,10 @@ class Camera:
     lens, 0 for an image whose shading is corrected."""
 
     def __post_init__(self) -> None:
-        for name in ("width_px", "height_px"):
-            _in_range(f"camera {name}", getattr(self, name), 2, 20_000)
-        for name in ("fx_px", "fy_px"):
-            _in_range(f"camera {name}", getattr(self, name), 1.0, 1e6, " px")
-        _finite("camera cx_px, cy_px", (self.cx_px, self.cy_px))
-        _finite("camera position_mm", self.position_mm, 3)
-        _finite("camera rotation", self.rotation, 4)
+        require_within("optics", self, "camera")
+        require_finite("camera cx_px, cy_px", (self.cx_px, self.cy_px))
+        require_finite("camera position_mm", self.position_mm, 3)
+        require_finite("camera rotation", self.rotation, 4)
         if abs(math.hypot(*self.rotation) - 1) > 1e-6:
             raise InputError(f"camera rotation must be a unit quaternion, got {self.rotation}")
         allowed = {"pinhole": (0, 4, 5, 8), "fisheye": (0, 4)}
@@ -75,10 +61,7 @@ class Camera:
                 f"a {self.model} camera takes {allowed[self.model]} distortion coefficients, got "
                 f"{len(self.distortion)}"
             )
-        _finite("camera distortion", self.distortion)
-        _in_range("camera focus_mm", self.focus_mm, 0.0, 1e4, " mm")
-        _in_range("camera aperture_mm", self.aperture_mm, 0.0, 100.0, " mm")
-        _in_range("camera falloff", self.falloff, 0.0, 8.0)
+        require_finite("camera distortion", self.distortion)
 
     def size_within(self, longest_px: int, *, enlarged: bool = False) -> tuple[int, int]:
         """Width and height of a picture whose longer side has that many pixels, or the camera's
@@ -114,16 +97,14 @@ class Light:
     name: str = ""
 
     def __post_init__(self) -> None:
-        _finite("light position_mm", self.position_mm, 3)
-        _finite("light direction", self.direction, 3)
+        require_finite("light position_mm", self.position_mm, 3)
+        require_finite("light direction", self.direction, 3)
         if abs(math.hypot(*self.direction) - 1) > 1e-6:
             raise InputError(f"light direction must have unit length, got {self.direction}")
-        _finite("light rgb", self.rgb, 3)
+        require_finite("light rgb", self.rgb, 3)
         if min(self.rgb) < 0 or max(self.rgb) <= 0:
             raise InputError(f"light rgb must be >= 0 with at least one above, got {self.rgb}")
-        for value in self.size_mm:
-            _in_range("light size_mm", value, 0.0, 200.0, " mm")
-        _in_range("light lobe", self.lobe, 0.0, 200.0)
+        require_within("light", self)
 
 
 @dataclass(frozen=True)
@@ -139,12 +120,8 @@ class Coating:
     thickness_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        _finite("coating albedo_rgb", self.albedo_rgb, 3)
-        for value in self.albedo_rgb:
-            _in_range("coating albedo_rgb", value, 0.0, 1.0)
-        _in_range("coating specular", self.specular, 0.0, 1.0)
-        _in_range("coating roughness", self.roughness, 0.02, 1.0)
-        _in_range("coating thickness_mm", self.thickness_mm, 0.0, 5.0, " mm")
+        require_finite("coating albedo_rgb", self.albedo_rgb, 3)
+        require_within("coating", self)
 
 
 @dataclass(frozen=True)
@@ -160,10 +137,7 @@ class Window:
     """Of a dome: radius of the face that the gel is glued to."""
 
     def __post_init__(self) -> None:
-        _in_range("window thickness_mm", self.thickness_mm, 0.05, 100.0, " mm")
-        for value in self.size_mm:
-            _in_range("window size_mm", value, 0.5, 300.0, " mm")
-        _in_range("window refractive_index", self.refractive_index, 1.0, 2.5)
+        require_within("window", self)
         if self.shape not in ("plate", "dome"):
             raise InputError(f"window shape must be plate or dome, got {self.shape!r}")
         if self.shape == "dome" and not self.thickness_mm < self.outer_radius_mm <= 200:
@@ -206,15 +180,11 @@ class MarkerGrid:
     """Row and column, from 0, of places without a dot."""
 
     def __post_init__(self) -> None:
-        for name in ("rows", "columns"):
-            _in_range(f"marker {name}", getattr(self, name), 1, 500)
-        for name in ("pitch_x_mm", "pitch_y_mm"):
-            _in_range(f"marker {name}", getattr(self, name), 0.1, 50.0, " mm")
-        least = min(self.pitch_x_mm, self.pitch_y_mm)
-        _in_range("marker radius_mm", self.radius_mm, 0.01, least / 2, " mm (half of the pitch)")
-        _finite("marker offset_mm", self.offset_mm, 2)
-        _in_range("marker rotation_deg", self.rotation_deg, -180.0, 180.0, " degrees")
-        _in_range("marker stagger", self.stagger, -0.5, 0.5)
+        require_finite("marker offset_mm", self.offset_mm, 2)
+        require_within("markers", self)
+        size = Bound(0.01, min(self.pitch_x_mm, self.pitch_y_mm) / 2, "mm", "dots do not touch")
+        if not size.allows(self.radius_mm):
+            raise InputError(f"markers.radius_mm: {size}, got {self.radius_mm:g}: {size.why}")
         for row, column in self.missing:
             if not (0 <= row < self.rows and 0 <= column < self.columns):
                 raise InputError(
@@ -267,8 +237,5 @@ class OpticalDesign:
     def __post_init__(self) -> None:
         if not self.lights:
             raise InputError("an optical design needs at least one light")
-        _in_range("gel_refractive_index", self.gel_refractive_index, 1.0, 2.5)
-        _finite("ambient_rgb", self.ambient_rgb, 3)
-        for value in self.ambient_rgb:
-            _in_range("ambient_rgb", value, 0.0, 100.0)
-        _in_range("gel_scattering_per_mm", self.gel_scattering_per_mm, 0.0, 100.0, " /mm")
+        require_finite("ambient_rgb", self.ambient_rgb, 3)
+        require_within("optics", self, "optics")

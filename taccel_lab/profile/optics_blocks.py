@@ -7,10 +7,11 @@ They hold what ``taccel_lab.profile.optical_design`` holds, whose checks they sh
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
+from taccel_lab.profile.bounds import Bound
 from taccel_lab.profile.optical_design import (
     Camera,
     Coating,
@@ -23,7 +24,6 @@ from taccel_lab.profile.schema import Block, Provenance
 from taccel_lab.reading.strict_model import Number, StrictModel, Whole
 
 Triple = tuple[Number, Number, Number]
-Share = Annotated[Number, Field(gt=0, le=1)]
 
 
 class OpticsBlock(Block):
@@ -51,19 +51,30 @@ class OpticsBlock(Block):
     focus_mm: Number = 0.0
     aperture_mm: Number = 0.0
     falloff: Number = 4.0
-    raw_width_px: Whole = Field(default=0, ge=0, le=20_000)
+    raw_width_px: Whole = 0
     """Width of the camera's own pictures; 0 when unknown."""
-    raw_height_px: Whole = Field(default=0, ge=0, le=20_000)
-    crop_x: Share = 1.0
+    raw_height_px: Whole = 0
+    crop_x: Number = 1.0
     """Share of their width that the tactile image shows, centred."""
-    crop_y: Share = 1.0
-    gel_refractive_index: Number = Field(default=1.41, ge=1.0, le=2.5)
-    gel_scattering_per_mm: Number = Field(default=0.0, ge=0.0, le=100.0)
+    crop_y: Number = 1.0
+    gel_refractive_index: Number = 1.41
+    gel_scattering_per_mm: Number = 0.0
     ambient_rgb: Triple = (0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
     def _check_camera(self) -> Self:
         self.camera()
+        longest = max(self.width_px, self.height_px)
+        lens = Bound(0.05 * longest, 60 * longest, "px", "lenses see 1 to 170 degrees")
+        behind = Bound(-1000, -0.5, "mm", "it looks at the gel from behind, along +z")
+        rules = [("fx_px", self.fx_px, lens), ("fy_px", self.fy_px, lens)]
+        rules.append(("position_mm, z", self.position_mm[2], behind))
+        for name, size in (("cx_px", self.width_px), ("cy_px", self.height_px)):
+            place = Bound(-0.4 * size, 1.4 * size, "px", "the axis passes near the image")
+            rules.append((name, getattr(self, name), place))
+        for name, value, bound in rules:
+            if not bound.allows(value):
+                raise ValueError(f"{name}: {bound}, got {value:g}: {bound.why}")
         return self
 
     def camera(self) -> Camera:
@@ -148,6 +159,8 @@ class LightEntry(StrictModel):
     @model_validator(mode="after")
     def _check_light(self) -> Self:
         self.light()
+        if self.position_mm[2] > 0:
+            raise ValueError("position_mm, z: must be at most 0: LEDs lie behind the gel's apex")
         return self
 
     def light(self) -> Light:
@@ -198,14 +211,16 @@ class HousingBlock(Block):
 
     key: ClassVar[str] = "housing"
 
-    size_mm: tuple[
-        Annotated[Number, Field(gt=0, le=1000)],
-        Annotated[Number, Field(gt=0, le=1000)],
-        Annotated[Number, Field(gt=0, le=1000)],
-    ]
-    wall_mm: Number = Field(gt=0, le=100)
-    corner_radius_mm: Number = Field(ge=0, le=500)
-    front_z_mm: Number = Field(ge=-1000, le=0)
+    size_mm: Triple
+    wall_mm: Number
+    corner_radius_mm: Number
+    front_z_mm: Number
     """z of the front face in the gel frame."""
     offset_mm: tuple[Number, Number] = (0.0, 0.0)
     """Centre of the box in gel xy."""
+
+    @model_validator(mode="after")
+    def _check_offset(self) -> Self:
+        if any(abs(o) > s / 2 for o, s in zip(self.offset_mm, self.size_mm, strict=False)):
+            raise ValueError("offset_mm: the box must hold the axis of the gel")
+        return self

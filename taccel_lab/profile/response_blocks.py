@@ -6,19 +6,14 @@ units and days differ."""
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from taccel_lab.profile.schema import Block, ConfigValue, Name
 from taccel_lab.reading.strict_model import Number
 
-Level = Annotated[Number, Field(ge=0, le=255)]
-Triple = tuple[
-    Annotated[Number, Field(ge=0, le=1e3)],
-    Annotated[Number, Field(ge=0, le=1e3)],
-    Annotated[Number, Field(ge=0, le=1e3)],
-]
+Triple = tuple[Number, Number, Number]
 
 
 class NormalsBlock(Block):
@@ -54,17 +49,17 @@ class DepthResponseBlock(Block):
 
     channel: Literal["grey", "red", "green", "blue"] = "grey"
     """Channel whose drop is read; grey is OpenCV's luma 0.299 R + 0.587 G + 0.114 B."""
-    drop_levels: tuple[Level, ...] = Field(min_length=2)
+    drop_levels: tuple[Number, ...] = Field(min_length=2)
     """Background minus image [levels of 255], rising."""
     depth_mm: tuple[Number, ...] = Field(min_length=2)
     """Indentation of the contact face at each drop [mm], not falling."""
-    reading_sigma_mm: Number | None = Field(default=None, ge=0.0)
+    reading_sigma_mm: Number | None = None
     """Standard deviation of a pixel's depth about the curve on presses that it did not see [mm];
     None where it is not known, and the two below then are not either."""
-    zero_sigma_mm: Number = Field(default=0.0, ge=0.0)
+    zero_sigma_mm: Number = 0.0
     """Standard deviation of the zero [mm], which all depths from the second entry on share; below
     it runs straight to none, since untouched gel is at zero whatever the zero is."""
-    depth_share: Number = Field(default=0.0, ge=0.0)
+    depth_share: Number = 0.0
     """Standard deviation, as a share of the depth, by the scale that the calibration took."""
 
     @model_validator(mode="after")
@@ -74,8 +69,8 @@ class DepthResponseBlock(Block):
             raise ValueError(f"drop_levels has {len(drop)} entries, depth_mm {len(depth)}")
         if any(b <= a for a, b in pairwise(drop)):
             raise ValueError("drop_levels must rise")
-        if any(b < a for a, b in pairwise(depth)) or depth[0] < 0:
-            raise ValueError("depth_mm must not fall and start at 0 or above")
+        if any(b < a for a, b in pairwise(depth)):
+            raise ValueError("depth_mm must not fall")
         return self
 
 
@@ -90,20 +85,20 @@ class PerturbationBlock(Block):
 
     gain_rgb: Triple = (0.0, 0.0, 0.0)
     """Of the per-frame gain of each channel."""
-    pivot_rgb: tuple[Level, Level, Level] = (0.0, 0.0, 0.0)
+    pivot_rgb: Triple = (0.0, 0.0, 0.0)
     """Level of each channel that its gain leaves as it is, usually the mean of the background:
     about it gain and offset vary independently [levels]; not a spread."""
     offset_rgb: Triple = (0.0, 0.0, 0.0)
     """Of the per-frame offset of each channel, at the pivot [levels]."""
     gradient_rgb: Triple = (0.0, 0.0, 0.0)
     """Of a linear gradient of the light over half the image [levels]."""
-    noise_levels: Number = Field(default=0.0, ge=0, le=255)
+    noise_levels: Number = 0.0
     """Of one pixel between frames [levels]."""
-    mm_per_px_relative: Number = Field(default=0.0, ge=0, le=1)
+    mm_per_px_relative: Number = 0.0
     """Of the scale, as a part of it."""
-    center_px: Number = Field(default=0.0, ge=0, le=1e4)
+    center_px: Number = 0.0
     """Of the gel's place in the image [px]."""
-    young_modulus_relative: Number = Field(default=0.0, ge=0, le=10)
+    young_modulus_relative: Number = 0.0
     """Of Young's modulus, as a part of it."""
-    friction_coefficient: Number = Field(default=0.0, ge=0, le=5)
+    friction_coefficient: Number = 0.0
     """Of the coefficient of friction."""

@@ -2,7 +2,7 @@
 """The blocks of a sensor profile, schema version 8; those of its optics are in ``optics_blocks``,
 those of how it answers a touch in ``response_blocks``.
 
-Every block is frozen, refuses unknown keys, checks its bounds and says where it comes from
+Every block is frozen, refuses unknown keys, checks its ``bounds`` and says where it comes from
 (``Provenance``). Blocks are the same in memory and in ``profile.toml``; the arrays they describe
 (mesh, background image, colour-model weights) lie beside them, see ``taccel_lab.profile.arrays``.
 
@@ -13,6 +13,7 @@ A block that is built from bad values raises ``InputError`` with the path of eac
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
@@ -26,6 +27,7 @@ from pydantic import (
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile.bounds import out_of_bounds, require_within
 from taccel_lab.reading.strict_model import (
     Flag,
     Number,
@@ -114,8 +116,12 @@ class Block(StrictModel):
             try:
                 super().__init__(**values)
             except ValidationError as error:
-                lines = describe_errors(error, type(self)).splitlines()
-                raise InputError("\n".join(f"{self.key}.{line}" for line in lines)) from None
+                told = {fault["loc"][0] for fault in error.errors() if fault["loc"]}
+                rest = {name: value for name, value in values.items() if name not in told}
+                lines = [f"{self.key}.{t}" for t in describe_errors(error, type(self)).splitlines()]
+                lines += out_of_bounds(self.key, SimpleNamespace(**rest), self.key)
+                raise InputError("\n".join(lines)) from None
+            require_within(self.key, self)
 
 
 class Session(StrictModel):
@@ -158,22 +164,22 @@ class GelBlock(Block):
     key: ClassVar[str] = "gel"
 
     file: Literal["mesh.npz"] = "mesh.npz"
-    thickness_mm: Number = Field(gt=0, le=100)
+    thickness_mm: Number
     """Depth of the pad below its apex [mm]."""
     node_count: Whole = Field(ge=4)
     tet_count: Whole = Field(ge=1)
-    min_dihedral_deg: Number = Field(gt=0, le=70.53)
+    min_dihedral_deg: Number
     """Smallest dihedral angle of any tet [degrees]; a regular tet has 70.53."""
 
 
 class _Solid(StrictModel):
     """A hyperelastic solid at small strain."""
 
-    young_modulus_pa: Number = Field(ge=1e2, le=1e9)
+    young_modulus_pa: Number
     """Young's modulus at small strain [Pa]."""
     poisson_ratio: Number
-    """Poisson's ratio, above -1 and below 0.5."""
-    density_kg_m3: Number = Field(gt=0, le=3e4)
+    """Poisson's ratio, from 0 and below 0.5."""
+    density_kg_m3: Number
 
     @field_validator("poisson_ratio")
     @classmethod
@@ -183,8 +189,8 @@ class _Solid(StrictModel):
                 "must be below 0.5: at 0.5 the gel is incompressible and its bulk modulus "
                 "E / (3 (1 - 2 nu)) infinite; soft gels are modelled with 0.45 to 0.49"
             )
-        if value <= -1.0:
-            raise ValueError("must be above -1: at -1 the shear modulus E / (2 (1 + nu)) diverges")
+        if value < 0:
+            raise ValueError("must be at least 0: no gel grows thicker when it is pulled")
         return value
 
 
@@ -203,7 +209,7 @@ class FittedWith(StrictModel):
 
     physics: dict[Name, Scalar | dict[Name, Scalar]]
     """``PressPhysics.record()``."""
-    friction_coefficient: Number = Field(ge=0, le=5)
+    friction_coefficient: Number
     """Between tool and gel."""
     friction_measured: Flag
     """Whether a record told it; otherwise it was held, or is the one that fits best."""
@@ -223,11 +229,11 @@ class MaterialBlock(Block, _Solid):
         "neo_hookean"
     )
     """Energy of the gel and of its layers."""
-    mooney_ratio: Number = Field(default=0.0, ge=0, le=1)
+    mooney_ratio: Number = 0.0
     """Mooney-Rivlin only: c01 / (c10 + c01)."""
-    damping_time_s: Number = Field(default=0.0, ge=0, le=1e4)
+    damping_time_s: Number = 0.0
     """Viscous over elastic stress at a strain rate of one a second [s]."""
-    friction_coefficient: Number = Field(ge=0, le=5)
+    friction_coefficient: Number
     """Coulomb friction between the gel and what presses on it."""
     layers: tuple[LayerMaterial, ...] = ()
     """Materials of the mesh's layers 1, 2, ...; layer 0 is the gel proper, this block's own."""
@@ -241,10 +247,10 @@ class CameraBlock(Block):
 
     key: ClassVar[str] = "camera"
 
-    width_px: Whole = Field(ge=2, le=20_000)
-    height_px: Whole = Field(ge=2, le=20_000)
-    mm_per_px_x: Number = Field(ge=1e-4, le=1.0)
-    mm_per_px_y: Number = Field(ge=1e-4, le=1.0)
+    width_px: Whole
+    height_px: Whole
+    mm_per_px_x: Number
+    mm_per_px_y: Number
     center_u_px: Number
     """Column of the gel frame's origin [px]."""
     center_v_px: Number

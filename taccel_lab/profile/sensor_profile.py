@@ -87,6 +87,7 @@ class SensorProfile:
 
     def __post_init__(self) -> None:
         self._check_mesh()
+        self._check_view()
         self._check_background()
         for key in ("color", "normals", "force"):
             self._check_weights(key)
@@ -180,6 +181,19 @@ class SensorProfile:
                 f"the mesh has tets of layer {highest}, but material.layers states {stated} of them"
             )
         check_mesh_size(self.mesh, self.gel.thickness_mm)
+
+    def _check_view(self) -> None:
+        """The middle of the image lies over the gel."""
+        grid = self.grid()
+        nodes_mm = 1e3 * self.mesh.nodes_m
+        for axis, x in (("x", grid.x_mm()), ("y", grid.y_mm())):
+            middle = float(x[0] + x[-1]) / 2
+            low, high = (float(f(nodes_mm[:, "xy".index(axis)])) for f in (np.min, np.max))
+            if not low <= middle <= high:
+                raise InputError(
+                    f"camera: the image's middle lies at {axis} = {middle:.4g} mm, the gel from "
+                    f"{low:.4g} to {high:.4g} mm: correct center_u_px, center_v_px or the scale"
+                )
 
     def _check_background(self) -> None:
         if (self.background is None) != (self.background_rgb is None):

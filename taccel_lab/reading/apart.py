@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Foreign readers run in a process of their own, with limits on memory and time.
 
-Libraries that decode CAD files, meshes, images and videos may crash on a damaged file, take all
-memory or never return. What happens to that process becomes a sentence about the file; the next
-file gets a fresh one.
+Libraries that decode CAD files, meshes, images and videos may crash on a file, take all memory or
+never return. What happens to that process becomes a sentence about the library, with its version:
+it may crash on sound files too. The next file gets a fresh process.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ import threading
 import traceback
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import packages_distributions, version
 from multiprocessing.connection import Connection
 from multiprocessing.reduction import recv_handle, send_handle
 from typing import Any, TypeVar
@@ -49,7 +51,7 @@ ENVIRONMENT = {
 
 
 def read_apart(
-    what: str, read: Callable[..., Result], *arguments: Any, limit_s: float = LIMIT_S
+    what: str, read: Callable[..., Result], *arguments: Any, by: str, limit_s: float = LIMIT_S
 ) -> Result:
     """``read(*arguments)``, run in the readers' process.
 
@@ -57,23 +59,38 @@ def read_apart(
         what: The file, to begin a sentence with.
         read: A function of a module; its InputErrors are raised here.
         arguments: And its result: anything that pickles.
+        by: The foreign package that does it, by its import name; told where it crashes.
         limit_s: Seconds that it may take.
 
     Raises InputError when the process crashes, runs out of memory or takes too long.
     """
     with _readers.use() as reader:
-        return reader.ask(what, read, arguments, False, limit_s)
+        return reader.ask(_Asked(what, by, limit_s), read, arguments, False)
 
 
 def stream_apart(
-    what: str, read: Callable[..., Iterator[Result]], *arguments: Any, limit_s: float = LIMIT_S
+    what: str,
+    read: Callable[..., Iterator[Result]],
+    *arguments: Any,
+    by: str,
+    limit_s: float = LIMIT_S,
 ) -> Generator[Result, None, None]:
     """Items of the iterator ``read(*arguments)`` as they are read; limits are those of an item."""
     with _readers.use() as reader:
-        item, more = reader.ask(what, read, arguments, True, limit_s)
+        asked = _Asked(what, by, limit_s)
+        item, more = reader.ask(asked, read, arguments, True)
         while more:
             yield item
-            item, more = reader.next_item(what, limit_s)
+            item, more = reader.next_item(asked)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What was asked of a reader; see ``read_apart``."""
+
+    what: str
+    by: str
+    limit_s: float
 
 
 class _Reader:
@@ -92,11 +109,10 @@ class _Reader:
 
     def ask(
         self,
-        what: str,
+        asked: _Asked,
         read: Callable[..., Any],
         arguments: tuple[Any, ...],
         stream: bool,
-        limit_s: float,
     ) -> Any:
         self.idle = False
         try:
@@ -104,11 +120,11 @@ class _Reader:
             self.child.pipe.send((os.getcwd(), read, arguments, stream))
         except (BrokenPipeError, ConnectionResetError):
             pass  # The answer says so.
-        return self.next_item(what, limit_s) if stream else self._answer(what, limit_s)
+        return self.next_item(asked) if stream else self._answer(asked)
 
-    def next_item(self, what: str, limit_s: float) -> tuple[Any, bool]:
+    def next_item(self, asked: _Asked) -> tuple[Any, bool]:
         """The next item of a stream and whether there was one."""
-        kind, content = self._receive(what, limit_s)
+        kind, content = self._receive(asked)
         self.idle = kind == "end"
         if kind == "item":
             try:
@@ -117,29 +133,31 @@ class _Reader:
                 pass  # It died of the next one: that one's turn says so.
         return content, kind == "item"
 
-    def _answer(self, what: str, limit_s: float) -> Any:
-        _, content = self._receive(what, limit_s)
+    def _answer(self, asked: _Asked) -> Any:
+        _, content = self._receive(asked)
         self.idle = True
         return content
 
-    def _receive(self, what: str, limit_s: float) -> tuple[str, Any]:
+    def _receive(self, asked: _Asked) -> tuple[str, Any]:
         try:
-            if not self.child.pipe.poll(limit_s):
+            if not self.child.pipe.poll(asked.limit_s):
                 raise InputError(
-                    f"{what}: the reader did not finish within {limit_s:g} s; the file is damaged "
-                    "or far too large"
+                    f"{asked.what}: the reader did not finish within {asked.limit_s:g} s; the file "
+                    "may be far too large, or damaged"
                 )
             kind, content, sizes = self.child.pipe.recv()
             content = pickle.loads(content, buffers=self._buffers(sizes))
         except (EOFError, ConnectionResetError):
             raise InputError(
-                f"{what}: the file is damaged: its reader crashed on it (the process "
-                f"{self.child.cause_of_death()})"
+                f"{asked.what}: {_version(asked.by)} crashed on it (the process "
+                f"{self.child.cause_of_death()}). The file may be sound. Save it again, from "
+                "another program or with other settings, or try another version of that library; "
+                "if that does not help, report the file"
             ) from None
         if kind == "memory":
             raise InputError(
-                f"{what} needs more than {MEMORY_BYTES / 2**30:g} GiB of memory to be read; the "
-                "file is damaged or far too large"
+                f"{asked.what} needs more than {MEMORY_BYTES / 2**30:g} GiB of memory to be read; "
+                "the file may be far too large, or damaged"
             )
         if kind == "error":
             self.idle = True
@@ -158,6 +176,13 @@ class _Reader:
     def end(self) -> None:
         self.child.end()
         os.close(self.arrays)
+
+
+def _version(package: str) -> str:
+    """What was installed to give a package, and its version: "vtk 9.7.1"."""
+    # An import name has as many sources as people made builds of it (OpenCV has four).
+    sources = sorted(set(packages_distributions().get(package, ())))
+    return " and ".join(f"{source} {version(source)}" for source in sources) or package
 
 
 def _place_for_arrays() -> int:

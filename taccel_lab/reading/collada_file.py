@@ -70,7 +70,9 @@ def read_collada(path: Path, as_drawn: bool = False) -> tuple[np.ndarray, np.nda
                 part.remove(child)
             elif _name(child) == "float_array":
                 _check_numbers(path, child)
-    points, faces = read_apart(str(path), _read_with_pycollada, path, ElementTree.tostring(root))
+    points, faces = read_apart(
+        str(path), _read_with_pycollada, path, ElementTree.tostring(root), by="collada"
+    )
     if not len(faces):
         raise InputError(f"{path} shows no faces")
     if not as_drawn and (up := _up_axis(root)) != "Z_UP":

@@ -40,17 +40,17 @@ def read_image(path: Path) -> np.ndarray:
     Raises InputError with the path when it is none of ``ALLOWED``, is damaged or cut short, has
     more than ``MAX_IMAGE_PIXELS``, or values of other than 8 or 16 bits.
     """
-    return read_apart(str(path), _rgb, Path(path))
+    return read_apart(str(path), _rgb, Path(path), by="cv2")
 
 
 def read_grey(path: Path) -> np.ndarray:
     """An image file as grey levels, uint8, shape [height, width]; errors as above."""
-    return read_apart(str(path), _grey, Path(path))
+    return read_apart(str(path), _grey, Path(path), by="cv2")
 
 
 def image_size(path: Path) -> tuple[int, int]:
     """Width and height of :func:`read_image` [px], and its errors: the image is decoded for it."""
-    return read_apart(str(path), _size, Path(path))
+    return read_apart(str(path), _size, Path(path), by="cv2")
 
 
 def levels(image: Path | np.ndarray | str) -> np.ndarray:

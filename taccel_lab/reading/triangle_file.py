@@ -6,6 +6,7 @@ VTK believes what a file says of its counts and indices and crashes where that i
 
 from __future__ import annotations
 
+import os
 import re
 import warnings
 from pathlib import Path
@@ -33,18 +34,21 @@ def read_triangle_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
     Faces of more corners are cut into triangles, points at the same place merged, and triangles
     without area that this leaves, such as those between two equal points, go, and so do those of
-    ``without_idle_faces``. Nothing is said of the surface: it may be open, or cross itself.
+    ``without_idle_faces``. Nothing is said of the surface: it may be open, or cross itself. The
+    format is that of the name's ending, or, where it has none of ours, of the file that a link
+    leads to.
 
     Raises InputError for a file that cannot be read, has no faces, more than ``MAX_TRIANGLES``, or
     coordinates that are not finite.
     """
     require_regular_file(path, MAX_BYTES, "a triangle mesh (STL, PLY or OBJ)")
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
+    names = (path, Path(os.path.realpath(path)))
+    suffix = next((name.suffix.lower() for name in names if name.suffix.lower() in SUFFIXES), None)
+    if suffix is None:
         raise InputError(f"{path}: only .stl, .ply and .obj files can be read as triangles")
     if suffix == ".ply":
         _check_ply_counts(path)
-    points, faces = read_apart(str(path), _read_with_vtk, path)
+    points, faces = read_apart(str(path), _read_with_vtk, path, suffix, by="vtkmodules")
     if not len(faces):
         raise InputError(f"{path} holds no faces, or is not a readable mesh file")
     return without_idle_faces(path, points, faces)
@@ -86,14 +90,15 @@ def _loose_edges(faces: np.ndarray) -> int:
     return int((np.unique(edges, axis=0, return_counts=True)[1] != 2).sum())
 
 
-def _read_with_vtk(path: Path) -> tuple[np.ndarray, np.ndarray]:
+def _read_with_vtk(path: Path, suffix: str) -> tuple[np.ndarray, np.ndarray]:
     """What VTK makes of the file; runs in the readers' process."""
     import pyvista
 
     with warnings.catch_warnings():
         # VTK's own words about a broken file; what is wrong is said by whoever gets nothing.
         warnings.simplefilter("ignore")
-        loaded = pyvista.read(path)
+        # It would go by the file that a link leads to, which git-annex and DVC name by its digest.
+        loaded = pyvista.read(path, force_ext=suffix)
     if not isinstance(loaded, pyvista.PolyData) or loaded.n_cells == 0 or loaded.n_points == 0:
         return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     return _cleaned(path, loaded)

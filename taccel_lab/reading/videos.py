@@ -36,12 +36,12 @@ def read_frames(path: Path) -> Iterator[np.ndarray]:
     Raises InputError with the path when fewer than two decode, and when frames are of several
     sizes, of more than ``MAX_FRAME_PIXELS``, or more than ``MAX_FRAMES``.
     """
-    return stream_apart(str(path), _frames, Path(path), limit_s=_SILENT_S)
+    return stream_apart(str(path), _frames, Path(path), by="cv2", limit_s=_SILENT_S)
 
 
 def count_frames(path: Path) -> tuple[int, int]:
     """How many frames of a video decode, and how many it says it has; errors as above."""
-    *_, counted = stream_apart(str(path), _counts, Path(path), limit_s=_SILENT_S)
+    *_, counted = stream_apart(str(path), _counts, Path(path), by="cv2", limit_s=_SILENT_S)
     return counted
 
 

@@ -30,6 +30,7 @@ from taccel_lab.signals.model_settings import (
     require_camera_size,
     settings_dict,
 )
+from taccel_lab.signals.network_answers import QUESTIONS, forward, require_answers
 from taccel_lab.signals.position_encoding import encode_position, require_bands
 
 if TYPE_CHECKING:
@@ -158,7 +159,8 @@ class ColorModel:
         """The colour model of a profile's sensor; None when it has none.
 
         Its cone is the ``surface_tilt_deg`` of the block's ``valid_region``. Raises InputError when
-        it is for images of another size than those of the camera.
+        it is for images of another size than those of the camera, or changes colours by more than
+        a picture holds.
         """
         if profile.color is None or profile.color_weights is None:
             return None
@@ -166,7 +168,31 @@ class ColorModel:
         require_camera_size(profile, "color", config.width_px, config.height_px)
         region = profile.color.provenance.valid_region
         steepest_deg = region.get(STEEPEST, (0.0, UPRIGHT_DEG))[1]
-        return cls(config, profile.color_weights, min(steepest_deg, UPRIGHT_DEG))
+        model = cls(config, profile.color_weights, min(steepest_deg, UPRIGHT_DEG))
+        model.require_levels()
+        return model
+
+    def require_levels(self) -> None:
+        """Refuse a network whose changes of colour no picture holds, over the tilts that it was
+        fitted to and twice the spread of its displacements."""
+        rng, config = np.random.default_rng(0), self.config
+        tilt = np.radians(rng.uniform(0, min(self.cone_deg, 60.0), QUESTIONS))
+        turn = rng.uniform(0, 2 * np.pi, QUESTIONS)
+        across = np.sin(tilt)
+        normals = np.stack([across * np.cos(turn), across * np.sin(turn), np.cos(tilt)], axis=-1)
+        depth_mm = np.zeros(QUESTIONS)
+        if "displacement_mm" in config.inputs:
+            place = config.inputs.index("displacement_mm")
+            spread = rng.uniform(-2, 2, QUESTIONS)
+            depth_mm = config.input_mean[place] + config.input_scale[place] * spread
+        uv = pixel_uv(config, rng.integers(config.width_px * config.height_px, size=QUESTIONS))
+        upright = np.tile([0.0, 0.0, 1.0], (QUESTIONS, 1))
+        pressed, at_rest = (
+            forward(self.weights, stack_inputs(config, uv, n, d), config.activation)
+            for n, d in ((normals, depth_mm), (upright, np.zeros(QUESTIONS)))
+        )
+        sizes = config.output_scale * np.abs(pressed - at_rest).max(axis=-1)
+        require_answers("the color model", sizes, 2 * 255.0, "levels", "a picture holds 255")
 
     def predict_pixels(
         self,

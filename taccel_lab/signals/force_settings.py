@@ -89,6 +89,7 @@ class ForceModelConfig:
             values = getattr(self, name)
             if len(values) != count or not all(value > 0 for value in values):
                 raise InputError(f"force model {name} needs {count} positive numbers")
+        self._check_scales()
         if not (
             0 < self.young_modulus_pa < math.inf
             and 0 <= self.stiffness_relative < 10
@@ -98,6 +99,30 @@ class ForceModelConfig:
                 "force model young_modulus_pa and marker_reach_mm must be positive, "
                 "stiffness_relative must lie in 0..10"
             )
+
+    def _check_scales(self) -> None:
+        """Spreads and largest values that a gel's forces can have."""
+        forces, moments, area = self.target_scale[:3], self.target_scale[3:6], self.target_scale[6:]
+        for name, values, most in (
+            ("target_scale of forces [N]", forces, 200.0),
+            ("target_scale of moments [N mm]", moments, 1e4),
+            ("target_scale of areas [mm2]", area, 1e4),
+            ("patch_scale_n", self.patch_scale_n, 200.0),
+            ("sigma_factor", self.sigma_factor, 100.0),
+        ):
+            if not all(1e-6 * most <= value <= most for value in values):
+                raise InputError(
+                    f"force model {name} must lie in {1e-6 * most:g}..{most:g}, got {list(values)}"
+                )
+        for what, spread, most in (
+            ("force along z", self.target_scale[2], self.most[0]),
+            ("area", self.target_scale[6], self.most[2]),
+        ):
+            if math.isfinite(most) and most > 1e3 * spread:
+                raise InputError(
+                    f"force model: the largest {what} of the training, {most:g}, is more than 1000 "
+                    f"times its spread, {spread:g}"
+                )
 
     @property
     def input_px(self) -> tuple[int, int]:

@@ -26,6 +26,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.signals.model_settings import (
     require_camera_size,
 )
+from taccel_lab.signals.network_answers import QUESTIONS, forward, require_answers
 from taccel_lab.signals.normal_features import (
     color_change,
 )
@@ -95,7 +96,8 @@ class NormalModel:
     def from_profile(cls, profile: SensorProfile) -> NormalModel:
         """The model in a profile's ``normals`` block.
 
-        Raises InputError when it has none, or one for images of another size than the camera's.
+        Raises InputError when it has none, one for images of another size than the camera's, or one
+        that turns normals farther than they can be turned.
         """
         if profile.normals is None or profile.normal_weights is None:
             raise InputError(
@@ -104,7 +106,21 @@ class NormalModel:
             )
         config = NormalModelConfig.from_dict(profile.normals.architecture)
         require_camera_size(profile, "normals", config.width_px, config.height_px)
-        return cls(config, profile.normal_weights)
+        model = cls(config, profile.normal_weights)
+        model.require_angles()
+        return model
+
+    def require_angles(self) -> None:
+        """Refuse a network whose tilts are no angles, over twice the spread of its features."""
+        rng, config = np.random.default_rng(0), self.config
+        spread = rng.uniform(-2, 2, (QUESTIONS, config.input_count))
+        raw = np.array(config.input_mean) + np.array(config.input_scale) * spread
+        read, still = (
+            forward(self.weights, config.normalise(values), "silu")[..., :2]
+            for values in (raw, config.at_rest(raw))
+        )
+        sizes = np.degrees(np.linalg.norm((read - still).mean(axis=0), axis=-1))
+        require_answers("the normal model", sizes, 360.0, "degrees", "a tilt has up to 90")
 
     @cached_property
     def _layers(self) -> list[tuple[torch.Tensor, torch.Tensor]]:

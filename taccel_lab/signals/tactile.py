@@ -3,8 +3,7 @@
 
 The surface of ``SurfaceSampler`` and the colours of ``DeviceColorModel``, for a thousand
 environments without a host round trip: nothing waits for the device or looks at its values, so that
-reads can be captured in a CUDA graph. Only what is read is computed, in chunks of environments of
-fixed size.
+reads can be captured in a CUDA graph. Only what is read is computed, in chunks of environments.
 """
 
 # Warp's type stubs describe neither arrays of vectors nor what kernels take.
@@ -21,6 +20,7 @@ import warp as wp
 from taccel_lab.camera.gel_camera import View, face_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
+from taccel_lab.model.devices import require_device
 from taccel_lab.model.env_rows import chosen_envs
 from taccel_lab.model.turns import in_turn
 from taccel_lab.outputs.gel_frames import GelFrames
@@ -122,7 +122,7 @@ class SignalTactile:
             raise InputError("dots need markers and color_model")
         self.grid = grid
         self.env_count = env_count
-        self.device = wp.get_device(device)
+        self.device = require_device(device)
         self._color = None if color_model is None else (color_model, background_rgb)
         self._still_levels = still_levels
         self._mesh = mesh

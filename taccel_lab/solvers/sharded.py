@@ -21,6 +21,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.model import Model
+from taccel_lab.model.devices import require_device
 from taccel_lab.scene.scene import Scene
 from taccel_lab.scene.shards import shard_of, shard_slice
 from taccel_lab.solvers.config import SolverConfig
@@ -147,10 +148,8 @@ class ShardedSolver:
 def _checked_devices(devices: Sequence[str], env_count: int) -> list[str]:
     """The devices, of which there must be one, and no more than environments."""
     names = [devices] if isinstance(devices, str) else list(devices)
-    known = [device.alias for device in wp.get_devices()]
     for name in names:
-        if name not in known:
-            raise InputError(f"device {name!r} is not here; devices are {', '.join(known)}")
+        require_device(name)
     if not 1 <= len(names) <= env_count:
         raise InputError(
             f"{env_count} environments can be spread over 1 to {env_count} devices, "

@@ -10,9 +10,11 @@ import json
 import os
 import re
 import resource
+import signal
 import subprocess
 import sys
 import textwrap
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -39,6 +41,12 @@ class Raises:
             raise self.error
 
 
+def caused(error: Exception, cause: BaseException) -> Exception:
+    """What a library makes of an interruption while it loads."""
+    error.__cause__ = cause
+    return error
+
+
 @pytest.mark.parametrize(
     ("error", "code", "words"),
     [
@@ -46,6 +54,9 @@ class Raises:
         (InputError("frame 3 is empty"), 2, "error: frame 3 is empty"),
         (SimulationError("no descent in step 4"), 3, "simulation failed: no descent in step 4"),
         (KeyboardInterrupt(), 130, "interrupted"),
+        (caused(ImportError("initialization failed"), KeyboardInterrupt()), 130, "interrupted"),
+        (caused(InputError("not installed"), KeyboardInterrupt()), 130, "interrupted"),
+        (caused(RuntimeError("__set_name__"), app._Terminated()), 143, "asked to end"),
         (PermissionError(13, "Permission denied", "/out"), 2, "error: /out: Permission denied"),
         (OSError(28, "No space left on device"), 2, "error: No space left on device"),
         (OSError(30, "Read-only file system", b"/out"), 2, "error: /out: Read-only file system"),
@@ -297,6 +308,35 @@ def test_asked_to_end_it_clears_away_what_is_unfinished(tmp_path: Path, earlier:
         "asked to end; what was half written was removed\n",
     )
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
+
+
+LOADS_THE_KERNEL = """
+    import signal, sys
+    from taccel_lab.cli import app
+
+    class Command:
+        def run(self):
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            print("loading", flush=True)
+            import OCP.STEPCAFControl
+
+    app.parse = lambda arguments: Command()
+    sys.exit(app.main([]))
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_the_load_of_the_cad_kernel_can_be_interrupted(number: int, code: int) -> None:
+    command = [sys.executable, "-c", textwrap.dedent(LOADS_THE_KERNEL)]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        assert run.stdout is not None and run.stderr is not None
+        assert run.stdout.readline() == "loading\n"
+        time.sleep(0.05)  # It takes a second, in which it looks at no signal.
+        run.send_signal(number)
+        said = run.stderr.read()
+    assert (run.returncode, said.count("\n")) == (code, 1), said
 
 
 def test_a_reader_that_is_gone_ends_a_table_quietly() -> None:

@@ -105,6 +105,7 @@ def test_validate_damaged(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
         ({"hidden": [1_000_000_000]}, {}, "weights have shapes"),
         ({"hidden": "abc"}, {}, "wrong type"),
         ({}, {"extra": np.zeros(3, dtype=np.float32)}, "weights have shapes"),
+        ({"output_scale": 1e5}, {}, "color model answers up to"),
         ({"width_px": 97}, {}, "97x72 px, the camera block says 96x72"),
     ],
 )
@@ -125,6 +126,20 @@ def test_validate_builds_the_networks(
     assert app.main(["profile", "validate", str(path)]) == 2
     shown = capsys.readouterr().out.replace("\n", " ")
     assert re.search(words, shown) and "color" in shown
+
+
+def test_validate_and_press_judge_the_parameters(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    profile = load_profile(folder)
+    parameters = {**profile.sensor.parameters, "thickness_mm": -5.0}
+    path = tmp_path / "thin"
+    save_profile(profile.with_block(profile.sensor.replace(parameters=parameters)), path)
+    press = ["press", str(path), "--indenter", "sphere:4", "--depth-mm", "0.1"]
+    for command in (["profile", "validate", str(path)], [*press, "--out", str(tmp_path / "o")]):
+        assert app.main(command) == 2
+        shown = "".join(capsys.readouterr()).replace("\n", " ")
+        assert re.search(r"sensor\.parameters\.thickness_mm = -5 is below its bound", shown)
 
 
 def test_absent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

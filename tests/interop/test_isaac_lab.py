@@ -97,3 +97,7 @@ def test_the_configuration_file_runs(
     assert sensor["normal_contact_stiffness"] == pytest.approx(
         460e3 * 25.25e-3 * 20.75e-3 / 63 / 4e-3, rel=0.02
     )
+    # Shear: G / E = 1 / (2 (1 + 0.46)).
+    assert sensor["tangential_stiffness"] == pytest.approx(
+        sensor["normal_contact_stiffness"] / 2.92
+    )

@@ -35,6 +35,7 @@ def test_opencv_projects_as_the_profile(model: str, digit: SensorProfile, tmp_pa
     changes: dict[str, object] = {
         "rotation": tuple(Rotation.from_rotvec([0.02, -0.05, 0.3]).as_quat().tolist()),
         "position_mm": (0.5, -1.0, -20.0),
+        "fy_px": 0.8 * digit.optics.fy_px,
     }
     if model == "fisheye":
         changes |= {"model": "fisheye", "distortion": (-0.05, 0.01, 0.002, -0.001)}
@@ -55,12 +56,18 @@ def test_opencv_projects_as_the_profile(model: str, digit: SensorProfile, tmp_pa
 
 
 def test_the_map_from_gel_to_pixels(digit: SensorProfile, tmp_path: Path) -> None:
-    export_profile(digit, "opencv", tmp_path / "out")
+    assert digit.optics is not None
+    taller = digit.camera.replace(mm_per_px_y=1.2 * digit.camera.mm_per_px_x)
+    profile = digit.with_block(taller).with_block(digit.optics.replace(crop_x=0.9, crop_y=0.8))
+    export_profile(profile, "opencv", tmp_path / "out")
     found = read(tmp_path / "out" / "camera.yaml")
     points = POINTS_MM * [1, 1, 0] + [0, 0, 1]
     uv = points @ np.asarray(found["pixel_from_gel"]).T
-    np.testing.assert_allclose(uv[:, :2], digit.grid().pixel_from_gel(POINTS_MM[:, :2]))
+    np.testing.assert_allclose(uv[:, :2], profile.grid().pixel_from_gel(POINTS_MM[:, :2]))
+    scale = np.asarray(found["mm_per_px"])
+    np.testing.assert_allclose(scale, [[taller.mm_per_px_x, taller.mm_per_px_y]])
     assert (found["raw_width"], found["raw_height"]) == (480, 640)
+    assert (found["crop_x"], found["crop_y"]) == (0.9, 0.8)
     assert found["sensor"] == "digit"
 
 
@@ -78,12 +85,19 @@ def test_rectified_pixels_are_those_of_the_grid(
         "distortion": (-0.05, 0.01, 0.002, -0.001),
         "model": model,
     }
-    camera = digit.camera.replace(width_px=size[0], height_px=size[1], center_u_px=90.0)
+    camera = digit.camera.replace(
+        width_px=size[0],
+        height_px=size[1],
+        center_u_px=90.0,
+        mm_per_px_y=1.15 * digit.camera.mm_per_px_x,
+    )
     profile = digit.without("window").with_block(camera)
     # The distance at which the focal length gives the grid's scale along the optical axis.
     focal = digit.optics.fx_px
     z_mm = focal * camera.mm_per_px_x * rotation.as_matrix()[2, 2]
-    profile = profile.with_block(digit.optics.replace(position_mm=(0.4, 0.7, -z_mm), **values))
+    profile = profile.with_block(
+        digit.optics.replace(position_mm=(0.4, 0.7, -z_mm), fy_px=focal / 1.15, **values)
+    )
     export_profile(profile, "opencv", tmp_path / "out")
     found = read(tmp_path / "out" / "camera.yaml")
     make = (

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from taccel_lab.geometry import Region
 from taccel_lab.interop.export import export_profile
 from taccel_lab.interop.frames import TACCEL_FROM_GEL
+from taccel_lab.interop.taccel import vbts_config
 from taccel_lab.profile import SensorProfile
 from tests.real_data import real_data
 
@@ -171,3 +172,9 @@ def test_turned_markers_with_gaps(mini: SensorProfile, tmp_path: Path) -> None:
     found = pad.markers(np.asarray(pad.grid.points)) * 1e3 @ TACCEL_FROM_GEL
     middle = mini.grid().gel_from_pixel(np.array([159.5, 119.5]))
     np.testing.assert_allclose(found[:, :2] + middle, markers.grid().points_mm(), atol=1e-9)
+
+
+def test_pixels_of_two_scales_become_those_of_their_mean(mini: SensorProfile) -> None:
+    camera = mini.camera.replace(mm_per_px_y=1.21 * mini.camera.mm_per_px_x)
+    config = vbts_config(mini.with_block(camera))
+    assert config["cam_pixel_size"] == pytest.approx(1.1 * mini.camera.mm_per_px_x)

@@ -15,6 +15,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
 from taccel_lab.geometry import Region
+from taccel_lab.interop.effective_camera import effective_camera
 from taccel_lab.interop.export import export_profile
 from taccel_lab.interop.frames import LINK_FROM_GEL
 from taccel_lab.interop.tacto import MOST_LIGHTS, merged_lights
@@ -136,3 +137,16 @@ def test_joined_lights_keep_their_power(lights: list[Light]) -> None:
         total, kept = (np.sum([part(x) for x in some], axis=0) for some in (lights, joined))
         np.testing.assert_allclose(kept, total, rtol=1e-9, atol=1e-9)
     assert moved_mm == 0 if len(lights) <= MOST_LIGHTS else moved_mm >= 0
+
+
+def test_the_angle_of_view_is_that_of_the_rows(mini: SensorProfile) -> None:
+    """Of pixels that are not square, across the image as along it."""
+    camera = mini.camera.replace(mm_per_px_y=1.2 * mini.camera.mm_per_px_x)
+    found = effective_camera(mini.with_block(camera))
+    assert found is not None
+    distance_mm = 1e3 * found.distance_m
+    assert (found.fx_px, found.fy_px) == pytest.approx(
+        (distance_mm / camera.mm_per_px_x, distance_mm / camera.mm_per_px_y)
+    )
+    half_mm = 240 * camera.mm_per_px_y / 2
+    assert np.tan(found.fov_y_rad / 2) == pytest.approx(half_mm / distance_mm)

@@ -78,3 +78,13 @@ def test_two_scales_end_in_the_bins_that_taxim_looks_up(
         peer(tmp_path / "calib", contact_scale=0.0), press.height_m * 1e3, with_shadow=False
     )
     require_upright(image, our_image(stretched, press), 48)
+
+
+def test_the_map_of_the_gel_is_its_thickness_in_pixels(mini: SensorProfile, tmp_path: Path) -> None:
+    profile = mini.with_block(mini.camera.replace(mm_per_px_y=1.21 * mini.camera.mm_per_px_x))
+    export_profile(profile, "taxim", tmp_path / "out")
+    gel = np.load(tmp_path / "out" / "gelmap.npy")
+    assert gel.shape == (240, 320)
+    # Of the one scale that Taxim knows: the mean of both, as a product.
+    pixel_mm = 1.1 * mini.camera.mm_per_px_x
+    np.testing.assert_allclose(gel, mini.gel.thickness_mm / pixel_mm)

@@ -9,9 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
 from taccel_lab.interop.press_samples import ColorSource
 from taccel_lab.interop.taxim_distil import _image_fit, distil_table
-from taccel_lab.interop.taxim_table import TaximTable, bin_indices, bin_steps, pixel_terms
+from taccel_lab.interop.taxim_table import (
+    TaximTable,
+    bin_indices,
+    bin_steps,
+    one_scale,
+    pixel_terms,
+)
 from taccel_lab.profile import SensorProfile
 from tests.interop.presses import our_image, press_over_rest, psnr
 from tests.interop.profiles import with_encoding
@@ -124,3 +131,14 @@ def test_any_valid_region_gives_a_table(
     made = distil_table(mini.with_block(block, mini.color_weights), 20)
     assert np.isfinite(made.table.grad_rgb).all()
     assert 5 <= made.errors["steepest_tilt_deg"] <= 80
+
+
+def test_a_reader_of_one_scale_measures_other_slopes() -> None:
+    """On a plane: what it takes for a pixel's width along each axis is the mean of both."""
+    grid = PixelGrid(40, 30, 0.04, 0.09)
+    scale, stretch = one_scale(grid)
+    assert scale == pytest.approx(0.06)
+    x, y = grid.x_mm(), grid.y_mm()
+    height_px = (0.3 * x[None, :] - 0.2 * y[:, None]) / scale
+    measured = [np.diff(height_px, axis=axis).mean() for axis in (1, 0)]
+    np.testing.assert_allclose(np.array(measured) * stretch, [0.3, -0.2])

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -92,6 +93,73 @@ def test_inertias_are_physical(robot: Any, mini: SensorProfile) -> None:
     for body in bodies.values():
         a, b, c = np.linalg.eigvalsh(body.inertia)
         assert a > 0 and a + b > c
+
+
+def lean(profile: SensorProfile) -> SensorProfile:
+    """With a gel that is symmetric about no plane, beside its frame's axes."""
+    nodes = profile.mesh.nodes_m.copy()
+    nodes[:, 0] += 0.3 * nodes[:, 2] + 1e-3
+    nodes[:, 1] += 0.2 * nodes[:, 0] - 0.4 * nodes[:, 2]
+    mesh = dataclasses.replace(profile.mesh, nodes_m=nodes)
+    assert profile.housing is not None
+    housing = profile.housing.replace(size_mm=(32.0, 28.0, 20.0), offset_mm=(1.0, -2.0))
+    return dataclasses.replace(profile, mesh=mesh, housing=housing)
+
+
+def test_inertias_are_those_of_the_meshes_beside_them(mini: SensorProfile, tmp_path: Path) -> None:
+    """In the link's frame, each axis another: as trimesh integrates them over the written files."""
+    trimesh = pytest.importorskip("trimesh")
+    profile = lean(mini)
+    export_profile(profile, "urdf", tmp_path / "out")
+    root = ElementTree.parse(tmp_path / "out" / "sensor.urdf").getroot()
+    links = {str(link.get("name")): link for link in root.iter("link")}
+    gel = trimesh.load(tmp_path / "out" / "meshes" / "gel.stl")
+    gel.density = profile.material.density_kg_m3
+    mass, center, inertia = inertial(links["gel"])
+    assert mass == pytest.approx(gel.mass, rel=1e-4)
+    np.testing.assert_allclose(center, gel.center_mass, atol=1e-8)
+    np.testing.assert_allclose(inertia, gel.moment_inertia, atol=1e-4 * inertia.max())
+    assert np.unique(np.round(np.abs(inertia[np.triu_indices(3)]), 12)).size == 6
+
+    # The housing's walls: the box that is drawn without the room inside, open to the front (x).
+    box = trimesh.load(tmp_path / "out" / "meshes" / "housing.stl")
+    wall = 1e-3 * profile.housing.wall_mm  # type: ignore[union-attr]
+    room = trimesh.creation.box(box.extents - [wall, 2 * wall, 2 * wall])
+    room.apply_translation(box.bounds.mean(axis=0) + [wall / 2, 0, 0])
+    for mesh in (box, room):
+        mesh.density = HOUSING_DENSITY
+    mass, center, inertia = inertial(links["sensor_link"])
+    assert mass == pytest.approx(box.mass - room.mass, rel=1e-4)
+    weighed = box.mass * box.center_mass - room.mass * room.center_mass
+    np.testing.assert_allclose(center, weighed / mass, atol=1e-7)
+    wanted = about(box, center) - about(room, center)
+    np.testing.assert_allclose(inertia, wanted, atol=1e-4 * inertia.max())
+    collision = links["sensor_link"].find("collision")
+    assert collision is not None
+    origin, shape = collision.find("origin"), collision.find("geometry/box")
+    assert origin is not None and shape is not None
+    np.testing.assert_allclose(numbers(origin.get("xyz")), box.bounds.mean(axis=0), atol=1e-8)
+    np.testing.assert_allclose(numbers(shape.get("size")), box.extents, atol=1e-8)
+
+
+def numbers(text: str | None) -> np.ndarray:
+    return np.array(str(text).split(), dtype=np.float64)
+
+
+def inertial(link: ElementTree.Element) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, centre and inertia that a link states."""
+    found = link.find("inertial")
+    assert found is not None
+    parts = {part.tag: part.attrib for part in found}
+    entries = {name: float(value) for name, value in parts["inertia"].items()}
+    rows = [[entries["i" + "".join(sorted(a + b))] for b in "xyz"] for a in "xyz"]
+    return float(parts["mass"]["value"]), numbers(parts["origin"]["xyz"]), np.array(rows)
+
+
+def about(mesh: Any, center: np.ndarray) -> np.ndarray:
+    """Inertia of a mesh about a point, by Steiner's theorem."""
+    arm = mesh.center_mass - center
+    return mesh.moment_inertia + mesh.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
 
 
 def test_mass_of_a_block_is_that_of_a_box() -> None:

@@ -116,9 +116,9 @@ def test_round_trip_of_random_values(
     assert full_profile.background is not None and full_profile.color is not None
     between = lambda low, high, **kw: data.draw(st.floats(low, high, **kw))  # noqa: E731
     material = full_profile.material.replace(
-        young_modulus_pa=between(1e2, 1e9),
-        poisson_ratio=between(-1, 0.5, exclude_min=True, exclude_max=True),
-        density_kg_m3=between(0, 3e4, exclude_min=True),
+        young_modulus_pa=between(2e3, 5e7),
+        poisson_ratio=between(0, 0.5, exclude_max=True),
+        density_kg_m3=between(100, 1e4),
         friction_coefficient=between(0, 5),
         provenance=data.draw(provenances),
     )
@@ -214,15 +214,15 @@ def test_missing_file(profile_folder: Path, name: str) -> None:
         ({"lamps": 3}, "lamps: unknown key; allowed: .*camera"),
         ({"lights": 3}, "lights: must be a table"),
         ({"lights": {"led": []}}, r"lights\.led: .*at least 1 item"),
-        ({"optics": {"fx_px": -2.0}}, r"optics\..*fx_px must lie in"),
+        ({"optics": {"fx_px": -2.0}}, r"optics\..*fx_px: must lie in"),
         ({"optics": {"model": "wide"}}, r"optics\.model: .*'pinhole' or 'fisheye'"),
-        ({"window": {"refractive_index": 9.0}}, r"window\..*refractive_index must lie in"),
-        ({"markers": {"radius_mm": 1.5}}, r"markers\..*radius_mm must lie in"),
-        ({"housing": {"wall_mm": 0.0}}, r"housing\.wall_mm: .*greater than 0"),
+        ({"window": {"refractive_index": 9.0}}, r"window\..*refractive_index: must lie in"),
+        ({"markers": {"radius_mm": 1.5}}, r"markers\..*radius_mm: must lie in"),
+        ({"housing": {"wall_mm": 0.0}}, r"housing\.wall_mm: must lie in"),
         ({"material": {"layers": []}}, "tets of layer 1, but material.layers states 0"),
         ({"gel": {"colour": "red"}}, r"gel\.colour: unknown key"),
         ({"gel": {"file": "../mesh.npz"}}, r"gel\.file: .*mesh\.npz"),
-        ({"gel": {"thickness_mm": 0}}, r"gel\.thickness_mm: .*greater than 0"),
+        ({"gel": {"thickness_mm": 0}}, r"gel\.thickness_mm: must lie in"),
         ({"gel": {"node_count": 7}}, "node_count is 7 but the mesh has 5"),
         ({"material": {"poisson_ratio": 0.5}}, r"material\.poisson_ratio: must be below 0\.5"),
         ({"camera": {"width_px": 13}}, "camera block asks for"),

@@ -21,8 +21,11 @@ def tilted() -> SensorProfile:
     """A Mini with everything off centre, and a lens with tangential distortion."""
     profile = catalogue_profile("gelsight_mini")
     assert profile.optics is not None
-    return profile.with_block(
+    camera = profile.camera.replace(mm_per_px_y=1.1 * profile.camera.mm_per_px_x)
+    return profile.with_block(camera).with_block(
         profile.optics.replace(
+            crop_x=0.9,
+            crop_y=0.8,
             fy_px=300.0,
             cx_px=150.0,
             cy_px=125.0,
@@ -63,6 +66,7 @@ def test_the_picture_turns(tilted: SensorProfile) -> None:
     assert after_px == pytest.approx(expected, abs=1e-9)
     assert (after.optics.width_px, after.optics.height_px) == (240, 320)
     assert (after.optics.raw_width_px, after.optics.raw_height_px) == (2464, 3280)
+    assert (after.optics.crop_x, after.optics.crop_y) == (0.8, 0.9)
     grid, turned = tilted.grid(), after.grid()
     at = grid.pixel_from_gel(points[:, :2])
     assert turned.pixel_from_gel(turned_xyz(points)[:, :2]) == pytest.approx(

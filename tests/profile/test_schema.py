@@ -30,15 +30,15 @@ def material(provenance: Provenance, **changes: Any) -> MaterialBlock:
     [
         ("poisson_ratio", 0.5, "below 0.5.*incompressible"),
         ("poisson_ratio", 0.7, "below 0.5"),
-        ("poisson_ratio", -1.0, "above -1"),
+        ("poisson_ratio", -0.1, "at least 0"),
         ("poisson_ratio", float("nan"), "finite"),
-        ("young_modulus_pa", 0.0, "greater than or equal to 100"),
-        ("young_modulus_pa", -1e5, "greater than or equal to 100"),
-        ("young_modulus_pa", 1e12, "less than or equal to"),
+        ("young_modulus_pa", 0.0, r"must lie in \[2000, 5e\+07\] Pa, got"),
+        ("young_modulus_pa", -1e5, r"must lie in \[2000, 5e\+07\] Pa, got"),
+        ("young_modulus_pa", 1e12, r"must lie in \[2000, 5e\+07\] Pa, got 1e\+12"),
         ("young_modulus_pa", float("inf"), "finite"),
         ("young_modulus_pa", "soft", "valid number"),
-        ("density_kg_m3", 0.0, "greater than 0"),
-        ("friction_coefficient", -0.1, "greater than or equal to 0"),
+        ("density_kg_m3", 0.0, "must lie in .* kg/m3, got 0"),
+        ("friction_coefficient", -0.1, r"must lie in \[0, 5\], got -0\.1"),
         ("model", "linear", "neo_hookean"),
         ("stiffness", 3.0, "unknown key; allowed: .*young_modulus_pa"),
     ],
@@ -48,7 +48,7 @@ def test_material_refuses(provenance: Provenance, field: str, value: Any, words:
         material(provenance, **{field: value})
 
 
-@pytest.mark.parametrize("poisson_ratio", [-0.999, 0.0, 0.4999])
+@pytest.mark.parametrize("poisson_ratio", [0.0, 0.4999])
 def test_material_accepts_the_open_interval(provenance: Provenance, poisson_ratio: float) -> None:
     assert material(provenance, poisson_ratio=poisson_ratio).poisson_ratio == poisson_ratio
 

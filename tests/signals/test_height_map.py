@@ -14,6 +14,7 @@ from scipy.interpolate import LinearNDInterpolator
 
 from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.signals import SurfaceMode
+from taccel_lab.signals.normals import slopes_from_height
 from tests.signals.height_map_referee import HeightMapReferee
 from tests.signals.pressed_surface import (
     PressedSphere,
@@ -182,3 +183,10 @@ def test_folded_triangles_are_skipped():
     signal.update(positions)
     assert np.isfinite(signal.height_m).all()
     assert np.abs(signal.height_m).max() < 1e-12
+
+
+def test_slopes_of_pixels_that_are_not_square() -> None:
+    grid = PixelGrid(7, 5, 0.04, 0.09)
+    height_m = 1e-3 * (0.3 * grid.x_mm()[None, :] - 0.2 * grid.y_mm()[:, None])
+    slopes = slopes_from_height(height_m, grid)
+    np.testing.assert_allclose(slopes, np.broadcast_to([0.3, -0.2], (5, 7, 2)))

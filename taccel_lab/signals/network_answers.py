@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Do the networks of a profile answer what a sensor can show?
+
+Weights and settings that are each sound may still belong to different networks, or hold a factor by
+mistake. So a network is asked, at places drawn over what it was fitted to, and its answers have to
+be ones that exist. Without torch, which whoever draws a picture need not load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+
+QUESTIONS = 256
+SHARE_PERCENT = 95
+"""Of the answers that have to exist: a network may go wild in a corner that no capture reached."""
+
+
+def forward(weights: Mapping[str, np.ndarray], inputs: np.ndarray, activation: str) -> np.ndarray:
+    """Outputs [..., n, outputs] of the layers ``layer<i>.weight`` [..., outputs, inputs] and
+    ``layer<i>.bias`` for ``inputs`` [n, inputs]; ``activation``: silu, tanh or relu."""
+    values = np.asarray(inputs, dtype=np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for i in range(len(weights) // 2):
+            if i:
+                values = _ACTIVATIONS[activation](values)
+            weight, bias = (weights[f"layer{i}.{name}"] for name in ("weight", "bias"))
+            values = values @ np.swapaxes(weight, -1, -2) + bias[..., None, :]
+    return values
+
+
+def require_answers(what: str, sizes: np.ndarray, most: float, unit: str, limit: str) -> None:
+    """Refuse a network most of whose answers do not exist.
+
+    Args:
+        what: The network, to begin a sentence with.
+        sizes: How large its answers are, [n].
+        most: The largest that exists.
+        unit: Of both.
+        limit: What has no larger ones, for "but ...".
+    """
+    finite = np.where(np.isfinite(sizes), sizes, np.inf)
+    size = float(np.percentile(finite, SHARE_PERCENT, method="lower"))
+    if not size <= most:
+        raise InputError(
+            f"{what} answers up to {size:.3g} {unit}, but {limit}: its weights or its settings "
+            "are those of another network, or scaled"
+        )
+
+
+_ACTIVATIONS = {
+    "silu": lambda x: x / (1 + np.exp(-x)),
+    "tanh": np.tanh,
+    "relu": lambda x: np.maximum(x, 0.0),
+}
