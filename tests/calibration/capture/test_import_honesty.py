@@ -174,7 +174,9 @@ def test_a_clone_speaks_for_the_files_that_it_tracks(
     # What is put beside its files is not the clone's: a project's licence is none of captures.
     (below / "mine.png").write_bytes(b"")
     assert (
-        read_origin(below) == read_origin(below / "mine.png") == Origin(*[UNKNOWN] * 2, frozenset())
+        read_origin(below)
+        == read_origin(below / "mine.png")
+        == Origin(UNKNOWN, UNKNOWN, frozenset())
     )
     (below / "LICENSE.txt").write_text(MIT)
     assert read_origin(below).license == "MIT (LICENSE.txt says)"
