@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.errors import InputError, naming
+from taccel_lab.reading.loading_faults import require_loading, without_repeats
 from taccel_lab.reading.table_file import Row, Table, read_table
 from taccel_lab.reading.text_file import shown
 from taccel_lab.studies.loading import LEAST_ROWS, find_touch, first_loading
@@ -101,7 +102,10 @@ def read_curve(spec: Measured) -> MeasuredCurve:
     remarks = [f"{lost} rows without a number left out"] if lost else []
     if len(rows) < LEAST_ROWS:
         raise InputError(f"{path} has {len(rows)} rows with numbers; a curve takes {LEAST_ROWS}")
-    depth, force, diameter = np.array(rows).T
+    names = ("depth", "force", "diameter")
+    depth, force, diameter = without_repeats(
+        dict(zip(names, np.array(rows).T, strict=True))
+    ).values()
     if position and _falls(depth, force):
         depth = -depth
         remarks.append("positions fall as the force rises: turned about")
@@ -114,6 +118,9 @@ def read_curve(spec: Measured) -> MeasuredCurve:
         remarks += [remark] if remark else []
         diameter = diameter[-len(depth) :]
         _check_sizes(depth, force)
+        require_loading(
+            depth, force, NOISE / 3 * float(force.max()), ball=spec.indenter.startswith("sphere:")
+        )
     has = found["contact_diameter_mm"] is not None and bool(np.isfinite(diameter).any())
     return MeasuredCurve(spec, depth, force, diameter if has else None, tuple(remarks), touch)
 

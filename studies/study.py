@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,6 +20,7 @@ from taccel_lab.reading.text_file import shown
 from taccel_lab.sensors.base import STIFFNESS, SensorFamily
 from taccel_lab.sensors.registry import known_sensor, sensor_families
 from taccel_lab.studies.axis import Axis, axis_of, significant
+from taccel_lab.studies.bearable import require_bearable
 from taccel_lab.studies.design_point import DesignPoint, DesignResult
 from taccel_lab.studies.measured_curve import require_measured
 from taccel_lab.studies.metrics.base import Metric
@@ -197,6 +199,11 @@ def make_study(spec: StudySpec, kit: Kit) -> Study:
     designs: list[DesignPoint] = []
     if spec.sweep.kind != "optimize":
         designs = study.points()
+    gels = []
+    for design in designs:
+        with suppress(InputError):  # A design that cannot be is a row of its own, with the cause.
+            gels.append(family.parameters(design.parameters))
+    require_bearable(metrics.values(), presses, gels)
     names = [*(axis.name for axis in axes), *spec.fixed]
     require_measured(
         spec.measured, presses.values(), names, [design.parameters for design in designs]

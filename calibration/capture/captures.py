@@ -78,6 +78,12 @@ class ContactCircle:
         return usable & (away >= min(radii * self.radius_px, farthest))
 
 
+def widest_gap_px(circles: Sequence[ContactCircle]) -> float:
+    """Largest distance of two centres."""
+    centers = np.array([(circle.u_px, circle.v_px) for circle in circles])
+    return max(float(np.linalg.norm(centers - own, axis=-1).max()) for own in centers)
+
+
 @dataclass(frozen=True)
 class Press:
     """One image of one press."""

@@ -24,6 +24,7 @@ from taccel_lab.calibration.capture.schema import (
     VideoEntry,
 )
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY, PressSplit, split_presses
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -111,6 +112,8 @@ class ForceRecord:
     sha256: str
     columns: dict[str, np.ndarray]
     """By name, each of shape [row]."""
+    zero: Estimate | None = None
+    """What the load cell read in air [N], which is taken off; None where no rows tell it."""
 
     @property
     def name(self) -> str:

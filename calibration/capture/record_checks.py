@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.schema import RecordEntry
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
+from taccel_lab.reading.loading_faults import require_loading
 
 SOFTEST_MPA, STIFFEST_MPA = 2e-4, 10.0
 """Apparent moduli of gels on a window: from the softest silicone to 1 MPa ten times stiffened."""
@@ -65,6 +66,19 @@ def check_record(path: str, entry: RecordEntry, columns: dict[str, np.ndarray]) 
         _check_rising(record, normal)
     if depth is not None and normal is not None:
         _check_force_unit(record, depth, normal)
+    if entry.kind == "indentation" and depth is not None and normal is not None:
+        # A tool that nobody states may have a flat end.
+        ball = entry.tool.kind == "sphere" and entry.tool.radius_mm is not None
+        with naming(path):
+            require_loading(depth, normal, record.sigma(normal), ball=ball)
+    for name in {"shear": ["tangential_n"], "twist": ["torque_nmm"], "relaxation": ["force_n"]}.get(
+        entry.kind, []
+    ):
+        if np.ptp(columns[name]) <= 0:
+            raise InputError(
+                f"{path}: {name} is {columns[name][0]:g} in every row, while the tool moves; was "
+                "the load cell read?"
+            )
     if entry.kind in ("slide", "shear"):
         _check_friction(record, columns["normal_n"], columns["tangential_n"])
 

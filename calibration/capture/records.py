@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from pathlib import Path
 
@@ -11,8 +12,10 @@ import numpy as np
 from taccel_lab.calibration.capture.folder import ForceRecord
 from taccel_lab.calibration.capture.record_checks import check_record
 from taccel_lab.calibration.capture.schema import RecordEntry
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path
+from taccel_lab.reading.loading_faults import without_repeats
 from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.reading.table_file import read_table
 
@@ -24,6 +27,11 @@ COLUMNS = {
     "relaxation": ("time_s", "depth_mm", "force_n"),
 }
 """Columns that each kind of record has to have."""
+AIR_MM, AIR_ROWS = 0.1, 3
+"""Rows so far before the touch, which is stated to about this, are in air; so many tell the load
+cell's zero."""
+AIR_SHARE = 0.1
+"""Largest change of the force in air, as a part of the loading's."""
 
 
 def load_record(folder: Path, entry: RecordEntry) -> ForceRecord:
@@ -37,8 +45,35 @@ def load_record(folder: Path, entry: RecordEntry) -> ForceRecord:
             f"record of kind {entry.kind} has {', '.join(COLUMNS[entry.kind])} (found "
             f"{', '.join(columns)})"
         )
+    columns, zero = without_repeats(columns), None
+    if entry.kind == "indentation":
+        columns, zero = _past_touch(columns)
     check_record(str(path), entry, columns)
-    return ForceRecord(entry, str(path), file_sha256(path), columns)
+    return ForceRecord(entry, str(path), file_sha256(path), columns, zero)
+
+
+def _past_touch(
+    columns: dict[str, np.ndarray],
+) -> tuple[dict[str, np.ndarray], Estimate | None]:
+    """A loading without its rows in air, and what the load cell reads there, which is taken off.
+
+    Left as it is where rows above the touch are few, or show a force that grows: then the depth's
+    sign may be reversed.
+    """
+    depth, force = columns["depth_mm"], columns["force_n"]
+    air = depth < -AIR_MM
+    if air.sum() < AIR_ROWS or (depth > 0).sum() == 0:
+        return columns, None
+    zero = float(force[air].mean())
+    reach = float(np.abs(force[depth > 0] - zero).max())
+    if np.ptp(force[air]) > AIR_SHARE * reach:
+        return columns, None
+    # Neighbouring readings err alike, and slow drift goes on: halves show both.
+    halves = [float(part.mean()) for part in np.array_split(force[air], 2)]
+    sigma = math.hypot(float(force[air].std(ddof=1)) / math.sqrt(air.sum()), halves[1] - halves[0])
+    below = {name: values[depth > 0] for name, values in columns.items()}
+    below["force_n"] = below["force_n"] - zero
+    return below, Estimate(zero, sigma, "N")
 
 
 def kind_of_record(path: Path) -> str | None:

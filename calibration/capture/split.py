@@ -121,25 +121,27 @@ def split_presses(
 
 def _taken(presses: Sequence[NamedPress], stated: Sequence[str], source: str) -> PressSplit:
     names = [press.name for press in presses]
-    held = [i for i, name in enumerate(names) if name in stated]
+    wanted = set(stated)
+    held = [i for i, name in enumerate(names) if name in wanted]
     if not held or len(held) == len(presses):
         what = "none" if not held else "all"
         raise InputError(
             f"{source}: [split] holds out {what} of the {len(presses)} presses; name some of them "
             "and leave others to fit"
         )
-    gone = tuple(name for name in stated if name not in names)
+    known = set(names)
+    gone = tuple(name for name in stated if name not in known)
     return replace(_split(presses, held, "manifest"), gone=gone)
 
 
 def _split(
     presses: Sequence[NamedPress], held: Sequence[int], by: Literal["place", "press", "manifest"]
 ) -> PressSplit:
-    chosen = tuple(sorted(held))
+    chosen = set(held)
     return PressSplit(
         tuple(i for i in range(len(presses)) if i not in chosen),
-        chosen,
-        tuple(presses[i].name for i in chosen),
+        tuple(sorted(chosen)),
+        tuple(presses[i].name for i in sorted(chosen)),
         by,
     )
 
@@ -153,14 +155,17 @@ def _places(presses: Sequence[NamedPress]) -> list[list[int]]:
     circles = [circle for press in presses if (circle := press.circle) is not None]
     centers = np.array([(c.u_px, c.v_px) for c in circles])
     limit = SAME_PLACE_RADII * float(np.median([c.radius_px for c in circles]))
-    near = np.linalg.norm(centers[:, None] - centers[None], axis=-1) < limit
-    left, places = set(range(len(labelled))), []
-    while left:
-        reached, front = set(), {min(left)}
+    # A distance is taken from one press to those without a place: never a matrix of all of them.
+    left, places = np.arange(len(labelled)), []
+    while len(left):
+        front, left = [int(left[0])], left[1:]
+        reached = []
         while front:
-            reached |= front
-            front = {int(k) for i in front for k in np.flatnonzero(near[i])} - reached
-        left -= reached
+            at = front.pop()
+            reached.append(at)
+            near = np.linalg.norm(centers[left] - centers[at], axis=-1) < limit
+            front += left[near].tolist()
+            left = left[~near]
         places.append([labelled[k] for k in sorted(reached)])
     return places + alone
 

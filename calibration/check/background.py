@@ -24,8 +24,10 @@ from taccel_lab.calibration.check.pressed_background import (
     MAX_COMPARED,
     find_pressed_background,
 )
+from taccel_lab.calibration.contacts.working_size import WorkingSize
 from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
 
 MIN_MEDIAN_PRESSES = 7
 DARK_LEVELS = 8.0
@@ -48,10 +50,16 @@ class BackgroundCheck:
 
 
 def median_background(presses: Sequence[Press]) -> np.ndarray:
-    """Median of the presses, RGB uint8: untouched where no pixel is pressed in half of them."""
+    """Median of the presses, RGB uint8: untouched where no pixel is pressed in half of them.
+
+    It is that of their pictures at the working size of contacts, as large as theirs.
+    """
     from taccel_lab.calibration.capture.importers.background_guess import median_image
 
-    return median_image([press.image() for press in presses])
+    height, width = presses[0].image().shape[:2]
+    size = WorkingSize(PixelGrid(width, height, 1.0, 1.0))
+    median = median_image([lambda press=press: size.picture(press.image()) for press in presses])
+    return size.enlarged(median)
 
 
 def check_background(folder: CaptureFolder) -> BackgroundCheck:
@@ -77,7 +85,7 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
     own = float(np.median([misfit_levels(thumb(press.image()), median) for press in presses[:20]]))
     if misfit < OTHER_FRAMING_LEVELS or misfit < CROP_GAIN * own:
         picked = presses[:: max(1, len(presses) // MAX_COMPARED)][:MAX_COMPARED]
-        pressed = find_pressed_background(image, [press.image() for press in picked], folder.mask)
+        pressed = find_pressed_background(image, picked, folder.mask)
         if pressed is not None:
             enough = len(presses) >= MIN_MEDIAN_PRESSES
             return BackgroundCheck(median_image if enough else image, enough, (pressed,))

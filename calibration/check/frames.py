@@ -13,6 +13,7 @@ from taccel_lab.calibration.capture.captures import ContactCircle, Press
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.contacts.fit import detect_contact
 from taccel_lab.calibration.contacts.result import CutContactError, DetectedContact
+from taccel_lab.calibration.contacts.working_size import WorkingSize
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.errors import InputError
@@ -33,8 +34,8 @@ class FrameFigures:
     press: Press
     thumb: np.ndarray
     """The image made small, RGB levels, float32."""
-    reference: np.ndarray
-    """The background in this frame's light, as small."""
+    rest: np.ndarray
+    """The background made small, one array for all presses."""
     light: Light
     """Of the frame against the background."""
     shift_levels: np.ndarray
@@ -50,10 +51,16 @@ class FrameFigures:
     """How much of the background's fine texture is seen beside the contact: 1 all of it."""
     texture_correlation: float
     rim_px: float
-    """Width over which the colour changes at its steepest [px]; NaN without a contact."""
+    """Width over which the colour changes at its steepest [px], at the working size of contacts;
+    NaN without a contact."""
     lamps: np.ndarray
     """Slope of each channel's colour change across the contact (levels a radius, along u and v),
     shape [3, 2]; NaN without a contact."""
+
+    @property
+    def reference(self) -> np.ndarray:
+        """The background in this frame's light, as small."""
+        return self.light.apply(self.rest).astype(np.float32)
 
     @property
     def circle(self) -> ContactCircle | None:
@@ -87,7 +94,6 @@ def _measure(
     image = press.image()
     small = thumb(image)
     light = fit_light(small, background_small)
-    lit = np.clip(light.apply(background), 0, 255).astype(np.float32)
     contact, fault, cut = None, "", False
     try:
         contact = detect_contact(
@@ -102,28 +108,33 @@ def _measure(
         fault = str(error).removeprefix(f"{press.name}: ")
         cut = isinstance(error, CutContactError)
     circle = contact.circle if contact is not None else press.circle
+    size = WorkingSize(grid)
+    saturated = size.picture((image.max(axis=-1) >= SATURATED_LEVEL).astype(np.float32))
+    image, background = size.picture(image), size.picture(background)
+    mask = size.mask(mask)
     disc = np.ones(image.shape[:2], dtype=bool) if mask is None else mask.copy()
     beside = disc.copy()
     rim, lamps = float("nan"), np.full((3, 2), np.nan)
     if circle is not None:
-        distance = circle.distance_px(grid)
-        disc &= distance <= circle.radius_px
-        beside &= distance > UNTOUCHED_RADII * circle.radius_px
+        own = size.circle(circle)
+        distance = own.distance_px(size.grid)
+        disc &= distance <= own.radius_px
+        beside &= distance > UNTOUCHED_RADII * own.radius_px
+        lit = np.clip(light.apply(background), 0, 255).astype(np.float32)
         change = image.astype(np.float32) - lit
-        rim = _rim_width(change, distance, circle.radius_px)
-        lamps = _lamp_slopes(change, distance, circle)
+        rim = size.factor * _rim_width(change, distance, own.radius_px)
+        lamps = _lamp_slopes(change, distance, own)
     texture, correlation = texture_seen(image, background, beside)
-    saturated = (image.max(axis=-1) >= SATURATED_LEVEL)[disc]
     return FrameFigures(
         press=press,
         thumb=small,
-        reference=light.apply(background_small).astype(np.float32),
+        rest=background_small,
         light=light,
         shift_levels=light.shift(background_small.reshape(-1, 3).mean(axis=0)),
         contact=contact,
         fault=fault,
         cut=cut,
-        saturated_share=float(saturated.mean()) if saturated.size else 0.0,
+        saturated_share=float(saturated[disc].mean(dtype=np.float64)) if disc.any() else 0.0,
         texture=texture,
         texture_correlation=correlation,
         rim_px=rim,

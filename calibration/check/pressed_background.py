@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from taccel_lab.calibration.capture.captures import Press
 from taccel_lab.calibration.capture.framing import in_light_of, thumb
 from taccel_lab.calibration.check.remarks import BACKGROUND_PRESSED
 from taccel_lab.calibration.result import Remark
@@ -33,12 +34,12 @@ OPENING_SHARE = 1 / 40
 
 
 def find_pressed_background(
-    background: np.ndarray, presses: Sequence[np.ndarray], mask: np.ndarray | None = None
+    background: np.ndarray, presses: Sequence[Press], mask: np.ndarray | None = None
 ) -> Remark | None:
     """An error when the background shows a contact that most of the presses do not.
 
-    ``background`` and ``presses`` are RGB levels of one size, shape [height_px, width_px, 3];
-    pixels where ``mask`` is false have no effect.
+    ``background`` is RGB levels of the presses' size, shape [height_px, width_px, 3]; pixels where
+    ``mask`` is false have no effect.
     """
     if len(presses) < MIN_PRESSES:
         return None
@@ -49,7 +50,7 @@ def find_pressed_background(
     stack = np.stack(
         [
             cv2.GaussianBlur((t - in_light_of(t, small)) * used, (0, 0), 1.0)
-            for t in (thumb(_blanked(press, mask)) for press in presses)
+            for t in (thumb(_blanked(press.image(), mask)) for press in presses)
         ]
     )
     common = np.median(stack, axis=0)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import ContactCircle, check_place
+from taccel_lab.calibration.capture.captures import ContactCircle, check_place, widest_gap_px
 from taccel_lab.calibration.capture.coverage import CELLS, coverage_map, empty_cells
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
@@ -213,8 +213,7 @@ def _check_spots(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark
     circles = found_circles(frames)
     if len(circles) < 3:
         return []
-    centers = np.array([[c.u_px, c.v_px] for c in circles])
-    reach = float(np.linalg.norm(centers[:, None] - centers[None], axis=-1).max())
+    reach = widest_gap_px(circles)
     radius = float(np.median([c.radius_px for c in circles]))
     covered = float((coverage_map(circles, grid) > 0).mean())
     spread = max(radius, 0.05 * min(grid.width_px, grid.height_px))

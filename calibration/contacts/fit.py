@@ -8,12 +8,13 @@
 3. All presses together are explained by one map from the slope that a ball leaves to the colour
    change; that moves centres and radii to a fraction of a pixel (``photometric``).
 
-A single press goes the same way with a smaller map.
+A single press goes the same way with a smaller map. All of it works on pictures of one size
+(``working_size``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,7 +47,9 @@ from taccel_lab.calibration.contacts.result import (
 from taccel_lab.calibration.contacts.rim import fit_rim
 from taccel_lab.calibration.contacts.rings import RingSamples, sample_rings
 from taccel_lab.calibration.contacts.uncertainty import circle_covariances
+from taccel_lab.calibration.contacts.working_size import WorkingSize
 from taccel_lab.calibration.light.fit import enough_pixels
+from taccel_lab.calibration.light.light import Light
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
@@ -74,6 +77,9 @@ ROUNDS = (8, 16)
 """Rounds of the fit on the first samples, and on those around the circles that it found."""
 USUAL_RATIO = 0.7
 """Contact radius over ball radius that is assumed when nobody says what the ball is."""
+KEPT_BYTES = 128 << 20
+"""Colour changes that are kept from one round to the next; those of further presses are made again
+from their images, which takes a few milliseconds each."""
 
 
 def detect_contact(
@@ -92,11 +98,12 @@ def detect_contact(
     naming ``name`` when the image shows no contact or no round one, or when the contact reaches out
     of the image; where a ``label`` lies in it, the part in the image is enough.
     """
-    start = _start(image, background, grid, mask, name)
+    scene = _Scene.of(background, grid, mask)
+    start = _start(lambda: image, scene, name)
     if ball_radius_mm is None:
         ball_px = start.circle.radius_px / USUAL_RATIO
     else:
-        ball_px = ball_radius_mm / grid.mm_per_px_x
+        ball_px = scene.size.length_px(ball_radius_mm)
     contacts, _ = _refine([start], [ball_px])
     return _accept(start, contacts[0], grid, label)
 
@@ -107,7 +114,9 @@ def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundCon
     A circle that a person has corrected (``contacts.toml``) is taken as it is. A contact that the
     border of the image cuts is found by its part inside where its label says that it is one.
     """
+    scene = _Scene.of(captures.background, captures.grid, captures.mask)
     starts: dict[int, _Start] = {}
+    kept_bytes = 0
     refusals: dict[int, Refusal] = {}
     found: list[DetectedContact | None] = [None] * len(captures.presses)
     for i, press in enumerate(captures.presses):
@@ -115,15 +124,15 @@ def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundCon
             found[i] = DetectedContact(press.circle, 0.0, 1.0, 0.0, 0.0)
             continue
         try:
-            starts[i] = _start(
-                press.image(), captures.background, captures.grid, captures.mask, press.source
-            )
+            start = _start(press.image, scene, press.source)
+            kept_bytes += start.change.change.nbytes
+            starts[i] = start if kept_bytes <= KEPT_BYTES else replace(start, kept=None)
         except InputError as error:
             refusals[i] = Refusal(press.name, str(error), isinstance(error, CutContactError))
         progress(TASK, i + 1, len(captures.presses))
     while starts:
         balls = [captures.presses[i].radius_mm or captures.ball_radius_mm for i in starts]
-        ball_px = [radius_mm / captures.grid.mm_per_px_x for radius_mm in balls]
+        ball_px = [scene.size.length_px(radius_mm) for radius_mm in balls]
         try:
             contacts, fit = _refine(list(starts.values()), ball_px)
             break
@@ -146,7 +155,7 @@ def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundCon
         fit,
         samples=[samples for _, samples in contacts],
         ball_px=ball_px,
-        drifts={i: start.change.drift for i, start in starts.items()},
+        drifts={i: start.drift for i, start in starts.items()},
     )
 
 
@@ -172,14 +181,58 @@ def place_heldout(
 
 
 @dataclass(frozen=True)
+class _Scene:
+    """What all presses of a set share, at the working size."""
+
+    size: WorkingSize
+    background: np.ndarray
+    mask: np.ndarray | None
+
+    @classmethod
+    def of(cls, background: np.ndarray, grid: PixelGrid, mask: np.ndarray | None) -> _Scene:
+        size = WorkingSize(grid)
+        return cls(size, size.picture(background), size.mask(mask))
+
+    @property
+    def ratio(self) -> float:
+        """Height of a pixel over its width."""
+        return self.size.whole.mm_per_px_y / self.size.whole.mm_per_px_x
+
+    def far(self, circle: ContactCircle) -> np.ndarray:
+        """Pixels of the working size that the gel's sinking beside a contact does not reach."""
+        return circle.far(self.size.grid, SUNK_RADII, self.mask)
+
+    def change(self, image: np.ndarray, beside: ContactCircle | None = None) -> ColorChange:
+        """Of an image in the camera's pixels, in the light far from a contact, or of all of it."""
+        light_by = None if beside is None else self.far(beside)
+        return color_change(
+            self.size.picture(image), self.background, self.size.grid, self.mask, light_by
+        )
+
+    def whole_circle(self, circle: ContactCircle) -> ContactCircle:
+        """A circle of the picture of square pixels, in the camera's."""
+        return self.size.whole_circle(replace(circle, v_px=circle.v_px / self.ratio))
+
+
+@dataclass(frozen=True)
 class _Start:
     name: str
-    change: ColorChange
+    scene: _Scene
+    make: Callable[[], ColorChange]
+    """From the press's image."""
+    kept: ColorChange | None
+    """The same, where it is kept."""
+    drift: Light
+    smoothing_px: float
     circle: ContactCircle
     """In the picture of square pixels."""
     inlier_fraction: float
     edge_rms_px: float
     contrast_levels: float
+
+    @property
+    def change(self) -> ColorChange:
+        return self.make() if self.kept is None else self.kept
 
 
 class _LostContactError(InputError):
@@ -190,24 +243,23 @@ class _LostContactError(InputError):
         self.start = start
 
 
-def _start(
-    image: np.ndarray, background: np.ndarray, grid: PixelGrid, mask: np.ndarray | None, name: str
-) -> _Start:
+def _start(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _Start:
     """First circle of a press; InputError when there is nothing to start from."""
-    change = color_change(image, background, grid, mask)
+    change = scene.change(read())
     strength = change.strength()
     center, radius = first_circle(change.change, strength)
     seen = ContactCircle(float(center[0]), float(center[1]) / change.ratio, radius)
-    far = seen.far(grid, SUNK_RADII, mask)
-    usable = far.size if mask is None else mask.sum()
-    if far.sum() < MOSTLY * usable and enough_pixels(far):
-        # The contact has a say in the light of such a picture.
-        change = color_change(image, background, grid, mask, far)
+    far = scene.far(seen)
+    usable = far.size if scene.mask is None else scene.mask.sum()
+    # The contact has a say in the light of a picture that it mostly fills.
+    beside = seen if far.sum() < MOSTLY * usable and enough_pixels(far) else None
+    if beside is not None:
+        change = scene.change(read(), beside)
         strength = change.strength()
         center, radius = first_circle(change.change, strength)
     disc = _distance(strength.shape, center) <= radius
     contrast = float(np.percentile(strength[disc], 90)) if disc.any() else 0.0
-    bright = float(np.percentile(background, 90))
+    bright = float(np.percentile(scene.background, 90))
     needed = float(np.clip(0.1 * bright, MIN_CONTRAST_DARK_LEVELS, MIN_CONTRAST_LEVELS))
     noise = change.noise_levels(ContactCircle(float(center[0]), float(center[1]), radius))
     if contrast < needed or contrast < MIN_CONTRAST_OVER_NOISE * noise:
@@ -222,7 +274,11 @@ def _start(
     drop = fit_rim(change.change, center, radius)
     return _Start(
         name,
+        scene,
+        lambda: scene.change(read(), beside),
         change,
+        change.drift,
+        change.smoothing_px,
         ContactCircle(float(center[0]), float(center[1]), radius),
         float(drop.inliers.mean()),
         drop.rms,
@@ -241,12 +297,12 @@ def _refine(
 ) -> tuple[list[tuple[FittedContact, RingSamples]], PhotometricFit]:
     circles = [start.circle for start in starts]
     terms = MapTerms.for_presses(len(starts))
-    blur = float(np.hypot(starts[0].change.smoothing_px, SAMPLING_BLUR_SHARE * np.median(ball_px)))
+    blur = float(np.hypot(starts[0].smoothing_px, SAMPLING_BLUR_SHARE * np.median(ball_px)))
     fit, samples = None, []
     for rounds in ROUNDS:
         samples = [
-            sample_rings(start.change.change, circle, start.change.mask)
-            for start, circle in zip(starts, circles, strict=True)
+            sample_rings(change.change, circle, change.mask)
+            for change, circle in zip((start.change for start in starts), circles, strict=True)
         ]
         for start, sample in zip(starts, samples, strict=True):
             if sample.visible < MIN_LABELLED_VISIBLE:
@@ -272,17 +328,18 @@ def _accept(
     """The contact in the image's own pixels; InputError when it is none, or when the border cuts it
     and no label lies in it."""
     contact, samples = refined
-    circle = contact.circle
-    height, width = start.change.change.shape[:2]
+    change, circle, pixels = start.change, contact.circle, start.scene.size.factor
+    own = start.scene.whole_circle(circle)
+    height, width = change.change.shape[:2]
     limit = min(height, width) / 2
     center = np.array([circle.u_px, circle.v_px])
-    drop = fit_rim(start.change.change, center, max(circle.radius_px, 2.0))
+    drop = fit_rim(change.change, center, max(circle.radius_px, 2.0))
     inliers = float(drop.inliers.mean())
     # A smooth skin leaves no sharp rim, but then its whole colour wheel is a ball's.
     round_enough = contact.explained >= CERTAINLY_EXPLAINED or (
         inliers >= MIN_INLIER_FRACTION and contact.explained >= MIN_EXPLAINED
     )
-    gathered = gathered_share(start.change.strength(), center, circle.radius_px)
+    gathered = gathered_share(change.strength(), center, circle.radius_px)
     if (
         not round_enough
         or gathered < MIN_GATHERED
@@ -290,13 +347,12 @@ def _accept(
     ):
         raise InputError(
             f"{start.name}: no round contact found; {inliers:.0%} of the rays agree on a circle of "
-            f"radius {circle.radius_px:.1f} px and a ball's slope explains "
+            f"radius {own.radius_px:.1f} px and a ball's slope explains "
             f"{max(contact.explained, 0):.0%} of the colour change, of which {gathered:.0%} lies "
-            f"within two radii; at least {MIN_INLIER_FRACTION:.0%}, {MIN_RADIUS_PX:g} to "
-            f"{limit:g} px, {MIN_EXPLAINED:.0%} and {MIN_GATHERED:.0%} are needed. If it "
+            f"within two radii; at least {MIN_INLIER_FRACTION:.0%}, {pixels * MIN_RADIUS_PX:g} to "
+            f"{pixels * limit:g} px, {MIN_EXPLAINED:.0%} and {MIN_GATHERED:.0%} are needed. If it "
             "shows a contact, give its circle"
         )
-    own = ContactCircle(circle.u_px, circle.v_px / start.change.ratio, circle.radius_px)
     beyond = own.beyond_px(grid)
     known = label is not None and label.center_gap_px(own, grid) < own.radius_px
     used = beyond <= 0 or (known and own.has_center_in(grid))
@@ -308,12 +364,12 @@ def _accept(
             + (f"reaches {beyond:.0f} px out of the image" if beyond > 0 else "is mostly masked")
             + f"; {samples.visible:.0%} of it and its surroundings can be seen: it is left out"
         )
-    sigma = np.sqrt(np.maximum(np.diag(contact.covariance), 0.0))
+    sigma = pixels * np.sqrt(np.maximum(np.diag(contact.covariance), 0.0))
     return DetectedContact(
         circle=own,
         radius_sigma_px=float(sigma[2]),
         inlier_fraction=inliers,
-        edge_rms_px=drop.rms,
+        edge_rms_px=pixels * drop.rms,
         contrast_levels=start.contrast_levels,
         center_sigma_px=float(np.sqrt((sigma[0] ** 2 + sigma[1] ** 2) / 2)),
         explained=contact.explained,

@@ -66,8 +66,8 @@ class FoundContacts:
     fit: PhotometricFit | None
     """The joint fit; None when no press was usable."""
     samples: list[RingSamples] = field(default_factory=list)
-    """What was fitted, one entry for each press that was."""
+    """What was fitted, one entry for each press that was, in pixels of the working size."""
     ball_px: list[float] = field(default_factory=list)
-    """Radius of the ball of each of these presses [px]."""
+    """Radius of the ball of each of these presses, in the same [px]."""
     drifts: dict[int, Light] = field(default_factory=dict)
     """Drift of each frame's light, by the index of the press."""

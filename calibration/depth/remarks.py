@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, widest_gap_px
 from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.remarks import RemarkKind
 from taccel_lab.calibration.result import Remark, Severity
@@ -127,8 +127,7 @@ def label_remarks(
 
 def place_remarks(circles: Sequence[ContactCircle]) -> list[Remark]:
     """Whether all presses are at one place."""
-    at = np.array([[c.u_px, c.v_px] for c in circles])
-    reach = float(np.linalg.norm(at[:, None] - at[None], axis=-1).max())
+    reach = widest_gap_px(circles)
     if len(circles) > 1 and reach < ONE_SPOT_RADII * float(
         np.median([c.radius_px for c in circles])
     ):

@@ -29,6 +29,8 @@ from taccel_lab.calibration.material.likelihood import (
 )
 from taccel_lab.calibration.result import NORMAL_95
 
+LAW_NAMES = ("ln_e", "nu", "mooney_ratio")
+"""Parameters of the law; the others are of single presses."""
 TOUCH_SIGMA_MM = {"sphere": 0.1, "cylinder": 0.05, "flat": 0.05}
 """How well first touch is known where a record has few points [mm]. A ball shows no force at first:
 at 0.05 N it is 0.1 to 0.2 mm in the gel, a punch of 3 mm radius a hundredth."""
@@ -62,7 +64,7 @@ class ForceModel:
 
     tables: Sequence[ForceTable]
     names: Sequence[str]
-    """Of the parameters: ``ln_e``, ``nu``, ``mooney_ratio``, ``touch_<i>``."""
+    """Of the parameters: ``ln_e``, ``nu``, ``mooney_ratio``, ``touch_<i>``, ``zero_<i>``."""
     poisson_ratio: float
     """Where it is not free."""
     mooney_ratio: float
@@ -102,8 +104,13 @@ class ForceModel:
             log, slopes = self.log_force(theta, i, item.depth_mm)
             slopes[:, e] = 1.0
             force = np.exp(theta[e] + log)
+            slopes *= force[:, None]
+            if f"zero_{i}" in self.names:
+                zero = self.names.index(f"zero_{i}")
+                force = force + theta[zero]
+                slopes[:, zero] = 1.0
             residuals.append((force - item.force_n) / weight)
-            rows.append(slopes * (force / weight)[:, None])
+            rows.append(slopes / weight[:, None])
         return np.concatenate(residuals), np.concatenate(rows)
 
 
@@ -112,7 +119,8 @@ class IndentationFit:
     """What force-depth points say about the gel."""
 
     solution: Solution
-    """Parameters ``ln_e``, ``nu`` and ``mooney_ratio`` where free, ``touch_<i>``."""
+    """Parameters ``ln_e``, ``nu`` and ``mooney_ratio`` where free, ``touch_<i>``; ``zero_<i>``,
+    what is left of the load cell's zero [N], of records whose rows in air tell it."""
     poisson_ratio: float
     mooney_ratio: float
     points: tuple[IndentationPoints, ...]
@@ -250,6 +258,12 @@ def fit_indentation(
                     sigma,
                     loose=len(np.unique(points[i].depth_mm)) >= LOOSE_POINTS,
                 )
+            )
+    for i, item in enumerate(points):
+        if item.zero is not None and item.zero.sigma > 0:
+            sigma = item.zero.sigma
+            parameters.append(
+                Parameter(f"zero_{i}", 0.0, -8 * sigma, 8 * sigma, sigma, prior_sigma=sigma)
             )
     names = [p.name for p in parameters]
     model = ForceModel(tables, names, poisson_ratio, mooney_ratio)

@@ -16,7 +16,7 @@ from taccel_lab.calibration.capture.record_checks import FORCE_UNITS
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.remarks import UNUSUAL_MODULUS
-from taccel_lab.calibration.result import Remark
+from taccel_lab.calibration.result import Estimate, Remark
 from taccel_lab.envs.bonded_layer import layer_young_modulus_pa
 from taccel_lab.errors import InputError
 
@@ -42,6 +42,8 @@ class IndentationPoints:
     """Normal force into the gel, shape [point]."""
     sigma_n: np.ndarray | None
     """Standard deviation of each force [N]; None where the record does not say."""
+    zero: Estimate | None = None
+    """What the load cell read in air, which is taken off the forces [N]."""
 
     @property
     def deepest_mm(self) -> float:
@@ -61,7 +63,7 @@ def points_of_record(record: ForceRecord, gel: Gel, ball_mm: float | None) -> In
     Raises:
         InputError: No depth above 0, too few forces there, or a missing tool.
     """
-    return _touching(
+    points = _touching(
         record.name,
         record.source,
         record.sha256,
@@ -70,12 +72,14 @@ def points_of_record(record: ForceRecord, gel: Gel, ball_mm: float | None) -> In
         record.columns["force_n"],
         record.sigma_n(),
     )
+    return replace(points, zero=record.zero)
 
 
 def points_of_presses(folder: CaptureFolder, gel: Gel) -> list[IndentationPoints]:
     """Ball presses whose manifest entries state both depth and force, one set for each ball."""
     found: dict[float, list[tuple[float, float, str]]] = {}
-    for press in folder.presses:
+    # Copies of a picture are one press.
+    for press in {press.sha256: press for press in folder.presses}.values():
         depth, force = getattr(press, "depth_mm", None), getattr(press, "force_n", None)
         radius = getattr(press, "radius_mm", None) or folder.ball_radius_mm
         if depth and force is not None and radius is not None:

@@ -14,6 +14,7 @@ from taccel_lab.calibration.material.remarks import (
     FEW_DEGREES_OF_FREEDOM,
     FRICTION_ASSUMED,
     LAW_MISFIT,
+    LOAD_CELL_ZERO,
     NOISE_UNDERSTATED,
     PRESS_DEPTH,
     RECORDS_DISAGREE,
@@ -63,6 +64,11 @@ def residual_remarks(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[
         rms = float(np.sqrt(np.mean(residual**2)))
         if rms > MISFIT:
             remarks.append(LAW_MISFIT(name=item.name, rms=rms, grave=rms > BAD_MISFIT))
+        if item.zero is not None:
+            low, high = item.zero.interval95
+            remarks.append(
+                LOAD_CELL_ZERO(name=item.name, zero_n=item.zero.value, low_n=low, high_n=high)
+            )
         touch = fit.touch_mm(i)
         if abs(touch) > TOUCH_SAID_MM:
             low, high = fit.touch_interval_mm(i)

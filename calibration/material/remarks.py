@@ -59,6 +59,12 @@ PRESS_DEPTH = RemarkKind(
     "{larger_or_smaller} than recorded: first touch lies {touch_mm:+.3f} mm from the record's "
     "zero ({low_mm:+.3f} to {high_mm:+.3f})",
 )
+LOAD_CELL_ZERO = RemarkKind(
+    "load_cell_zero",
+    Severity.INFO,
+    "{name}: the load cell reads {zero_n:+.3g} N in air ({low_n:+.3g} to {high_n:+.3g}); that is "
+    "taken off its forces",
+)
 TOUCH_SHIFT = RemarkKind(
     "touch_shift",
     Severity.WARNING,

@@ -18,6 +18,7 @@ import numpy as np
 from taccel_lab.calibration.material.force_table import ForceTable
 from taccel_lab.calibration.material.indentation import (
     GEL_NU,
+    LAW_NAMES,
     IndentationFit,
     fit_indentation,
     touch_sigma,
@@ -142,7 +143,7 @@ class Stiffness:
                     "open": [profile.open_low, profile.open_high],
                 }
                 for name, profile in self.profiled.solution.profiles.items()
-                if not name.startswith("touch")
+                if name in LAW_NAMES
             },
         }
 
@@ -174,7 +175,7 @@ class Stiffness:
     def correlation(self) -> dict[str, float]:
         """Of the parameters of the law, by their names in the block joined by ``*``."""
         solution, found = self.fit.solution, {}
-        law = [(i, n) for i, n in enumerate(solution.names) if not n.startswith("touch")]
+        law = [(i, n) for i, n in enumerate(solution.names) if n in LAW_NAMES]
         for (i, first), (j, second) in combinations(law, 2):
             pair = f"{BLOCK_NAMES.get(first, first)}*{BLOCK_NAMES.get(second, second)}"
             found[pair] = float(solution.correlation[i, j])

@@ -9,6 +9,7 @@ differs between pictures whose pixels belong together.
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
@@ -53,8 +54,14 @@ def image_size(path: Path) -> tuple[int, int]:
     return read_apart(str(path), _size, Path(path), by="cv2")
 
 
-def levels(image: Path | np.ndarray | str) -> np.ndarray:
-    """RGB levels of an image that is in memory already, or in a file."""
+Image = Path | np.ndarray | Callable[[], np.ndarray]
+"""A file, RGB levels, or what reads them."""
+
+
+def levels(image: Image | str) -> np.ndarray:
+    """RGB levels of an image that is in memory already, in a file, or read when it is asked for."""
+    if callable(image):
+        return image()
     return image if isinstance(image, np.ndarray) else read_image(Path(image))
 
 

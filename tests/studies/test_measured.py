@@ -48,6 +48,28 @@ def test_units_of_the_header_are_taken(
     assert found.remarks == ()
 
 
+def test_rows_that_stand_twice_count_once(tmp_path: Path) -> None:
+    once = curve(tmp_path, table("depth_mm,force_n", DEPTH, DEPTH**1.5))
+    twice = curve(tmp_path, table("depth_mm,force_n", *np.repeat([DEPTH, DEPTH**1.5], 2, axis=1)))
+    assert np.array_equal(once.depth_mm, twice.depth_mm)
+    assert np.array_equal(once.force_n, twice.force_n)
+
+
+@pytest.mark.parametrize(
+    ("depth", "force", "message"),
+    [
+        (DEPTH**1.5, DEPTH, "columns swapped"),
+        (DEPTH, np.full(len(DEPTH), 1.0), "does not rise with depth_mm"),
+        (DEPTH, DEPTH**1.5 + 1.0, "zero is off"),
+    ],
+)
+def test_what_no_press_of_a_ball_can_be(
+    tmp_path: Path, depth: np.ndarray, force: np.ndarray, message: str
+) -> None:
+    with pytest.raises(InputError, match=rf"curve\.csv: .*{message}"):
+        curve(tmp_path, table("depth_mm,force_n", depth, force))
+
+
 def test_rows_are_put_in_order_and_lost_ones_told(tmp_path: Path) -> None:
     order = np.random.default_rng(0).permutation(len(DEPTH))
     text = table("depth_mm,force_n,contact_diameter_mm", *(v[order] for v in 3 * [DEPTH]))
@@ -235,7 +257,8 @@ def test_cycles_do_not_soften_a_gel(tmp_path: Path) -> None:
 
 
 def test_a_load_cell_that_is_not_at_zero_is_told(tmp_path: Path) -> None:
-    depth = np.linspace(0.0, 0.45, 60)
+    # Beginning at 0 mm the rows would say so by themselves, and the curve is refused.
+    depth = np.linspace(0.03, 0.45, 60)
     force = 1.25 * 0.8 * depth**1.9
     remarks = measured_gel(tmp_path, depth, force + 0.02).curves[0].remarks
     assert any("+0.02 N in all forces" in r and "at 1.25 times" in r for r in remarks)

@@ -85,6 +85,15 @@ def test_what_a_study_does_not_have_is_refused(changes: dict, message: str) -> N
         wanted(press=TWO, **changes)
 
 
+def test_a_load_that_no_gel_bears_is_refused() -> None:
+    for load in (0.2, 2.0):
+        wanted(["depth_at_load"], TWO, load_n=load)
+    with pytest.raises(InputError, match=r"depth_at_load.*no gel of this study bears 500 N.*about"):
+        wanted(["depth_at_load"], TWO, load_n=500)
+    with pytest.raises(InputError, match="no gel of this study bears 500 N"):
+        wanted(["depth_at_load"], TWO, loads_n=[1, 500])
+
+
 def test_an_objective_has_to_be_one_of_them() -> None:
     table: dict[str, Any] = {
         "study": {"name": "x", "sensor": "flat_pad", "metrics": ["force_range"]},

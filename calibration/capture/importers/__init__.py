@@ -21,10 +21,9 @@ from taccel_lab.calibration.capture.importers import (
 )
 from taccel_lab.calibration.capture.importers.crop import crop_draft
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
-from taccel_lab.calibration.capture.importers.files import capture_folders
 from taccel_lab.calibration.capture.importers.image_sets import SETS
 from taccel_lab.calibration.capture.importers.layout import Layout
-from taccel_lab.calibration.capture.importers.left_out import files_of
+from taccel_lab.calibration.capture.importers.left_out import capture_folders, files_of
 from taccel_lab.calibration.capture.importers.origin import UNKNOWN, read_origin
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.images import levels, read_image
+from taccel_lab.reading.images import Image, levels, read_image
 
 BACKGROUND_NAME = re.compile(
     r"(^|[_\-. ])(bg|background|ref|reference|blank|no_?contact|untouched|init|empty|rest)"
@@ -24,16 +24,36 @@ MIN_CONTACT_LEVELS = 5.0
 """Strongest change below which a small picture shows no contact."""
 MAX_STACK = 61
 """Frames that a median is taken over: more do not make it quieter than the camera's levels."""
+STACK_BYTES = 96 << 20
+"""Of the pictures that a median holds at a time."""
 
 
-def median_image(images: Sequence[Path | np.ndarray | str]) -> np.ndarray:
-    """Median of images of one size, RGB uint8, over at most 61 of them, evenly picked."""
+def median_image(images: Sequence[Image | str]) -> np.ndarray:
+    """Median of images of one size, RGB uint8, over at most 61 of them, evenly picked.
+
+    Large ones are read again for each band of rows, so that no more than ``STACK_BYTES`` of them
+    are held.
+    """
     pick = np.unique(np.linspace(0, len(images) - 1, min(len(images), MAX_STACK)).astype(int))
-    stack = [levels(images[i]) for i in pick]
-    if len({image.shape for image in stack}) > 1:
-        sizes = sorted({f"{image.shape[1]}x{image.shape[0]}" for image in stack})
-        raise InputError(f"images of different sizes ({', '.join(sizes)} px) have no median")
-    return np.median(np.stack(stack), axis=0).round().astype(np.uint8)
+    picked = [images[i] for i in pick]
+    shape = levels(picked[0]).shape
+    median = np.empty(shape, dtype=np.uint8)
+    count = max(1, STACK_BYTES // (len(picked) * shape[1] * shape[2]))
+    for top in range(0, shape[0], count):
+        band = np.empty((len(picked), min(count, shape[0] - top), *shape[1:]), dtype=np.uint8)
+        shapes = {shape}
+        for i, source in enumerate(picked):
+            image = levels(source)
+            shapes.add(image.shape)
+            if image.shape == shape:
+                band[i] = image[top : top + count]
+        if len(shapes) > 1:
+            sizes = sorted(f"{width}x{height}" for height, width, _ in shapes)
+            raise InputError(f"images of different sizes ({', '.join(sizes)} px) have no median")
+        # A row at a time: medians have 8 bytes a level.
+        for row in range(band.shape[1]):
+            median[top + row] = np.median(band[:, row], axis=0).round()
+    return median
 
 
 def guess_background(paths: Sequence[Path]) -> tuple[Path | None, str]:

@@ -64,7 +64,8 @@ def crop_draft(draft: Draft, text: str) -> None:
 
     draft.files[name] = of_background(background)
     for image in draft.manifest.get("untouched", []):
-        draft.files[image] = of_background(levels(draft.files[image]))
+        # Cut when it is written: a folder of large pictures is never held whole.
+        draft.files[image] = lambda picture=draft.files[image]: of_background(levels(picture))
     mask = draft.manifest.get("mask")
     if mask is not None:
         drawn = levels(draft.files[mask])
@@ -81,7 +82,7 @@ def crop_draft(draft: Draft, text: str) -> None:
     lost = [press["image"] for press in presses if not _shift_circle(press, part)]
     draft.manifest["presses"] = [press for press in presses if press["image"] not in lost]
     for image in {press["image"] for press in presses}:
-        draft.files[image] = np.ascontiguousarray(levels(draft.files[image])[window])
+        draft.files[image] = lambda picture=draft.files[image]: levels(picture)[window].copy()
     for image in lost:
         del draft.files[image]
     draft.notes.append(

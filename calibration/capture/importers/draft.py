@@ -32,7 +32,7 @@ from taccel_lab.calibration.capture.schema import (
 from taccel_lab.errors import InputError
 from taccel_lab.output import write_image
 from taccel_lab.printable import printable
-from taccel_lab.reading.images import MAX_FILE_BYTES, read_image
+from taccel_lab.reading.images import MAX_FILE_BYTES, Image, levels, read_image
 from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.sensors.registry import known_sensor, profile_folder, sensor_family
 
@@ -101,7 +101,7 @@ class Draft:
     source: str = UNKNOWN
     license: str = UNKNOWN
     manifest: dict[str, Any] = field(default_factory=dict)
-    files: dict[str, Path | np.ndarray | str] = field(default_factory=dict)
+    files: dict[str, Image | str] = field(default_factory=dict)
     """By name in the folder: an image or any other file, RGB levels, or text."""
     notes: list[str] = field(default_factory=list)
     """What a person should know besides; kept as comments in the manifest."""
@@ -121,7 +121,7 @@ class Draft:
         self.used.discard(path)
         self.left_out[path] = why
 
-    def add_image(self, image: Path | np.ndarray, name: str | None = None) -> str:
+    def add_image(self, image: Image, name: str | None = None) -> str:
         """Take an image in; returns its name in the folder, made different where it is taken."""
         if isinstance(image, Path):
             stem = name or image.stem
@@ -137,7 +137,7 @@ class Draft:
         name = Path("_".join(path.relative_to(root).parts))
         return self._add(path, name.stem, name.suffix)
 
-    def _add(self, content: Path | np.ndarray, stem: str, suffix: str) -> str:
+    def _add(self, content: Image, stem: str, suffix: str) -> str:
         try:
             (stem + suffix).encode()
         except UnicodeEncodeError:
@@ -153,7 +153,7 @@ class Draft:
             self.used.add(content)
         return chosen
 
-    def set_background(self, image: Path | np.ndarray, why: str | None = None) -> None:
+    def set_background(self, image: Image, why: str | None = None) -> None:
         """Make ``image`` the background; ``why``, where nobody has stated that it is."""
         old = self.manifest.get("background")
         if old is not None and isinstance(replaced := self.files.pop(old), Path):
@@ -249,8 +249,8 @@ class Draft:
             path.parent.mkdir(parents=True, exist_ok=True)
             if isinstance(content, str):
                 path.write_text(content, encoding="utf-8")
-            elif isinstance(content, np.ndarray):
-                write_png(path, content)
+            elif not isinstance(content, Path):
+                write_png(path, levels(content))
             elif content.suffix.lower() in IMAGE_SUFFIXES and path.suffix == ".png" != (
                 content.suffix.lower()
             ):

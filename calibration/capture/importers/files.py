@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.calibration.capture.importers.draft import IMAGE_SUFFIXES
-from taccel_lab.calibration.capture.schema import MANIFEST_NAME
+from taccel_lab.calibration.capture.importers.left_out import capture_folders
 from taccel_lab.errors import InputError
 from taccel_lab.reading.arrays import finite_numbers
 
@@ -22,11 +22,6 @@ def natural_key(path: Path | str) -> list[tuple[int, int, str]]:
         (0, int(part), "") if index % 2 else (1, 0, part.lower())
         for index, part in enumerate(parts)
     ]
-
-
-def capture_folders(folder: Path) -> frozenset[Path]:
-    """Folders below this one that are capture folders already: what an import has written."""
-    return frozenset(path.parent for path in folder.rglob(MANIFEST_NAME)) - {folder}
 
 
 def images_in(folder: Path, *, recursive: bool = False) -> list[Path]:

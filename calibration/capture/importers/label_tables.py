@@ -16,7 +16,7 @@ from taccel_lab.reading.table_file import numbered_lines, read_table, read_table
 
 Circle = dict[str, float]
 """``u_px``, ``v_px`` and ``radius_px``."""
-_FILE_COLUMNS = ("file", "image", "img_name", "img_names", "filename", "name", "frame")
+_FILE_COLUMNS = ("file", "image", "img_name", "img_names", "filename", "name", "frame", "press")
 _U_COLUMNS = ("cx_px", "u_px", "cx", "center_x", "x_px", "x", "u")
 _V_COLUMNS = ("cy_px", "v_px", "cy", "center_y", "y_px", "y", "v")
 _RADIUS_COLUMNS = (
@@ -30,9 +30,13 @@ _RADIUS_COLUMNS = (
 )
 _NUMBER = r"([-+.0-9]{1,64})"
 _TUPLE_LINE = re.compile(
-    rf"(\S{{1,255}}\.\w{{1,16}})(?=[\s(])\s*\(?\s*{_NUMBER}\s*,\s*{_NUMBER}[\s,)]+{_NUMBER}\s*"
+    rf"(\S{{1,255}}\.\w{{1,16}}(?=[\s(])|[^\s(]{{1,255}}(?=\s*\())\s*\(?\s*{_NUMBER}\s*,\s*{_NUMBER}[\s,)]+{_NUMBER}\s*"
 )
-"""``name.png (204, 98) 31``, as some labelling scripts print it."""
+"""``name.png (204, 98) 31``, as some labelling scripts print it; names without an ending need the
+bracket to be told from numbers."""
+NAMES = (
+    "images are named by their file name or their path below the folder, with or without the ending"
+)
 _MAX_TUPLE_LINE = 500
 """Characters: a file name has up to 255."""
 
@@ -58,23 +62,28 @@ class LabelTables:
         """
         found: dict[Path, Circle] = {}
         taken: dict[str, Path] = {}
+        paths = {self._names(image)[0] for image in images}
         for image in images:
-            path = image.relative_to(self.folder).as_posix()
-            if path in self.circles:
-                found[image] = self.circles[path]
-                continue
-            name = next((n for n in (image.name, image.stem) if n in self.circles), None)
+            path, *shorter = self._names(image)
+            # What is the whole path of an image is no shorter name of another.
+            names = [path, *(n for n in shorter if n not in paths)]
+            name = next((n for n in names if n in self.circles), None)
             if name is None:
                 continue
             if name in taken:
-                other = taken[name].relative_to(self.folder).as_posix()
+                other = self._names(taken[name])[0]
                 raise InputError(
                     f"{self.tables[name]}: {name!r} may be {other} or {path}; name images by their "
-                    f"path below {self.folder}"
+                    f"path below {self.folder}, with the ending"
                 )
             taken[name] = image
             found[image] = self.circles[name]
         return found
+
+    def _names(self, image: Path) -> tuple[str, str, str, str]:
+        """What a table may call an image, the most certain first."""
+        path = image.relative_to(self.folder)
+        return path.as_posix(), image.name, path.with_suffix("").as_posix(), image.stem
 
     def tell(self, draft: Draft, images: Sequence[Path]) -> None:
         """Keep in the draft which tables were read, and what of them has no effect on these
@@ -82,12 +91,11 @@ class LabelTables:
         draft.used |= self.read
         for path, why in self.left_out.items():
             draft.leave_out(path, why)
-        used = {image.name for image in images} | {image.stem for image in images}
-        used |= {image.relative_to(self.folder).as_posix() for image in images}
+        used = {name for image in images for name in self._names(image)}
         lost = sorted(name for name in self.circles if name not in used)
         if lost:
             shown = ", ".join(lost[:5]) + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
-            draft.notes.append(f"circles without an image here, or of no press: {shown}")
+            draft.notes.append(f"circles without an image here, or of no press: {shown}; {NAMES}")
 
 
 def read_label_tables(folder: Path) -> LabelTables:
@@ -102,7 +110,7 @@ def read_label_tables(folder: Path) -> LabelTables:
                 circles = read_labels(path)
                 is_foreign = circles is None and path.suffix == ".csv" and place == folder
                 if is_foreign and kind_of_record(path) is None:
-                    found.left_out[path] = "no columns for file, centre and radius of circles"
+                    found.left_out[path] = _no_labels(path)
             except NotATable as error:
                 found.left_out[path] = without_path(path, error)
                 continue
@@ -115,6 +123,18 @@ def read_label_tables(folder: Path) -> LabelTables:
                     )
                 found.tables.setdefault(name, path)
     return found
+
+
+def _no_labels(path: Path) -> str:
+    """Which columns a table lacks to be one of labels, with all names that these may have."""
+    table = read_table(path)
+    kinds = {"the image": _FILE_COLUMNS, "the centre's column": _U_COLUMNS,
+             "its row": _V_COLUMNS, "the radius": _RADIUS_COLUMNS}  # fmt: skip
+    lacking = [f"{what} ({', '.join(names)})" for what, names in kinds.items()
+               if table.column(*names) is None]  # fmt: skip
+    # A table that has them all has no rows.
+    lacks = f"no columns for {'; '.join(lacking)}" if lacking else "no rows"
+    return f"{lacks}: a table of contact circles has one of each kind, and {NAMES}"
 
 
 class NotATable(InputError):

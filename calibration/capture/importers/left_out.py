@@ -8,9 +8,16 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
+from taccel_lab.calibration.capture.schema import MANIFEST_NAME
+
 MAX_SHOWN = 8
 """Names, or patterns of names, that a sentence lists."""
 MAX_REASONS = 20
+
+
+def capture_folders(folder: Path) -> frozenset[Path]:
+    """Folders below this one that are capture folders already: what an import has written."""
+    return frozenset(path.parent for path in folder.rglob(MANIFEST_NAME)) - {folder}
 
 
 def files_of(source: Path) -> Iterator[Path]:

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from taccel_lab.calibration.capture.importers.git_clone import Clone
+from taccel_lab.calibration.capture.importers.left_out import capture_folders, files_of
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import real_path
 from taccel_lab.printable import printable
@@ -52,15 +54,20 @@ class Origin:
 def read_origin(path: Path) -> Origin:
     """Origin of the captures in ``path``, a folder or a file.
 
-    Looked at are licence files, READMEs and MANIFESTs of the folder, of those above it as far as
-    they are one git clone, and of those directly below it. A licence file counts before what a
-    README says. The source is what a line ``Source: ...`` of a README or MANIFEST says, or else the
-    address that the clone is from.
+    Looked at are licence files, READMEs and MANIFESTs of the folder, of those directly below it,
+    and of those above it as far as they are one git clone that tracks all files of the captures:
+    what was put into a clone beside its files is not the clone's. A licence file counts before what
+    a README says. The source is what a line ``Source: ...`` of a README or MANIFEST says, or else
+    the address that such a clone is from.
     """
+    path = real_path(path)
     folder = path if path.is_dir() else path.parent
-    folder = real_path(folder)
-    clone = next((p for p in (folder, *folder.parents) if (p / ".git").exists()), None)
-    above = [] if clone is None or clone == folder else _parents(folder, clone)
+    clone = Clone.around(folder)
+    written = capture_folders(folder)
+    files = [file for file in files_of(path) if written.isdisjoint(file.parents)]
+    if clone is not None and not clone.tracks([path] if path.is_file() else files):
+        clone = None
+    above = [] if clone is None or clone.root == folder else _parents(folder, clone.root)
     below = [p for p in sorted(folder.iterdir()) if p.is_dir() and p.name[0] != "."]
     places = [folder, *above, *below]
     found_license = _first(_licenses(places), folder)
@@ -68,7 +75,7 @@ def read_origin(path: Path) -> Origin:
     files = {file for _, file in (found_license, found_source) if file is not None}
     source = found_source[0]
     if source == UNKNOWN and clone is not None:
-        source = _remote(clone / ".git" / "config") or UNKNOWN
+        source = _quoted(clone.remote() or UNKNOWN)
     return Origin(source, found_license[0], frozenset(files))
 
 
@@ -121,9 +128,3 @@ def _text(file: Path) -> str:
 def _quoted(text: str) -> str:
     text = printable(text.strip())
     return text if len(text) <= _QUOTED else text[: _QUOTED - 4] + " ..."
-
-
-def _remote(config: Path) -> str | None:
-    """Address of the remote ``origin`` of a git clone, without a user's name and password."""
-    found = re.search(r'\[remote "origin"\][^\[]*?url\s*=\s*(\S+)', _text(config))
-    return None if found is None else re.sub(r"//[^/@]*@", "//", _quoted(found[1]))

@@ -13,12 +13,13 @@ from taccel_lab.calibration.capture.importers.background_guess import (
 )
 from taccel_lab.calibration.capture.importers.board_text import board_entry
 from taccel_lab.calibration.capture.importers.draft import MEDIAN, Draft, ImportOptions
-from taccel_lab.calibration.capture.importers.files import capture_folders, images_in
+from taccel_lab.calibration.capture.importers.files import images_in
 from taccel_lab.calibration.capture.importers.label_tables import (
     read_label_tables,
     without_path,
 )
 from taccel_lab.calibration.capture.importers.layout import FALLBACK_SENSOR, Layout
+from taccel_lab.calibration.capture.importers.left_out import capture_folders
 from taccel_lab.calibration.capture.importers.markers import VIDEO_SUFFIXES
 from taccel_lab.calibration.capture.records import kind_of_record
 from taccel_lab.errors import InputError

@@ -13,12 +13,12 @@ import pytest
 from taccel_lab.calibration.capture import CaptureFolder, import_captures, load_capture_folder
 from taccel_lab.calibration.capture.importers import ImportOptions
 from taccel_lab.calibration.capture.importers.background_guess import guess_background
-from taccel_lab.calibration.capture.importers.label_tables import read_labels
+from taccel_lab.calibration.capture.importers.label_tables import read_label_tables, read_labels
 from taccel_lab.calibration.capture.records import kind_of_record, read_columns
 from taccel_lab.errors import InputError
 from taccel_lab.reading.images import read_image
 from tests.calibration.capture.capture_sets import gel, press, spread_circles, write_image
-from tests.calibration.capture.made_up_layouts import rvsathu
+from tests.calibration.capture.made_up_layouts import picture, rvsathu
 
 CIRCLES = spread_circles(8)
 
@@ -107,8 +107,42 @@ def test_labels_without_effect_are_told(source: Path) -> None:
     (source / "circles.csv").write_text("file,cx,cy,r\np0.png,60,60,12\nq9.png,60,60,12\n")
     captures, manifest = imported(source)
     assert captures.contents()["labelled_presses"] == 1
-    assert "# left out, 1 file (mine.csv): no columns for file" in manifest
+    said = next(line for line in manifest.splitlines() if "left out, 1 file (mine.csv)" in line)
+    for word in (
+        "the image (file, ",
+        "press)",
+        "cx_px",
+        "cy_px",
+        "radius_px",
+        "without the ending",
+    ):
+        assert word in said
     assert "circles without an image here, or of no press: q9.png" in manifest
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        "press,cx_px,cy_px,radius_px\n{0},60,50,12\n",
+        "{0} (60, 50) 12\n",
+        "file,cx,cy,r\n{0}.png,60,50,12\n",
+    ],
+)
+@pytest.mark.parametrize("name", ["deep/a", "a", "b", "b.c", "deep/b"])
+def test_labels_name_images_with_or_without_the_ending(source: Path, table: str, name: str) -> None:
+    (source / "deep").mkdir()
+    for stem in ("deep/a", "deep/b", "b", "b.c"):
+        picture(source / f"{stem}.png")
+    (source / "labels.txt").write_text(table.format(name))
+    tables, images = read_label_tables(source), [*source.rglob("*.png")]
+    if name == "b" and ".png" not in table:
+        with pytest.raises(
+            InputError, match=r"'b' may be .*b.png or .*b.png; name images by their"
+        ):
+            tables.of_images(images)
+        return
+    whole = "deep/a.png" if name == "a" else f"{name}.png"
+    assert [image.relative_to(source).as_posix() for image in tables.of_images(images)] == [whole]
 
 
 def test_images_that_are_all_alike(source: Path) -> None:

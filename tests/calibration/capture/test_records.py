@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from taccel_lab.calibration.capture.record_checks import apparent_modulus_mpa, check_record
 from taccel_lab.calibration.capture.records import kind_of_record, load_record
 from taccel_lab.calibration.capture.schema import RecordEntry, ToolEntry
+from taccel_lab.envs.bonded_layer import layer_force_n
 from taccel_lab.errors import InputError
+from taccel_lab.reading.loading_faults import require_loading
 
 RADIUS_MM = 4.0
 DEPTH_MM = np.array([0.1, 0.25, 0.4, 0.6, 0.8, 1.0])
@@ -141,6 +143,95 @@ def test_broken_file(tmp_path: Path, text: str, message: str) -> None:
     write(tmp_path, text)
     with pytest.raises(InputError, match=message):
         load_record(tmp_path, entry())
+
+
+def loaded(folder: Path, depth: np.ndarray, force: np.ndarray, head: str = "depth_mm,force_n"):
+    rows = [f"{d:.9g},{f:.9g}" for d, f in zip(depth, force, strict=True)]
+    write(folder, "\n".join([head, *rows]) + "\n")
+    return load_record(folder, entry())
+
+
+DENSE_MM = np.linspace(0.05, 1.0, 20)
+
+
+@pytest.mark.parametrize(
+    ("depth", "force", "message"),
+    [
+        (DENSE_MM, np.full(20, 1.0), r"r\.csv: force_n does not rise with depth_mm: it is 1 N"),
+        (hertz_n(0.5, DENSE_MM), DENSE_MM, "rises ever less .*columns swapped"),
+        (DENSE_MM, hertz_n(0.5, DENSE_MM) + 1.0, r"zero is off.*rows in air.*\(depth_mm below 0\)"),
+        # Of the three depths that FEATS publishes.
+        ([1.6503, 5.9641, 13.5257], [0.5, 1.0, 1.5], "columns swapped"),
+    ],
+)  # fmt: skip
+def test_what_no_press_of_a_ball_can_be(
+    tmp_path: Path, depth: np.ndarray, force: np.ndarray, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        loaded(tmp_path, depth, force)
+
+
+@given(
+    radius=st.floats(1.0, 15.0), thickness=st.floats(1.0, 6.0), nu=st.floats(0.4, 0.5),
+    late=st.floats(-0.3, 0.3), count=st.integers(3, 40), noise=st.sampled_from([0, 0.003, 0.01]),
+    seed=st.integers(0, 999),
+)  # fmt: skip
+def test_no_press_of_a_ball_on_a_layer_is_refused(
+    radius: float, thickness: float, nu: float, late: float, count: int, noise: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    deepest = min(0.5 * thickness, 0.6 * radius)
+    depth = np.sort(rng.uniform(0.05, 1.0, count)) * deepest
+    late *= min(1.0, deepest)
+    force = layer_force_n("sphere", np.maximum(depth - late, 0), radius, thickness, nu, 2e5)
+    force += rng.normal(0, noise * force.max(), count)
+    require_loading(depth, force, 0.02 * force.max(), ball=True)
+
+
+def test_published_forces_are_read(tmp_path: Path) -> None:
+    record = loaded(tmp_path, np.array([0.5, 1.0, 1.5]), np.array([1.6503, 5.9641, 13.5257]))
+    assert record.zero is None and len(record.columns["force_n"]) == 3
+
+
+def test_what_the_load_cell_reads_in_air_is_taken_off(tmp_path: Path) -> None:
+    depth = np.linspace(-1.0, 1.0, 41)
+    true = hertz_n(0.5, np.maximum(depth, 0.0))
+    noise = np.random.default_rng(0).normal(0, 0.01, len(depth))
+    record = loaded(tmp_path, depth, true + 1.0 + noise)
+    assert record.zero is not None and record.columns["depth_mm"].min() > 0
+    low, high = record.zero.interval95
+    assert low < 1.0 < high and high - low < 0.05
+    kept = depth > 0
+    assert record.columns["force_n"] == pytest.approx(true[kept], abs=0.05)
+    with pytest.raises(InputError, match="Reverse the column's sign, or cut the approach off"):
+        loaded(tmp_path, depth, true[::-1] + 1.0)
+
+
+def test_rows_that_stand_twice_count_once(tmp_path: Path) -> None:
+    once = loaded(tmp_path, DENSE_MM, hertz_n(0.5, DENSE_MM))
+    twice = loaded(tmp_path, np.repeat(DENSE_MM, 2), np.repeat(hertz_n(0.5, DENSE_MM), 2))
+    for name, values in once.columns.items():
+        assert np.array_equal(twice.columns[name], values)
+
+
+@pytest.mark.parametrize(
+    ("kind", "columns"),
+    [
+        ("twist", {"depth_mm": np.ones(6), "angle_deg": np.arange(6.0), "torque_nmm": np.ones(6)}),
+        (
+            "shear",
+            {"depth_mm": np.ones(6), "shift_mm": np.arange(6.0), "normal_n": np.full(6, 2.0),
+             "tangential_n": np.ones(6)},
+        ),
+        (
+            "relaxation",
+            {"time_s": np.arange(6.0), "depth_mm": np.arange(6.0), "force_n": np.ones(6)},
+        ),
+    ],
+)  # fmt: skip
+def test_a_load_cell_that_was_not_read(kind: str, columns: dict[str, np.ndarray]) -> None:
+    with pytest.raises(InputError, match=r"r\.csv: .* is 1 in every row"):
+        check_record("r.csv", entry(kind), columns)
 
 
 def test_missing_file(tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
 
 from taccel_lab.calibration.capture import (
     CaptureSet,
@@ -21,7 +24,7 @@ from taccel_lab.calibration.capture import (
     import_captures,
     load_capture_folder,
 )
-from taccel_lab.calibration.capture.split import SAME_PLACE_RADII, split_presses
+from taccel_lab.calibration.capture.split import LARGEST_PLACE, SAME_PLACE_RADII, split_presses
 from taccel_lab.errors import InputError
 from tests.calibration.capture.made_up_layouts import picture
 from tests.cli.small_captures import write_captures
@@ -77,6 +80,43 @@ def test_no_held_out_press_has_a_twin_that_is_fitted(seed: int) -> None:
             centers[list(split.heldout)][:, None] - centers[list(split.train)], axis=-1
         )
         assert apart.min() >= SAME_PLACE_RADII * 20.0
+
+
+def heldout_by_all_pairs(centers: np.ndarray, radius_px: float, every: int) -> set[int]:
+    """The rule by the matrix of all distances, as published scores were made with."""
+    apart = np.linalg.norm(centers[:, None] - centers[None], axis=-1)
+    count, place_of = connected_components(apart < SAME_PLACE_RADII * radius_px, directed=False)
+    places = [np.flatnonzero(place_of == k).tolist() for k in range(count)]
+    if max(map(len, places)) > LARGEST_PLACE * len(centers):
+        places = [[i] for i in range(len(centers))]
+
+    def lot(place: list[int]) -> str:
+        return hashlib.sha256("\n".join(sorted(f"p{i}" for i in place)).encode()).hexdigest()
+
+    places.sort(key=lot)
+    held: list[int] = []
+    for place in places:
+        held += place if len(held) + len(place) <= len(centers) // every else []
+    return set(held or min(places, key=len))
+
+
+@given(seed=st.integers(0, 10**6), count=st.integers(8, 60), spread=st.sampled_from([1, 8, 30, 90]))
+def test_the_split_is_that_of_all_pairs(seed: int, count: int, spread: int) -> None:
+    # Whole steps, so that many distances are equal, and some are the limit itself.
+    centers = np.random.default_rng(seed).integers(0, spread, (count, 2)) + 50.0
+    split = split_presses(presses(centers), 4, None, "somewhere")
+    assert set(split.heldout) == heldout_by_all_pairs(centers, 20.0, 4)
+
+
+def test_memory_goes_with_the_number_of_presses() -> None:
+    some = presses(np.random.default_rng(0).uniform(30, 2000, (4000, 2)))
+    tracemalloc.start()
+    try:
+        split_presses(some, 4, None, "somewhere")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 1000 * len(some)
 
 
 def test_the_order_of_the_presses_has_no_say() -> None:

@@ -19,11 +19,11 @@ from taccel_lab.calibration.material.force_table import (
     press_plan,
 )
 from taccel_lab.calibration.material.gel import Gel, Tool
-from taccel_lab.calibration.material.indentation import fit_indentation
+from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
 from taccel_lab.calibration.material.indentation_points import IndentationPoints
 from taccel_lab.calibration.material.indentation_remarks import young_with_nu
 from taccel_lab.calibration.material.press_plans import GelBench, PressPlan, simulate
-from taccel_lab.calibration.result import Severity
+from taccel_lab.calibration.result import Estimate, Severity
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
@@ -71,6 +71,28 @@ def points(
     tool: Tool, depth: np.ndarray, force: np.ndarray, sigma: np.ndarray | None = None
 ) -> IndentationPoints:
     return IndentationPoints("press", "press.csv", "0" * 64, tool, depth, force, sigma)
+
+
+def test_an_uncertain_zero_of_the_load_cell_widens_the_interval(
+    table: ForceTable, tool: Tool, truth: np.ndarray
+) -> None:
+    left = 0.04 * truth.max()
+
+    def fit(zero: Estimate | None) -> IndentationFit:
+        item = replace(points(tool, DEPTH, truth + left, 0.005 * truth + 1e-3), zero=zero)
+        return fit_indentation(
+            [item], [table], start_pa=2e5, poisson_ratio=POISSON, free_nu=False,
+            touch_sigma_mm=0.0, profiled=("ln_e",),
+        )  # fmt: skip
+
+    trusted, known = fit(None), fit(Estimate(1.0, left, "N"))
+    assert "zero_0" not in trusted.solution.names
+    assert known.solution.value("zero_0") == pytest.approx(left, rel=0.1)
+    assert known.young_modulus_pa == pytest.approx(MODULUS, rel=0.01)
+    assert abs(trusted.young_modulus_pa / MODULUS - 1) > 0.03
+    exact = fit(Estimate(1.0, 1e-6, "N"))
+    assert exact.young_modulus_pa == pytest.approx(trusted.young_modulus_pa, rel=1e-3)
+    assert known.solution.sigma_of("ln_e") > 0
 
 
 def test_tables_interpolate_and_differentiate(
