@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.bodies.bodies import AffineBody, KinematicBody, Surface
 from taccel_lab.bodies.joints import (
+    ROW_COUNT,
     FixedJoint,
     Joint,
     PositionDrive,
@@ -22,7 +23,7 @@ from taccel_lab.bodies.joints import (
 )
 from taccel_lab.bodies.primitives import box_mesh
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
-from taccel_lab.ipc.joints.rows import COORDINATE_ROW, ROW_COUNT
+from taccel_lab.ipc.joints.rows import COORDINATE_ROW
 from taccel_lab.ipc.potentials.joints import JointPotential
 from taccel_lab.model.embedding import rotate
 from taccel_lab.scene import Scene, TimeStepping

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
+from taccel_lab.model.env_rows import device_mask
 from taccel_lab.scene import (
     AffineBody,
     Ball,
@@ -29,7 +30,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.solvers.report import EnvStatus, StepReport
-from taccel_lab.state import State, initial_state
+from taccel_lab.state import initial_state
 from tests.verification.blocks import block_mesh, everywhere, free_block, pose
 
 G, SIDE, DENSITY, MU = 9.81, 2e-2, 1000.0, 0.4
@@ -136,15 +137,17 @@ class Slope:
 
 def fail_whole_steps(solver: SolverIPC, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every step fail that is as long as the scene's, so that its halves are taken."""
-    attempt, whole = solver._attempt, solver.model.scene.time.dt_s
+    attempt = solver._attempt
 
-    def failing(state: State, who: np.ndarray, dt: float) -> StepReport:
-        before = state.copy()
-        report = attempt(state, who, dt)
-        if dt == whole:
-            state.restore(before, who)
-            report.status[who] = EnvStatus.NO_CONVERGENCE
-            report.substeps[who] = 0
+    def failing(who: np.ndarray, dt: float, whole: bool = False) -> StepReport:
+        if not whole:
+            return attempt(who, dt)
+        solver.rows.read(device_mask(who, len(who), solver.model.device))
+        before = solver.work.copy()
+        report = attempt(who, dt)
+        solver.work.restore(before, who)
+        report.status[who] = EnvStatus.NO_CONVERGENCE
+        report.substeps[who] = 0
         return report
 
     monkeypatch.setattr(solver, "_attempt", failing)
