@@ -100,6 +100,7 @@ def flat_sensor() -> Sensor:
         material_of=lambda mesh: material,
         friction_coefficient=0.5,
         grid=grid,
+        camera=grid,
         color=(color_model(grid), background(grid)),
     )
 

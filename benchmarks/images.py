@@ -22,6 +22,7 @@ import warp as wp
 from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.results import ResultFile, spread
 from taccel_lab.benchmarks.suite import Suite
+from taccel_lab.camera.gel_camera import face_of
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
@@ -182,7 +183,7 @@ def errors(signal: SignalTactile, positions: np.ndarray, env_count: int) -> dict
 
     The surfaces have their referee in the tests.
     """
-    grid, mesh = signal.grid, pad()
+    grid, mesh = face_of(signal.grid), pad()
     names = ("rgb", "rgb_levels", "markers_px", "height_m", "normals")
     rgb, levels, markers, height, normals = (
         array[:env_count].numpy() for array in signal.read(*names)
