@@ -178,8 +178,9 @@ class SolverIPC(SolverParts):
         """Refuse to read forces of a state when the last step was one of another state.
 
         Raises:
-            InputError: It was, or was interrupted.
+            InputError: It was, or was interrupted; or the state is one of another model.
         """
+        check_state(state, self.model)
         if self._latest is not None and self._latest() is not state:
             raise InputError(
                 "forces and contacts are those of the last step of the solver, which was not one "
