@@ -35,7 +35,7 @@ _TYPES = (
 _DOUBLE = re.compile(r"\bdouble\b")
 _OTHER = {
     "model/env_rows.py": (
-        ("type_size_in_bytes(array.dtype) // 8", "type_size_in_bytes(array.dtype) // 4"),
+        ("8) if size % 8 == 0", "4) if size % 4 == 0"),
         ("type_size_in_bytes(dtype) // 8", "type_size_in_bytes(dtype) // 4"),
         (
             "host_values(value, name, expected)\n",
@@ -55,6 +55,9 @@ _OTHER = {
         ("_STAGE_BYTES // 8", "_STAGE_BYTES // 4"),
         ("ld.global.f64", "ld.global.f32"),
         ('"=d"', '"=f"'),
+    ),
+    "solvers/state_rows.py": (
+        ("type_size_in_bytes(array.dtype) // 8", "type_size_in_bytes(array.dtype) // 4"),
     ),
     "solvers/report.py": (
         ("2 * (rows.shape[0] - count)", "rows.shape[0] - count"),

@@ -90,30 +90,3 @@ def test_the_wheel_installs_one_name(wheel: Path) -> None:
 
 def test_a_users_own_modules_do_no_harm_to_an_installed_wheel(wheel: Path, tmp_path: Path) -> None:
     assert "gelsight_mini" in run_beside_the_users_own_modules(tmp_path, wheel)
-
-
-CORE = ["solvers", "outputs", "gradients", "benchmarks.learning", "benchmarks.stress"]
-"""What runs where only these are installed."""
-ALONE = """
-import importlib, sys
-ALLOWED = {allowed!r}
-class Only:
-    def find_spec(self, name, path=None, target=None):
-        if path is None and name not in ALLOWED | sys.stdlib_module_names:
-            raise ModuleNotFoundError(f"no {{name}} here")
-sys.meta_path.insert(0, Only())
-for name in {names!r}:
-    importlib.import_module("taccel_lab." + name)
-"""
-
-
-def test_the_core_imports_with_warp_and_numpy_alone() -> None:
-    """And with torch and scipy, where they are used: so machines with a GPU are often set up."""
-    allowed = {"taccel_lab", "warp", "numpy", "typing_extensions"} | {"torch", "scipy"}
-    done = subprocess.run(
-        [sys.executable, "-c", ALONE.format(allowed=allowed, names=CORE)],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-    )
-    assert done.returncode == 0, done.stderr

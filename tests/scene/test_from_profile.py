@@ -8,12 +8,14 @@ import pytest
 
 from taccel_lab import KinematicBody, Scene, SignalTactile, SolverIPC, initial_state, to_torch
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.camera.gel_camera import camera_of, in_image
 from taccel_lab.errors import InputError
 from taccel_lab.outputs import Outputs
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance
 from taccel_lab.scene import Ball, Element
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.signals.markers import MarkerLayout
 from tests.signals.tactile_cases import color_model
 
 RADIUS_M, DEPTH_M = 4e-3, 3e-4
@@ -61,7 +63,9 @@ def test_signals_are_the_profiles(pressed) -> None:
     assert np.nanmax(np.abs(depth[1])) < 1e-6
     # The dots of the profile's own block, in its order, where they are not touched.
     points = profile.markers.grid().points_mm()
-    where = grid.pixel_from_gel(points[grid.contains(points)])
+    camera, layout = camera_of(profile), MarkerLayout.from_points(profile.mesh, points)
+    where = camera.pixel_from_gel(layout.places_mm(profile.mesh.nodes_m))
+    where = where[in_image(where, camera)]
     assert markers.shape == (3, len(where), 2)
     assert np.abs(markers[1] - where).max() < 1e-3
     assert np.abs(markers[0] - where).max() > 0.02

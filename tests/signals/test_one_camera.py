@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
+from scipy.ndimage import binary_erosion
 
 from taccel_lab.camera.gel_camera import GelCamera, camera_of
 from taccel_lab.errors import InputError
@@ -89,8 +90,11 @@ def test_signals_lie_where_the_optical_model_shows_them(name: str, device: str) 
         both = picture.mask & np.isfinite(points[row]).all(axis=-1)
         # Of a dome that is dragged aside, the far flank hangs over.
         assert both.sum() > (0.95 if name == "rtac" else 0.99) * picture.mask.sum()
-        apart_mm = np.linalg.norm(1e3 * points[row] - picture.points_mm, axis=-1)[both]
-        assert np.quantile(apart_mm, 0.99) < 0.02
+        apart_mm = np.linalg.norm(1e3 * points[row] - picture.points_mm, axis=-1)
+        # Beside an edge that hides the face one of the two may just see past it.
+        clear = binary_erosion(both | ~picture.mask, iterations=3) & both
+        assert clear.sum() > 0.9 * both.sum()
+        assert np.quantile(apart_mm[clear], 0.99) < 0.02
         turned = np.einsum("pi,pi->p", normals[row][both], picture.normals[both])
         # The two rebuild the face between coarse nodes in ways of their own.
         assert np.median(turned) > np.cos(np.radians(0.5))

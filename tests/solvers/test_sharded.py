@@ -292,7 +292,7 @@ def test_bad_input_is_refused_before_anything_moves() -> None:
         ShardedSolver(scene, ["cpu"] * 6)
     with pytest.raises(InputError, match="got 0: none"):
         ShardedSolver(scene, [])
-    with pytest.raises(InputError, match="device 'cuda:99' is not there; devices are cpu"):
+    with pytest.raises(InputError, match="device 'cuda:99' is not there; this machine has: cpu"):
         ShardedSolver(scene, ["cpu", "cuda:99"])
     with pytest.raises(InputError, match=r"poses have shape \(4, 2, 7\), expected \(5, 2, 7\)"):
         ShardedSolver(scene, ["cpu"], poses=targets(0)[:4])

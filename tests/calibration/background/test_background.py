@@ -146,7 +146,8 @@ def test_refusals() -> None:
     with pytest.raises(InputError, match="several sizes"):
         calibrate_background(capture_folder(quantise(gel()), [small], []), BASE)
     result = calibrate_background(capture_folder(quantise(gel()), [], []), BASE)
-    other = dataclasses.replace(GRID, width_px=100, height_px=80)
+    middle = {"center_u_px": 49.5, "center_v_px": 39.5}
+    other = dataclasses.replace(GRID, width_px=100, height_px=80, **middle)
     unscaled = dataclasses.replace(result, mm_per_px=None)
     with pytest.raises(InputError, match="state no scale"):
         unscaled.apply_to(tiny_profile(other))

@@ -124,7 +124,10 @@ def _profile() -> SensorProfile:
         color=ColorBlock(architecture=color.to_dict(), provenance=CALIBRATED),
         color_weights=_weights(color_model.expected_shapes(color), rng),
         normals=NormalsBlock(architecture=normal.to_dict(), provenance=CALIBRATED),
-        normal_weights=_weights(normal_model.expected_shapes(normal), rng),
+        normal_weights={
+            name: 0.1 * value
+            for name, value in _weights(normal_model.expected_shapes(normal), rng).items()
+        },
         depth_response=DepthResponseBlock(
             drop_levels=(0.0, 10.0, 40.0), depth_mm=(0.0, 0.2, 0.9), provenance=CALIBRATED
         ),
