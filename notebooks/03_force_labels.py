@@ -64,12 +64,14 @@ for depth_mm, shear_mm in ((0.2, 0), (0.4, 0), (0.4, 0.1), (0.4, 0.2)):
 label = env.wrench[0, :3]
 load = Outputs(env.solver).update(env.state).surface_load
 by_traction = (load.areas.numpy()[..., None] * load.tractions.numpy())[0].sum(axis=0)
-sensor = SignalTactile.from_profile(profile, solver=env.solver)
+# Pixels of one size over the gel: those of the camera, which sees in perspective, show less of it
+# the nearer it is.
+grid = profile.grid()
+sensor = SignalTactile.from_solver(env.solver, grid)
 sensor.update(env.state)
 traction, normals, contact = (
     array.numpy()[0] for array in sensor.read("traction_pa", "normals", "contact")
 )
-grid = profile.grid()
 pixel_m2 = 1e-6 * grid.mm_per_px_x * grid.mm_per_px_y
 shown = np.isfinite(normals[..., 2])
 by_pixel = (traction[shown] * pixel_m2 / normals[shown][:, 2:]).sum(axis=0)
