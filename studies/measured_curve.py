@@ -42,6 +42,8 @@ _QUANTITIES = {
 }  # fmt: skip
 """Columns by what they become: names, and factors of units."""
 _NO_NUMBER = ("", "nan", "na", "n/a", "null", "none", "-")
+LONGEST_MM = 1e3
+"""Way of a test, air before the touch included [mm]."""
 DEEPEST_MM, STRONGEST_N = 20.0, 1000.0
 NOISE = 0.05
 """Negative forces, as a part of the largest, that noise explains."""
@@ -110,6 +112,7 @@ def read_curve(spec: Measured) -> MeasuredCurve:
         depth = -depth
         remarks.append("positions fall as the force rises: turned about")
     with naming(path):
+        _check_units(depth, force)
         _check_signs(depth, force)
         keep, remark = first_loading(depth)
         remarks += [remark] if remark else []
@@ -208,6 +211,15 @@ def _check_signs(depth: np.ndarray, force: np.ndarray) -> None:
         )
 
 
+def _check_units(depth: np.ndarray, force: np.ndarray) -> None:
+    """Refuse ways and forces that no test rig has, before anything is fitted to them."""
+    way = float(np.ptp(depth))
+    if way > LONGEST_MM:
+        raise InputError(f"depths run over {way:g} mm; at most {LONGEST_MM:g} mm: another unit?")
+    if (most := float(np.abs(force).max())) > STRONGEST_N:
+        raise InputError(f"forces reach {most:g} N; at most {STRONGEST_N:g} N: another unit?")
+
+
 def _check_sizes(depth: np.ndarray, force: np.ndarray) -> None:
     """Refuse depths from the touch and forces that no gel has."""
     if -depth.min() > depth.max():
@@ -223,10 +235,6 @@ def _check_sizes(depth: np.ndarray, force: np.ndarray) -> None:
     if depth.max() > DEEPEST_MM:
         raise InputError(
             f"depths reach {depth.max():g} mm; at most {DEEPEST_MM:g} mm: another unit?"
-        )
-    if force.max() > STRONGEST_N:
-        raise InputError(
-            f"forces reach {force.max():g} N; at most {STRONGEST_N:g} N: another unit?"
         )
 
 

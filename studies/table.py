@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from taccel_lab.errors import InputError
 from taccel_lab.output import atomic_file
 
 if TYPE_CHECKING:
@@ -75,7 +76,16 @@ def _write_parquet(path: Path, rows: list[dict[str, Any]], names: list[str]) -> 
     import pyarrow  # pyright: ignore[reportMissingImports]
     import pyarrow.parquet  # pyright: ignore[reportMissingImports]
 
-    table = pyarrow.table({name: [row[name] for row in rows] for name in names})
+    columns = {}
+    for name in names:
+        try:
+            columns[name] = pyarrow.array([row[name] for row in rows])
+        except (pyarrow.ArrowInvalid, pyarrow.ArrowTypeError):
+            raise InputError(
+                f"{path.parent}: values of {name!r} are of different kinds: a result.json "
+                "is damaged"
+            ) from None
+    table = pyarrow.table(columns)
     with atomic_file(path) as staging:
         pyarrow.parquet.write_table(table, staging)
         staging.chmod(0o644)

@@ -85,6 +85,10 @@ def save_profile(profile: SensorProfile, path: Path | str) -> None:
         (staging / PROFILE_FILE).write_text(text, encoding="utf-8", newline="\n")
 
 
+MOST_LINES = 12
+"""Of a refusal; ``validate`` lists all faults."""
+
+
 def load_profile(path: Path | str) -> SensorProfile:
     """Read and check the profile folder ``path``.
 
@@ -93,7 +97,9 @@ def load_profile(path: Path | str) -> SensorProfile:
     profile, findings = _read(Path(path))
     errors = [finding for finding in findings if finding.severity == "error"]
     if errors or profile is None:
-        raise InputError("\n".join(str(finding) for finding in errors))
+        more = len(errors) - MOST_LINES
+        lines = [str(finding) for finding in errors[:MOST_LINES]]
+        raise InputError("\n".join([*lines, f"and {more} more"] if more > 0 else lines))
     return profile
 
 

@@ -29,6 +29,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile.bounds import out_of_bounds, require_within
 from taccel_lab.reading.strict_model import (
+    MAX_FAULTS,
     Flag,
     Number,
     Scalar,
@@ -120,7 +121,7 @@ class Block(StrictModel):
                 rest = {name: value for name, value in values.items() if name not in told}
                 lines = [f"{self.key}.{t}" for t in describe_errors(error, type(self)).splitlines()]
                 lines += out_of_bounds(self.key, SimpleNamespace(**rest), self.key)
-                raise InputError("\n".join(lines)) from None
+                raise InputError("\n".join(lines[:MAX_FAULTS])) from None
             require_within(self.key, self)
 
 

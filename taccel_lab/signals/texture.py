@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry.length_units import other_readings
 
 _LEAST_PX = 2
@@ -67,7 +67,8 @@ class Texture:
         levels = read_image(path).astype(np.float64).mean(axis=-1)
         if np.ptp(levels) == 0:
             raise InputError(f"{path} has one level everywhere: there is no texture in it")
-        return cls(levels / 255.0, 1e-3 * depth_mm, 1e-3 * width_mm)
+        with naming(path):
+            return cls(levels / 255.0, 1e-3 * depth_mm, 1e-3 * width_mm)
 
     @property
     def mean_depth_m(self) -> float:
