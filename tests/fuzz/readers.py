@@ -32,7 +32,7 @@ def _run(command: Command) -> None:
     finally:
         sys.stderr = earlier
     if code == 2:
-        raise Refused(said.getvalue().rpartition("error: ")[2].strip())
+        raise Refused(f"\n{said.getvalue()}".rpartition("\nerror: ")[2].strip())
     if code not in (0, 1):
         raise AssertionError(f"exit code {code}: {said.getvalue()[-800:]}")
 
