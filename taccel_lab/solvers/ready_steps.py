@@ -66,12 +66,12 @@ class ReadySteps:
                 raise InputError(f"environment {env} has not finished its last step yet")
             beginning = device_mask(who, count, solver.model.device)
             dt = solver.take(control, state, beginning)
+            solver.begin(state)
             solver.set_dt(dt, beginning if progress.underway.any() else None)
             solver.follow_parameters()
             separate = solver.find_separate(state)
             overlapping = who & ~separate
             who &= separate
-            solver.begin(state)
             p.again.zero_()
             p.most_rounds.fill_(self.iterations)
             report = solver.attempt_once(who | progress.again, who, np.ones_like(who))
