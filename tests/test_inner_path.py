@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import copy_inner, inner_files, inner_path, real_path
-from tests.strangers import LURES, REFUSED, SECRET, lure
+from tests.support.strangers import LURES, REFUSED, SECRET, lure
 from tests.test_architecture import SOURCES
 
 PARTS = st.sampled_from(

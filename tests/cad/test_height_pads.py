@@ -18,7 +18,7 @@ from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
-from tests.real_data import real_data
+from tests.support.real_data import real_data
 
 
 def test_mini_lies_on_the_measured_gel() -> None:

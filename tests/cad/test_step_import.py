@@ -40,7 +40,7 @@ from taccel_lab.cad.step_import import (
 )
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
-from tests.real_data import real_data
+from tests.support.real_data import real_data
 
 
 def box_selection(**changes: Any) -> FaceSelection:

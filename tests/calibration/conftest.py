@@ -6,7 +6,7 @@ from __future__ import annotations
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet, load_captures
-from tests.real_data import taxim_presses
+from tests.support.real_data import taxim_presses
 
 
 @pytest.fixture(scope="session")

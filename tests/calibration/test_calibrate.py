@@ -25,7 +25,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.judged_once import detect_once, judge_slopes_once
-from tests.cli.small_captures import write_captures
+from tests.support.small_captures import write_captures
 
 
 @pytest.fixture(scope="module", autouse=True)

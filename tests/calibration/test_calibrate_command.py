@@ -19,7 +19,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table_file import read_table
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.calibration.synthetic import (
+from tests.support.synthetic_presses import (
     BALL_RADIUS_MM,
     GRID,
     flat_profile,

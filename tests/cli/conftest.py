@@ -19,7 +19,7 @@ import pytest
 
 from taccel_lab.output_folder import atomic_directory
 from tests.calibration.judged_once import detect_once, judge_slopes_once
-from tests.cli.small_captures import never, write_captures, write_profile
+from tests.support.small_captures import never, write_captures, write_profile
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.small_captures import background, refuse, write_image
+from tests.support.small_captures import background, refuse, write_image
 
 Change = Callable[[Path], None]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.profile import SCHEMA_VERSION
-from tests.cli.small_captures import GRID, refuse
+from tests.support.small_captures import GRID, refuse
 
 Change = Callable[[Path], None]
 

@@ -15,8 +15,8 @@ from taccel_lab.inner_path import WHOLES, require_outside
 from taccel_lab.profile import save_profile
 from taccel_lab.profile.io import PROFILE_FILE
 from taccel_lab.studies.study_folder import STUDY_MARKER
-from tests.calibration.synthetic import GRID, flat_profile, synthetic_captures, write_captures
 from tests.sensors.imported_profiles import imported
+from tests.support.synthetic_presses import GRID, flat_profile, synthetic_captures, write_captures
 
 STUDY = """
 [study]

@@ -13,7 +13,7 @@ from taccel_lab.calibration.blocks import BLOCKS
 from taccel_lab.cli import app
 from taccel_lab.errors import InputError
 from taccel_lab.profile import load_profile
-from tests.cli.small_captures import write_captures
+from tests.support.small_captures import write_captures
 
 
 @pytest.fixture

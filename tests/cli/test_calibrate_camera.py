@@ -21,7 +21,7 @@ from tests.calibration.drawn.boards import (
 )
 from tests.calibration.drawn.faults import add_noise, quantise
 from tests.calibration.scale.test_agreement import write_folder
-from tests.cli.small_captures import write_profile
+from tests.support.small_captures import write_profile
 
 LENS, SIZE = LENSES["k1"], (320, 240)
 PARAMETERS = np.array([270.0, 268.0, 158.0, 121.0, -0.1])

@@ -12,7 +12,7 @@ import pytest
 
 from taccel_lab.cli.app import main
 from taccel_lab.profile import load_profile
-from tests.cli.small_captures import GRID, everything_below, write_captures, write_profile
+from tests.support.small_captures import GRID, everything_below, write_captures, write_profile
 
 
 def calibrate(captures: Path, out: Path, *options: str) -> int:

@@ -11,8 +11,8 @@ import pytest
 
 from taccel_lab.cli.app import main
 from taccel_lab.reading.videos import count_frames
-from tests.cli.small_captures import everything_below, write_captures, write_image
 from tests.fuzz.samples.captures import write_video
+from tests.support.small_captures import everything_below, write_captures, write_image
 
 
 @pytest.fixture

@@ -15,8 +15,8 @@ import pytest
 from taccel_lab.cli.app import main
 from taccel_lab.output_folder import OUTPUT_MARKER
 from taccel_lab.profile import load_profile, validate_profile
-from tests.cli.small_captures import CIRCLES, GRID, everything_below, write_captures
 from tests.geometry.vtu_files import read_mesh_vtu
+from tests.support.small_captures import CIRCLES, GRID, everything_below, write_captures
 
 HELDOUT = ("p0",)
 """By the rule of ``taccel_lab.calibration.capture.split``."""

@@ -10,7 +10,7 @@ import pytest
 
 from taccel_lab.cli import app
 from taccel_lab.profile import save_profile
-from tests.calibration.synthetic import GRID, tiny_profile
+from tests.support.synthetic_presses import GRID, tiny_profile
 
 
 @pytest.fixture

@@ -16,8 +16,8 @@ from taccel_lab.cli.app import main
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.profile import load_profile, save_profile
 from tests.calibration.force.small_touches import planned, write_touches
-from tests.datasets.small import saved_profile
 from tests.fuzz.samples.captures import write_image
+from tests.support.small_data_sets import saved_profile
 
 
 def training(root: Path, out: Path) -> list[str]:

@@ -15,8 +15,8 @@ import pytest
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.cli import app
 from taccel_lab.profile import save_profile
-from tests.calibration.synthetic import synthetic_captures, write_captures
 from tests.sensors.imported_profiles import imported
+from tests.support.synthetic_presses import synthetic_captures, write_captures
 
 CHEAP = {
     "capture check": ["CAPTURES"],

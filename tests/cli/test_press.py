@@ -23,9 +23,9 @@ from taccel_lab.output_folder import OUTPUT_MARKER
 from taccel_lab.profile import load_profile
 from taccel_lab.scene import Element
 from taccel_lab.solvers import StepReport
-from tests.cli.small_captures import GRID, background, everything_below, write_profile
 from tests.geometry.vtu_files import read_mesh_vtu
 from tests.signals.find_dots import distances_px, find_dots
+from tests.support.small_captures import GRID, background, everything_below, write_profile
 
 FILES = {
     OUTPUT_MARKER,

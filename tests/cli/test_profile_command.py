@@ -23,7 +23,7 @@ from taccel_lab.profile import (
     load_profile,
     save_profile,
 )
-from tests.cli.small_captures import write_profile
+from tests.support.small_captures import write_profile
 
 
 @pytest.fixture

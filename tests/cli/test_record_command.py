@@ -15,9 +15,9 @@ from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.record.folder import RecordFolder
 from taccel_lab.cli.app import main
 from taccel_lab.profile import save_profile
-from tests.calibration.capture.capture_sets import write_image
 from tests.calibration.record.sessions import source
-from tests.calibration.synthetic import GRID, flat_profile
+from tests.support.capture_sets import write_image
+from tests.support.synthetic_presses import GRID, flat_profile
 
 FACTS = ["--radius-mm", "2", "--mm-per-px-x", "0.1", "--no-page"]
 

@@ -12,8 +12,8 @@ from PIL import Image
 
 from taccel_lab.cli import app
 from taccel_lab.robots import names
-from tests.robots.robot_files import CHAIN, write
 from tests.robots.test_urdf import TETRAHEDRON, with_mesh
+from tests.support.robot_files import CHAIN, write
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 

@@ -10,7 +10,7 @@ import pytest
 
 from taccel_lab.cli import app
 from taccel_lab.studies.study import Kit, default_kit
-from tests.studies.fake_kit import METRICS, PRESSES, evaluate, logged
+from tests.support.fake_kit import METRICS, PRESSES, evaluate, logged
 
 STUDY = """
 [study]

@@ -24,7 +24,7 @@ from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, load_profile, save_profile
-from tests.calibration.synthetic import (
+from tests.support.synthetic_presses import (
     GRID,
     flat_profile,
     synthetic_captures,

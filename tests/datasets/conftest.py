@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.datasets.small import make, saved_profile
+from tests.support.small_data_sets import make, saved_profile
 
 
 @pytest.fixture(scope="session")

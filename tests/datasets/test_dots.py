@@ -14,8 +14,8 @@ from taccel_lab.profile import BackgroundBlock, CameraBlock, ColorBlock, Markers
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 from taccel_lab.viewer.dataset_touches import read_touch
-from tests.datasets.small import ASSUMED, make, small_profile
 from tests.signals.find_dots import distances_px, find_dots
+from tests.support.small_data_sets import ASSUMED, make, small_profile
 
 WIDTH, HEIGHT, RADIUS_PX = 96, 72, 3.0
 LIGHT, DARK = 150, 30

@@ -20,8 +20,8 @@ from taccel_lab.datasets.page import write_page
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.univtac import export_univtac
 from taccel_lab.errors import InputError
-from tests.datasets.small import parts_of
-from tests.strangers import LURES, REFUSED, lure
+from tests.support.small_data_sets import parts_of
+from tests.support.strangers import LURES, REFUSED, lure
 
 
 def test_lerobot(made: Path, tmp_path: Path) -> None:

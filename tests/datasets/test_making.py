@@ -21,8 +21,8 @@ from taccel_lab.datasets.folder import DatasetFolder
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
 from taccel_lab.output_folder import OUTPUT_MARKER
-from tests.datasets.small import make, parts_of, plan
-from tests.strangers import SECRET, lure
+from tests.support.small_data_sets import make, parts_of, plan
+from tests.support.strangers import SECRET, lure
 
 ROOT = Path(__file__).parents[2]
 
@@ -30,7 +30,13 @@ ROOT = Path(__file__).parents[2]
 def test_equal_bytes_by_shards_and_folders(profile: Path, made: Path, tmp_path: Path) -> None:
     """Two shards in folders of their own, one of them by another process, give what one run gave;
     together they are read as one."""
-    command = [sys.executable, "-m", "tests.datasets.small", str(profile), str(tmp_path / "b")]
+    command = [
+        sys.executable,
+        "-m",
+        "tests.support.small_data_sets",
+        str(profile),
+        str(tmp_path / "b"),
+    ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     other = subprocess.Popen([*command, "2/2", "1"], cwd=ROOT, env=environment)
     first = make(profile, tmp_path / "a", (1, 2))
@@ -45,7 +51,13 @@ def test_equal_bytes_by_shards_and_folders(profile: Path, made: Path, tmp_path: 
 
 
 def test_a_killed_run_goes_on_and_ends_the_same(profile: Path, made: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "tests.datasets.small", str(profile), str(tmp_path / "k")]
+    command = [
+        sys.executable,
+        "-m",
+        "tests.support.small_data_sets",
+        str(profile),
+        str(tmp_path / "k"),
+    ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     folder = DatasetFolder(tmp_path / "k")
     done = subprocess.run([*command, "1/1", "0", "2"], cwd=ROOT, env=environment, check=False)

@@ -19,7 +19,7 @@ from taccel_lab.datasets.plan import Plan
 from taccel_lab.envs import parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.model.embedding import rotate
-from tests.datasets.small import plan
+from tests.support.small_data_sets import plan
 
 NO_IMAGES = {"output": {"channels": ["depth_mm"]}}
 KEPT = (

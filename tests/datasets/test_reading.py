@@ -23,8 +23,8 @@ from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.torch_dataset import TouchDataset
 from taccel_lab.errors import InputError
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
-from tests.datasets.small import SIZE, make
-from tests.strangers import Payload, lure
+from tests.support.small_data_sets import SIZE, make
+from tests.support.strangers import Payload, lure
 
 
 def test_labels_agree_with_one_another(made: Path) -> None:

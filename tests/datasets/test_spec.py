@@ -13,7 +13,7 @@ from taccel_lab.datasets.plan import Plan
 from taccel_lab.datasets.spec import DatasetSpec, load_spec
 from taccel_lab.errors import InputError
 from taccel_lab.profile import save_profile
-from tests.datasets.small import plan, small_profile, table
+from tests.support.small_data_sets import plan, small_profile, table
 
 EXAMPLES = Path(__file__).parents[2] / "datasets" / "examples"
 

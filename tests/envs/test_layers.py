@@ -10,7 +10,7 @@ from taccel_lab.envs import PressEnv, layered_material, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.scene import Material, MaterialField, MaterialModel
-from tests.envs.pads import GEL, pad
+from tests.support.coarse_pads import GEL, pad
 
 
 def layered_pad() -> TetMesh:

@@ -16,7 +16,7 @@ from taccel_lab.ipc.intersection import find_intersections, require_separated
 from taccel_lab.scene import Material
 from taccel_lab.solvers import EnvStatus, SolverConfig, StepReport
 from taccel_lab.state import initial_state
-from tests.envs.pads import COARSE, FINER, GEL, LINEAR, pad
+from tests.support.coarse_pads import COARSE, FINER, GEL, LINEAR, pad
 
 DEFAULT = PHYSICS[Accuracy.DEFAULT]
 DHAT_M = DEFAULT.dhat_m

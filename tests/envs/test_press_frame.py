@@ -18,7 +18,7 @@ from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.model.embedding import rotate
 from taccel_lab.solvers import SolverConfig
-from tests.envs.pads import GEL, LINEAR, pad
+from tests.support.coarse_pads import GEL, LINEAR, pad
 
 angles = st.floats(-1.0, 1.0)
 

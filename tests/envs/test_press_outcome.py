@@ -26,7 +26,7 @@ from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.output import to_jsonable
 from taccel_lab.scene import Ball, Material, TriangleMesh
 from taccel_lab.signals.forces import resultant_wrench
-from tests.envs.pads import COARSE, FINER, GEL, pad
+from tests.support.coarse_pads import COARSE, FINER, GEL, pad
 
 GRID = PixelGrid(64, 48, 0.1, 0.1)
 AT_MM = (0.5, -0.3)

@@ -12,7 +12,7 @@ import warp as wp
 from taccel_lab.envs import PressEnv, parse_indenter
 from taccel_lab.envs.press import SETBACK_TOLERANCE
 from taccel_lab.solvers import EnvStatus, SolverConfig, StepReport
-from tests.envs.pads import GEL, pad
+from tests.support.coarse_pads import GEL, pad
 
 CENTRE = (0.0, 0.0)
 

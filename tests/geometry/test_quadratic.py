@@ -9,7 +9,7 @@ import pytest
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.quadratic import TET_EDGES, quadratic_mesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
-from tests.verification.blocks import block_mesh
+from tests.support.blocks import block_mesh
 
 MESH = block_mesh((3, 2, 2), (3e-3, 2e-3, 2e-3), jitter=0.2)
 

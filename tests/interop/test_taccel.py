@@ -18,7 +18,7 @@ from taccel_lab.interop.export import export_profile
 from taccel_lab.interop.frames import TACCEL_FROM_GEL
 from taccel_lab.interop.taccel import vbts_config
 from taccel_lab.profile import SensorProfile
-from tests.real_data import real_data
+from tests.support.real_data import real_data
 
 SHIPPED = "taccel_assets/pads/single_sensor__pad_maxv_1e-05"
 

@@ -22,7 +22,7 @@ from taccel_lab.interop.tacto import MOST_LIGHTS, merged_lights
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.real_data import real_data
+from tests.support.real_data import real_data
 
 
 def exported(profile: SensorProfile, out: Path) -> dict:

@@ -29,8 +29,8 @@ from taccel_lab.scene import (
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.state import State, initial_state
 from tests.ipc.contact_sums import log_barrier
+from tests.support.blocks import block_mesh, everywhere, pose
 from tests.verification.assembly import Assembly
-from tests.verification.blocks import block_mesh, everywhere, pose
 
 RADIUS, GAP, DHAT, KAPPA = 6e-3, 0.5e-6, 1e-6, 1e5
 MESH = block_mesh((6, 6, 1), (3e-3, 3e-3, 1e-3))

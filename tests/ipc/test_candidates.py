@@ -17,7 +17,7 @@ from taccel_lab.model import Model
 from taccel_lab.model.kinematics import interpolate_poses
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
+from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 
 MESH = block_mesh((3, 3, 1), (3e-3, 3e-3, 1e-3), jitter=0.2)
 BODY = bumpy_body(2, 0.8e-3)

@@ -14,8 +14,8 @@ from taccel_lab.scene import Ball, KinematicBody, TriangleMesh, box_mesh, sphere
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.state import initial_state
 from tests.ipc.contact_sums import edge_pair_sum, face_areas, log_barrier, node_face_sum
+from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 from tests.verification.assembly import Assembly
-from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 
 DHAT, KAPPA = 4e-4, 1e5
 

@@ -35,7 +35,7 @@ from taccel_lab.scene import (
     sphere_mesh,
 )
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
+from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 from tests.verification.curved_tets import CURVED, curved
 
 MESH = block_mesh((4, 4, 2), (4e-3, 4e-3, 2e-3), jitter=0.2)

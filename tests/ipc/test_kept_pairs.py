@@ -14,7 +14,7 @@ from taccel_lab.ipc.gaps import edge_edge_distances, point_triangle_distances
 from taccel_lab.model import Model
 from taccel_lab.scene import KinematicBody
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, bumpy_body, pose, scene
+from tests.support.blocks import block_mesh, bumpy_body, pose, scene
 
 MESH = block_mesh((3, 3, 1), (3e-3, 3e-3, 1e-3), jitter=0.2)
 BODY = bumpy_body(2, 0.8e-3)

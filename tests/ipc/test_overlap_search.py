@@ -27,7 +27,7 @@ from taccel_lab.scene import (
     sphere_mesh,
 )
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import block_mesh, pose, scene
+from tests.support.blocks import block_mesh, pose, scene
 
 MESH = block_mesh((4, 4, 2), (4e-3, 4e-3, 2e-3), jitter=0.2)
 SHAPES = {

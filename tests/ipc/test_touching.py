@@ -11,8 +11,8 @@ from taccel_lab.envs import parse_indenter
 from taccel_lab.scene import KinematicBody, TriangleMesh, box_mesh
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.state import initial_state
+from tests.support.blocks import block_mesh, everywhere, pose, scene
 from tests.verification.assembly import Assembly
-from tests.verification.blocks import block_mesh, everywhere, pose, scene
 
 DHAT, EPS, MU = 1e-5, 1e-6, 0.7
 FROM, TO = 60e-6, 5e-6

@@ -30,8 +30,8 @@ from tests.newton_door.squeezed_cube import (
     jaws,
     newton,
 )
-from tests.profile.sample_blocks import ASSUMED, bare_profile
 from tests.signals.tactile_cases import background, color_model
+from tests.support.sample_blocks import ASSUMED, bare_profile
 
 SensorTactile = pytest.importorskip("taccel_lab.newton_door.sensor_tactile").SensorTactile
 

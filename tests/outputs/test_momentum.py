@@ -23,7 +23,7 @@ from taccel_lab.scene import (
     box_mesh,
 )
 from taccel_lab.state import initial_state
-from tests.verification.blocks import everywhere, pose
+from tests.support.blocks import everywhere, pose
 
 DYNAMIC = TimeStepping(quasi_static=False)
 SIZE = (1e-2, 2e-2, 3e-2)

@@ -30,7 +30,7 @@ from taccel_lab.signals import resultant_wrench
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import pose
+from tests.support.blocks import pose
 
 DT, G = 5e-3, np.array([0.3, 0.0, -9.81])
 GEL, CUBE, BALL = 0, 1, 3

@@ -21,7 +21,7 @@ from taccel_lab.profile import (
     SensorProfile,
     save_profile,
 )
-from tests.profile.sample_blocks import ASSUMED, CALIBRATED, sample_blocks
+from tests.support.sample_blocks import ASSUMED, CALIBRATED, sample_blocks
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,7 @@ from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.profile import save_profile
 from taccel_lab.reading.seed import MOST_SEED, require_seed
-from tests.calibration.synthetic import GRID, flat_profile, synthetic_captures, write_captures
+from tests.support.synthetic_presses import GRID, flat_profile, synthetic_captures, write_captures
 
 
 @pytest.mark.parametrize("seed", [-1, 10**20])

@@ -13,7 +13,7 @@ import torch
 
 from taccel_lab.errors import InputError
 from taccel_lab.robots import Robot, load_urdf, named
-from tests.robots.robot_files import CHAIN, REAL, random_coordinates, write
+from tests.support.robot_files import CHAIN, REAL, random_coordinates, write
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 DEVICES = [

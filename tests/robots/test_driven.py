@@ -22,7 +22,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import Control, SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
-from tests.robots.robot_files import CHAIN, REAL, write
+from tests.support.robot_files import CHAIN, REAL, write
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 SIDEWAYS = np.array([0, 0, 0, np.sqrt(0.5), 0, 0, np.sqrt(0.5)])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
 from taccel_lab.robots import IKOptions, Robot, named
-from tests.robots.robot_files import REAL, random_coordinates
+from tests.support.robot_files import REAL, random_coordinates
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 HAND = named("three_finger_hand")

@@ -12,7 +12,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.robots import Robot, load_urdf, named, names
 from taccel_lab.robots.catalogue import ENTRIES
 from taccel_lab.robots.transforms import matrix_of, pose_of
-from tests.robots.robot_files import CHAIN, REAL, random_coordinates, write
+from tests.support.robot_files import CHAIN, REAL, random_coordinates, write
 
 yourdfpy = pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 IDENTITY = np.array([0, 0, 0, 0, 0, 0, 1.0])

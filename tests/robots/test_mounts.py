@@ -34,7 +34,7 @@ from taccel_lab.scene import (
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.robots.robot_files import CHAIN, REAL, random_coordinates, write
+from tests.support.robot_files import CHAIN, REAL, random_coordinates, write
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 PAD = block_mesh((4, 4, 2), (8e-3, 8e-3, 3e-3), jitter=0.1)

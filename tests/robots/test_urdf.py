@@ -15,7 +15,7 @@ from taccel_lab.robots.describe import describe_robot
 from taccel_lab.robots.shapes import MeshShape
 from taccel_lab.scene import Ball, PositionDrive, TriangleMesh
 from tests.reading.test_collada_file import collada
-from tests.robots.robot_files import CHAIN, write
+from tests.support.robot_files import CHAIN, write
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 

@@ -29,7 +29,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import as_poses, initial_state
-from tests.verification.blocks import block_mesh, everywhere, pose
+from tests.support.blocks import block_mesh, everywhere, pose
 
 NAN, INF = float("nan"), float("inf")
 MESH = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))

@@ -33,7 +33,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.scene.checks import check_scene
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import everywhere, pose
+from tests.support.blocks import everywhere, pose
 
 GEL = SoftBody(
     block_mesh((3, 3, 2), (3e-3, 3e-3, 2e-3), jitter=0.2),

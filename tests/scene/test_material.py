@@ -8,7 +8,7 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.scene import Element, Material, MaterialField, MaterialModel, SoftBody
-from tests.verification.blocks import block_mesh
+from tests.support.blocks import block_mesh
 
 MOONEY = MaterialModel.MOONEY_RIVLIN
 

@@ -30,7 +30,7 @@ from taccel_lab.scene import (
     cylinder_mesh,
     sphere_mesh,
 )
-from tests.verification.blocks import bumpy_body
+from tests.support.blocks import bumpy_body
 
 BALL = sphere_mesh(1e-3, 5e-4)
 PAD = SoftBody(block_mesh((2, 2, 1), (8e-3, 8e-3, 2e-3)), Material(1e5, 0.4))

@@ -8,7 +8,7 @@ import pytest
 
 from taccel_lab.bodies.surface_topology import surface_areas, surface_topology
 from taccel_lab.scene import SoftBody, box_mesh, sphere_mesh
-from tests.verification.blocks import block_mesh
+from tests.support.blocks import block_mesh
 
 
 def node_areas(

@@ -15,7 +15,7 @@ from taccel_lab.profile import DepthResponseBlock, PerturbationBlock, SensorProf
 from taccel_lab.profile.sensor_profile import ARRAY_FIELDS
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import parameter_faults
-from tests.profile.sample_blocks import ASSUMED, CALIBRATED
+from tests.support.sample_blocks import ASSUMED, CALIBRATED
 
 CHANGES = {"x1000": 1e3, "/1000": 1e-3, "negative": -1.0, "nan": float("nan")}
 ALLOWED = {

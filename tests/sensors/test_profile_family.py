@@ -34,9 +34,9 @@ from taccel_lab.studies.press_batch import simulate
 from taccel_lab.studies.press_job import press_jobs
 from taccel_lab.studies.spec import load_spec
 from taccel_lab.studies.study import default_kit, make_study
-from tests.calibration.synthetic import BALL_RADIUS_MM, synthetic_captures, write_captures
 from tests.sensors.imported_profiles import SIZE, crowned, imported
 from tests.studies.coarse_presses import coarse
+from tests.support.synthetic_presses import BALL_RADIUS_MM, synthetic_captures, write_captures
 
 
 @pytest.fixture(scope="module")

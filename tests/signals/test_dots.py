@@ -17,7 +17,7 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.reading.images import read_image
 from taccel_lab.signals.dots import DotPainter, PaintedDots
 from taccel_lab.signals.markers import MarkerLayout
-from tests.real_data import real_data
+from tests.support.real_data import real_data
 
 GRID = PixelGrid(120, 90, 0.1, 0.1)
 MESH = block_mesh((12, 9, 2), (14e-3, 11e-3, 3e-3), jitter=0.2, seed=2)

@@ -31,7 +31,7 @@ from taccel_lab.signals.object_heights import ObjectHeights
 from taccel_lab.signals.texture import Texture
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import pose
+from tests.support.blocks import pose
 
 GRID = PixelGrid(64, 56, 0.06, 0.06)
 PIXEL_M2 = 0.06e-3**2

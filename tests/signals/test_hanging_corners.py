@@ -13,7 +13,7 @@ from taccel_lab.geometry import QuadraticMesh, Region
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import AffineBody, Element, Material, Scene, SoftBody, TimeStepping, box_mesh
 from taccel_lab.signals.hanging_corners import HangingCorners
-from tests.verification.blocks import pose
+from tests.support.blocks import pose
 
 MESH = block_mesh((8, 8, 2), (4e-3, 4e-3, 1e-3), jitter=0.2, seed=1)
 

@@ -21,8 +21,8 @@ from taccel_lab.scene import Element, Material, Scene, SoftBody
 from taccel_lab.signals import MarkerLayout, SignalTactile
 from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 from taccel_lab.solvers import SolverIPC
-from tests.profile.sample_blocks import ASSUMED, bare_profile
 from tests.signals.pressed_surface import extrude, flat_pad
+from tests.support.sample_blocks import ASSUMED, bare_profile
 
 GRID = PixelGrid(96, 72, 0.05, 0.04, 40.0, 30.0)
 MESH = flat_pad(0.4, (3.0, 2.4), seed=3)

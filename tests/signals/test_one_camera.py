@@ -18,8 +18,8 @@ from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorPr
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals import MarkerLayout, SignalTactile
 from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
-from tests.profile.sample_blocks import ASSUMED
 from tests.signals.find_dots import distances_px, find_dots
+from tests.support.sample_blocks import ASSUMED
 
 DEVICES = ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
 DOTS: dict[str, dict[str, Any]] = {

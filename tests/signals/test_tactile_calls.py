@@ -16,7 +16,6 @@ from taccel_lab.profile import (
     ColorBlock,
 )
 from taccel_lab.signals import MarkerLayout, SignalTactile
-from tests.profile.sample_blocks import ASSUMED, bare_profile
 from tests.signals.pressed_surface import flat_pad
 from tests.signals.tactile_cases import (
     ALL,
@@ -32,6 +31,7 @@ from tests.signals.tactile_cases import (
     on_device,
     presses,
 )
+from tests.support.sample_blocks import ASSUMED, bare_profile
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import block_mesh, pose, scene
+from tests.support.blocks import block_mesh, pose, scene
 
 CELLS, SIZE = (6, 6, 2), (5e-3, 5e-3, 2e-3)
 MESH = block_mesh(CELLS, SIZE)

@@ -29,7 +29,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import pose
+from tests.support.blocks import pose
 
 MESH = block_mesh((3, 3, 2), (3e-3, 3e-3, 2e-3), jitter=0.15)
 SIDE = 1.2e-3

@@ -22,7 +22,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, pose
+from tests.support.blocks import block_mesh, pose
 
 MESH = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
 GEL = Material(1e5, 0.4)
@@ -105,7 +105,7 @@ import warp as wp
 from taccel_lab.scene import *
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, everywhere, pose
+from tests.support.blocks import block_mesh, everywhere, pose
 mesh = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
 model = Scene(SoftBody(mesh, Material(1e5, 0.4)), KinematicBody(Ball(1e-3))).finalize()
 solver, state = SolverIPC(model), initial_state(model, everywhere(1, pose(0, 0, 1.02e-3)))

@@ -10,7 +10,7 @@ from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, MaterialModel, Scene, SoftBody
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, pose
+from tests.support.blocks import block_mesh, pose
 
 WIDTH_M, LENGTH_M, YOUNG_PA = 1e-3, 1e-2, 1e5
 EULER_N = np.pi**2 * YOUNG_PA * WIDTH_M**4 / 12 / (2 * LENGTH_M) ** 2

@@ -12,7 +12,7 @@ from taccel_lab.scene import KinematicBody, box_mesh
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC
 from taccel_lab.solvers.report import StepReport
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import block_mesh, pose, scene
+from tests.support.blocks import block_mesh, pose, scene
 
 MESH = block_mesh((12, 12, 1), (6e-3, 6e-3, 1e-3))
 PLATE = box_mesh((8e-3, 8e-3, 2e-3))

@@ -16,7 +16,7 @@ from taccel_lab.scene import Ball, KinematicBody
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC, StepReport
 from taccel_lab.solvers.report import ReportBlock
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import block_mesh, pose, scene
+from tests.support.blocks import block_mesh, pose, scene
 
 MESH = block_mesh((4, 4, 2), (5e-3, 5e-3, 2e-3))
 NAMES = [field.name for field in fields(StepReport) if field.name != "seconds"]

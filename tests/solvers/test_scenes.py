@@ -26,7 +26,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import block_mesh, everywhere, pose
+from tests.support.blocks import block_mesh, everywhere, pose
 
 GEL = Material(1e5, 0.4)
 MESH = block_mesh((3, 3, 1), (4e-3, 4e-3, 1.5e-3), jitter=0.1)

@@ -29,7 +29,7 @@ from taccel_lab.scene import (
 from taccel_lab.scene.shards import shard_of, shard_slice
 from taccel_lab.solvers import EnvStatus, ShardedSolver, SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import pose
+from tests.support.blocks import pose
 
 ENVS = 5
 CELLS, SIZE = (3, 3, 2), (3e-3, 3e-3, 2e-3)

@@ -12,7 +12,7 @@ from taccel_lab.ipc.friction import friction_gradient, friction_hessian, frictio
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, pose
+from tests.support.blocks import block_mesh, pose
 
 
 @wp.kernel

@@ -10,7 +10,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.scene import Ball, KinematicBody, TimeStepping
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import block_mesh, everywhere, pose, scene
+from tests.support.blocks import block_mesh, everywhere, pose, scene
 
 RADIUS = 2e-3
 MESH = block_mesh((6, 6, 2), (4e-3, 4e-3, 1e-3))

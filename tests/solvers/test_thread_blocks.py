@@ -24,7 +24,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh
+from tests.support.blocks import block_mesh
 
 
 def grasp() -> Scene:

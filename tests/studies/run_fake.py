@@ -8,7 +8,7 @@ import sys
 
 from taccel_lab.reading.shard import Shard
 from taccel_lab.studies.runner import run_study
-from tests.studies.fake_kit import study
+from tests.support.fake_kit import study
 
 MODULI = {"min": 0.1, "max": 0.4, "count": 2, "scale": "log"}
 CHANGES = {

@@ -15,8 +15,8 @@ import pytest
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.runner import run_study
 from taccel_lab.studies.study_folder import RESULT, StudyFolder
-from tests.studies.fake_kit import logged, study
 from tests.studies.run_fake import CHANGES
+from tests.support.fake_kit import logged, study
 
 ROOT = Path(__file__).parents[2]
 

@@ -17,7 +17,7 @@ from taccel_lab.studies.optimise_optuna import JOURNAL, METHODS, optimise_with_o
 from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.runner import run_study
 from taccel_lab.studies.spec import Constraint, Objective, Sweep
-from tests.studies.fake_kit import logged, study
+from tests.support.fake_kit import logged, study
 
 X = Axis(Parameter("x", 0.5, "mm", "", "", 0, 4), None, 0, 4)
 Y = Axis(Parameter("y", 3.0, "mm", "", "", 0.1, 10), None, 0.1, 10, True)

@@ -20,7 +20,7 @@ from taccel_lab.studies.ranking import (
 )
 from taccel_lab.studies.report.pareto import pareto_front
 from taccel_lab.studies.spec import Constraint, Objective
-from tests.studies.fake_kit import METRICS
+from tests.support.fake_kit import METRICS
 
 
 def design(name: str, status: str = "done", **figures: float | None) -> DesignRow:

@@ -15,7 +15,7 @@ from taccel_lab.output_folder import require_replaceable
 from taccel_lab.studies.runner import Listener, read_outcome, run_study
 from taccel_lab.studies.study_folder import STUDY_MARKER, StudyFolder
 from taccel_lab.studies.table import write_table
-from tests.studies.fake_kit import evaluate, evaluate_and_crash, figures_of, logged, study, table
+from tests.support.fake_kit import evaluate, evaluate_and_crash, figures_of, logged, study, table
 
 
 class Recorder(Listener):

@@ -17,9 +17,9 @@ from taccel_lab.studies.optimise_optuna import JOURNAL
 from taccel_lab.studies.runner import run_study
 from taccel_lab.studies.study_folder import STUDY_MARKER, StudyFolder
 from taccel_lab.studies.table import CSV_NAME
-from tests.strangers import SECRET, lure
-from tests.studies.fake_kit import evaluate_and_crash, logged, study
 from tests.studies.run_fake import CHANGES, GP
+from tests.support.fake_kit import evaluate_and_crash, logged, study
+from tests.support.strangers import SECRET, lure
 
 ROOT = Path(__file__).parents[2]
 

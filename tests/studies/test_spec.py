@@ -11,7 +11,7 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.studies.spec import Constraint, load_spec, spec_of
-from tests.studies.fake_kit import table
+from tests.support.fake_kit import table
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "studies" / "examples").glob("*.toml"))
 

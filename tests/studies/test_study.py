@@ -15,7 +15,7 @@ from taccel_lab.studies.axis import Axis, axis_of
 from taccel_lab.studies.design_batch import MAX_BATCH, DesignBatch, gather_batches
 from taccel_lab.studies.spec import ParameterRange
 from taccel_lab.studies.sweep import random_points
-from tests.studies.fake_kit import study, table
+from tests.support.fake_kit import study, table
 
 WIDE = {"min": 300, "max": 900}
 BAD: list[tuple[dict[str, Any], str]] = [

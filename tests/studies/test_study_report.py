@@ -14,7 +14,7 @@ import pytest
 
 from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.runner import Outcome, run_study
-from tests.studies.fake_kit import evaluate_and_tear, study, table
+from tests.support.fake_kit import evaluate_and_tear, study, table
 
 SQUARE = {
     "thickness_mm": {"min": 3, "max": 6, "count": 3},

@@ -13,7 +13,7 @@ from taccel_lab.tasks.peg_scene import dog_bone
 from taccel_lab.tasks.result import TaskResult, success_interval
 from taccel_lab.tasks.run import run_task
 from taccel_lab.tasks.twist import TwistParameters
-from tests.robots.robot_files import needs_real_robots
+from tests.support.robot_files import needs_real_robots
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 pytestmark = pytest.mark.slow

@@ -12,7 +12,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.tasks.catalogue import FILES, Task, named, read_task
 from taccel_lab.tasks.grasp_matrix import GraspMatrix, GraspMatrixParameters
 from taccel_lab.tasks.run import run_task
-from tests.robots.robot_files import REAL_NAMES, needs_real_robots
+from tests.support.robot_files import REAL_NAMES, needs_real_robots
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 

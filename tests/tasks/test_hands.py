@@ -11,7 +11,7 @@ from taccel_lab.robots.transforms import matrix_of
 from taccel_lab.tasks.catalogue import named
 from taccel_lab.tasks.grasp_matrix import GraspMatrixParameters
 from taccel_lab.tasks.hands import Finger, HandWithGels, Seat
-from tests.robots.robot_files import REAL_NAMES, needs_real_robots
+from tests.support.robot_files import REAL_NAMES, needs_real_robots
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Real backgrounds and ball presses of catalogue sensors, for comparison with the optical model.
 
-What is not there skips the test (``tests.real_data``).
+What is not there skips the test (``tests.support.real_data``).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.calibration.capture import load_captures
-from tests.real_data import real_data, taxim_presses
+from tests.support.real_data import real_data, taxim_presses
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from taccel_lab.calibration.capture import (
 from taccel_lab.calibration.capture.importers import ImportOptions, detect_layout
 from taccel_lab.calibration.check import CaptureCheck, check_captures
 from taccel_lab.errors import InputError
-from tests.real_data import real_data, taxim_presses
+from tests.support.real_data import real_data, taxim_presses
 
 LAYOUTS = {
     "9dtact_official": "9dtact",

@@ -17,7 +17,7 @@ from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.envs import PressEnv, parse_indenter
 from taccel_lab.scene import Material
-from tests.real_data import real_data
+from tests.support.real_data import real_data
 
 UNIT_MODULUS_PA = 1e6
 

@@ -22,7 +22,7 @@ from taccel_lab.cli.app import main
 from taccel_lab.envs.physics import PHYSICS, Accuracy
 from taccel_lab.profile import save_profile
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.real_data import real_data
+from tests.support.real_data import real_data
 
 
 @pytest.fixture

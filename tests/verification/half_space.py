@@ -14,7 +14,7 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody, TriangleMesh
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import initial_state
-from tests.verification.blocks import everywhere, pose
+from tests.support.blocks import everywhere, pose
 
 DOMAIN_OVER_RADIUS = 300.0
 GROWTH = 2.0

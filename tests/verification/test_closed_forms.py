@@ -15,8 +15,8 @@ from taccel_lab.scene import Element, Material, Scene, SoftBody
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
+from tests.support.blocks import block_mesh
 from tests.verification.assembly import Assembly
-from tests.verification.blocks import block_mesh
 
 SIZE = (3e-3, 2e-3, 2e-3)
 VOLUME = float(np.prod(SIZE))

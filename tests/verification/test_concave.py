@@ -23,8 +23,8 @@ from taccel_lab.scene import (
     VelocityDrive,
 )
 from taccel_lab.solvers import SolverConfig
+from tests.support.blocks import everywhere, pose
 from tests.verification.affine_scenes import G, Run, affine_scene, turned
-from tests.verification.blocks import everywhere, pose
 from tests.verification.shapes import nut_mesh, screw_mesh, torus_mesh
 
 DENSITY = 7800.0

@@ -29,7 +29,7 @@ from taccel_lab.scene import (
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, pose
+from tests.support.blocks import block_mesh, pose
 
 SIDE = 4e-2
 SOFT = Material(1e4, 0.4)

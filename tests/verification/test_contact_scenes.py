@@ -32,7 +32,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import block_mesh, everywhere, pose
+from tests.support.blocks import block_mesh, everywhere, pose
 
 DHAT = 2e-5
 GEL = Material(1e5, 0.4, 1000.0)

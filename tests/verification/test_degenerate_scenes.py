@@ -26,7 +26,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import initial_state
-from tests.verification.blocks import everywhere, free_block, pose
+from tests.support.blocks import everywhere, free_block, pose
 from tests.verification.shapes import ball_tets, filled, mapped_block
 from tests.verification.test_erleben import (
     CRACK,

@@ -16,8 +16,8 @@ from taccel_lab.scene import (
     Surface,
 )
 from taccel_lab.solvers import SolverConfig
+from tests.support.blocks import everywhere
 from tests.verification.affine_scenes import G, Run, affine_scene, box, turned
-from tests.verification.blocks import everywhere
 
 MU = 0.35
 SIDE, STIFFNESS, SPEED, DT = 20e-3, 20.0, 0.05, 2e-3

@@ -16,7 +16,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import block_mesh, everywhere, pose, scene
+from tests.support.blocks import block_mesh, everywhere, pose, scene
 
 G = 9.81
 SIDE = 4e-3

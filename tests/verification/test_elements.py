@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.scene import Element, Material, MaterialModel, Scene, SoftBody
-from tests.verification.blocks import block_mesh
+from tests.support.blocks import block_mesh
 from tests.verification.element_problems import (
     COOK_ENERGY,
     cook_error,

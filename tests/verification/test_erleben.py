@@ -13,7 +13,7 @@ from taccel_lab.scene import AffineBody, KinematicBody, Scene, TimeStepping, Tri
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import everywhere, pose
+from tests.support.blocks import everywhere, pose
 
 SIZE = 1e-2
 HALF = 0.5 * SIZE

@@ -29,7 +29,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import everywhere, pose
+from tests.support.blocks import everywhere, pose
 
 MESH = block_mesh((3, 3, 2), (6e-3, 6e-3, 2e-3), jitter=0.1)
 SOFT = Material(1e5, 0.4)

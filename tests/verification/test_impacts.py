@@ -25,7 +25,7 @@ from taccel_lab.scene import (
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import pose
+from tests.support.blocks import pose
 
 G, SIDE, HEIGHT = 9.81, 5e-3, 1e-2
 

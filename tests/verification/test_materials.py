@@ -27,8 +27,8 @@ from taccel_lab.scene import (
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
+from tests.support.blocks import block_mesh, everywhere, labelled, pose
 from tests.verification.assembly import Assembly
-from tests.verification.blocks import block_mesh, everywhere, labelled, pose
 
 YOUNG, NU, RATIO = 1.3e5, 0.42, 0.3
 MU, LAM = YOUNG / (2 * (1 + NU)), YOUNG * NU / ((1 + NU) * (1 - 2 * NU))
@@ -266,7 +266,7 @@ def test_only_the_material_of_the_scene_is_compiled() -> None:
 from taccel_lab.ipc.potentials import linear_kernels
 from taccel_lab.scene import Element, Material, MaterialModel, Scene, SoftBody
 from taccel_lab.solvers.solver_ipc import SolverIPC
-from tests.verification.blocks import block_mesh
+from tests.support.blocks import block_mesh
 import warp as wp
 material = Material(1e5, 0.4, model=MaterialModel.ST_VENANT_KIRCHHOFF)
 mesh = block_mesh((1, 1, 1), (1e-3, 1e-3, 1e-3))

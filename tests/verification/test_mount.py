@@ -21,7 +21,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, everywhere, pose
+from tests.support.blocks import block_mesh, everywhere, pose
 
 GEL = Material(1e5, 0.45, 1000.0)
 MESH = block_mesh((5, 5, 2), (6e-3, 6e-3, 2e-3), jitter=0.15)

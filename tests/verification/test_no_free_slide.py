@@ -11,8 +11,8 @@ from taccel_lab.scene import Element, KinematicBody, Material, Scene, SoftBody, 
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
+from tests.support.blocks import block_mesh, everywhere, pose, scene
 from tests.verification.assembly import Assembly
-from tests.verification.blocks import block_mesh, everywhere, pose, scene
 
 DHAT = 2e-5
 

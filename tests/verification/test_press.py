@@ -18,7 +18,7 @@ from taccel_lab.scene import (
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
+from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 
 DHAT = 2e-5
 MESH = block_mesh((8, 8, 3), (6e-3, 6e-3, 2.4e-3), jitter=0.15)

@@ -24,7 +24,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, everywhere, pose
+from tests.support.blocks import block_mesh, everywhere, pose
 from tests.verification.curved_tets import CURVED, curved
 from tests.verification.test_press import INDENTERS, path
 from tests.verification.test_stress import MAX_DEPTH, advance, next_pose, random_shape, reach

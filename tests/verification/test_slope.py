@@ -31,7 +31,7 @@ from taccel_lab.scene import (
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.state import initial_state
-from tests.verification.blocks import block_mesh, everywhere, free_block, pose
+from tests.support.blocks import block_mesh, everywhere, free_block, pose
 
 G, SIDE, DENSITY, MU = 9.81, 2e-2, 1000.0, 0.4
 MASS = DENSITY * SIDE**3

@@ -22,7 +22,7 @@ from taccel_lab.scene import (
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
-from tests.verification.blocks import everywhere, pose
+from tests.support.blocks import everywhere, pose
 
 G, SIDE, DENSITY = 9.81, 2e-2, 1000.0
 MASS = DENSITY * SIDE**3

@@ -31,7 +31,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.report import StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.verification.blocks import everywhere, pose
+from tests.support.blocks import everywhere, pose
 
 GEL = SoftBody(
     block_mesh((4, 4, 2), (4e-3, 4e-3, 2e-3), jitter=0.15),

@@ -18,7 +18,7 @@ from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.study_folder import StudyFolder
 from taccel_lab.viewer.press_folder import PRESS, STATES
-from tests.datasets.small import make, saved_profile
+from tests.support.small_data_sets import make, saved_profile
 
 pytest.importorskip("viser", reason="the extra view is not installed")
 Arrays = dict[str, np.ndarray]

@@ -61,7 +61,7 @@ def hostile_study(folder: Path) -> None:
 
 
 def hostile_dataset(folder: Path) -> None:
-    from tests.datasets.small import make, saved_profile
+    from tests.support.small_data_sets import make, saved_profile
 
     profile = saved_profile(folder.with_name("profile"))
     make(profile, folder, dataset={"episodes": 2}, output={"channels": ["depth_mm"]})

@@ -15,7 +15,7 @@ from taccel_lab.envs import PHYSICS, Accuracy
 from taccel_lab.errors import InputError
 from taccel_lab.scene import Element
 from taccel_lab.viewer.press_folder import STATES, read_press
-from tests.cli.small_captures import write_profile
+from tests.support.small_captures import write_profile
 
 
 @pytest.fixture(scope="module")

@@ -62,7 +62,7 @@ def test_touches_have_the_forces_and_depths_of_their_data_set(tmp_path: Path) ->
     pytest.importorskip("zarr")
     from taccel_lab.datasets.reading import Dataset
     from taccel_lab.viewer.dataset_touches import read_touch
-    from tests.datasets.small import make, saved_profile
+    from tests.support.small_data_sets import make, saved_profile
 
     channels = ["rgb", "depth_mm", "patch_forces_n", "markers_px"]
     profile = saved_profile(tmp_path / "profile")

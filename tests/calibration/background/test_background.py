@@ -24,7 +24,7 @@ from tests.calibration.drawn.faults import (
     poison,
     quantise,
 )
-from tests.calibration.synthetic import tiny_profile
+from tests.support.synthetic_presses import tiny_profile
 
 BASE = tiny_profile(GRID)
 

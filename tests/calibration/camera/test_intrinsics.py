@@ -21,7 +21,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.reading.images import read_image
 from tests.calibration.camera.views import COLUMNS, PITCH, ROWS, SIZE, TRUTHS, views_of
 from tests.calibration.drawn.boards import exact_view, pose_over
-from tests.real_data import real_data
+from tests.support.real_data import real_data
 
 
 @pytest.mark.parametrize("name", list(LENSES))

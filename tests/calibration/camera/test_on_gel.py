@@ -25,7 +25,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.reading.images import read_image
 from tests.calibration.camera.views import SIZE, TRUTHS, views_of
 from tests.calibration.drawn.boards import exact_view, lattice_points, pose_over
-from tests.real_data import real_data
+from tests.support.real_data import real_data
 
 NINE = "9dtact_official/shape_reconstruction/calibration"
 MEDIA = FlatMedia((-7.0, -4.0), (1.0, 1.49, 1.41))

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tests.calibration.capture.capture_sets import write_image
+from tests.support.capture_sets import write_image
 
 RNG = np.random.default_rng(0)
 

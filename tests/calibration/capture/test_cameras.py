@@ -27,8 +27,8 @@ from taccel_lab.calibration.capture.camera import (
 from taccel_lab.calibration.capture.camera.devices import find_device
 from taccel_lab.calibration.capture.camera.uvc import MANUAL_EXPOSURE, UvcCamera
 from taccel_lab.errors import InputError
-from tests.calibration.capture.capture_sets import CaptureMaker, spread_circles, write_image
 from tests.fuzz.samples.captures import write_video
+from tests.support.capture_sets import CaptureMaker, spread_circles, write_image
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="/dev/v4l is Linux's")
 MINI = "usb-Arducam_GelSight_Mini_28C2AUAH-video-index0"

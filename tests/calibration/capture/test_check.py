@@ -16,7 +16,8 @@ from taccel_lab.calibration.check import CaptureCheck, check_captures, check_pag
 from taccel_lab.calibration.check.balls import check_balls
 from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.geometry import PixelGrid
-from tests.calibration.capture.capture_sets import (
+from tests.calibration.drawn.faults import blur, drift
+from tests.support.capture_sets import (
     HEIGHT,
     WIDTH,
     CaptureMaker,
@@ -24,8 +25,7 @@ from tests.calibration.capture.capture_sets import (
     press,
     spread_circles,
 )
-from tests.calibration.drawn.faults import blur, drift
-from tests.calibration.synthetic import GRID
+from tests.support.synthetic_presses import GRID
 
 
 def check(maker: CaptureMaker, folder: Path) -> CaptureCheck:

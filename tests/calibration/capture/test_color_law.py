@@ -11,8 +11,8 @@ import pytest
 
 from taccel_lab.calibration.check.color_law import ColorLaw
 from taccel_lab.calibration.check.frames import FrameFigures, measure_presses
-from tests.calibration.capture.capture_sets import BALL_MM, WIDTH, CaptureMaker, press
-from tests.calibration.synthetic import GRID
+from tests.support.capture_sets import BALL_MM, WIDTH, CaptureMaker, press
+from tests.support.synthetic_presses import GRID
 
 BALL_PX = BALL_MM / GRID.mm_per_px_x
 

@@ -16,7 +16,7 @@ from taccel_lab.calibration.capture.schema import CaptureManifest
 from taccel_lab.calibration.capture.video import cut_short
 from taccel_lab.errors import InputError
 from taccel_lab.sensors import sensor_families
-from tests.calibration.capture.capture_sets import write_image
+from tests.support.capture_sets import write_image
 
 MANIFEST = """
 schema_version = 2

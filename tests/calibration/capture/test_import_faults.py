@@ -17,8 +17,8 @@ from taccel_lab.calibration.capture.importers.label_tables import read_label_tab
 from taccel_lab.calibration.capture.records import kind_of_record, read_columns
 from taccel_lab.errors import InputError
 from taccel_lab.reading.images import read_image
-from tests.calibration.capture.capture_sets import gel, press, spread_circles, write_image
 from tests.calibration.capture.made_up_layouts import picture, rvsathu
+from tests.support.capture_sets import gel, press, spread_circles, write_image
 
 CIRCLES = spread_circles(8)
 

@@ -22,7 +22,6 @@ from taccel_lab.calibration.capture.importers.background_guess import guess_back
 from taccel_lab.calibration.capture.importers.files import natural_key
 from taccel_lab.calibration.capture.importers.label_tables import read_labels
 from taccel_lab.errors import InputError
-from tests.calibration.capture.capture_sets import gel, press, spread_circles, write_image
 from tests.calibration.capture.made_up_layouts import (
     MAKERS,
     RNG,
@@ -38,6 +37,7 @@ from tests.calibration.capture.made_up_layouts import (
     py3dcal,
     ruihangao,
 )
+from tests.support.capture_sets import gel, press, spread_circles, write_image
 
 
 @pytest.fixture(params=sorted(MAKERS))

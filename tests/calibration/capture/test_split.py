@@ -27,7 +27,7 @@ from taccel_lab.calibration.capture import (
 from taccel_lab.calibration.capture.split import LARGEST_PLACE, SAME_PLACE_RADII, split_presses
 from taccel_lab.errors import InputError
 from tests.calibration.capture.made_up_layouts import picture
-from tests.cli.small_captures import write_captures
+from tests.support.small_captures import write_captures
 
 
 def unread() -> NoReturn:

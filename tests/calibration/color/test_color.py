@@ -24,7 +24,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 from taccel_lab.signals.tactile_image import tactile_image
-from tests.calibration.synthetic import (
+from tests.support.synthetic_presses import (
     GRID,
     calibrated,
     flat_background,

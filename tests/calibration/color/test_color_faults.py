@@ -21,7 +21,7 @@ from taccel_lab.calibration.result import Severity, Verdict, judge
 from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.profile import Provenance
 from tests.calibration.drawn.faults import add_noise, blur, drift, quantise, vignette
-from tests.calibration.synthetic import GRID, calibrated, synthetic_captures, tiny_profile
+from tests.support.synthetic_presses import GRID, calibrated, synthetic_captures, tiny_profile
 
 QUICK = ColorFitOptions(
     hidden=(24, 24), steps=300, batch_pixels=1024, disc_pixels=800, ring_pixels=500,

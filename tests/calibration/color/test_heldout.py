@@ -30,7 +30,7 @@ from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.errors import InputError, SimulationError
 from tests.calibration.judged_once import detect_once, judge_slopes_once
-from tests.calibration.synthetic import (
+from tests.support.synthetic_presses import (
     GRID,
     calibrated,
     synthetic_captures,

@@ -18,7 +18,7 @@ from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from tests.calibration.synthetic import GRID, flat_background, known_change
+from tests.support.synthetic_presses import GRID, flat_background, known_change
 
 DRIFT = Light(np.array([1.05, 0.97, 1.0]), np.array([2.0, -3.0, 5.0]))
 CONTACTS = [

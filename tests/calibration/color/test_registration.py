@@ -22,7 +22,7 @@ from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, synthetic_captures
+from tests.support.synthetic_presses import BALL_RADIUS_MM, GRID, synthetic_captures
 
 COUNT = 12
 THREE_SCALES = (0.95, 1.0, 1.05)

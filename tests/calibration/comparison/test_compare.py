@@ -19,7 +19,7 @@ from taccel_lab.profile import (
     SensorProfile,
 )
 from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
-from tests.calibration.synthetic import GRID, tiny_profile
+from tests.support.synthetic_presses import GRID, tiny_profile
 
 
 def provenance(**spread: float) -> Provenance:

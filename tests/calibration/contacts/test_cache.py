@@ -15,7 +15,7 @@ from taccel_lab.calibration.contacts.usable import usable_presses
 from taccel_lab.errors import InputError
 from taccel_lab.file_cache import CACHE_VARIABLE
 from tests.calibration.contacts.test_usable import with_empty_frames
-from tests.calibration.synthetic import synthetic_captures
+from tests.support.synthetic_presses import synthetic_captures
 
 
 class SearchedAgainError(Exception):

@@ -15,7 +15,7 @@ from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.errors import InputError
 from tests.calibration.contacts.presses import contacts_of
-from tests.calibration.synthetic import synthetic_captures
+from tests.support.synthetic_presses import synthetic_captures
 
 
 def circles(values: np.ndarray) -> list[ContactCircle]:

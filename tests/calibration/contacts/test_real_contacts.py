@@ -29,7 +29,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.reading.images import read_image
 from tests.calibration.contacts.presses import contacts_of, press_set, pressed, scattered
 from tests.calibration.drawn.faults import add_noise, quantise
-from tests.real_data import real_data
+from tests.support.real_data import real_data
 
 
 def labelled(

@@ -14,7 +14,7 @@ from taccel_lab.calibration.contacts.labels import compare_with_labels
 from taccel_lab.calibration.contacts.rim import fit_circle
 from taccel_lab.errors import InputError
 from tests.calibration.contacts.presses import contacts_of
-from tests.calibration.synthetic import GRID, flat_background, press_image, synthetic_captures
+from tests.support.synthetic_presses import GRID, flat_background, press_image, synthetic_captures
 
 
 @given(

@@ -14,7 +14,7 @@ from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts import fit
 from taccel_lab.calibration.contacts.usable import too_many_lost, usable_circles, usable_presses
 from taccel_lab.errors import InputError
-from tests.calibration.synthetic import GRID, press_image, synthetic_captures
+from tests.support.synthetic_presses import GRID, press_image, synthetic_captures
 
 
 def with_empty_frames(captures: CaptureSet, which: set[int]) -> CaptureSet:

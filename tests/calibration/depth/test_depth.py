@@ -32,8 +32,8 @@ from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.reading.images import read_image
 from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.signals.depth_response import DepthResponse
-from tests.calibration.synthetic import flat_profile
-from tests.real_data import real_data
+from tests.support.real_data import real_data
+from tests.support.synthetic_presses import flat_profile
 
 GRID = PixelGrid(200, 150, 0.1, 0.1)
 BALL_MM = 4.0

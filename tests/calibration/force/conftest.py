@@ -11,7 +11,7 @@ from taccel_lab.calibration.force.fit import calibrate_force
 from taccel_lab.calibration.force.options import ForceOptions
 from taccel_lab.calibration.force.result import ForceCalibration
 from tests.calibration.force.small_touches import planned, write_touches
-from tests.datasets.small import saved_profile
+from tests.support.small_data_sets import saved_profile
 
 QUICK = ForceOptions(steps=250, batch=32, stiffness=0.1, light=0.3, markers="off")
 

@@ -18,7 +18,7 @@ from taccel_lab.datasets.folder import DatasetFolder
 from taccel_lab.datasets.part import part_data, write_part
 from taccel_lab.datasets.plan import Plan
 from taccel_lab.datasets.touch import TouchRecord
-from tests.datasets.small import plan
+from tests.support.small_data_sets import plan
 
 TOOLS = {"sphere:2": 2.0, "sphere:3": 3.0, "sphere:4": 4.0, "sphere:5": 5.0, "sphere:6": 6.0}
 TEST = "sphere:4"

@@ -122,7 +122,7 @@ def test_a_profile_keeps_it_and_scales_with_its_modulus(
 
 def test_markers_may_help_where_both_have_them(touches: Path, sensor: Path) -> None:
     from taccel_lab.profile import MarkersBlock
-    from tests.datasets.small import ASSUMED
+    from tests.support.small_data_sets import ASSUMED
 
     dots = MarkersBlock(
         rows=4, columns=6, pitch_x_mm=2, pitch_y_mm=2, radius_mm=0.2, provenance=ASSUMED

@@ -22,7 +22,7 @@ from taccel_lab.calibration.force.training_file import TrainingFile
 from taccel_lab.progress import Progress, silent
 from tests.calibration.force.conftest import QUICK
 from tests.calibration.force.small_touches import planned, write_touches
-from tests.strangers import Payload
+from tests.support.strangers import Payload
 
 SHORT = dataclasses.replace(QUICK, steps=20)
 """Nine batches to an order of the samples, so that it is drawn anew on the way."""

@@ -20,10 +20,10 @@ from taccel_lab.calibration.live.run import LiveResult, run_live
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.calibration.capture.capture_sets import write_image
 from tests.calibration.depth.test_depth import BALL_MM, CIRCLES, GRID, captures_of
-from tests.calibration.synthetic import flat_profile
-from tests.real_data import real_data
+from tests.support.capture_sets import write_image
+from tests.support.real_data import real_data
+from tests.support.synthetic_presses import flat_profile
 
 
 @pytest.fixture(scope="module")

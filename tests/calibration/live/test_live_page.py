@@ -20,7 +20,7 @@ from taccel_lab.calibration.live.run import LiveResult, run_live
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from tests.calibration.depth.test_depth import BALL_MM, CIRCLES, GRID, captures_of
 from tests.calibration.record.sessions import SteeredCamera
-from tests.calibration.synthetic import flat_profile
+from tests.support.synthetic_presses import flat_profile
 from tests.viewer.browser import chromium_page, picture, wait_for
 
 SLOW_MS = 60_000

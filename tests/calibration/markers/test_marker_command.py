@@ -17,7 +17,7 @@ from taccel_lab.cli.app import main
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
 from tests.calibration.drawn.dot_grids import HEIGHT, WIDTH, grid_points, picture
-from tests.calibration.synthetic import tiny_profile
+from tests.support.synthetic_presses import tiny_profile
 
 PITCH_MM = 1.8
 SCALE = 0.06

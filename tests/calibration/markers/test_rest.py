@@ -18,7 +18,7 @@ from taccel_lab.calibration.markers.still_frames import still_stretches
 from taccel_lab.errors import InputError
 from taccel_lab.reading.images import read_image
 from tests.calibration.drawn.dot_grids import grid_points, picture
-from tests.real_data import real_data
+from tests.support.real_data import real_data
 
 REST = grid_points(pitch=(30.0, 29.0), turn_rad=0.02)
 PITCH = 29.0

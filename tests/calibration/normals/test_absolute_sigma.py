@@ -24,7 +24,7 @@ from tests.calibration.normals.test_normals import (
     one_thread,  # noqa: F401  (a fixture of every test)
     sunk_captures,
 )
-from tests.calibration.synthetic import GRID
+from tests.support.synthetic_presses import GRID
 
 Known = tuple[CaptureSet, list[PressSurface]]
 

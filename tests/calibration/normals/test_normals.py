@@ -31,7 +31,7 @@ from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.signals.normals import normals_from_height, rotate_from_z
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.calibration.drawn.faults import drift as light_drift
-from tests.calibration.synthetic import (
+from tests.support.synthetic_presses import (
     BALL_RADIUS_MM,
     GRID,
     flat_background,

@@ -11,7 +11,7 @@ from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.normals.practice import ImageNoise
 from taccel_lab.calibration.normals.samples import InverseFrame, Scene
-from tests.calibration.synthetic import synthetic_captures
+from tests.support.synthetic_presses import synthetic_captures
 
 
 def test_noise_is_that_of_the_captures_where_contacts_fill_the_picture() -> None:

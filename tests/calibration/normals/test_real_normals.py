@@ -23,7 +23,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.reading.images import read_image
 from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.signals.rest_surface import flat_rest
-from tests.real_data import real_data
+from tests.support.real_data import real_data
 
 PAD = BondedLayer(4.0, 0.48)
 """As no set states its gel."""

@@ -10,7 +10,7 @@ from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.surfaces import PressSurface
 from tests.calibration.normals.test_normals import clean  # noqa: F401
-from tests.calibration.synthetic import GRID, flat_profile
+from tests.support.synthetic_presses import GRID, flat_profile
 
 
 def test_a_smaller_image_gives_the_same_depth_at_the_same_place(

@@ -19,7 +19,7 @@ from taccel_lab.calibration.normals.told_thickness import (
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.signals.normals import normals_from_height
 from taccel_lab.signals.rest_surface import flat_rest
-from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, flat_background, known_change
+from tests.support.synthetic_presses import BALL_RADIUS_MM, GRID, flat_background, known_change
 
 NU = 0.46
 CIRCLES = [

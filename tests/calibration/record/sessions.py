@@ -15,8 +15,8 @@ from taccel_lab.calibration.capture.camera.replay import ReplayCamera, open_repl
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.calibration.record.run import Order
 from taccel_lab.calibration.record.session import Status
-from tests.calibration.capture.capture_sets import BALL_MM, CaptureMaker, spread_circles
-from tests.calibration.synthetic import GRID
+from tests.support.capture_sets import BALL_MM, CaptureMaker, spread_circles
+from tests.support.synthetic_presses import GRID
 
 NOISY = Replay(noise_levels=1.0, hold_s=0.8, rest_s=1.8)
 FACTS = RecordFacts("flat_pad", radius_mm=BALL_MM, mm_per_px=(GRID.mm_per_px_x, GRID.mm_per_px_y))

@@ -16,8 +16,8 @@ from taccel_lab.calibration.record.folder import open_record
 from taccel_lab.calibration.record.run import run_session
 from taccel_lab.calibration.record.session import Recorder, Status
 from taccel_lab.errors import InputError
-from tests.calibration.capture.capture_sets import gel, write_image
 from tests.calibration.record.sessions import FACTS, Watching
+from tests.support.capture_sets import gel, write_image
 
 FRAMES = 50
 

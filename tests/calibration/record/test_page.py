@@ -21,9 +21,9 @@ from taccel_lab.calibration.record.run import run_session
 from taccel_lab.calibration.record.session import Recorder
 from taccel_lab.calibration.record.tiles import tiled
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
-from tests.calibration.capture.capture_sets import spread_circles
 from tests.calibration.record.sessions import FACTS, SteeredCamera, source
-from tests.calibration.synthetic import GRID
+from tests.support.capture_sets import spread_circles
+from tests.support.synthetic_presses import GRID
 from tests.viewer.browser import chromium_page, picture, wait_for
 
 SLOW_MS = 60_000

@@ -19,7 +19,6 @@ from taccel_lab.calibration.record.folder import open_record
 from taccel_lab.calibration.record.run import run_session
 from taccel_lab.calibration.record.session import Recorder, Status
 from taccel_lab.errors import InputError
-from tests.calibration.capture.capture_sets import write_image
 from tests.calibration.record.sessions import (
     FACTS,
     NOISY,
@@ -28,6 +27,7 @@ from tests.calibration.record.sessions import (
     replaying,
     source,
 )
+from tests.support.capture_sets import write_image
 
 
 def recorded(path: Path, out: Path, wanted: int = 3, facts: RecordFacts = FACTS) -> Status:

@@ -10,10 +10,10 @@ import pytest
 
 from taccel_lab.calibration.capture.camera import Replay, open_camera
 from taccel_lab.calibration.record.trigger import HOLD_S, Phase, Rest, Seen, Trigger
-from tests.calibration.capture.capture_sets import ContactCircle, gel, press
 from tests.calibration.drawn.faults import quantise
 from tests.calibration.record.sessions import source
-from tests.real_data import real_data
+from tests.support.capture_sets import ContactCircle, gel, press
+from tests.support.real_data import real_data
 
 FPS = 20.0
 

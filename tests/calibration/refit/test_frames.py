@@ -17,7 +17,7 @@ from taccel_lab.calibration.refit.frames import NewFrames, refit_frames
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from tests.calibration.refit.test_refit import old_profile
-from tests.calibration.synthetic import BALL_RADIUS_MM, synthetic_captures
+from tests.support.synthetic_presses import BALL_RADIUS_MM, synthetic_captures
 
 COUNT = 9
 

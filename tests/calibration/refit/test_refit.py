@@ -18,8 +18,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
 from tests.calibration.drawn.faults import add_gradient, add_noise, drift, poison, quantise
-from tests.calibration.synthetic import BALL_RADIUS_MM, GRID, flat_background, tiny_profile
 from tests.signals.host_colors import host_change
+from tests.support.synthetic_presses import BALL_RADIUS_MM, GRID, flat_background, tiny_profile
 
 GAIN = np.array([0.7, 0.9, 1.0])
 OFFSET = np.array([2.0, -1.0, 0.0])

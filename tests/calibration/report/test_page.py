@@ -17,7 +17,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.profile import DepthResponseBlock, Provenance
 from taccel_lab.report.style import new_figure
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.calibration.synthetic import GRID, tiny_profile
+from tests.support.synthetic_presses import GRID, tiny_profile
 
 
 def test_a_page_shows_its_verdict_and_escapes_text(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from taccel_lab.calibration.scale.spheres import BETA, BallContact, scale_from_s
 from taccel_lab.errors import InputError
 from tests.calibration.drawn.faults import add_noise, quantise
 from tests.calibration.scale.test_edges import BACKGROUND, edges_at
-from tests.calibration.synthetic import GRID, tiny_profile
+from tests.support.synthetic_presses import GRID, tiny_profile
 
 
 @settings(max_examples=30, deadline=None)

@@ -15,7 +15,7 @@ from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
 from taccel_lab.errors import InputError
 from taccel_lab.reading.images import read_image
 from tests.calibration.drawn.faults import add_dust, add_noise, blur, poison, quantise
-from tests.real_data import real_data
+from tests.support.real_data import real_data
 
 BACKGROUND = np.full((240, 320, 3), (90.0, 120.0, 130.0))
 

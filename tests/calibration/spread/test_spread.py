@@ -21,7 +21,7 @@ from taccel_lab.profile import (
 )
 from taccel_lab.signals.perturbation import draw_perturbation
 from tests.calibration.drawn.faults import add_noise, quantise
-from tests.calibration.synthetic import GRID, flat_background, tiny_profile
+from tests.support.synthetic_presses import GRID, flat_background, tiny_profile
 
 ASSUMED = Provenance(kind="assumed", method="made up for a test", source="none")
 MEASURED = Provenance(kind="measured", method="made up for a test", source="none")

@@ -38,7 +38,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.scene import Element
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import profile_parameters, sensor_families, sensor_family
-from tests.calibration.synthetic import GRID, flat_background, synthetic_captures, write_folder
+from tests.support.synthetic_presses import GRID, flat_background, synthetic_captures, write_folder
 
 MINI = sensor_family("gelsight_mini").parameters()
 

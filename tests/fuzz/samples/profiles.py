@@ -28,7 +28,7 @@ from taccel_lab.profile import (
 from taccel_lab.signals import color_model, force_network, normal_model
 from taccel_lab.signals.force_settings import ForceModelConfig
 from tests.fuzz.samples.captures import write_image
-from tests.profile.sample_blocks import ASSUMED, CALIBRATED, sample_blocks
+from tests.support.sample_blocks import ASSUMED, CALIBRATED, sample_blocks
 
 _OLD = Path(__file__).parents[2] / "profile" / "old"
 GRID = PixelGrid(12, 9, 0.03, 0.031)

@@ -59,7 +59,7 @@ def folder(given: Path) -> None:
 
 @lru_cache(maxsize=1)
 def _made() -> Path:
-    from tests.datasets.small import make, saved_profile
+    from tests.support.small_data_sets import make, saved_profile
 
     root = Path(tempfile.mkdtemp(prefix="touches"))
     profile = saved_profile(root / "profile")

@@ -22,7 +22,7 @@ from taccel_lab.scene import (
     sphere_mesh,
 )
 from tests.ipc.linear.systems import BACKENDS, delaunay_pattern, list_extra, random_spd
-from tests.verification.blocks import block_mesh
+from tests.support.blocks import block_mesh
 
 CPU = wp.get_device("cpu")
 

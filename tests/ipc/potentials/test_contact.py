@@ -13,8 +13,8 @@ from taccel_lab.ipc.collisions import EDGE_EDGE, POINT_EDGE, POINT_POINT, POINT_
 from taccel_lab.scene import Ball, KinematicBody, TriangleMesh, box_mesh
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.state import initial_state
+from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 from tests.verification.assembly import Assembly, central_difference, coordinate_probe
-from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 
 EXACT, PSD = 0, 1
 DHAT = 3e-4

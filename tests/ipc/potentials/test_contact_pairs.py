@@ -39,7 +39,7 @@ from taccel_lab.scene import (
 from taccel_lab.state import initial_state
 from tests.ipc.contact_sums import edge_pair_sum, log_barrier, node_face_sum
 from tests.ipc.dense_system import Dense, dense, differences, empty_system
-from tests.verification.blocks import block_mesh, pose
+from tests.support.blocks import block_mesh, pose
 
 DHAT, KAPPA, STEP = 2e-4, 1e5, 1e-8
 FREE = TimeStepping(quasi_static=False)

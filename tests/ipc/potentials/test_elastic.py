@@ -18,8 +18,8 @@ from taccel_lab.scene import (
     SoftBody,
     TimeStepping,
 )
+from tests.support.blocks import block_mesh
 from tests.verification.assembly import central_difference, coordinate_probe
-from tests.verification.blocks import block_mesh
 from tests.verification.elements import ElementForces
 
 STEP = 1e-8

@@ -12,8 +12,8 @@ import warp as wp
 from taccel_lab.scene import Ball, KinematicBody, TriangleMesh, box_mesh
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.state import initial_state
+from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 from tests.verification.assembly import Assembly, central_difference, coordinate_probe
-from tests.verification.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 
 DHAT, EPS, MU = 3e-4, 2e-5, 0.7
 STEP = 1e-9

@@ -15,8 +15,8 @@ from taccel_lab.model import Model
 from taccel_lab.scene import TimeStepping
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.state import StepHistory
+from tests.support.blocks import scene
 from tests.verification.assembly import Assembly, central_difference, coordinate_probe
-from tests.verification.blocks import scene
 
 DT, GRAVITY = 0.01, (0.0, 1.0, -9.81)
 SIZE = (2e-3, 3e-3, 1e-3)

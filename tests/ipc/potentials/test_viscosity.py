@@ -25,8 +25,8 @@ from taccel_lab.scene import (
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
+from tests.support.blocks import block_mesh, everywhere, pose
 from tests.verification.assembly import central_difference, coordinate_probe
-from tests.verification.blocks import block_mesh, everywhere, pose
 from tests.verification.elements import ElementForces
 
 SIZE = (2e-3, 2e-3, 1e-3)

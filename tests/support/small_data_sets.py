@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A data set whose touches take a fraction of a second, and a sensor with a colour model.
 
-``python -m tests.datasets.small PROFILE OUT I/N PROCESSES`` makes it in a process of its own;
-with a fifth word K, that process is killed amid writing the K-th part.
+``python -m tests.support.small_data_sets PROFILE OUT I/N PROCESSES`` makes it in a process of its
+own; with a fifth word K, that process is killed amid writing the K-th part.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.profile import SensorProfile
-from tests.profile.sample_blocks import bare_profile
+from tests.support.sample_blocks import bare_profile
 
 GRID = PixelGrid(160, 120, 0.1, 0.1)
 BALL_RADIUS_MM = 2.0
