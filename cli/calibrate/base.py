@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the calibration commands share: their files, and the way from captures to a profile."""
+"""What the calibration commands share: from what was fitted to profile and report."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
@@ -16,7 +16,6 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.capture.folder import CaptureFolder
     from taccel_lab.calibration.report import Page
     from taccel_lab.calibration.result import CalibrationResult
     from taccel_lab.profile import SensorProfile
@@ -50,25 +49,12 @@ def require_outputs(out: Path, report: Path) -> None:
     require_replaceable(report)
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """What a command found, and how it is shown."""
-
-    name: str
-    """Of the block."""
-    base: SensorProfile
-    """Profile that was extended."""
-    result: CalibrationResult
-    page: Page
-    summarise: Callable[[Console], None] | None = None
-    """Prints the figures for people; None where the report says all."""
-    files: Mapping[Path, Callable[[Path], None]] = field(default_factory=dict)
-    """Further files that were asked for, with what writes them."""
+def _nothing() -> None: ...
 
 
 @dataclass(frozen=True)
 class CalibrationFiles:
-    """What every calibration reads and writes."""
+    """What every calibration of captures reads and writes."""
 
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md)."""
@@ -84,27 +70,45 @@ class CalibrationFiles:
 
 
 @dataclass(frozen=True)
-class BlockCommand(CalibrationFiles):
-    """Captures and a profile to extend in, the extended profile and a report out."""
+class Fitted:
+    """What a command found."""
+
+    name: str
+    """Of the block."""
+    profile: SensorProfile
+    """Extended by the block."""
+    result: CalibrationResult
+    page: Page
+    files: Mapping[Path, Callable[[Path], None]] = field(default_factory=dict)
+    """Further files that were asked for, with what writes them."""
+    forget: Callable[[], None] = _nothing
+    """Takes away what was kept for an interrupt; called when all is written."""
+
+
+class ProfileCommand:
+    """A command that writes a profile with one more block, and a report of it. The fields are
+    declared again by the sub-classes, in the order of their help."""
+
+    out: Path
+    """Profile folder to write."""
+    report: Path | None
+    """Folder for the report; <out>_report when left out."""
+    json: bool
+    """Whether the figures are printed as JSON."""
 
     def check(self) -> None:
         """Refuse options that cannot be used before anything is read."""
 
-    def profile_to_extend(self, folder: CaptureFolder) -> SensorProfile:
-        """The base profile, or the catalogue's design of the captures' sensor."""
-        from taccel_lab.calibration.base_profile import base_profile
+    def read(self) -> Any:
+        """What the fit starts from."""
+        raise NotImplementedError
 
-        return base_profile(self.base, folder)
-
-    def fit(self, folder: CaptureFolder, progress: Progress) -> Fitted:
-        """Calibrate the block."""
+    def fit(self, given: Any, progress: Progress, console: Console) -> Fitted:
+        """Calibrate with what was read."""
         raise NotImplementedError
 
     def run(self) -> None:
         """Refuse unusable outputs, fit, and write profile, report and figures."""
-
-        from taccel_lab.calibration.capture.load import load_capture_folder
-        from taccel_lab.calibration.recorded import with_session
         from taccel_lab.cli.console import notes
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.warp_output import quiet_warp
@@ -114,41 +118,47 @@ class BlockCommand(CalibrationFiles):
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
         console = notes()
-        folder = load_capture_folder(self.captures)
+        given = self.read()
         with stage_progress(console) as progress:
-            fitted = self.fit(folder, progress)
-        before = None if self.base is None else self.profile_to_extend(folder)
-        profile = with_session(before, fitted.result.apply_to(fitted.base), folder)
-        write_results(fitted, profile, self.out, report, console, json=self.json)
+            fitted = self.fit(given, progress, console)
+        self._write(fitted, report, console)
+        fitted.forget()
+
+    def _write(self, fitted: Fitted, report: Path, console: Console) -> None:
+        """Save the profile and the report, say the verdict with its remarks, and give the figures:
+        on standard output, as JSON or for people."""
+        from taccel_lab.calibration.report import write_page
+        from taccel_lab.calibration.result import judge
+        from taccel_lab.cli.console import print_json, results
+        from taccel_lab.profile import save_profile
+
+        result = fitted.result
+        save_profile(fitted.profile, self.out)
+        write_page(fitted.page, report)
+        for path, write in fitted.files.items():
+            write(path)
+        for remark in result.remarks:
+            console.print(str(remark))
+        console.print(f"verdict: {judge(result.remarks)}")
+        wrote = " and ".join(
+            str(path) for path in (self.out, report / "report.html", *fitted.files)
+        )
+        console.print(f"wrote {wrote}")
+        if self.json:
+            print_json({"profile": str(self.out), fitted.name: result.figures()})
+        else:
+            _show(fitted.page, results())
 
 
-def write_results(
-    fitted: Fitted,
-    profile: SensorProfile,
-    out: Path,
-    report: Path,
-    console: Console,
-    *,
-    json: bool,
-) -> None:
-    """Save the extended profile and the report, say the verdict with its remarks, and give the
-    figures: on standard output, as JSON or for people."""
-    from taccel_lab.calibration.report import write_page
-    from taccel_lab.calibration.result import judge
-    from taccel_lab.cli.console import print_json, results
-    from taccel_lab.profile import save_profile
+def _show(page: Page, console: Console) -> None:
+    """The paragraph of a page and its first table."""
+    from rich.table import Table
 
-    result = fitted.result
-    save_profile(profile, out)
-    write_page(fitted.page, report)
-    for path, write in fitted.files.items():
-        write(path)
-    for remark in result.remarks:
-        console.print(str(remark))
-    console.print(f"verdict: {judge(result.remarks)}")
-    wrote = " and ".join(str(path) for path in (out, report / "report.html", *fitted.files))
-    console.print(f"wrote {wrote}")
-    if json:
-        print_json({"profile": str(out), fitted.name: result.figures()})
-    elif fitted.summarise is not None:
-        fitted.summarise(results())
+    from taccel_lab.report.build import format_number
+
+    console.print(page.summary)
+    for table in (table.shown() for table in page.tables[:1]):
+        drawn = Table(*table.columns, title=table.title, title_justify="left")
+        for row in table.rows:
+            drawn.add_row(*map(format_number, row))
+        console.print(drawn)

@@ -5,23 +5,24 @@ out."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from taccel_lab.calibration.force.options import ForceOptions
-from taccel_lab.cli.calibrate.base import Fitted, report_folder, require_outputs, write_results
+from taccel_lab.cli.calibrate.base import Fitted, ProfileCommand
+from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.force.result import ForceCalibration
+    from taccel_lab.profile import SensorProfile
+    from taccel_lab.progress import Progress
 
 
 @dataclass(frozen=True)
-class CalibrateForce(ForceOptions):
+class CalibrateForce(ForceOptions, ProfileCommand):
     """Train the model from images to forces on a data set of simulated touches and write a profile.
 
     The data set (taccel-lab dataset) is made with the profile of your sensor and units drawn from
@@ -43,60 +44,35 @@ class CalibrateForce(ForceOptions):
     json: bool = False
     """Print the figures as JSON instead of a summary."""
 
-    def run(self) -> None:
+    def check(self) -> None:
+        if not self.datasets:
+            raise InputError("name at least one folder of a data set")
+
+    def read(self) -> SensorProfile:
+        from taccel_lab.datasets.reading import Dataset
+        from taccel_lab.profile import load_profile
+
+        if self.profile is None:
+            return Dataset(self.datasets).profile(0)
+        return load_profile(self.profile)
+
+    def fit(self, given: SensorProfile, progress: Progress, console: Console) -> Fitted:
+        """Train the model; an interrupt says after which step the same command goes on."""
         from taccel_lab.calibration.force.fit import calibrate_force
         from taccel_lab.calibration.force.report import force_page
         from taccel_lab.calibration.force.training_file import TrainingFile
-        from taccel_lab.cli.console import notes
-        from taccel_lab.cli.progress import stage_progress
-        from taccel_lab.datasets.reading import Dataset
-        from taccel_lab.errors import InputError
-        from taccel_lab.profile import load_profile
-        from taccel_lab.warp_output import quiet_warp
-
-        quiet_warp()
-        if not self.datasets:
-            raise InputError("name at least one folder of a data set")
-        report = report_folder(self.out, self.report)
-        require_outputs(self.out, report)
-        base = (
-            Dataset(self.datasets).profile(0)
-            if self.profile is None
-            else load_profile(self.profile)
-        )
-        console = notes()
 
         def say(words: str) -> None:
             console.print(words, soft_wrap=True)
 
         kept = TrainingFile.beside(self.out, say)
         try:
-            with stage_progress(console) as progress:
-                result = calibrate_force(self.datasets, base, self, progress, kept)
+            result = calibrate_force(self.datasets, given, self, progress, kept)
         except KeyboardInterrupt:
             if kept.step is None:
                 say("interrupted before anything of the training was kept")
             else:
                 say(f"interrupted; the same command goes on after step {kept.step:,}")
             raise SystemExit(130) from None
-        fitted = Fitted("force", base, result, force_page(result), partial(_print_errors, result))
-        write_results(fitted, result.apply_to(base), self.out, report, console, json=self.json)
-        kept.remove()
-
-
-def _print_errors(result: ForceCalibration, console: Console) -> None:
-    from rich.table import Table
-
-    table = Table(
-        "held-out touches by depth", "images", "Fz [N]", "of", "shear [N]", "of", "area [mm2]",
-        title_justify="left",
-    )  # fmt: skip
-    for row in (*result.tables["depth"], result.overall):
-        numbers = (row.fz_n, row.fz_spread_n, row.shear_n, row.shear_spread_n, row.area_mm2)
-        table.add_row(row.name, str(row.images), *(f"{number:.3f}" for number in numbers))
-    console.print(table)
-    console.print(result.headline())
-    console.print(
-        f"{result.false_alarms:.2%} of held-out images are called outside the training's range; "
-        f"trained in {result.seconds:.0f} s on {result.options.device}",
-    )
+        page = force_page(result)
+        return Fitted("force", result.apply_to(given), result, page, forget=kept.remove)

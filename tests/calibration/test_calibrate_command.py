@@ -13,7 +13,7 @@ import pytest
 from taccel_lab.calibration.base_profile import base_profile
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.check.block_findings import capture_check
-from taccel_lab.cli.calibrate.color import CalibrateColor
+from taccel_lab.cli.calibrate.blocks import CalibrateColor
 from taccel_lab.cli.export import Export
 from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table_file import read_table
@@ -112,7 +112,8 @@ def test_table_names_the_figures(
         folder, out, base=folder.parent / "base", surface="hertz", steps=5, ensemble=0, drift="off",
         holdout_every=0,
     ).run()  # fmt: skip
-    assert "no press was held out" in capsys.readouterr().out
+    shown = capsys.readouterr()
+    assert "A network of" in shown.out and "no press was held out" in shown.err
     assert load_profile(out).color is not None
 
 

@@ -11,6 +11,8 @@ import pytest
 
 from taccel_lab.calibration.blocks import BLOCKS
 from taccel_lab.cli import app
+from taccel_lab.cli.calibrate import calibrate_commands
+from taccel_lab.cli.calibrate.blocks import BlockCommand
 from taccel_lab.errors import InputError
 from taccel_lab.profile import load_profile
 from tests.support.small_captures import write_captures
@@ -45,6 +47,15 @@ def test_profile_and_reports_are_written(
     assert (report / "background" / "report.html").is_file()
     assert (report / "report.html").is_file()
     assert not list(tmp_path.glob(".*"))
+
+
+def test_every_block_has_a_command() -> None:
+    commands = {
+        name: command.page_reads_folder
+        for name, command in calibrate_commands().items()
+        if issubclass(command, BlockCommand)
+    }
+    assert commands == {block.name: block.reads_folder for block in BLOCKS}
 
 
 def test_a_block_that_refuses_ends_with_1(
