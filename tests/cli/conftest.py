@@ -9,16 +9,19 @@ No simulation, fit or mesh may begin.
 from __future__ import annotations
 
 import importlib
+import json
 import pkgutil
 import shutil
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from taccel_lab.output_folder import atomic_directory
 from tests.calibration.judged_once import detect_once, judge_slopes_once
+from tests.support.commands import Done, done, refusal
 from tests.support.small_captures import never, write_captures, write_profile
 
 
@@ -39,6 +42,32 @@ def _equal_captures_are_judged_once(_all_imported: None) -> Iterator[None]:
         detect_once(patch)
         judge_slopes_once(patch)
         yield
+
+
+class Cli:
+    """Runs ``taccel-lab`` in this process; the first argument may be several words."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self.capsys = capsys
+
+    def __call__(self, command: str, *words: object, code: int = 0) -> Done:
+        """What it printed; it has to end with ``code``."""
+        found = done(self.capsys, *command.split(), *words)
+        assert found.code == code, found.err
+        return found
+
+    def json(self, command: str, *words: object, code: int = 0) -> Any:
+        """What it printed with ``--json``."""
+        return json.loads(self(command, *words, "--json", code=code).out)
+
+    def refusal(self, command: str, *words: object) -> str:
+        """The sentence with which it refuses bad input, in one line."""
+        return refusal(self.capsys, *command.split(), *words)
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+    return Cli(capsys)
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ import textwrap
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -27,6 +28,7 @@ from taccel_lab.cli.words import common_words
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.output_folder import atomic_directory
 from taccel_lab.version import __version__
+from tests.cli.conftest import Cli
 
 ROOT = Path(__file__).parents[2]
 
@@ -97,47 +99,33 @@ def test_bugs_keep_their_traceback(monkeypatch: pytest.MonkeyPatch, error: Excep
         app.main([])
 
 
-@pytest.mark.parametrize("arguments", [["profile", "show"], ["profile", "show", "x", "more"]])
-def test_usage_errors_exit_with_2(arguments: list[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        app.main(arguments)
-    assert caught.value.code == 2
+@pytest.mark.parametrize("words", ["profile show", "profile show x more"])
+def test_usage_errors_exit_with_2(cli: Cli, words: str) -> None:
+    cli(words, code=2)
 
 
 @pytest.mark.parametrize("more", [[], ["--help"], ["--out", "x"]])
 @pytest.mark.parametrize(
     ("words", "meant", "has"),
     [
-        (["pres"], "taccel-lab press", "taccel-lab has: demo, design"),
-        (["capture", "chek"], "taccel-lab capture check", "taccel-lab capture has: check"),
-        (["zzz"], None, "taccel-lab has: demo, design"),
+        ("pres", "taccel-lab press", "taccel-lab has: demo, design"),
+        ("capture chek", "taccel-lab capture check", "taccel-lab capture has: check"),
+        ("zzz", None, "taccel-lab has: demo, design"),
     ],
 )
 def test_a_command_that_is_not_there(
-    capsys: pytest.CaptureFixture[str], words: list[str], meant: str | None, has: str, more: list
+    cli: Cli, words: str, meant: str | None, has: str, more: list[str]
 ) -> None:
-    assert app.main([*words, *more]) == 2
-    told = capsys.readouterr().err
-    assert f"there is no command {words[-1]!r}" in told and has in told
+    told = cli(words, *more, code=2).err
+    assert f"there is no command {words.split()[-1]!r}" in told and has in told
     assert ("did you mean" in told) == (meant is not None)
     assert meant is None or f"did you mean {meant}?" in told
 
 
-@pytest.mark.parametrize("words", [[], ["capture"], ["calibrate"]])
-def test_without_a_command_there_is_help(
-    capsys: pytest.CaptureFixture[str], words: list[str]
-) -> None:
-    with pytest.raises(SystemExit) as caught:
-        app.main(words)
-    assert caught.value.code == 0
-    assert " ".join(["usage: taccel-lab", *words]) in capsys.readouterr().out
-
-
-def test_the_version_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        app.main(["--version"])
-    assert caught.value.code == 0
-    assert capsys.readouterr().out == f"taccel-lab {__version__}\n"
+def test_help_stands_where_no_command_is_named_and_the_version_is_said(cli: Cli) -> None:
+    for words in ("", "capture", "calibrate"):
+        assert f"usage: taccel-lab {words}".strip() in cli(words).out
+    assert cli("--version").out == f"taccel-lab {__version__}\n"
 
 
 def test_auto_is_a_device_of_this_machine() -> None:
@@ -151,12 +139,12 @@ def test_auto_is_a_device_of_this_machine() -> None:
 def test_quiet_leaves_results_and_errors(tmp_path: Path) -> None:
     """In a process of its own: Warp's library writes to the process' standard error itself."""
 
-    def told(*words: str) -> tuple[str, str]:
-        command = [sys.executable, "-m", "taccel_lab.cli.app", "design", "gelsight_mini", *words]
-        done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    def told(*words: object) -> tuple[str, str]:
+        program = ["-m", "taccel_lab.cli.app", "design", "gelsight_mini"]
+        done = started(sys.executable, *program, *words)
         return done.stdout, done.stderr
 
-    out = ["--out", str(tmp_path / "out"), "--parts", "pad"]
+    out = ["--out", tmp_path / "out", "--parts", "pad"]
     said, noted = told(*out, "--quiet", "--json")
     assert noted == ""
     assert json.loads(said)["quality"]["node_count"] > 1000
@@ -165,79 +153,45 @@ def test_quiet_leaves_results_and_errors(tmp_path: Path) -> None:
     assert "Warp" not in noted and "Module" not in noted
 
 
-def test_every_command_prints_json() -> None:
+def commands() -> Iterator[tuple[str, type]]:
+    """Words and class of every command."""
     for name, found in app.command_tree().items():
         inner = found.commands if isinstance(found, app.Group) else {"": found}
-        for word, command in inner.items():
-            names = {field.name for field in dataclasses.fields(command)}  # type: ignore[arg-type]
-            assert "json" in names or name in ("bench", "view"), f"{name} {word}"
+        yield from ((f"{name} {word}".strip(), command) for word, command in inner.items())
 
 
-COMMANDS = (
-    "demo",
-    "design",
-    "press",
-    "calibrate color",
-    "export",
-    "profile show",
-    "profile validate",
-    "sensors list",
-    "sensors show",
-    "robot list",
-    "robot show",
-    "task list",
-    "task run",
-    "task record",
-    "doctor",
-)
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        app.main([*command.split(), "--help"])
-    assert caught.value.code == 0
-    assert f"usage: taccel-lab {command}" in capsys.readouterr().out
-
-
-SWITCHED_ON = {
-    "calibrate color": ("register", "cache", "table"),
-}
+SWITCHED_ON = {"calibrate color": {"register", "cache", "table"}}
 """Booleans that are on by default. Their help stands beside ``--x`` and ``--no-x`` at once."""
 
 
-@pytest.mark.parametrize("command", sorted({*COMMANDS, *SWITCHED_ON, "calibrate all", "study"}))
-def test_help_of_switches_reads_the_right_way_round(
-    command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("command", [words for words, _ in commands()])
+def test_help_of_every_command_and_its_switches(
+    cli: Cli, command: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    with pytest.raises(SystemExit):
-        app.main([*command.split(), "--help"])
-    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    shown = cli(command, "--help").out
+    assert f"usage: taccel-lab {command}" in shown
+    text = " ".join(shown.replace("│", " ").split())
     found = re.findall(r"--no-([a-z-]+) ([A-Z][^()]*?)\(default: (True|False)\)", text)
-    on = {name for name, _, default in found if default == "True"}
-    assert on == set(SWITCHED_ON.get(command, ()))
-    for name, words, default in found:
-        assert default == "False" or words.startswith("Whether "), (name, words)
+    assert {name for name, _, on in found if on == "True"} >= SWITCHED_ON.get(command, set())
+    for name, words, on in found:
+        told = words.startswith("Whether ") or f"--no-{name} " in words
+        assert on == "False" or told, (name, words)
 
 
-def command_classes() -> Iterator[type]:
-    """Of every command, with those that its options come from."""
-    for found in app.command_tree().values():
-        for command in found.commands.values() if isinstance(found, app.Group) else [found]:
-            yield from (base for base in command.__mro__ if dataclasses.is_dataclass(base))
-
-
-def test_every_option_is_explained() -> None:
-    found = {command.__name__: command for command in command_classes()}
+def test_every_option_is_explained_and_every_command_prints_json() -> None:
+    found = dict(commands())
     assert len(found) > 40
-    for name, command in found.items():
-        body = ast.parse(textwrap.dedent(inspect.getsource(command))).body[0].body
-        assert command.__doc__, name
-        for field, after in itertools.pairwise(body):
-            if isinstance(field, ast.AnnAssign) and "ClassVar" not in ast.unparse(field):
-                explained = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
-                assert explained, f"{name}.{ast.unparse(field.target)} has no docstring"
+    for words, command in found.items():
+        fields = {field.name for field in dataclasses.fields(command)}
+        assert "json" in fields or words in ("bench", "view"), words
+        for base in filter(dataclasses.is_dataclass, command.__mro__):
+            assert base.__doc__, base
+            body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0].body
+            for field, after in itertools.pairwise(body):
+                if isinstance(field, ast.AnnAssign) and "ClassVar" not in ast.unparse(field):
+                    told = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+                    assert told, f"{base.__name__}.{ast.unparse(field.target)} has no docstring"
 
 
 def _seconds_of_children() -> float:
@@ -246,28 +200,32 @@ def _seconds_of_children() -> float:
     return used.ru_utime + used.ru_stime
 
 
+HELP = """
+    import sys
+    from taccel_lab.cli import app
+    try:
+        app.main(['--help'])
+    except SystemExit:
+        pass
+    heavy = {'warp', 'torch', 'build123d', 'OCP', 'pyvista', 'cv2', 'scipy', 'matplotlib'}
+    sys.exit(','.join(sorted(heavy & set(sys.modules))) or 0)
+"""
+
+
+def started(*command: object, **options: Any) -> subprocess.CompletedProcess[str]:
+    """A process of its own, with what it printed."""
+    return subprocess.run([*map(str, command)], capture_output=True, text=True, cwd=ROOT, **options)
+
+
+def python(code: str, *words: object) -> subprocess.CompletedProcess[str]:
+    return started(sys.executable, "-c", textwrap.dedent(code), *words)
+
+
 def test_help_is_fast_and_light() -> None:
-    code = (
-        "import sys\n"
-        "from taccel_lab.cli import app\n"
-        "try:\n"
-        "    app.main(['--help'])\n"
-        "except SystemExit:\n"
-        "    pass\n"
-        "heavy = {'warp', 'torch', 'build123d', 'OCP', 'pyvista', 'cv2', 'scipy', 'matplotlib'}\n"
-        "sys.exit(','.join(sorted(heavy & set(sys.modules))) or 0)\n"
-    )
     best = float("inf")
     for _ in range(3):
         start = _seconds_of_children()
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            encoding="utf-8",
-            check=False,
-        )
+        done = python(HELP)
         best = min(best, _seconds_of_children() - start)
         assert done.returncode == 0, f"help imports {done.stderr}"
         assert "calibrate" in done.stdout
@@ -299,12 +257,9 @@ def test_asked_to_end_it_clears_away_what_is_unfinished(tmp_path: Path, earlier:
         with atomic_directory(out) as folder:
             (folder / "a.txt").write_text("old")
     before = sorted(path.name for path in tmp_path.rglob("*"))
-    command = [sys.executable, "-c", textwrap.dedent(TERMINATED), str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (
-        143,
-        "asked to end; what was half written was removed\n",
-    )
+    done = python(TERMINATED, out)
+    told = "asked to end; what was half written was removed\n"
+    assert (done.returncode, done.stderr) == (143, told)
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
 
 
@@ -347,12 +302,11 @@ def test_a_reader_that_is_gone_ends_a_table_quietly() -> None:
 
 
 def test_a_reader_that_has_enough_ends_it_quietly() -> None:
-    command = (
-        f"{sys.executable} -m taccel_lab.cli.app sensors list | head -c 1; echo ${{PIPESTATUS[0]}}"
-    )
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
-    assert done.stderr == ""
-    assert done.stdout[1:].strip() in ("0", "141")
+    program = f"{sys.executable} -m taccel_lab.cli.app sensors list"
+    done = started("bash", "-c", f"{program} | head -c 1; echo ${{PIPESTATUS[0]}}")
+    assert done.stderr == "" and done.stdout[1:].strip() in ("0", "141")
+    done = started("bash", "-c", f"{program} --json | head -c 1")
+    assert (done.stdout, done.stderr) == ("{", "")
 
 
 @pytest.mark.parametrize(
@@ -369,12 +323,11 @@ def test_a_reader_that_has_enough_ends_it_quietly() -> None:
     ],
 )
 def test_an_option_that_is_not_there_is_named_whatever_else_is_missing(
-    capsys: pytest.CaptureFixture[str], words: str, told: str
+    cli: Cli, words: str, told: str
 ) -> None:
-    assert app.main(words.split()) == 2
-    captured = capsys.readouterr()
-    assert f"error: taccel-lab {told}" in captured.err and captured.out == ""
-    assert "--help lists the options" in captured.err
+    done = cli(words, code=2)
+    assert f"error: taccel-lab {told}" in done.err and done.out == ""
+    assert "--help lists the options" in done.err
 
 
 @pytest.mark.parametrize(
@@ -390,13 +343,10 @@ def test_an_option_that_is_not_there_is_named_whatever_else_is_missing(
     ],
 )
 def test_a_value_that_is_not_allowed_is_told_in_words(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: str, told: str
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, words: str, told: str
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    with pytest.raises(SystemExit) as caught:
-        app.main(["press", "digit", "--out", "x", *words.split()])
-    assert caught.value.code == 2
-    assert told in capsys.readouterr().err
+    assert told in cli("press digit --out x", *words.split(), code=2).err
 
 
 def test_numbers_are_read() -> None:
@@ -409,6 +359,5 @@ def test_numbers_are_read() -> None:
 
 @pytest.mark.parametrize("words", ["sensors list --json >&-", "press --help >&-", "zzz 2>&-"])
 def test_closed_streams_change_no_exit_code(words: str) -> None:
-    command = f"{sys.executable} -m taccel_lab.cli.app {words}"
-    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, cwd=ROOT)
+    done = started("bash", "-c", f"{sys.executable} -m taccel_lab.cli.app {words}")
     assert (done.returncode, done.stdout, done.stderr) == (2 if "zzz" in words else 0, "", "")

@@ -12,10 +12,10 @@ import pytest
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.force_table import force_table
 from taccel_lab.calibration.material.gel import Gel
-from taccel_lab.cli.app import main
 from taccel_lab.envs.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
 from taccel_lab.profile import load_profile
 from taccel_lab.sensors.profile import catalogue_profile
+from tests.cli.conftest import Cli
 
 MODULUS, POISSON, FRICTION = 3e5, 0.47, 0.5
 DEPTH = np.linspace(0.15, 1.2, 10)
@@ -72,19 +72,13 @@ def manifest(folder: Path, press_mm: float = 5.0) -> None:
     )
 
 
-def run(captures: Path, *more: str) -> int:
+def words(captures: Path) -> list[object]:
     out = captures.parent / "profile"
-    return main(
-        ["calibrate", "material", str(captures), "--out", str(out), "--accuracy", "fast",
-         "--fix", f"nu={POISSON}", *more]
-    )  # fmt: skip
+    return [captures, "--out", out, "--accuracy", "fast", "--fix", f"nu={POISSON}"]
 
 
-def test_records_become_a_profile_and_a_report(
-    captures: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(captures, "--json") == 0
-    printed = json.loads(capsys.readouterr().out)["material"]
+def test_records_become_a_profile_and_a_report(captures: Path, cli: Cli) -> None:
+    printed = cli.json("calibrate material", *words(captures))["material"]
     assert printed["verdict"] == "good"
     profile = load_profile(captures.parent / "profile")
     block = profile.material
@@ -109,7 +103,7 @@ def test_records_become_a_profile_and_a_report(
 
 
 @pytest.mark.parametrize(
-    ("spoil", "words"),
+    ("spoil", "told"),
     [
         (lambda c: {**c, "force_n": c["force_n"] / 9.80665e-3}, "gram"),
         (lambda c: {**c, "force_n": c["force_n"] * 1e3}, "mN"),
@@ -119,19 +113,15 @@ def test_records_become_a_profile_and_a_report(
         (lambda c: {**c, "depth_mm": c["depth_mm"] * 1e3}, "mm"),
     ],
 )
-def test_wrong_units_and_signs_are_refused(
-    captures: Path, capsys: pytest.CaptureFixture[str], spoil, words: str
-) -> None:
+def test_wrong_units_and_signs_are_refused(captures: Path, cli: Cli, spoil, told: str) -> None:
     data = np.loadtxt(captures / "press.csv", delimiter=",", skiprows=1)
     write(captures / "press.csv", **spoil({"depth_mm": data[:, 0], "force_n": data[:, 1]}))
-    assert run(captures) == 2
-    error = capsys.readouterr().err
-    assert words in error and "Traceback" not in error
+    assert told in cli.refusal("calibrate material", *words(captures))
     assert not (captures.parent / "profile").exists()
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "told"),
     [
         (("--fix", "nu"), "name=value"),
         (("--fix", "nu=0.6"), "[0, 0.4999]"),
@@ -142,15 +132,11 @@ def test_wrong_units_and_signs_are_refused(
     ],
 )
 def test_bad_options_are_refused(
-    captures: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], words: str
+    captures: Path, cli: Cli, options: tuple[str, ...], told: str
 ) -> None:
-    assert run(captures, *options) == 2
-    assert words in " ".join(capsys.readouterr().err.split())
+    assert told in cli.refusal("calibrate material", *words(captures), *options)
 
 
-def test_captures_without_forces_say_what_is_needed(
-    captures: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_captures_without_forces_say_what_is_needed(captures: Path, cli: Cli) -> None:
     (captures / "captures.toml").write_text('schema_version = 2\nsensor = "gelsight_mini"\n')
-    assert run(captures) == 2
-    assert "[[records]]" in capsys.readouterr().err
+    assert "[[records]]" in cli.refusal("calibrate material", *words(captures))

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.cli.app import main
+from taccel_lab.calibration.capture import video
 from taccel_lab.reading.videos import count_frames
+from tests.cli.conftest import Cli
 from tests.fuzz.samples.captures import write_video
 from tests.support.small_captures import everything_below, write_captures, write_image
 
@@ -22,16 +23,8 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def run(arguments: list[str]) -> int:
-    try:
-        return main(arguments)
-    except SystemExit as left:
-        return int(left.code or 0)
-
-
-def test_check_writes_a_page(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["capture", "check", "captures", "--report", "page", "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out)
+def test_check_writes_a_page(here: Path, cli: Cli) -> None:
+    figures = cli.json("capture check", "captures", "--report", "page")
     assert figures["usable"] and len(figures["presses"]) == 5
     states = {block["command"].split()[-1]: block["readiness"] for block in figures["blocks"]}
     assert states["color"] == "weak"  # five presses
@@ -39,28 +32,22 @@ def test_check_writes_a_page(here: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "Blocks of a profile" in page and "data:image/png" in page
     report = json.loads((here / "page" / "report.json").read_text())
     assert report["verdict"] == "usable"
-    assert {path.name for path in (here / "page").glob("*.png")} == {
-        "coverage.png", "frames.png", "light.png",
-    }  # fmt: skip
+    pictures = {path.stem for path in (here / "page").glob("*.png")}
+    assert pictures == {"coverage", "frames", "light"}
 
 
-def test_check_fails_when_something_blocks(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_fails_when_something_blocks(here: Path, cli: Cli) -> None:
     manifest = here / "captures" / "captures.toml"
     manifest.write_text(manifest.read_text().replace("[indenter]\nradius_mm = 2.0\n", ""))
-    assert run(["capture", "check", "captures"]) == 1
-    out = capsys.readouterr().out.replace("\n", " ")
-    assert (
-        "error: the radius of the ball is not stated" in out
-        and "blocked" in out
-        and "[red]" not in out
-    )
+    out = cli("capture check", "captures", code=1).out.replace("\n", " ")
+    assert "error: the radius of the ball is not stated" in out
+    assert "blocked" in out and "[red]" not in out
 
 
-def test_check_reads_a_plain_folder(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_reads_a_plain_folder(here: Path, cli: Cli) -> None:
     (here / "captures" / "captures.toml").unlink()
     before = everything_below(here)
-    assert run(["capture", "check", "captures", "--json"]) == 1
-    figures = json.loads(capsys.readouterr().out)
+    figures = cli.json("capture check", "captures", code=1)
     assert figures["contents"]["ball_presses"] == 5 and figures["contents"]["background"] == 1
     assert any("read as plain" in note for note in figures["notes"])
     assert everything_below(here) == before
@@ -87,36 +74,29 @@ def test_check_reads_a_plain_folder(here: Path, capsys: pytest.CaptureFixture[st
         (["guide", "digit", "--out", "captures/captures.toml/x"], "part of this path is a file"),
     ],
 )
-def test_refusals_change_nothing(
-    here: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
-) -> None:
+def test_refusals_change_nothing(here: Path, cli: Cli, arguments: list[str], words: str) -> None:
     (here / "empty").mkdir()
     (here / "plain").mkdir()
     for name in ("bg", "a", "b"):
         write_image(here / "plain" / f"{name}.png", np.full((48, 64, 3), 90, np.uint8))
     before = everything_below(here)
-    assert run(["capture", *arguments]) == 2
-    message = capsys.readouterr().err.replace("\n", " ")
-    assert words in message and "Traceback" not in message
+    assert words in cli.refusal("capture", *arguments)
     assert everything_below(here) == before
 
 
-def test_import_then_check(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_import_then_check(here: Path, cli: Cli) -> None:
     (here / "captures" / "captures.toml").unlink()
-    command = ["capture", "import", "captures", "out", "--sensor", "gelsight", "--json"]
-    assert run([*command, "--radius-mm", "2", "--mm-per-px-x", "0.1"]) == 0
-    printed = json.loads(capsys.readouterr().out)
+    facts = ["--sensor", "gelsight", "--radius-mm", "2", "--mm-per-px-x", "0.1"]
+    printed = cli.json("capture import captures out", *facts)
     assert printed["layout"] == "plain"
     assert printed["folders"][0]["contents"]["ball_presses"] == 5
-    assert run(["capture", "check", "out", "--json"]) == 0
+    cli("capture check", "out", "--json")
 
 
 def test_nothing_is_read_of_an_import_that_stands(
-    here: Path, monkeypatch: pytest.MonkeyPatch
+    here: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     """A video whose end is searched for minutes would be refused after it was written."""
-    from taccel_lab.calibration.capture import video
-
     write_video(here / "shear.avi")
     counted, out = [], here / "out"
 
@@ -125,23 +105,18 @@ def test_nothing_is_read_of_an_import_that_stands(
         return count_frames(path)
 
     monkeypatch.setattr(video, "count_frames", count)
-    assert run(["capture", "import", "shear.avi", "out"]) == 0
+    cli("capture import", "shear.avi", "out")
     assert out.is_dir() and counted and not any(counted)
 
 
-def test_several_sets_are_checked_one_by_one(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_several_sets_are_checked_one_by_one(here: Path, cli: Cli) -> None:
     write_captures(here / "both" / "first")
     write_captures(here / "both" / "second")
-    assert run(["capture", "check", "both", "--json"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["parts"]) == 2
+    assert len(cli.json("capture check", "both")["parts"]) == 2
 
 
-def test_guide_writes_a_manifest(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["capture", "guide", "9dtact", "--out", "new.toml"]) == 0
-    out = capsys.readouterr().out
+def test_guide_writes_a_manifest(here: Path, cli: Cli) -> None:
+    out = cli("capture guide", "9dtact", "--out", "new.toml").out
     assert "minutes in all" in out and "Board of dots" in out
     assert 'sensor = "9dtact"' in (here / "new.toml").read_text()
-    assert run(["capture", "guide", "digit_360", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["minutes"] < 60
+    assert cli.json("capture guide", "digit_360")["minutes"] < 60

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from taccel_lab.cli.app import main
 from taccel_lab.cli.dataset import with_make
+from tests.cli.conftest import Cli
 
 SPEC = """
 [dataset]
@@ -43,27 +43,21 @@ def test_make_may_be_left_out() -> None:
         assert with_make(words) == words
 
 
-def test_made_checked_shown_and_gone_on_with(
-    spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_made_checked_shown_and_gone_on_with(spec: Path, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out"
-    command = ["dataset", str(spec), "--out", str(out), "--processes", "0"]
-    assert main([*command, "--json"]) == 0
-    said = capsys.readouterr()
+    cli("dataset", spec, "--out", out, "--check-only")
+    command = ["dataset", spec, "--out", out, "--processes", "0"]
+    cli(*command, "--no-write")
+    assert not out.exists()
+    said = cli(*command, "--json")
     assert "2 images of 1 touches" in said.err
     assert json.loads(said.out)["images_per_s"] > 0
-    assert main(command) == 0
-    assert "0 images of 0 touches" in capsys.readouterr().err
-    assert main(["dataset", "check", str(out)]) == 0
-    assert "0 errors" in capsys.readouterr().err
-    assert main(["dataset", "page", str(out), "--out", str(tmp_path / "page.html")]) == 0
-    assert main(["dataset", "export", "univtac", str(out), "--out", str(tmp_path / "u")]) == 2
-    assert "has no rgb" in capsys.readouterr().err
+    assert "0 images of 0 touches" in cli(*command).err
+    assert "0 errors" in cli("dataset check", out).err
+    cli("dataset page", out, "--out", tmp_path / "page.html")
+    assert "has no rgb" in cli.refusal("dataset export", "univtac", out, "--out", tmp_path / "u")
     next((out / "parts").rglob("steps.parquet")).write_bytes(b"half")
-    with pytest.raises(SystemExit) as ended:
-        main(["dataset", "check", str(out)])
-    assert ended.value.code == 1
-    assert "is not what was written" in capsys.readouterr().err
+    assert "is not what was written" in cli("dataset check", out, code=1).err
 
 
 @pytest.mark.parametrize(
@@ -73,26 +67,11 @@ def test_made_checked_shown_and_gone_on_with(
         (["--shard", "0/2"], "shard '0/2' is not understood"),
         (["--limit", "0"], "limit must be at least 1"),
         (["--device", "cuda:99"], "cuda:99"),
+        (["--check-only"], "output.sizes_px: unknown key; allowed: channels, size_px"),
     ],
 )
-def test_bad_words(
-    spec: Path, tmp_path: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["dataset", str(spec), "--out", str(tmp_path / "out"), *words]) == 2
-    assert message in capsys.readouterr().err
+def test_bad_words(spec: Path, tmp_path: Path, words: list[str], message: str, cli: Cli) -> None:
+    if "unknown key" in message:
+        spec.write_text(SPEC + "sizes_px = [3, 4]\n")
+    assert message in cli.refusal("dataset", spec, "--out", tmp_path / "out", *words)
     assert not (tmp_path / "out").exists()
-
-
-def test_unknown_keys_are_named(
-    spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    spec.write_text(SPEC + "sizes_px = [3, 4]\n")
-    assert main(["dataset", str(spec), "--out", str(tmp_path / "out")]) == 2
-    assert "output.sizes_px: unknown key; allowed: channels, size_px" in capsys.readouterr().err
-
-
-def test_check_only_and_no_write_leave_nothing(spec: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    assert main(["dataset", str(spec), "--out", str(out), "--check-only"]) == 0
-    assert main(["dataset", str(spec), "--out", str(out), "--no-write", "--processes", "0"]) == 0
-    assert not out.exists()

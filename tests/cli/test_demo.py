@@ -12,10 +12,11 @@ from typing import Any
 
 import pytest
 
-from taccel_lab.cli.app import main
 from taccel_lab.output_folder import OUTPUT_MARKER
 from taccel_lab.profile import load_profile, validate_profile
+from tests.cli.conftest import Cli
 from tests.geometry.vtu_files import read_mesh_vtu
+from tests.support.commands import run
 from tests.support.small_captures import CIRCLES, GRID, everything_below, write_captures
 
 HELDOUT = ("p0",)
@@ -31,8 +32,8 @@ def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def out(captures: Path) -> Path:
     """Output of one demo."""
     folder = captures.parent / "out" / "demo"
-    arguments = ["--captures", str(captures), "--out", str(folder)]
-    assert main(["demo", *arguments, "--steps", "50", "--depth-mm", "0.4"]) == 0
+    arguments = ["--captures", captures, "--out", folder]
+    assert run("demo", *arguments, "--steps", "50", "--depth-mm", "0.4") == 0
     return folder
 
 
@@ -111,93 +112,51 @@ def test_profile_is_sound(out: Path) -> None:
     profile = load_profile(out / "profile")
     assert profile.color is not None and profile.background_rgb is not None
     assert profile.grid() == GRID
-    assert main(["profile", "validate", str(out / "profile")]) == 0
-
-
-def run(captures: Path, out: Path, *options: str) -> int:
-    return main(["demo", "--captures", str(captures), "--out", str(out), *options])
-
-
-def interrupt(*_: object, **__: object) -> None:
-    raise KeyboardInterrupt
+    assert run("profile", "validate", out / "profile") == 0
 
 
 def test_interrupted_in_the_middle(
     captures: Path, out: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
     monkeypatch.setattr("taccel_lab.calibration.simulate.simulate_presses", interrupt)
-    assert run(captures, tmp_path / "new" / "demo") == 130
-    assert everything_below(tmp_path) == {}
     before = everything_below(out.parent)
-    assert run(captures, out) == 130
+    for folder in (tmp_path / "new" / "demo", out):
+        assert run("demo", "--captures", captures, "--out", folder) == 130
+    assert everything_below(tmp_path) == {}
     assert everything_below(out.parent) == before
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--steps", "0"], "steps must be at least 1, got 0"),
-        (["--depth-mm", "5.2"], "depth 5.2 mm goes past the gel, which is 5 mm thick"),
-        (["--depth-mm", "-1"], "depth must be above 0 mm"),
-    ],
-)
-def test_bad_options_are_refused_before_any_work(
-    captures: Path,
-    tmp_path: Path,
-    forbid: Callable[[str], None],
-    capsys: pytest.CaptureFixture[str],
-    options: list[str],
-    words: str,
-) -> None:
-    forbid("taccel_lab.sensors.design.design_sensor")
-    assert run(captures, tmp_path / "demo", *options) == 2
-    assert words in capsys.readouterr().err
-    assert everything_below(tmp_path) == {}
+def four_presses(manifest: str) -> str:
+    return "[[presses]]".join(manifest.split("[[presses]]")[:4])
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("change", "options", "words"),
     [
-        ('sensor = "gelsight"', 'sensor = "digit"', "was captured with sensor 'digit'"),
-        ('[[presses]]\nimage = "p3.png"', '[[presses]]\nimage = "absent.png"', "absent.png"),
+        (str, "--steps 0", "steps must be at least 1, got 0"),
+        (str, "--depth-mm 5.2", "depth 5.2 mm goes past the gel, which is 5 mm thick"),
+        (str, "--depth-mm -1", "depth must be above 0 mm"),
+        (lambda text: text.replace('"gelsight"', '"digit"'), "", "captured with sensor 'digit'"),
+        (lambda text: text.replace('image = "p3.png"', 'image = "absent.png"'), "", "absent.png"),
+        (four_presses, "", "holds 3 presses, too few"),
     ],
 )
-def test_bad_captures_are_refused_before_any_work(
+def test_bad_input_is_refused_before_any_work(
     tmp_path: Path,
     forbid: Callable[[str], None],
-    capsys: pytest.CaptureFixture[str],
-    old: str,
-    new: str,
+    cli: Cli,
+    change: Callable[[str], str],
+    options: str,
     words: str,
 ) -> None:
     folder = write_captures(tmp_path / "captures")
     manifest = folder / "captures.toml"
-    text = manifest.read_text()
-    assert old in text
-    manifest.write_text(text.replace(old, new))
+    manifest.write_text(change(manifest.read_text()))
     forbid("taccel_lab.sensors.design.design_sensor")
-    assert run(folder, tmp_path / "demo") == 2
-    message = capsys.readouterr().err
-    assert words in message and str(folder) in message
+    out = ["--out", tmp_path / "demo", *options.split()]
+    told = cli.refusal("demo --captures", folder, *out)
+    assert words in told and (options or str(folder) in told)
     assert os.listdir(tmp_path) == ["captures"]
-
-
-def test_too_few_captures_to_hold_one_out(
-    tmp_path: Path, forbid: Callable[[str], None], capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = write_captures(tmp_path / "captures")
-    manifest = folder / "captures.toml"
-    blocks = manifest.read_text().split("[[presses]]")
-    manifest.write_text("[[presses]]".join(blocks[:4]))
-    forbid("taccel_lab.sensors.design.design_sensor")
-    assert run(folder, tmp_path / "demo") == 2
-    assert "holds 3 presses, too few" in capsys.readouterr().err
-
-
-def test_foreign_folder_is_refused_before_any_work(
-    captures: Path, tmp_path: Path, forbid: Callable[[str], None]
-) -> None:
-    forbid("taccel_lab.calibration.capture.load_captures")
-    (tmp_path / "notes.txt").write_text("mine")
-    assert run(captures, tmp_path) == 2
-    assert everything_below(tmp_path) == {"notes.txt": b"mine"}

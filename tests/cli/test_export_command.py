@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
-from taccel_lab.cli import app
+from taccel_lab.interop.formats import FORMATS
 from taccel_lab.profile import save_profile
+from tests.cli.conftest import Cli
 from tests.support.synthetic_presses import GRID, tiny_profile
 
 
@@ -19,46 +19,27 @@ def profile(tmp_path: Path) -> Path:
     return tmp_path / "profile"
 
 
-def test_help_lists_every_format_with_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    from taccel_lab.interop.formats import FORMATS
-
-    with pytest.raises(SystemExit) as caught:
-        app.main(["export", "--help"])
-    assert caught.value.code == 0
-    shown = " ".join(capsys.readouterr().out.replace("│", " ").split())
+def test_help_lists_every_format_with_a_sentence(cli: Cli) -> None:
+    shown = " ".join(cli("export --help").out.replace("│", " ").split())
     for name, sentence in FORMATS.items():
         assert f"{name}: {sentence}" in shown
 
 
-def test_an_export_says_what_it_wrote_and_left_out(
-    profile: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_export_says_what_it_wrote_and_left_out(profile: Path, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out"
-    assert app.main(["export", str(profile), "--to", "urdf", "--out", str(out)]) == 0
-    text = capsys.readouterr().out
+    text = cli("export", profile, "--to", "urdf", "--out", out).out
     assert "left out" in text and "housing" in text
     assert (out / "sensor.urdf").is_file()
-    assert app.main(["export", str(profile), "--to", "urdf", "--out", str(out), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["files"] == ["meshes/gel.stl", "sensor.urdf"]
+    files = cli.json("export", profile, "--to", "urdf", "--out", out)["files"]
+    assert files == ["meshes/gel.stl", "sensor.urdf"]
 
 
-def test_a_missing_block_is_exit_code_2(
-    profile: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_refusals(profile: Path, tmp_path: Path, cli: Cli) -> None:
     out = tmp_path / "out"
-    assert app.main(["export", str(profile), "--to", "taxim", "--out", str(out)]) == 2
-    message = capsys.readouterr().err
-    assert "block color" in message and "taccel-lab calibrate color" in message
-    assert "Traceback" not in message and not out.exists()
-
-
-def test_foreign_files_and_missing_profiles_are_refused(
-    profile: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    told = cli.refusal("export", profile, "--to", "taxim", "--out", out)
+    assert "block color" in told and "taccel-lab calibrate color" in told
     # The profile's own folder was not written by an export.
-    assert app.main(["export", str(profile), "--to", "urdf", "--out", str(profile)]) == 2
-    assert "did not write" in capsys.readouterr().err
+    assert "did not write" in cli.refusal("export", profile, "--to", "urdf", "--out", profile)
     assert (profile / "profile.toml").is_file()
-    nowhere = str(tmp_path / "nowhere")
-    assert app.main(["export", nowhere, "--to", "urdf", "--out", str(tmp_path / "out")]) == 2
-    assert "no such profile folder" in capsys.readouterr().err
+    told = cli.refusal("export", tmp_path / "nowhere", "--to", "urdf", "--out", out)
+    assert "no such profile folder" in told and not out.exists()

@@ -12,7 +12,8 @@ from taccel_lab.cad.export import write_step
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.step_import import FaceSelection
-from taccel_lab.cli.app import main, parse
+from taccel_lab.cli.app import parse
+from tests.cli.conftest import Cli
 
 
 @pytest.fixture
@@ -22,9 +23,8 @@ def step(tmp_path: Path) -> Path:
     return path
 
 
-def test_without_out_the_faces_are_listed(step: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["import-step", str(step)]) == 0
-    printed = capsys.readouterr().out
+def test_without_out_the_faces_are_listed(step: Path, cli: Cli) -> None:
+    printed = cli("import-step", step).out
     assert "middle [mm], outward normal" in printed
     for name in ("contact", "bond", "window", "side"):
         assert f"  {name}\n" in printed
@@ -32,7 +32,7 @@ def test_without_out_the_faces_are_listed(step: Path, capsys: pytest.CaptureFixt
 
 
 def test_options_override_the_selection_file(
-    step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     seen: list[Any] = []
 
@@ -47,7 +47,7 @@ def test_options_override_the_selection_file(
         "import-step", str(step), "--out", str(tmp_path / "out"), "--select", str(file),
         "--bond", "index:0", "index:2", "--window", "rect:18x14", "--edge-mm", "1.5",
     ]  # fmt: skip
-    assert main(arguments) == 130
+    cli(*arguments, code=130)
     ((path, selection, rest),) = seen
     assert path == step and rest == (tmp_path / "out", 1.5)
     assert selection == FaceSelection(
@@ -55,22 +55,18 @@ def test_options_override_the_selection_file(
     )
 
 
-def test_bad_input_is_told_without_a_traceback(
-    step: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_told_without_a_traceback(step: Path, tmp_path: Path, cli: Cli) -> None:
     out = str(tmp_path / "out")
-    assert main(["import-step", str(step), "--out", out, "--contact", "name:top"]) == 2
-    told = capsys.readouterr().err
+    told = cli("import-step", step, "--out", out, "--contact", "name:top", code=2).err
     stage, told = told.split("\n", 1)
     assert stage == "reading and checking the STEP file ..."
     assert told.startswith("error: ") and "names in the file: bond, contact, side, window" in told
-    assert main(["import-step", str(tmp_path / "no.step")]) == 2
-    assert main(["import-step", str(step), "--out", out, "--select", "no.toml"]) == 2
-    assert "no.toml does not exist; expected a TOML file" in capsys.readouterr().err
+    cli("import-step", tmp_path / "no.step", code=2)
+    told = cli.refusal("import-step", step, "--out", out, "--select", "no.toml")
+    assert "no.toml does not exist; expected a TOML file" in told
     faces = tmp_path / "faces.toml"
     faces.write_text("contact = [1]\nself = 2\n")
-    assert main(["import-step", str(step), "--out", out, "--select", str(faces)]) == 2
-    told = capsys.readouterr().err
+    told = cli("import-step", step, "--out", out, "--select", faces, code=2).err
     assert f"{faces}: contact.0: input should be a valid string (found 1)" in told
     assert f"{faces}: self: unknown key; allowed: body, bond" in told
     assert not (tmp_path / "out").exists()

@@ -197,26 +197,6 @@ def test_a_press_to_a_force_is_one_to_its_depth(unit: Path, tmp_path: Path) -> N
     assert again["mesh"] == found["mesh"]
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ([], "either --depth-mm or --force-n"),
-        (["--depth-mm", "0.3", "--force-n", "1"], "either --depth-mm or --force-n, not both"),
-        (["--force-n", "0"], "must be above 0 N"),
-    ],
-)
-def test_a_press_goes_to_a_depth_or_to_a_force(
-    unit: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    options: list[str],
-    words: str,
-) -> None:
-    assert press(unit, tmp_path / "out", *options, *QUICK) == 2
-    assert words in " ".join(capsys.readouterr().err.split())
-    assert everything_below(tmp_path) == {}
-
-
 def test_options_reach_the_solver(unit: Path, tmp_path: Path) -> None:
     common = ["--depth-mm", "0.3", "--friction", "0", "--step-mm", "0.1", "--accuracy", "fast"]
     assert press(unit, tmp_path / "a", *common) == 0

@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from taccel_lab.cli import app
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.profile import (
@@ -23,6 +21,7 @@ from taccel_lab.profile import (
     load_profile,
     save_profile,
 )
+from tests.cli.conftest import Cli
 from tests.support.small_captures import write_profile
 
 
@@ -55,45 +54,29 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "p"
 
 
-def test_show(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.main(["profile", "show", str(folder), "--full"]) == 0
-    text = capsys.readouterr().out
+def test_show(folder: Path, tmp_path: Path, cli: Cli) -> None:
+    text = cli("profile show", folder, "--full").out
     for expected in ("unit 3", "young_modulus_pa", "150000.0", "[bold]for[/]"):
         assert expected in text
-
-
-def test_overview_is_one_screen(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.main(["profile", "show", str(folder)]) == 0
-    text = capsys.readouterr().out
-    assert len(text.splitlines()) <= 24
+    text = cli("profile show", folder).out
+    assert len(text.splitlines()) <= 24  # One screen.
     for word in ("material", "assumed", "1.5e+05", "--full"):
         assert word in text
-
-
-def test_show_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.main(["profile", "show", str(folder), "--json"]) == 0
-    blocks = json.loads(capsys.readouterr().out)
+    assert "none" in cli.refusal("profile show", tmp_path / "none")
+    blocks = cli.json("profile show", folder)
     assert list(blocks) == ["sensor", "gel", "material", "camera"]
     assert blocks["material"]["poisson_ratio"] == 0.48
     assert blocks["camera"]["provenance"]["kind"] == "assumed"
 
 
-def test_validate(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.main(["profile", "validate", str(folder)]) == 0
-    assert "is a sound profile" in capsys.readouterr().out
-
-
-def test_validate_damaged(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_validate(folder: Path, cli: Cli) -> None:
+    assert "is a sound profile" in cli("profile validate", folder).out
     (folder / "mesh.npz").write_bytes(b"PK")
     (folder / "notes.txt").write_text("mine")
-    assert app.main(["profile", "validate", str(folder)]) == 2
-    captured = capsys.readouterr()
-    assert "mesh.npz: SHA-256" in captured.out
-    assert "warning" in captured.out
+    captured = cli("profile validate", folder, code=2)
+    assert "mesh.npz: SHA-256" in captured.out and "warning" in captured.out
     assert "is not a sound profile: 1 error" in captured.err
-
-    assert app.main(["profile", "validate", str(folder), "--json"]) == 2
-    result = json.loads(capsys.readouterr().out)
+    result = cli.json("profile validate", folder, code=2)
     assert result["valid"] is False
     assert [finding["severity"] for finding in result["findings"]] == ["error", "warning"]
 
@@ -110,80 +93,57 @@ def test_validate_damaged(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
     ],
 )
 def test_validate_builds_the_networks(
-    changes: dict[str, object],
-    weights: dict[str, np.ndarray],
-    words: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    changes: dict[str, object], weights: dict, words: str, tmp_path: Path, cli: Cli
 ) -> None:
     path = write_profile(tmp_path / "colored")
-    assert app.main(["profile", "validate", str(path)]) == 0
+    cli("profile validate", path)
     profile = load_profile(path)
     assert profile.color is not None and profile.color_weights is not None
     block = profile.color.replace(architecture={**profile.color.architecture, **changes})
     save_profile(profile.with_block(block, {**profile.color_weights, **weights}), path)
-    capsys.readouterr()
-    assert app.main(["profile", "validate", str(path)]) == 2
-    shown = capsys.readouterr().out.replace("\n", " ")
+    shown = cli("profile validate", path, code=2).out.replace("\n", " ")
     assert re.search(words, shown) and "color" in shown
 
 
-def test_validate_and_press_judge_the_parameters(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_validate_and_press_judge_the_parameters(folder: Path, tmp_path: Path, cli: Cli) -> None:
     profile = load_profile(folder)
     parameters = {**profile.sensor.parameters, "thickness_mm": -5.0}
     path = tmp_path / "thin"
     save_profile(profile.with_block(profile.sensor.replace(parameters=parameters)), path)
-    press = ["press", str(path), "--indenter", "sphere:4", "--depth-mm", "0.1"]
-    for command in (["profile", "validate", str(path)], [*press, "--out", str(tmp_path / "o")]):
-        assert app.main(command) == 2
-        shown = "".join(capsys.readouterr()).replace("\n", " ")
-        assert re.search(r"sensor\.parameters\.thickness_mm = -5 is below its bound", shown)
+    press = ["press", path, "--indenter", "sphere:4", "--depth-mm", "0.1", "--out", tmp_path / "o"]
+    for command in (["profile validate", path], press):
+        done = cli(*command, code=2)
+        shown = (done.out + done.err).replace("\n", " ")
+        assert "sensor.parameters.thickness_mm = -5 is below its bound" in shown
 
 
-def test_absent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.main(["profile", "show", str(tmp_path / "none")]) == 2
-    assert "none" in capsys.readouterr().err
-
-
-def test_compare_tells_what_differs(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_compare_tells_what_differs(folder: Path, tmp_path: Path, cli: Cli) -> None:
     profile = load_profile(folder)
     softer = profile.with_block(profile.material.replace(young_modulus_pa=1.2e5))
     save_profile(softer, tmp_path / "q")
-    assert app.main(["profile", "compare", str(folder), str(tmp_path / "q")]) == 0
-    shown = capsys.readouterr().out
+    shown = cli("profile compare", folder, tmp_path / "q").out
     assert "material.young_modulus_pa" in shown and "-3e+04" in shown
-    arguments = ["profile", "compare", str(folder), str(tmp_path / "q"), "--json"]
-    assert app.main([*arguments, "--out", str(tmp_path / "page")]) == 0
-    (field,) = json.loads(capsys.readouterr().out)["fields"]
+    arguments = [folder, tmp_path / "q", "--out", tmp_path / "page"]
+    (field,) = cli.json("profile compare", *arguments)["fields"]
     assert field["difference"] == pytest.approx(-3e4) and field["z"] is None
     assert (tmp_path / "page" / "report.html").is_file()
 
 
-def test_report_writes_a_page(folder: Path, tmp_path: Path) -> None:
-    assert app.main(["profile", "report", str(folder), "--out", str(tmp_path / "page")]) == 0
+def test_report_writes_a_page(folder: Path, tmp_path: Path, cli: Cli) -> None:
+    cli("profile report", folder, "--out", tmp_path / "page")
     html = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
     assert "Sensor profile unit 3" in html and "made up [bold]for[/] a test" in html
 
 
 @pytest.mark.parametrize("command", [["compare"], ["report", "--out", "page"]])
 def test_missing_profiles_and_foreign_folders_are_refused(
-    command: list[str],
-    folder: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    command: list[str], folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     monkeypatch.chdir(tmp_path)
     others = [str(folder)] if command[0] == "compare" else []
-    assert app.main(["profile", *command, *others, "nowhere"]) == 2
-    assert "no such profile folder" in capsys.readouterr().err
+    assert "no such profile folder" in cli.refusal("profile", *command, *others, "nowhere")
     (tmp_path / "page").mkdir()
     (tmp_path / "page" / "mine.txt").write_text("keep")
     out = [] if command[0] == "report" else ["--out", "page"]
-    assert app.main(["profile", *command, *others, str(folder), *out]) == 2
-    assert "did not write" in capsys.readouterr().err
+    assert "did not write" in cli.refusal("profile", *command, *others, folder, *out)
     assert (tmp_path / "page" / "mine.txt").read_text() == "keep"

@@ -13,20 +13,14 @@ import pytest
 
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.record.folder import RecordFolder
-from taccel_lab.cli.app import main
 from taccel_lab.profile import save_profile
 from tests.calibration.record.sessions import source
+from tests.cli.conftest import Cli
 from tests.support.capture_sets import write_image
 from tests.support.synthetic_presses import GRID, flat_profile
 
+RECORD = ["capture record flat_pad --camera set --out out"]
 FACTS = ["--radius-mm", "2", "--mm-per-px-x", "0.1", "--no-page"]
-
-
-def run(arguments: list[str]) -> int:
-    try:
-        return main(arguments)
-    except SystemExit as left:
-        return int(left.code or 0)
 
 
 @pytest.fixture
@@ -36,22 +30,19 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_session_is_recorded_and_goes_on(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["capture", "record", "flat_pad", "--camera", "set", "--out", "out", *FACTS, "--json"]
-    assert run([*command, "--presses", "1"]) == 0
-    printed = capsys.readouterr()
+def test_a_session_is_recorded_and_goes_on(here: Path, cli: Cli) -> None:
+    command = [*RECORD, *FACTS]
+    printed = cli(*command, "--presses", "1", "--json")
     assert json.loads(printed.out)["presses"] == 1
     assert "Touch nothing" in printed.err and "Press next" in printed.err
-    assert run([*command, "--presses", "3"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    found = cli.json(*command, "--presses", "3")
     assert found["presses"] == 3 and found["contents"]["background"] == 1
-    assert run([*command, "--radius-mm", "2.5"]) == 2
-    assert "begun otherwise: --radius-mm was 2.0 and is 2.5" in capsys.readouterr().err
+    told = cli.refusal(*command, "--radius-mm", "2.5")
+    assert "begun otherwise: --radius-mm was 2.0 and is 2.5" in told
 
 
-def test_quick_says_what_it_leaves_out(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["capture", "quick", "flat_pad", "--camera", "set", "--out", "out", *FACTS]) == 0
-    printed = capsys.readouterr()
+def test_quick_says_what_it_leaves_out(here: Path, cli: Cli) -> None:
+    printed = cli("capture quick", "flat_pad", "--camera", "set", "--out", "out", *FACTS)
     assert "leaves out" in printed.err and "no load cell" in printed.err
     assert "2 of 20 presses" in printed.out and "same command goes on" in printed.out
     assert "# - force" in (here / "out" / "captures.toml").read_text()
@@ -70,50 +61,40 @@ def test_quick_says_what_it_leaves_out(here: Path, capsys: pytest.CaptureFixture
     ],
 )
 def test_bad_input_is_told_and_leaves_nothing(
-    here: Path, capsys: pytest.CaptureFixture[str], options: list[str], said: str
+    here: Path, cli: Cli, options: list[str], said: str
 ) -> None:
-    command = ["capture", "record", "flat_pad", "--camera", "set", "--out", "out"]
-    assert run([*command, *options]) == 2
-    assert said in capsys.readouterr().err
+    assert said in cli.refusal(*RECORD, *options)
     assert not (here / "out").exists()
 
 
 def test_what_was_taken_is_told_whatever_ends_it(
-    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    here: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(RecordFolder, "add_press", full)
-    command = ["capture", "record", "flat_pad", "--camera", "set", "--out", "out", *FACTS]
-    assert run(command) == 2
-    said = " ".join(capsys.readouterr().err.split())
+    said = cli.refusal(*RECORD, *FACTS)
     assert "stopped at 0 of" in said and "out is whole, and the same command goes on" in said
     assert "No space left" in said
 
 
-def test_lamps_are_printed_where_there_is_no_page(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lamps_are_printed_where_there_is_no_page(here: Path, cli: Cli) -> None:
     folder = load_capture_folder(here / "set")
     assert folder.background is not None
     dim = np.rint(0.8 * folder.presses[0].image()).astype(np.uint8)
     write_image(here / "set" / "p00.png", dim)
-    assert run(["capture", "record", "flat_pad", "--camera", "set", "--out", "out", *FACTS]) == 0
-    lines = capsys.readouterr().err.splitlines()
+    lines = cli(*RECORD, *FACTS).err.splitlines()
     assert sum(line.startswith("drift: ") for line in lines) == 1
 
 
-def test_devices_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["capture", "devices", "--json"]) == 0
-    assert isinstance(json.loads(capsys.readouterr().out)["cameras"], list)
+def test_devices_are_listed(cli: Cli) -> None:
+    assert isinstance(cli.json("capture devices")["cameras"], list)
 
 
-def test_live_says_what_it_lacks(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_live_says_what_it_lacks(here: Path, cli: Cli) -> None:
     save_profile(flat_profile(GRID), here / "profile")
     command = ["live", "profile", "--camera", "set", "--no-page", "--no-paced"]
-    assert run(command) == 2
-    assert "calibrate one first" in capsys.readouterr().err
-    assert run([*command, "--frames", "0"]) == 2
-    assert run([*command, "--background", "profile"]) == 2
-    assert "has no background" in capsys.readouterr().err
+    assert "calibrate one first" in cli.refusal(*command)
+    cli(*command, "--frames", "0", code=2)
+    assert "has no background" in cli.refusal(*command, "--background", "profile")

@@ -3,58 +3,50 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from taccel_lab.cli import app
 from taccel_lab.robots import names
+from tests.cli.conftest import Cli
 from tests.robots.test_urdf import TETRAHEDRON, with_mesh
 from tests.support.robot_files import CHAIN, write
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 
 
-def test_list(capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.main(["robot", "list"]) == 0
-    text = capsys.readouterr().out
+def test_list(cli: Cli) -> None:
+    text = cli("robot list").out
     assert all(name in text for name in names())
-    assert app.main(["robot", "list", "--json"]) == 0
-    listed = json.loads(capsys.readouterr().out)
+    listed = cli.json("robot list")
     assert list(listed) == names()
     assert listed["parallel_gripper"]["from"] == "taccel-lab"
     assert listed["panda"]["from"] == "example-robot-data"
 
 
-def test_show_of_the_catalogue(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_show_of_the_catalogue(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "160")
-    assert app.main(["robot", "show", "parallel_gripper"]) == 0
-    text = capsys.readouterr().out
+    text = cli("robot show", "parallel_gripper").out
     for word in ("1 coordinates, base palm", "slide_right", "0 to 40 mm", "box 12 x 24 x 60 mm"):
         assert word in text
     assert "refused" not in text
 
 
-def test_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_picture(cli: Cli, tmp_path: Path) -> None:
     path = tmp_path / "hand.png"
-    assert app.main(["robot", "show", "three_finger_hand", "--picture", str(path)]) == 0
-    assert "hand.png" in capsys.readouterr().out.replace("\n", "")
+    shown = cli("robot show three_finger_hand --picture", path).out
+    assert "hand.png" in shown.replace("\n", "")
     pixels = np.asarray(Image.open(path).convert("RGB")).astype(int)
     covered = (pixels.min(axis=2) < 230).mean()
     assert 0.1 < covered < 0.9
     wrong = tmp_path / "hand.jpg"
-    assert app.main(["robot", "show", "three_finger_hand", "--picture", str(wrong)]) == 2
-    assert "must end in .png" in capsys.readouterr().err.replace("\n", " ")
+    assert "must end in .png" in cli.refusal("robot show", "three_finger_hand", "--picture", wrong)
 
 
-def test_show_of_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert app.main(["robot", "show", str(write(tmp_path, CHAIN)), "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out)
+def test_show_of_a_file(cli: Cli, tmp_path: Path) -> None:
+    shown = cli.json("robot show", str(write(tmp_path, CHAIN)))
     assert shown["coordinates"] == ["shoulder", "lift", "spin"]
     joints = shown["joints"]
     assert joints["lift"]["limits"] == pytest.approx([-50, 100])
@@ -68,14 +60,12 @@ def test_show_of_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> N
     assert shown["refused"] == []
 
 
-def test_what_is_refused_is_shown(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_what_is_refused_is_shown(cli: Cli, tmp_path: Path) -> None:
     # The second face is turned over.
     write(tmp_path, TETRAHEDRON.replace("f 1 2 4", "f 1 4 2"), "mesh.obj")
     path = write(tmp_path, with_mesh("mesh.obj"))
-    assert app.main(["robot", "show", str(path)]) == 0
-    assert "refused: collision shape of link 'a': " in capsys.readouterr().out
+    assert "refused: collision shape of link 'a': " in cli("robot show", path).out
     planar = write(tmp_path, CHAIN.replace('"continuous"', '"planar"'), "planar.urdf")
-    assert app.main(["robot", "show", str(planar)]) == 2
-    assert "joint 'spin' is planar, which is not supported" in capsys.readouterr().err
-    assert app.main(["robot", "show", "hand"]) == 2
-    assert "'hand' is neither a file nor a robot of the catalogue: par" in capsys.readouterr().err
+    assert "joint 'spin' is planar, which is not supported" in cli.refusal("robot show", planar)
+    told = cli.refusal("robot show hand")
+    assert "'hand' is neither a file nor a robot of the catalogue: par" in told

@@ -3,46 +3,38 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from taccel_lab.cli import app
 from taccel_lab.sensors.registry import sensor_families, sensor_family
 from taccel_lab.studies.sensor_picture import pad_section, sight_paths
+from tests.cli.conftest import Cli
 
 NAMES = sorted(sensor_families())
 
 
-def test_list(capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.main(["sensors", "list"]) == 0
-    text = capsys.readouterr().out
+def test_list(cli: Cli) -> None:
+    text = cli("sensors list").out
     for name in NAMES:
         assert name in text
-    assert app.main(["sensors", "list", "--json"]) == 0
-    listed = json.loads(capsys.readouterr().out)
+    listed = cli.json("sensors list")
     assert listed["broken"] == {}
     assert sorted(listed["sensors"]) == NAMES
     mini = listed["sensors"]["gelsight_mini"]
     assert mini["size_mm"] == "25.25 x 20.75 x 4"
-    assert (mini["image_px"], mini["mm_per_px"], mini["markers"]) == (
-        "320 x 240",
-        "0.0634",
-        "9 x 7",
-    )
+    shown = (mini["image_px"], mini["mm_per_px"], mini["markers"])
+    assert shown == ("320 x 240", "0.0634", "9 x 7")
     assert listed["sensors"]["9dtact"]["young_modulus_mpa"].count(",") == 1
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_show_every_family(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.main(["sensors", "show", name]) == 0
-    text = capsys.readouterr().out
+def test_show_every_family(name: str, cli: Cli) -> None:
+    text = cli("sensors show", name).out
     for word in ("gel volume", "field of view", "LEDs", "housing", "young_modulus_mpa"):
         assert word in text
-    assert app.main(["sensors", "show", name, "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out)
+    shown = cli.json("sensors show", name)
     assert all(parameter["source"] for parameter in shown["parameters"].values())
     family = sensor_family(name)
     assert set(shown["parameters"]) == set(family.parameters_type.parameters())
@@ -51,54 +43,44 @@ def test_show_every_family(name: str, capsys: pytest.CaptureFixture[str]) -> Non
     assert shown["housing"] and shown["references"]
 
 
-def test_show_with_other_values(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_show_with_other_values(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     change = ["--set", "thickness_mm=3", "marker_pitch_mm=0"]
-    assert app.main(["sensors", "show", "gelsight_mini", *change, "--json"]) == 0
-    shown = json.loads(capsys.readouterr().out)
+    shown = cli.json("sensors show", "gelsight_mini", *change)
     assert shown["parameters"]["thickness_mm"]["source"] == "set by the user"
     assert shown["derived"]["gel under the apex"]["value"] == 3.0
     assert shown["markers"] is None
-    assert app.main(["sensors", "show", "gelsight_mini", *change]) == 0
-    assert "set; the default is 4.0" in " ".join(capsys.readouterr().out.split())
+    shown = cli("sensors show gelsight_mini", *change).out
+    assert "set; the default is 4.0" in " ".join(shown.split())
 
 
-def test_camera_distance_moves_the_scale(capsys: pytest.CaptureFixture[str]) -> None:
+def test_camera_distance_moves_the_scale(cli: Cli) -> None:
     """Further away by 20 mm in air, with the same lens."""
     scales = []
     for distance in (20.8, 40.8):
         change = ["--set", "scale_from=focal_px", f"camera_distance_mm={distance}"]
-        assert app.main(["sensors", "show", "digit", *change, "--json"]) == 0
-        scales.append(json.loads(capsys.readouterr().out)["image"]["mm_per_px_x"])
+        scales.append(cli.json("sensors show digit", *change)["image"]["mm_per_px_x"])
     assert scales[1] - scales[0] == pytest.approx(20.0 / 328.57, rel=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "told"),
     [
-        (["gelsite"], ["gelsite", "gelsight"]),
-        (["digit", "--set", "mid_radius_mm=5"], ["mid_radius_mm = 5 is below its bound"]),
-        (["digit", "--set", "mid_radius_mm"], ["name=value"]),
-        (["digit", "--set", "crown=5"], ["no parameter 'crown'"]),
-        (["digit", "--picture", "digit.svg"], ["digit.svg must end in .png"]),
+        ("gelsite", "gelsight"),
+        ("digit --set mid_radius_mm=5", "mid_radius_mm = 5 is below its bound"),
+        ("digit --set mid_radius_mm", "name=value"),
+        ("digit --set crown=5", "no parameter 'crown'"),
+        ("digit --picture digit.svg", "digit.svg must end in .png"),
     ],
 )
-def test_bad_input(
-    arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert app.main(["sensors", "show", *arguments]) == 2
-    message = capsys.readouterr().err
-    for word in words:
-        assert word in message
+def test_bad_input(arguments: str, told: str, cli: Cli) -> None:
+    assert told in cli.refusal("sensors show", *arguments.split())
 
 
 @pytest.mark.parametrize("name", ["9dtact", "digit_360", "rtac"])
-def test_picture(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_picture(name: str, tmp_path: Path, cli: Cli) -> None:
     path = tmp_path / f"{name}.png"
-    assert app.main(["sensors", "show", name, "--picture", str(path)]) == 0
-    assert str(path.name) in capsys.readouterr().out.replace("\n", "")
+    assert path.name in cli("sensors show", name, "--picture", path).out.replace("\n", "")
     assert path.read_bytes().startswith(b"\x89PNG")
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from taccel_lab.cli import app
 from taccel_lab.studies.study import Kit, default_kit
+from tests.cli.conftest import Cli
 from tests.support.fake_kit import METRICS, PRESSES, evaluate, logged
 
 STUDY = """
@@ -56,115 +56,88 @@ def use(monkeypatch: pytest.MonkeyPatch, how) -> None:
     monkeypatch.setattr("taccel_lab.studies.study.default_kit", lambda: Kit(PRESSES, METRICS, how))
 
 
-def test_a_study_runs_and_says_where_to_look(
-    file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert app.main(["study", str(file)]) == 0
-    out, err = capsys.readouterr()
+def test_a_study_runs_and_says_where_to_look(file: Path, cli: Cli) -> None:
+    _, out, err = cli("study", file)
     assert "3 designs compared" in out and "stiffness" in out
     assert "3 of 3 designs, 0 failed" in err
     assert "out/thickness/designs.csv" in err and "out/thickness/report.html" in err
     root = file.parent / "out" / "thickness"
     assert (root / "study.toml").read_text() == file.read_text(encoding="utf-8")
     assert len((root / "designs.csv").read_text().splitlines()) == 4
-    assert app.main(["study", str(file)]) == 0
-    assert "3 of 3 designs are there already" in capsys.readouterr().err
+    assert "3 of 3 designs are there already" in cli("study", file).err
     assert len(logged(root)) == 3
 
 
-def test_processes_of_the_study_file_count(file: Path) -> None:
+def test_processes_of_the_study_file_count(file: Path, cli: Cli) -> None:
     file.write_text(STUDY, encoding="utf-8")
-    assert app.main(["study", str(file), "--out", "two", "--json"]) == 0
+    cli("study", file, "--out", "two", "--json")
     values = json.loads((file.parent / "two" / "report.json").read_text())
     assert values["cost"]["processes"] == 2
 
 
-def test_limit_and_report_only(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.main(["study", str(file), "--out", "a b", "--limit", "2"]) == 0
-    err = capsys.readouterr().err
+def test_limit_and_report_only(file: Path, cli: Cli) -> None:
+    err = cli("study", file, "--out", "a b", "--limit", "2").err
     assert "not finished; go on with" in err and f"taccel-lab study {file} --out 'a b'" in err
-    assert app.main(["study", str(file), "--out", "a b", "--report-only", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["counts"]["rows"] == 2
+    assert cli.json("study", file, "--out", "a b", "--report-only")["counts"]["rows"] == 2
     assert len(logged(file.parent / "a b")) == 2
 
 
 def test_interruption_says_how_to_go_on(
-    file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    file: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     use(monkeypatch, stopped)
-    with pytest.raises(SystemExit) as caught:
-        app.main(["study", str(file), "--out", "out"])
-    assert caught.value.code == 130
-    assert f"Go on with:\n  taccel-lab study {file} --out out" in capsys.readouterr().err
+    told = cli("study", file, "--out", "out", code=130).err
+    assert f"Go on with:\n  taccel-lab study {file} --out out" in told
     assert len((file.parent / "out" / "designs.csv").read_text().splitlines()) == 2
     use(monkeypatch, evaluate)
-    assert app.main(["study", str(file), "--out", "out"]) == 0
+    cli("study", file, "--out", "out")
     assert len(logged(file.parent / "out")) == 3
 
 
-def test_no_design_within_the_constraints_is_exit_code_1(
-    file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_design_within_the_constraints_is_exit_code_1(file: Path, cli: Cli) -> None:
     file.write_text(file.read_text(encoding="utf-8") + CONSTRAINT, encoding="utf-8")
-    with pytest.raises(SystemExit) as caught:
-        app.main(["study", str(file), "--out", "out"])
-    assert caught.value.code == 1
-    assert "range at least 1000 is missed by" in " ".join(capsys.readouterr().out.split())
+    told = cli("study", file, "--out", "out", code=1).out
+    assert "range at least 1000 is missed by" in " ".join(told.split())
     page = (file.parent / "out" / "report.html").read_text(encoding="utf-8")
     assert "No design keeps the constraints" in page
 
 
-def test_no_figures_at_all_is_exit_code_3(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file.write_text(
-        file.read_text(encoding="utf-8") + '\n[fixed]\nrim = "fillet"\n', encoding="utf-8"
-    )
-    assert app.main(["study", str(file), "--out", "out"]) == 3
-    assert "no design has a figure" in capsys.readouterr().err
+def test_no_figures_at_all_is_exit_code_3(file: Path, cli: Cli) -> None:
+    file.write_text(file.read_text() + '\n[fixed]\nrim = "fillet"\n')
+    assert "no design has a figure" in cli("study", file, "--out", "out", code=3).err
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["study"], "name a study file"),
-        (["study", "none.toml"], "none.toml does not exist"),
-        (["study", "thickness.toml", "--limit", "0"], "limit must be at least 1"),
-        (["study", "thickness.toml", "--processes", "0"], "processes must lie in 1..1024"),
-        (["study", "thickness.toml", "--device", "cuda:99"], "device 'cuda:99' is not there"),
-        (["study", "thickness.toml", "--out", "."], "holds files and no study"),
-        (["study", "thickness.toml", "--out", "thickness.toml"], "is a file"),
-        (["study", "thickness.toml", "--out", "new", "--report-only"], "holds no study"),
+        ("study", "name a study file"),
+        ("study none.toml", "none.toml does not exist"),
+        ("study thickness.toml --limit 0", "limit must be at least 1"),
+        ("study thickness.toml --processes 0", "processes must lie in 1..1024"),
+        ("study thickness.toml --device cuda:99", "device 'cuda:99' is not there"),
+        ("study thickness.toml --out .", "holds files and no study"),
+        ("study thickness.toml --out thickness.toml", "is a file"),
+        ("study thickness.toml --out new --report-only", "holds no study"),
+        ("study rang.toml", "no metric 'rang' (did you mean range?)"),
     ],
 )
-def test_bad_calls_leave_nothing_behind(
-    file: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
-) -> None:
+def test_bad_calls_leave_nothing_behind(file: Path, cli: Cli, arguments: str, message: str) -> None:
+    file.with_name("rang.toml").write_text(file.read_text().replace('"range"', '"rang"'))
     before = sorted(file.parent.rglob("*"))
-    assert app.main(arguments) == 2
-    assert message in capsys.readouterr().err
+    assert message in cli.refusal(arguments)
     assert sorted(file.parent.rglob("*")) == before
 
 
-def test_bad_files_name_the_key(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file.write_text(file.read_text(encoding="utf-8").replace('"range"', '"rang"'), encoding="utf-8")
-    assert app.main(["study", str(file)]) == 2
-    assert "no metric 'rang' (did you mean range?)" in capsys.readouterr().err
-
-
-def test_lists(capsys: pytest.CaptureFixture[str]) -> None:
+def test_lists(cli: Cli) -> None:
     kit = default_kit()
-    assert app.main(["study", "--list-metrics", "--list-presses", "--json"]) == 0
-    listed = json.loads(capsys.readouterr().out)
+    listed = cli.json("study", "--list-metrics", "--list-presses")
     assert list(listed["metrics"]) == list(kit.metrics)
     assert list(listed["presses"]) == list(kit.presses)
-    assert app.main(["study", "--list-metrics", "--list-presses"]) == 0
-    out = capsys.readouterr().out
+    out = cli("study", "--list-metrics", "--list-presses").out
     assert all(name in out for name in (*kit.metrics, *kit.presses))
 
 
-def test_help_teaches(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        app.main(["study", "--help"])
-    assert caught.value.code == 0
-    text = capsys.readouterr().out
+def test_help_teaches(cli: Cli) -> None:
+    text = cli("study --help").out
     assert "taccel-lab study studies/examples/mini_thickness_hardness.toml" in text
     assert "docs/studies.md" in text and "--report-only" in text

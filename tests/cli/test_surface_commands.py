@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +22,9 @@ from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.check.block_findings import joined, refusing_with
 from taccel_lab.calibration.normals import fit
 from taccel_lab.calibration.result import Remark, Severity
-from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, load_profile, save_profile
+from tests.cli.conftest import Cli
 from tests.support.synthetic_presses import (
     GRID,
     flat_profile,
@@ -48,22 +49,18 @@ def presses(tmp_path: Path) -> Path:
     return write_captures(tmp_path / "captures", captures)
 
 
-def test_normals_then_depth(
-    presses: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_normals_then_depth(presses: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     without_check(monkeypatch)
     folder = presses.parent
     profile, base = str(folder / "profile"), str(folder / "base")
-    options = ["--base", base, "--circles", "labels", "--steps", "150", "--json"]
-    assert main(["calibrate", "normals", str(presses), "--out", profile, *options]) == 0
-    figures = json.loads(capsys.readouterr().out)["normals"]
+    options = ["--base", base, "--circles", "labels", "--steps", "150"]
+    figures = cli.json("calibrate normals", presses, "--out", profile, *options)["normals"]
     assert len(figures["presses"]) == 2
     assert load_profile(profile).normals is not None
     assert (folder / "profile_report" / "report.html").is_file()
 
     image = str(presses / "p3.png")
-    assert main(["depth", profile, image, "--out", str(folder / "depths"), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["images"]["p3"]
+    found = cli.json("depth", profile, image, "--out", folder / "depths")["images"]["p3"]
     assert found["method"] == "normals"
     assert 0.2 < found["max_depth_mm"] < 1.2
     with np.load(folder / "depths" / "p3.npz") as stored:
@@ -73,24 +70,20 @@ def test_normals_then_depth(
     assert (folder / "depths" / "p3.png").stat().st_size > 5000
     assert json.loads((folder / "depths" / "p3.json").read_text())["image"] == image
     _says_nothing_but_json(["depth", profile, image, "--out", str(folder / "again"), "--json"])
-    _refuses_what_is_no_press(Path(image), profile, folder, capsys)
-    _reads_what_it_can(Path(image), profile, folder, capsys)
+    _refuses_what_is_no_press(Path(image), profile, folder, cli)
+    _reads_what_it_can(Path(image), profile, folder, cli)
 
 
-def _reads_what_it_can(
-    image: Path, profile: str, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def _reads_what_it_can(image: Path, profile: str, folder: Path, cli: Cli) -> None:
     """After `_refuses_what_is_no_press`: a black frame stops no other image."""
     out, black = folder / "some", str(folder / "black.png")
-    assert main(["depth", profile, black, str(image), "--out", str(out), "--json"]) == 2
-    said = capsys.readouterr()
+    said = cli("depth", profile, black, image, "--out", out, "--json", code=2)
     told = json.loads(said.out)
     assert list(told["images"]) == ["p3"] and list(told["refused"]) == ["black"]
     assert "no image of the sensor" in told["refused"]["black"] and "black.png" in said.err
     kept = sorted(path.name for path in out.iterdir())
     assert "p3.npz" in kept and not any("black" in name for name in kept)
-    assert main(["depth", profile, black, "--out", str(out), "--json"]) == 2
-    assert json.loads(capsys.readouterr().out)["out"] is None
+    assert cli.json("depth", profile, black, "--out", out, code=2)["out"] is None
     assert sorted(path.name for path in out.iterdir()) == kept
 
 
@@ -104,22 +97,19 @@ def _says_nothing_but_json(words: list[str]) -> None:
     assert "Warp" not in done.stderr
 
 
-def _refuses_what_is_no_press(
-    image: Path, profile: str, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def _refuses_what_is_no_press(image: Path, profile: str, folder: Path, cli: Cli) -> None:
     """A black frame and noise end with code 2, the file and the reason, and leave nothing."""
     levels = np.asarray(Image.open(image))
     noise = np.random.default_rng(0).integers(0, 256, levels.shape)
     for name, spoilt in (("black", 0 * levels), ("noise", noise)):
         path, out = folder / f"{name}.png", folder / name
         Image.fromarray(spoilt.astype(np.uint8)).save(path)
-        assert main(["depth", profile, str(path), "--out", str(out)]) == 2, name
-        said = capsys.readouterr().err
-        assert f"{name}.png" in said and "no image of the sensor" in said.replace("\n", " ")
+        said = cli.refusal("depth", profile, path, "--out", out)
+        assert f"{name}.png" in said and "no image of the sensor" in said
         assert not out.exists()
 
 
-def test_grey_depth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_grey_depth(tmp_path: Path, cli: Cli) -> None:
     save_profile(flat_profile(GRID), tmp_path / "base")
     background = np.full((GRID.height_px, GRID.width_px, 3), 150, dtype=np.uint8)
     circle = ContactCircle(80.0, 60.0, 25.0)
@@ -129,11 +119,9 @@ def test_grey_depth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_folder(tmp_path / "captures", background, {"ball": image}, {}, 4.0)
     profile = str(tmp_path / "profile")
     base = str(tmp_path / "base")
-    assert main(["calibrate", "depth", str(folder), "--out", profile, "--base", base]) == 0
-    assert "off by" in capsys.readouterr().out
+    assert "off by" in cli("calibrate depth", folder, "--out", profile, "--base", base).out
     ball, out = str(folder / "ball.png"), str(tmp_path / "depths")
-    assert main(["depth", profile, ball, "--out", out, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["images"]["ball"]
+    found = cli.json("depth", profile, ball, "--out", out)["images"]["ball"]
     assert found["method"] == "depth"
     assert found["max_depth_mm"] == pytest.approx(depth.max(), abs=0.08)
 
@@ -144,59 +132,41 @@ def test_grey_depth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         u, v.astype(np.float32), np.ones(u.shape, dtype=bool), GRID, (GRID.width_px, GRID.height_px)
     )
     maps.save(tmp_path / "maps.npz")
-    shifted = ["depth", profile, ball, "--out", out, "--json", "--maps", str(tmp_path / "maps.npz")]
-    assert main(shifted) == 0
-    moved = json.loads(capsys.readouterr().out)["images"]["ball"]
+    shifted = ["depth", profile, ball, "--out", out, "--maps", tmp_path / "maps.npz"]
+    moved = cli.json(*shifted)["images"]["ball"]
     assert moved["max_depth_mm"] == pytest.approx(found["max_depth_mm"], abs=0.01)
     assert moved["touched_mm2"] == pytest.approx(found["touched_mm2"], rel=0.05)
     replace(maps, raw_size_px=(640, 480)).save(tmp_path / "maps.npz")
-    assert main(shifted) == 2
-    assert "the maps were made for images of 640x480 px" in capsys.readouterr().err
+    assert "the maps were made for images of 640x480 px" in cli.refusal(*shifted)
     small = replace(maps.require_grid(), width_px=50)
     part = {name: getattr(maps, name)[:, :50] for name in ("map_u_px", "map_v_px", "measured")}
     replace(maps, grid=small, **part).save(tmp_path / "maps.npz")
-    assert main(shifted) == 2
-    assert "give the maps of the profile's calibration" in capsys.readouterr().err
+    assert "give the maps of the profile's calibration" in cli.refusal(*shifted)
 
 
-def test_unusable_input_exits_with_2(presses: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = presses.parent
-    base, out = str(folder / "base"), str(folder / "out")
-    image = str(presses / "p3.png")
-
-    def refused(*arguments: str) -> str:
-        assert main(list(arguments)) == 2
-        return capsys.readouterr().err
-
-    assert "neither a normals nor a depth_response" in refused("depth", base, image, "--out", out)
-    missing = str(folder / "nothing.png")
-    assert "does not exist" in refused("depth", base, missing, "--out", out)
-    assert "named alike" in refused("depth", base, image, image, "--out", out)
-    text = refused(
-        "calibrate", "depth", str(presses), "--out", out, "--maps", image, "--base", base
-    )
-    assert "not a readable .npz" in text
+def test_unusable_input_exits_with_2(presses: Path, cli: Cli) -> None:
+    folder, image = presses.parent, presses / "p3.png"
+    base, out = folder / "base", ("--out", folder / "out")
+    told = cli.refusal("depth", base, image, *out)
+    assert "neither a normals nor a depth_response" in told
+    assert "does not exist" in cli.refusal("depth", base, folder / "nothing.png", *out)
+    assert "named alike" in cli.refusal("depth", base, image, image, *out)
+    calibrate = (presses, *out, "--base", base)
+    assert "not a readable .npz" in cli.refusal("calibrate depth", *calibrate, "--maps", image)
     manifest = presses / "captures.toml"
     manifest.write_text(manifest.read_text().replace("contact = {", "# contact = {"))
-    arguments = ("--out", out, "--base", base, "--circles", "labels")
-    assert "6 presses come without" in refused("calibrate", "normals", str(presses), *arguments)
-    assert not Path(out).exists()
+    told = cli.refusal("calibrate normals", *calibrate, "--circles", "labels")
+    assert "6 presses come without" in told and not out[1].exists()
 
 
-def test_normals_of_captures_that_contradict_themselves_are_weak(
-    presses: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_normals_of_captures_that_contradict_themselves_are_weak(presses: Path, cli: Cli) -> None:
     """The fit believes its labels: the check of the captures holds them against the images."""
     manifest = presses / "captures.toml"
-    moved = re.sub(
-        r"u_px = ([\d.]+)", lambda m: f"u_px = {float(m[1]) - 14.0}", manifest.read_text()
-    )
-    manifest.write_text(moved)
-    folder = presses.parent
-    profile, base = str(folder / "profile"), str(folder / "base")
-    options = ["--base", base, "--circles", "labels", "--steps", "10", "--json"]
-    assert main(["calibrate", "normals", str(presses), "--out", profile, *options]) == 0
-    figures = json.loads(capsys.readouterr().out)["normals"]
+    text = manifest.read_text()
+    manifest.write_text(re.sub(r"u_px = ([\d.]+)", lambda m: f"u_px = {float(m[1]) - 14.0}", text))
+    options = ["--base", presses.parent / "base", "--circles", "labels", "--steps", "10"]
+    profile = presses.parent / "profile"
+    figures = cli.json("calibrate normals", presses, "--out", profile, *options)["normals"]
     assert figures["verdict"] == "weak"
     assert any("labelled circles disagree with the images" in r for r in figures["remarks"])
 
@@ -212,13 +182,14 @@ def test_blocks_that_do_not_go_with_the_captures_are_named() -> None:
     assert lost_blocks(before, on_grid(before, GRID, {})) == []
 
 
+_about_normals = partial(Remark, blocks=("normals",))
+
+
 def test_a_refusal_names_what_else_was_found() -> None:
     found = [
-        Remark(
-            Severity.ERROR, "channels_swapped", "p3 has red and blue exchanged", blocks=("normals",)
-        ),
-        Remark(Severity.ERROR, "no_contact", "again", blocks=("normals",)),
-        Remark(Severity.INFO, "some", "told elsewhere", blocks=("normals",)),
+        _about_normals(Severity.ERROR, "channels_swapped", "p3 has red and blue exchanged"),
+        _about_normals(Severity.ERROR, "no_contact", "again"),
+        _about_normals(Severity.INFO, "some", "told elsewhere"),
     ]
     with pytest.raises(InputError) as refusal, refusing_with(found):
         raise InputError("p3: no contact found")
@@ -231,8 +202,8 @@ def test_a_refusal_names_what_else_was_found() -> None:
 
 def test_the_graver_of_two_remarks_on_one_thing_is_kept() -> None:
     found = [
-        Remark(Severity.WARNING, "few", "check", blocks=("normals",)),
-        Remark(Severity.ERROR, "other", "check", blocks=("normals",)),
+        _about_normals(Severity.WARNING, "few", "check"),
+        _about_normals(Severity.ERROR, "other", "check"),
     ]
     fitted = [
         Remark(Severity.ERROR, "normals_few", "fit"),

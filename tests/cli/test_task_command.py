@@ -6,12 +6,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
-from taccel_lab.cli import app
 from taccel_lab.tasks.catalogue import FILES, names
+from taccel_lab.tasks.peg_insertion import PegInsertion
+from tests.cli.conftest import Cli
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 
@@ -24,21 +26,18 @@ def short_task(folder: Path, steps: int) -> Path:
     return path
 
 
-def test_list(capsys: pytest.CaptureFixture[str]) -> None:
-    assert app.main(["task", "list"]) == 0
-    text = capsys.readouterr().out
+def test_list(cli: Cli) -> None:
+    text = cli("task list").out
     assert all(name in text for name in names())
-    assert app.main(["task", "list", "--json"]) == 0
-    listed = json.loads(capsys.readouterr().out)
+    listed = cli.json("task list")
     assert list(listed) == names()
     assert all(task["published"][0]["differs"] for task in listed.values())
 
 
-def test_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_run(cli: Cli, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    words = ["task", "run", str(short_task(tmp_path, 3)), "--seeds", "2", "--output", str(out)]
-    assert app.main(words) == 0
-    assert "short: 0 of 2 seeds, 0.0% (95 %: 0.0% to 65.8%, Wilson)" in capsys.readouterr().err
+    words = ["task run", short_task(tmp_path, 3), "--seeds", "2", "--output", out]
+    assert "short: 0 of 2 seeds, 0.0% (95 %: 0.0% to 65.8%, Wilson)" in cli(*words).err
     result = json.loads((out / "result.json").read_text())
     assert (result["trials"], result["success_rate"]) == (2, 0.0)
     assert [row["seed"] for row in result["per_seed"]] == [0, 1]
@@ -47,24 +46,19 @@ def test_run(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert (pixels.max(axis=2) - pixels.min(axis=2) > 60).sum() > 50
     assert result["settings"]["environments"] == 8
     # One environment at a time starts each seed the same way.
-    alone = [*words[:-1], str(tmp_path / "alone"), "--environments", "1"]
-    assert app.main(alone) == 0
-    capsys.readouterr()
+    cli(*words[:-1], tmp_path / "alone", "--environments", "1")
     single = json.loads((tmp_path / "alone" / "result.json").read_text())
     assert single["settings"]["environments"] == 1
     for one, both in zip(single["per_seed"], result["per_seed"], strict=True):
         assert (one["x_mm"], one["y_mm"]) == (both["x_mm"], both["y_mm"])
     # A folder of somebody's own is not replaced.
     (out / "mine.txt").write_text("mine")
-    assert app.main(words) == 2
-    assert "mine.txt" in capsys.readouterr().err
+    assert "mine.txt" in cli.refusal(*words)
 
 
 def test_interrupted_run_keeps_what_is_done(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from taccel_lab.tasks.peg_insertion import PegInsertion
-
     measure = PegInsertion.measure
 
     def interrupted(self: PegInsertion) -> None:
@@ -75,20 +69,15 @@ def test_interrupted_run_keeps_what_is_done(
     monkeypatch.setattr(PegInsertion, "measure", interrupted)
     path, out = short_task(tmp_path, 2), tmp_path / "run"
     path.write_text(path.read_text().replace("environments = 8", "environments = 1"))
-    with pytest.raises(SystemExit) as caught:
-        app.main(["task", "run", str(path), "--seeds", "3", "--output", str(out)])
-    assert caught.value.code == 130
-    assert "interrupted; 1 of 3 seeds are kept" in capsys.readouterr().err
+    told = cli("task run", path, "--seeds", "3", "--output", out, code=130).err
+    assert "interrupted; 1 of 3 seeds are kept" in told
     assert [row["seed"] for row in json.loads((out / "result.json").read_text())["per_seed"]] == [0]
 
 
-def test_record(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    import cv2
-
+def test_record(cli: Cli, tmp_path: Path) -> None:
     out = tmp_path / "film"
-    words = ["task", "record", str(short_task(tmp_path, 6)), "--seed", "2", "--output", str(out)]
-    assert app.main(words) == 0
-    assert "seed 2: came " in capsys.readouterr().err
+    words = [short_task(tmp_path, 6), "--seed", "2", "--output", out]
+    assert "seed 2: came " in cli("task record", *words).err
     video = cv2.VideoCapture(str(out / "film.mp4"))
     frames = []
     while True:
@@ -115,9 +104,6 @@ def test_record(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         (["run", "nowhere.toml"], "nowhere.toml"),
     ],
 )
-def test_bad_input(
-    words: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    assert app.main(["task", *words, "--output", str(tmp_path / "out")]) == 2
-    assert message in capsys.readouterr().err.replace("\n", " ")
+def test_bad_input(words: list[str], message: str, cli: Cli, tmp_path: Path) -> None:
+    assert message in cli.refusal("task", *words, "--output", tmp_path / "out")
     assert not (tmp_path / "out").exists()

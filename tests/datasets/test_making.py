@@ -27,18 +27,16 @@ from tests.support.strangers import SECRET, lure
 ROOT = Path(__file__).parents[2]
 
 
+def started(*words: object) -> subprocess.Popen[bytes]:
+    """A run of its own: profile, folder, shard, processes, and at which part it is killed."""
+    command = [sys.executable, "-m", "tests.support.small_data_sets", *map(str, words)]
+    return subprocess.Popen(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)})
+
+
 def test_equal_bytes_by_shards_and_folders(profile: Path, made: Path, tmp_path: Path) -> None:
     """Two shards in folders of their own, one of them by another process, give what one run gave;
     together they are read as one."""
-    command = [
-        sys.executable,
-        "-m",
-        "tests.support.small_data_sets",
-        str(profile),
-        str(tmp_path / "b"),
-    ]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    other = subprocess.Popen([*command, "2/2", "1"], cwd=ROOT, env=environment)
+    other = started(profile, tmp_path / "b", "2/2", "1")
     first = make(profile, tmp_path / "a", (1, 2))
     assert other.wait() == 0 and first.complete
     one, two = parts_of(tmp_path / "a"), parts_of(tmp_path / "b")
@@ -51,17 +49,8 @@ def test_equal_bytes_by_shards_and_folders(profile: Path, made: Path, tmp_path: 
 
 
 def test_a_killed_run_goes_on_and_ends_the_same(profile: Path, made: Path, tmp_path: Path) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "tests.support.small_data_sets",
-        str(profile),
-        str(tmp_path / "k"),
-    ]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     folder = DatasetFolder(tmp_path / "k")
-    done = subprocess.run([*command, "1/1", "0", "2"], cwd=ROOT, env=environment, check=False)
-    assert done.returncode == -signal.SIGKILL
+    assert started(profile, folder.root, "1/1", "0", "2").wait() == -signal.SIGKILL
     before = parts_of(folder.root)
     assert len(folder.part_folders()) == 1 and set(before) < set(parts_of(made))
     hidden = [path for path in (folder.root / "parts").iterdir() if path.name.startswith(".")]
@@ -154,10 +143,8 @@ def test_damaged_parts_are_made_again_and_told(
     assert outcome.complete and [done.part for done in outcome.done] == [0, 1]
     assert parts_of(tmp_path / "data") == parts_of(made)
     assert [(part / "steps.parquet").stat().st_mtime_ns for part in sound] == stamps
-    assert said[0] == (
-        "part 000000 is damaged and made again: "
-        f"{chunks[0].relative_to(gone).as_posix()} is missing"
-    )
+    missing = chunks[0].relative_to(gone).as_posix()
+    assert said[0] == f"part 000000 is damaged and made again: {missing} is missing"
     assert "000001" in said[1] and ("has 10 bytes of" if sizes == "kept" else "is empty") in said[1]
     assert make(profile, tmp_path / "data", say=said.append).done == [] and len(said) == 2
 

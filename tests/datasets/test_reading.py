@@ -13,6 +13,7 @@ from typing import Any
 import numcodecs
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from taccel_lab.datasets.channels import OPTIONAL
@@ -142,14 +143,7 @@ def test_check_finds_what_was_changed(made: Path, tmp_path: Path) -> None:
     broken = tmp_path / "broken"
     shutil.copytree(made, broken)
     part = sorted((broken / "parts").iterdir())[0]
-    image = next(
-        path
-        for path in (part / "data.zarr" / "rgb").rglob("*")
-        if path.is_file() and path.name == "0"
-    )
-    data = bytearray(image.read_bytes())
-    data[10] ^= 1
-    image.write_bytes(bytes(data))
+    flip(next(path for path in (part / "data.zarr" / "rgb").rglob("0") if path.is_file()))
     (part / "episodes.parquet").unlink()
     told = [str(finding) for finding in check_dataset([broken])]
     assert any("rgb" in line and "is not what was written" in line for line in told)
@@ -163,9 +157,6 @@ def flip(path: Path) -> None:
 
 
 def change_a_value(path: Path) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     columns = pq.read_table(path).to_pydict()
     columns["episode"][1] += 1
     pq.write_table(pa.table(columns), path)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``evaluate_designs``: shared simulations, isolated failures, what is kept."""
+"""Figures of designs: shared simulations, isolated failures, several indenters and loads."""
 
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taccel_lab.envs import PressEnv
+from taccel_lab.envs import PHYSICS, Accuracy, PressEnv
 from taccel_lab.errors import InputError
 from taccel_lab.output import to_jsonable
 from taccel_lab.solvers import EnvStatus, StepReport
@@ -20,7 +21,11 @@ from taccel_lab.studies.design_point import DesignPoint
 from taccel_lab.studies.evaluate import evaluate_designs
 from taccel_lab.studies.metrics import METRICS
 from taccel_lab.studies.presses import STANDARD_PRESSES
-from tests.studies.coarse_presses import coarse
+from taccel_lab.studies.readings import described, split_name
+from taccel_lab.studies.spec import spec_of
+from taccel_lab.studies.study import Study, default_kit, make_study, read_study
+from taccel_lab.studies.unknowns import Unknowns
+from tests.studies.coarse_presses import COARSE, coarse
 
 SPHERE = coarse("sphere", steps=3)
 SIMPLE = [
@@ -148,3 +153,164 @@ def test_a_whole_design() -> None:
     assert figures["hysteresis_press"] < 2
     assert 0.1 < figures["grating_modulation"] < 0.6
     assert figures["two_point_resolution"] < 1.0
+
+
+# Several indenters and loads ----------------------------------------------------------------------
+
+
+def wanted(metrics: list[str], press: dict[str, Any] | None = None, **block: Any) -> Study:
+    table: dict[str, Any] = {
+        "study": {"name": "x", "sensor": "flat_pad", "metrics": metrics, **block},
+        "parameters": {"thickness_mm": {"values": [1.0, 2.0]}},
+        "sweep": {"kind": "grid"},
+        "press": press or {},
+    }
+    return make_study(spec_of(table), default_kit())
+
+
+TWO = {"sphere": {"indenters": ["sphere:2", "sphere:4"]}}
+
+
+def test_one_indenter_and_one_load_keep_the_plain_name_and_say_the_true_size() -> None:
+    study = wanted(["stiffness_secant"], {"sphere": {"indenters": ["sphere:2"]}}, load_n=0.2)
+    (metric,) = study.metrics.values()
+    assert metric.name == "stiffness_secant"
+    assert metric.description == "load over depth of a ball of 2 mm radius at 0.2 N"
+
+
+def test_every_indenter_at_every_load_is_a_metric() -> None:
+    study = wanted(["depth_at_load", "force_range", "px_per_mm"], TWO, loads_n=[0.2, 1])
+    assert list(study.metrics) == [
+        "depth_at_load[sphere:2, 0.2 N]", "depth_at_load[sphere:2, 1 N]",
+        "depth_at_load[sphere:4, 0.2 N]", "depth_at_load[sphere:4, 1 N]",
+        "force_range[sphere:2]", "force_range[sphere:4]", "px_per_mm",
+    ]  # fmt: skip
+    assert "4 mm radius" in study.metrics["force_range[sphere:4]"].description
+    assert len(set(study.figure_keys.values())) == 7
+
+
+def test_curves_are_read_from_punches_as_well() -> None:
+    study = wanted(["depth_at_load"], {**TWO, "punch": {}})
+    assert list(study.presses) == ["sphere", "punch"]
+    assert study.metrics["depth_at_load[cylinder:2]"].presses == ("punch",)
+    (alone,) = wanted(["depth_at_load[cylinder:2]"]).metrics.values()
+    assert alone.presses == ("punch",) and "flat punch of 2 mm radius" in alone.description
+
+
+def test_labels_pick_some() -> None:
+    study = wanted(["depth_at_load[ 1 N ]", "bond_stress[sphere:4,0.2 N]"], TWO, loads_n=[0.2, 1])
+    assert list(study.metrics) == [
+        "depth_at_load[sphere:2, 1 N]", "depth_at_load[sphere:4, 1 N]",
+        "bond_stress[sphere:4, 0.2 N]",
+    ]  # fmt: skip
+    assert split_name("a[sphere:2,  1 N]") == ("a", ("sphere:2", "1 N"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"metrics": ["depth_at_load[sphere:9]"]}, "'sphere:9'.*known: sphere:2, sphere:4"),
+        ({"metrics": ["depth_at_load[2 kg]"]}, "'2 kg'"),
+        ({"metrics": ["px_per_mm[1 N]"]}, "read from no press; leave out 1 N"),
+        ({"metrics": ["depth_at_load["]}, "study.metrics"),
+        ({"metrics": ["depth_at_load"], "load_n": 1, "loads_n": [1, 2]}, "either load_n or"),
+        ({"metrics": ["depth_at_load"], "loads_n": [1, -2]}, "loads_n"),
+        ({"metrics": ["depth_at_load"], "loads_n": [1, 1]}, "named twice"),
+        ({"metrics": ["depth_at_load"], "accuracy": "best"}, "accuracy"),
+    ],
+)
+def test_what_a_study_does_not_have_is_refused(changes: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        wanted(press=TWO, **changes)
+
+
+def test_a_load_that_no_gel_bears_is_refused() -> None:
+    for load in (0.2, 2.0):
+        wanted(["depth_at_load"], TWO, load_n=load)
+    with pytest.raises(InputError, match=r"depth_at_load.*no gel of this study bears 500 N.*about"):
+        wanted(["depth_at_load"], TWO, load_n=500)
+    with pytest.raises(InputError, match="no gel of this study bears 500 N"):
+        wanted(["depth_at_load"], TWO, loads_n=[1, 500])
+
+
+def test_an_objective_has_to_be_one_of_them() -> None:
+    table: dict[str, Any] = {
+        "study": {"name": "x", "sensor": "flat_pad", "metrics": ["force_range"]},
+        "parameters": {"thickness_mm": {"values": [1.0, 2.0]}},
+        "sweep": {"kind": "grid"},
+        "press": TWO,
+        "objective": {"maximize": "force_range"},
+    }
+    with pytest.raises(InputError, match=r"\[objective\].*name one"):
+        make_study(spec_of(table), default_kit())
+    table["objective"]["maximize"] = "force_range[sphere:4]"
+    (goal,) = make_study(spec_of(table), default_kit()).spec.goals
+    assert goal.metric == "force_range[sphere:4]"
+
+
+def test_accuracy_is_that_of_presses(tmp_path: Path) -> None:
+    study = wanted(["force_range"], accuracy="reference")
+    assert study.presses["sphere"].physics == PHYSICS[Accuracy.REFERENCE]
+    file = tmp_path / "a.toml"
+    file.write_text(
+        'study = {name = "x", sensor = "flat_pad", metrics = ["force_range"]}\n'
+        'parameters.thickness_mm.values = [1.0, 2.0]\nsweep.kind = "grid"\n'
+    )
+    fast = read_study(file, default_kit(), "fast")
+    assert fast.presses["sphere"].physics == PHYSICS[Accuracy.FAST]
+    assert fast.press_keys != read_study(file, default_kit()).press_keys
+
+
+def test_a_depth_takes_the_place_of_the_standard_fraction() -> None:
+    press = wanted(["force_range"], {"sphere": {"depth_mm": 3.5}}).presses["sphere"]
+    assert press.full_depth_mm(9.0) == 3.5
+
+
+def test_lists_name_no_size() -> None:
+    for metric in default_kit().metrics.values():
+        text = described(metric).description
+        assert "{" not in text and "3 mm radius" not in text
+
+
+def test_figures_of_two_balls_differ_and_lie_in_their_intervals() -> None:
+    names = ["depth_at_load", "contact_diameter", "stiffness_a"]
+    study = wanted(names, TWO, load_n=0.1)
+    press = coarse("sphere", indenters=("sphere:2", "sphere:4"), steps=4, mesh=COARSE)
+    (point, _) = study.points()
+    (result,) = evaluate_designs(
+        [point], [press], list(study.metrics.values()), unit_spread=0.13
+    )  # fmt: skip
+    assert result.causes == {}
+    for name in names:
+        small, large = (result.figures[f"{name}[sphere:{r}]"] for r in (2, 4))
+        assert small is not None and large is not None
+        assert small > large if name == "depth_at_load" else small < large
+        for radius, value in ((2, small), (4, large)):
+            low, high = result.intervals[f"{name}[sphere:{radius}]"]
+            assert low is not None and high is not None and low < value < high
+    low, high = result.intervals["stiffness_a[sphere:4]"]
+    # Units alone make a quarter; an incompressible gel of 1 mm is stiffer by another quarter.
+    assert high / result.figures["stiffness_a[sphere:4]"] > 1.3  # type: ignore[operator]
+
+
+def test_the_low_end_of_a_gel_whose_friction_is_not_given_is_that_without_friction() -> None:
+    study = wanted(["force_range"], {"sphere": {"indenters": ["sphere:2"]}})
+    thin, _ = study.points()
+    press = coarse("sphere", indenters=("sphere:2",), depth_fraction=0.375, steps=2, mesh=COARSE)
+    (result,) = evaluate_designs([thin], [press], list(study.metrics.values()))
+    (record,) = result.records["sphere"]
+    parameters = study.family.parameters(thin.parameters)
+    given = {**thin.parameters, "poisson_ratio": 0.499}
+    assert Unknowns(parameters, {**given, "friction": 1.0}, 0.0).force_factors(record) == (1.0, 1.0)
+    low, high = Unknowns(parameters, given, 0.0).force_factors(record)
+    # By presses of an incompressible gel of 1 mm at friction 1 and without, 0.375 mm deep.
+    assert math.log(1 / low) == pytest.approx(0.273, rel=0.1) and high == 1.0
+
+
+def test_a_depth_beyond_the_gel_is_a_cause_and_no_crash() -> None:
+    study = wanted(["depth_at_load"], {"sphere": {"depth_mm": 1.5}})
+    thin, _ = study.points()
+    (result,) = evaluate_designs(
+        [thin], list(study.presses.values()), list(study.metrics.values())
+    )  # fmt: skip
+    assert "1.5 mm is too deep for a gel of 1 mm; at most 0.8 mm" in str(result.causes)

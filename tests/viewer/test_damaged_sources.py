@@ -11,23 +11,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.cli.app import main
 from taccel_lab.datasets.folder import DatasetFolder
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.study_folder import StudyFolder
 from taccel_lab.viewer.press_folder import PRESS, STATES
+from tests.support.commands import Done, done
 from tests.support.small_data_sets import make, saved_profile
 
 pytest.importorskip("viser", reason="the extra view is not installed")
 Arrays = dict[str, np.ndarray]
 
 
-def viewed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> int:
-    """Exit code of the page of a folder, closed as soon as it is filled."""
+View = Callable[[Path], Done]
+
+
+@pytest.fixture
+def view(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> View:
+    """The page of a folder, closed as soon as it is filled."""
     monkeypatch.setattr("taccel_lab.viewer.pages.serve_until_stopped", lambda stop: None)
-    return main(["view", str(folder), "--no-browser", "--port", "0"])
+    return lambda folder: done(capsys, "view", folder, "--no-browser", "--port", "0")
+
+
+def assert_refused(found: Done, words: str) -> None:
+    assert found.code == 2 and words in found.err, found.err
 
 
 def press_arrays() -> Arrays:
@@ -59,9 +67,9 @@ def write_press(folder: Path, arrays: Arrays, about: object) -> None:
 ABOUT = {"sensor": "x", "friction_coefficient": 0.5, "press": {"force_n": 1.5}}
 
 
-def test_a_sound_press_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sound_press_is_shown(tmp_path: Path, view: View) -> None:
     write_press(tmp_path, press_arrays(), ABOUT)
-    assert viewed(tmp_path, monkeypatch) == 0
+    assert view(tmp_path).code == 0
 
 
 DAMAGE: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -74,20 +82,13 @@ DAMAGE: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 @pytest.mark.parametrize("damage", DAMAGE)
 @pytest.mark.parametrize("name", press_arrays())
-def test_arrays_of_another_shape(
-    name: str,
-    damage: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_arrays_of_another_shape(name: str, damage: str, tmp_path: Path, view: View) -> None:
     if damage == "none" and name in ("tets", "faces", "indenter_faces"):
         return  # Nothing to draw is no fault.
     arrays = press_arrays()
     arrays[name] = DAMAGE[damage](arrays[name])
     write_press(tmp_path, arrays, ABOUT)
-    assert viewed(tmp_path, monkeypatch) == 2
-    assert STATES in capsys.readouterr().err
+    assert_refused(view(tmp_path), STATES)
 
 
 @pytest.mark.parametrize(
@@ -99,41 +100,26 @@ def test_arrays_of_another_shape(
         ({"friction_coefficient": "x"}, "friction_coefficient is 'x'"),
     ],
 )
-def test_figures_of_another_kind(
-    about: object,
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_figures_of_another_kind(about: object, words: str, tmp_path: Path, view: View) -> None:
     write_press(tmp_path, press_arrays(), about)
-    assert viewed(tmp_path, monkeypatch) == 2
-    assert words in capsys.readouterr().err
+    assert_refused(view(tmp_path), words)
 
 
 @pytest.mark.parametrize("part", [0.0, 0.5, 1.0])
-def test_a_mesh_that_is_cut_short_or_another(
-    part: float,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_mesh_that_is_cut_short_or_another(part: float, tmp_path: Path, view: View) -> None:
     (tmp_path / PRESS).write_text(json.dumps(ABOUT))
     write_mesh_vtu(tmp_path / "gel.vtu", block_mesh((2, 2, 1), (0.02, 0.02, 0.004)))
     data = (tmp_path / "gel.vtu").read_bytes()
     (tmp_path / "gel.vtu").write_bytes(data[: int(part * len(data))])
-    assert viewed(tmp_path, monkeypatch) == 2
-    assert "gel.vtu is damaged, or no mesh of a press" in capsys.readouterr().err
+    assert_refused(view(tmp_path), "gel.vtu is damaged, or no mesh of a press")
 
 
 @pytest.mark.slow
-def test_damaged_data_sets(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_damaged_data_sets(tmp_path: Path, view: View) -> None:
     pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     profile = saved_profile(tmp_path / "profile")
     make(profile, tmp_path / "made", dataset={"episodes": 2}, output={"channels": ["depth_mm"]})
-    assert viewed(tmp_path / "made", monkeypatch) == 0
+    assert view(tmp_path / "made").code == 0
 
     def about(key: str, value: object) -> Callable[[Path], None]:
         def change(data: Path) -> None:
@@ -169,8 +155,7 @@ def test_damaged_data_sets(
         data = tmp_path / str(number)
         shutil.copytree(tmp_path / "made", data)
         change(data)
-        assert viewed(data, monkeypatch) == 2, words
-        assert words in capsys.readouterr().err
+        assert_refused(view(data), words)
 
 
 REPLAYED = {"task": "x", "bodies": [{"name": "b", "kind": "soft"}], "forces": ["f"]}
@@ -203,23 +188,17 @@ def sound_replay() -> Arrays:
     ],
 )
 def test_damaged_replays(
-    about: dict[str, object],
-    arrays: Arrays,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    about: dict[str, object], arrays: Arrays, tmp_path: Path, view: View
 ) -> None:
     for number, (more, changed) in enumerate([({}, {}), (about, arrays)]):
         np.savez(tmp_path / "replay.npz", **{**sound_replay(), **changed})
         (tmp_path / "replay.json").write_text(json.dumps({**REPLAYED, **more}))
-        assert viewed(tmp_path, monkeypatch) == 2 * number
-    assert "is no replay of a task as it is recorded" in capsys.readouterr().err
+        found = view(tmp_path)
+        assert found.code == 2 * number
+    assert_refused(found, "is no replay of a task as it is recorded")
 
 
-def test_a_study_whose_rows_have_no_figures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_whose_rows_have_no_figures(tmp_path: Path, view: View) -> None:
     row = DesignRow(id="one", family="flat_pad", parameters={}, status="done")
     StudyFolder(tmp_path).add_row(row)
-    assert viewed(tmp_path, monkeypatch) == 2
-    assert "has no design with a figure yet" in capsys.readouterr().err
+    assert_refused(view(tmp_path), "has no design with a figure yet")

@@ -8,8 +8,11 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,72 +72,74 @@ def test_a_gel_is_seen_with_section_arrows_and_states() -> None:
             page.get_by_text("[kPa]").wait_for()
 
 
-def test_sliders_of_the_design_page_change_its_numbers(tmp_path: Path) -> None:
-    family = sensor_family("flat_pad")
-    with live_page("Design", HERE) as server:
-        page_of = DesignPage(server, family, {}, tmp_path / "out")
+@contextmanager
+def design_page(out: Path, options: PageOptions = HERE) -> Iterator[tuple[Any, DesignPage]]:
+    """A page of the flat pad with its server; closing it ends what is under way."""
+    with live_page("Design", options) as server:
+        page = DesignPage(server, sensor_family("flat_pad"), {}, out)
         try:
-            with chromium_page(page_address(server)) as page:
-                row = page.get_by_role("row").filter(has_text="formula")
-                row.wait_for(timeout=30_000)
-                before = row.inner_text()
-                label = page.get_by_text("young modulus [MPa]", exact=True).first
-                box = label.locator("xpath=ancestor::div[.//input][1]//input[@type='text']").first
-                box.fill("1.0")
-                box.press("Enter")
-                wait_for(page, lambda: row.inner_text() != before)
-                assert page_of.controls.overrides() == {"young_modulus_mpa": 1.0}
-                # What the family refuses stands beside the slider, in its words: two stiffnesses.
-                box = page.get_by_text("shore a", exact=True).first.locator(
-                    "xpath=ancestor::div[.//input][1]//input[@type='text']"
-                ).first  # fmt: skip
-                box.fill("20")
-                box.press("Enter")
-                page.get_by_text("the gel has one stiffness").first.wait_for()
-                page.get_by_text("Reset", exact=True).click()
-                wait_for(page, lambda: page_of.controls.overrides() == {})
-                wait_for(page, lambda: row.inner_text().split()[1] == before.split()[1])
+            yield server, page
         finally:
-            page_of.close()
+            page.close()
+
+
+def test_sliders_of_the_design_page_change_its_numbers(tmp_path: Path) -> None:
+    with design_page(tmp_path / "out") as (server, page_of):
+        with chromium_page(page_address(server)) as page:
+            row = page.get_by_role("row").filter(has_text="formula")
+            row.wait_for(timeout=30_000)
+            before = row.inner_text()
+            label = page.get_by_text("young modulus [MPa]", exact=True).first
+            box = label.locator("xpath=ancestor::div[.//input][1]//input[@type='text']").first
+            box.fill("1.0")
+            box.press("Enter")
+            wait_for(page, lambda: row.inner_text() != before)
+            assert page_of.controls.overrides() == {"young_modulus_mpa": 1.0}
+            # What the family refuses stands beside the slider, in its words: two stiffnesses.
+            box = page.get_by_text("shore a", exact=True).first.locator(
+                "xpath=ancestor::div[.//input][1]//input[@type='text']"
+            ).first  # fmt: skip
+            box.fill("20")
+            box.press("Enter")
+            page.get_by_text("the gel has one stiffness").first.wait_for()
+            page.get_by_text("Reset", exact=True).click()
+            wait_for(page, lambda: page_of.controls.overrides() == {})
+            wait_for(page, lambda: row.inner_text().split()[1] == before.split()[1])
     assert not (tmp_path / "out").exists()
 
 
 def test_of_many_changes_the_last_is_shown_while_files_are_written_and_closing_ends_all(
     tmp_path: Path,
 ) -> None:
-    family, out = sensor_family("flat_pad"), tmp_path / "out"
-    with live_page("Design", HERE) as server:
-        page = DesignPage(server, family, {}, out)
-        try:
-            for thickness in np.linspace(2.0, 5.0, 16):
-                page.controls.set("thickness_mm", float(thickness))
-            # An export takes what the sliders say, also amid the work on it.
-            exported = threading.Thread(target=page.export, args=("drawing",))
-            exported.start()
-            assert page.work.wait(120)
-            exported.join(120)
-            assert (out / "drawing" / "drawing.pdf").stat().st_size > 0
-            assert "drawing.pdf" in page._exported.content
-            shown = page.shown
-            assert shown is not None and shown.missing == [] and shown.failed == {}
-            assert shown.parameters.values()["thickness_mm"] == 5.0
-            assert shown.exact is not None
-            assert f"| default | {shown.exact.force_n:.4g} N" in page._force.content
-            assert page._status.content.startswith("**Done**")
-            # A design that is refused is told in words, and the next one is answered.
-            page.controls.set("shore_a", 20.0)
-            page.controls.set("shore_00", 20.0)
-            assert page.work.wait(60)
-            assert "**Refused:**" in page._status.content
-            page.controls.reset()
-            page.controls.set("thickness_mm", 4.5)
-            limit = time.monotonic() + 60
-            while page.shown is None or page.shown is shown or "solid" in page.shown.missing:
-                assert time.monotonic() < limit
-                time.sleep(0.01)
-        finally:
-            # Amid the answer: what is under way ends.
-            page.close()
+    out = tmp_path / "out"
+    with design_page(out) as (_, page):
+        for thickness in np.linspace(2.0, 5.0, 16):
+            page.controls.set("thickness_mm", float(thickness))
+        # An export takes what the sliders say, also amid the work on it.
+        exported = threading.Thread(target=page.export, args=("drawing",))
+        exported.start()
+        assert page.work.wait(120)
+        exported.join(120)
+        assert (out / "drawing" / "drawing.pdf").stat().st_size > 0
+        assert "drawing.pdf" in page._exported.content
+        shown = page.shown
+        assert shown is not None and shown.missing == [] and shown.failed == {}
+        assert shown.parameters.values()["thickness_mm"] == 5.0
+        assert shown.exact is not None
+        assert f"| default | {shown.exact.force_n:.4g} N" in page._force.content
+        assert page._status.content.startswith("**Done**")
+        # A design that is refused is told in words, and the next one is answered.
+        page.controls.set("shore_a", 20.0)
+        page.controls.set("shore_00", 20.0)
+        assert page.work.wait(60)
+        assert "**Refused:**" in page._status.content
+        page.controls.reset()
+        page.controls.set("thickness_mm", 4.5)
+        limit = time.monotonic() + 60
+        while page.shown is None or page.shown is shown or "solid" in page.shown.missing:
+            assert time.monotonic() < limit
+            time.sleep(0.01)
+        # Closed amid the answer: what is under way ends.
     assert page.work.wait(0)
     assert page.shown is not None and "exact" in page.shown.missing
 
@@ -142,60 +147,52 @@ def test_of_many_changes_the_last_is_shown_while_files_are_written_and_closing_e
 def test_a_fault_of_the_program_is_told_and_the_page_lives_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with live_page("Design", HERE) as server:
-        page = DesignPage(server, sensor_family("flat_pad"), {}, tmp_path / "out")
-        try:
-            answer = page._answers.answer
-            monkeypatch.setattr(page._answers, "answer", lambda *_: 1 // 0)
-            page.controls.set("thickness_mm", 4.0)
-            assert page.work.wait(60)
-            assert "ZeroDivisionError" in page._status.content
-            assert "ZeroDivisionError" in capsys.readouterr().err
-            monkeypatch.setattr(page._answers, "answer", answer)
-            page.controls.set("thickness_mm", 4.1)
-            assert page.work.wait(120)
-            assert page._status.content.startswith("**Done**")
-        finally:
-            page.close()
+    with design_page(tmp_path / "out") as (_, page):
+        answer = page._answers.answer
+        monkeypatch.setattr(page._answers, "answer", lambda *_: 1 // 0)
+        page.controls.set("thickness_mm", 4.0)
+        assert page.work.wait(60)
+        assert "ZeroDivisionError" in page._status.content
+        assert "ZeroDivisionError" in capsys.readouterr().err
+        monkeypatch.setattr(page._answers, "answer", answer)
+        page.controls.set("thickness_mm", 4.1)
+        assert page.work.wait(120)
+        assert page._status.content.startswith("**Done**")
 
 
 @pytest.mark.slow
 def test_a_dark_design_page_enlarges_its_drawing_and_writes_files(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with live_page("Design", replace(HERE, dark=True)) as server:
-        page_of = DesignPage(server, sensor_family("flat_pad"), {}, out)
-        try:
-            with chromium_page(page_address(server), (1400, 800)) as page:
-                page.get_by_role("tab", name="Drawing").click()
-                enlarge = page.get_by_role("button", name="Enlarge")
-                wait_for(page, lambda: page_of.shown and page_of.shown.drawing_rgb is not None, 60)
-                other = page.context.browser.new_page()
-                other.goto(page_address(server))
-                other.get_by_text("Press of a ball").wait_for()
-                enlarge.click()
-                sheet = page.get_by_role("dialog").locator("img")
-                # Larger than in the panel, and whole: its button below is on the page.
-                wait_for(page, lambda: sheet.bounding_box()["width"] > 600)
-                # Another browser is left alone.
-                assert other.get_by_role("dialog").count() == 0
-                other.close()
-                close = page.get_by_role("dialog").get_by_role("button", name="Close").last
-                box = close.bounding_box()
-                assert box["y"] + box["height"] < 800
-                close.click()
-                page.get_by_role("tab", name="Export").click()
-                for kind, file in (
-                    ("STEP, STL, 3MF, DXF", "pad/pad.step"),
-                    ("drawing", "drawing/drawing.pdf"),
-                    ("profile and mesh", "profile/pad.vtu"),
-                    ("parameters (TOML)", "parameters/design.toml"),
-                ):
-                    page.get_by_role("button", name=kind, exact=True).click()
-                    page.get_by_text(file, exact=True).wait_for(timeout=60_000)
-                    assert (out / file).stat().st_size > 0
-                assert np.median(picture(page)) < 64
-        finally:
-            page_of.close()
+    with design_page(out, replace(HERE, dark=True)) as (server, page_of):
+        with chromium_page(page_address(server), (1400, 800)) as page:
+            page.get_by_role("tab", name="Drawing").click()
+            enlarge = page.get_by_role("button", name="Enlarge")
+            wait_for(page, lambda: page_of.shown and page_of.shown.drawing_rgb is not None, 60)
+            other = page.context.browser.new_page()
+            other.goto(page_address(server))
+            other.get_by_text("Press of a ball").wait_for()
+            enlarge.click()
+            sheet = page.get_by_role("dialog").locator("img")
+            # Larger than in the panel, and whole: its button below is on the page.
+            wait_for(page, lambda: sheet.bounding_box()["width"] > 600)
+            # Another browser is left alone.
+            assert other.get_by_role("dialog").count() == 0
+            other.close()
+            close = page.get_by_role("dialog").get_by_role("button", name="Close").last
+            box = close.bounding_box()
+            assert box["y"] + box["height"] < 800
+            close.click()
+            page.get_by_role("tab", name="Export").click()
+            for kind, file in (
+                ("STEP, STL, 3MF, DXF", "pad/pad.step"),
+                ("drawing", "drawing/drawing.pdf"),
+                ("profile and mesh", "profile/pad.vtu"),
+                ("parameters (TOML)", "parameters/design.toml"),
+            ):
+                page.get_by_role("button", name=kind, exact=True).click()
+                page.get_by_text(file, exact=True).wait_for(timeout=60_000)
+                assert (out / file).stat().st_size > 0
+            assert np.median(picture(page)) < 64
 
 
 @pytest.mark.slow

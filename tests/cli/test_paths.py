@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Outputs that cannot be written are refused before any work, by every command that writes one."""
+"""Outputs that cannot be written and paths that lead nowhere: refused before any work, by all."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from taccel_lab.cli.app import main
+from taccel_lab.cli.calibrate.base import report_folder
 from taccel_lab.datasets.folder import ABOUT
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import WHOLES, require_outside
 from taccel_lab.profile import save_profile
 from taccel_lab.profile.io import PROFILE_FILE
 from taccel_lab.studies.study_folder import STUDY_MARKER
+from tests.cli.conftest import Cli
 from tests.sensors.imported_profiles import imported
 from tests.support.synthetic_presses import GRID, flat_profile, synthetic_captures, write_captures
 
@@ -75,19 +76,13 @@ def words_of(command: str, places: dict[str, str], out: Path | str, tmp_path: Pa
 @pytest.mark.parametrize("bad", ["/proc/x", "FILE", "FILE/inside"])
 @pytest.mark.parametrize("command", COMMANDS)
 def test_it_is_refused_before_any_work(
-    command: str,
-    bad: str,
-    places: dict[str, str],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    command: str, bad: str, places: dict[str, str], tmp_path: Path, cli: Cli
 ) -> None:
     (tmp_path / "file").write_text("mine")
     out = bad.replace("FILE", str(tmp_path / "file"))
-    words = words_of(command, places, out, tmp_path)
     started = time.process_time()
-    assert main(words) == 2
+    noted = cli(*words_of(command, places, out, tmp_path), code=2).err
     assert time.process_time() - started < 15
-    noted = capsys.readouterr().err
     assert out.partition("/inside")[0] in noted.replace("\n", ""), noted
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
     assert (tmp_path / "file").read_text() == "mine"
@@ -95,12 +90,11 @@ def test_it_is_refused_before_any_work(
 
 @pytest.mark.parametrize("command", ["export", "capture review", "depth"])
 def test_a_link_to_itself_is_no_folder(
-    command: str, places: dict[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    command: str, places: dict[str, str], tmp_path: Path, cli: Cli
 ) -> None:
     (tmp_path / "loop").symlink_to("loop")
-    words = words_of(command, places, tmp_path / "loop", tmp_path)
-    assert main(words) == 2
-    assert "a link that leads back to itself" in capsys.readouterr().err.replace("\n", " ")
+    told = cli.refusal(*words_of(command, places, tmp_path / "loop", tmp_path))
+    assert "a link that leads back to itself" in told
 
 
 FOLDERS = sorted({*COMMANDS} - {"capture guide", "sensors show"})
@@ -110,30 +104,82 @@ FOLDERS = sorted({*COMMANDS} - {"capture guide", "sensors show"})
 @pytest.mark.parametrize("sign", WHOLES)
 @pytest.mark.parametrize("command", FOLDERS)
 def test_nothing_is_written_into_another_product(
-    command: str,
-    sign: str,
-    places: dict[str, str],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    command: str, sign: str, places: dict[str, str], tmp_path: Path, cli: Cli
 ) -> None:
     (tmp_path / "product").mkdir()
     what, says = WHOLES[sign]
     (tmp_path / "product" / sign).write_bytes(says)
     (tmp_path / "link").symlink_to("product")
-    words = words_of(command, places, tmp_path / "link" / "in" / "out", tmp_path)
-    assert main(words) == 2
-    assert f"lies inside the {what}" in capsys.readouterr().err.replace("\n", " ")
+    told = cli.refusal(*words_of(command, places, tmp_path / "link" / "in" / "out", tmp_path))
+    assert f"lies inside the {what}" in told
     assert [path.name for path in (tmp_path / "product").iterdir()] == [sign]
 
 
-def test_products_are_known_by_their_own_files() -> None:
+def test_products_are_known_by_their_own_files_and_files_of_others_with_their_names_are_not(
+    tmp_path: Path,
+) -> None:
     assert list(WHOLES) == [PROFILE_FILE, ABOUT, STUDY_MARKER]
-
-
-def test_a_saved_profile_is_known_and_files_of_others_with_its_name_are_not(tmp_path: Path) -> None:
     save_profile(flat_profile(GRID), tmp_path / "profile")
     with pytest.raises(InputError, match="lies inside the profile"):
         require_outside(tmp_path / "profile" / "out")
     for name, text in (("profile.toml", "[tool]\nx = 1\n"), ("dataset.json", '{"kind": "other"}')):
         (tmp_path / name).write_text(text)
         require_outside(tmp_path / "out")
+
+
+def test_report_of_the_current_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "unit3" / "deep").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "unit3" / "deep")
+    assert report_folder(Path("."), None) == tmp_path / "unit3" / "deep_report"
+    assert report_folder(Path(".."), None) == tmp_path / "unit3_report"
+    assert report_folder(Path("a/b"), None) == Path("a/b_report")
+    assert report_folder(Path("."), Path("r")) == Path("r")
+    with pytest.raises(InputError, match="cannot be a profile folder"):
+        report_folder(Path("/"), None)
+
+
+@pytest.mark.parametrize("report", ["profile", "profile/report", "x/../profile"])
+def test_a_report_inside_the_profile_is_refused_before_any_work(
+    tmp_path: Path, cli: Cli, report: str
+) -> None:
+    words = [tmp_path / "captures", "--out", tmp_path / "profile", "--report", tmp_path / report]
+    assert "would be inside the profile" in cli.refusal("calibrate background", *words)
+    assert not (tmp_path / "profile").exists()
+
+
+# What is read --------------------------------------------------------------------------------
+
+READERS = [
+    "capture review BAD",
+    "capture review BAD --out OUT",
+    "capture check BAD",
+    "capture import BAD OUT",
+    "calibrate color BAD --out OUT",
+    "calibrate force BAD --out OUT",
+    "dataset check BAD",
+    "dataset BAD --check-only",
+    "dataset lite BAD --out OUT",
+    "study BAD --out OUT",
+    "view BAD --no-browser",
+    "profile show BAD",
+    "export BAD --to taxim --out OUT",
+    "robot show BAD",
+    "import-step BAD",
+]
+BAD = {"a link to itself": "loop", "below one": "loop/x", "too long": "x" * 300, "NUL": "a\0b"}
+
+
+@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize("command", READERS)
+def test_a_path_that_leads_nowhere_is_refused(
+    command: str, bad: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    words = [BAD[bad] if word == "BAD" else word.replace("OUT", "out") for word in command.split()]
+    assert cli(*words, code=2).err
+    assert [path.name for path in tmp_path.iterdir()] == ["loop"]
+
+
+def test_a_file_that_is_no_text_is_named_once(tmp_path: Path, cli: Cli) -> None:
+    assert cli.refusal("study", tmp_path / "\udcff.toml").count("udcff") == 1

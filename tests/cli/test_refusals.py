@@ -1,0 +1,336 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bad captures, profiles, presses and designs: exit code 2, a sentence, no trace on the disk.
+
+That damaged files are refused at all, `tests/fuzz` holds; here stand the sentences and the bounds.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista
+
+from taccel_lab.profile import SCHEMA_VERSION
+from tests.support.small_captures import GRID, background, refuse, write_image
+
+Change = Callable[[Path], None]
+Capsys = pytest.CaptureFixture[str]
+
+
+def remove(name: str) -> Change:
+    return lambda folder: (folder / name).unlink()
+
+
+def cut(name: str, keep: float) -> Change:
+    def change(folder: Path) -> None:
+        data = (folder / name).read_bytes()
+        (folder / name).write_bytes(data[: int(len(data) * keep)])
+
+    return change
+
+
+def rewrite(name: str, *changes: tuple[str, str]) -> Change:
+    """Other words in the last place where the old ones stand in a file: in a profile, blocks come
+    after the sensor's own parameters."""
+
+    def change(folder: Path) -> None:
+        text = (folder / name).read_text()
+        for old, new in changes:
+            assert old in text
+            text = new.join(text.rsplit(old, 1))
+        (folder / name).write_text(text)
+
+    return change
+
+
+# Captures ------------------------------------------------------------------------------------
+
+
+def edit(old: str, new: str) -> Change:
+    return rewrite("captures.toml", (old, new))
+
+
+def empty(folder: Path) -> None:
+    for path in folder.iterdir():
+        path.unlink()
+
+
+def no_presses(folder: Path) -> None:
+    manifest = folder / "captures.toml"
+    text = manifest.read_text().split("[[presses]]")[0]
+    manifest.write_text(text.replace("[indenter]", "presses = []\n[indenter]"))
+
+
+def other_size(folder: Path) -> None:
+    write_image(folder / "p2.png", background()[:60])
+
+
+def frame_without_contact(folder: Path) -> None:
+    noise = np.random.default_rng(1).normal(0, 0.7, background().shape)
+    write_image(folder / "p2.png", np.rint(background() + noise).clip(0, 255).astype(np.uint8))
+
+
+THREE_TIMES_THE_SCALE = rewrite(
+    "captures.toml",
+    ("mm_per_px_x = 0.1", "mm_per_px_x = 0.3"),
+    ("mm_per_px_y = 0.1", "mm_per_px_y = 0.3"),
+    ("radius_mm = 2.0", "radius_mm = 6.0"),
+)
+CAPTURES: list[tuple[Change, list[str]]] = [
+    (shutil.rmtree, ["captures does not exist", r"capture folder with captures\.toml"]),
+    (empty, ["captures: an empty folder", r"holds captures\.toml"]),
+    (remove("captures.toml"), ["captures: no manifest"]),
+    (remove("background.png"), [r"captures/background\.png does not exist"]),
+    (
+        edit('background = "background.png"\n', ""),
+        [r"captures\.toml: no background; give an image of the untouched sensor"],
+    ),
+    (remove("p2.png"), [r"captures/p2\.png does not exist"]),
+    (cut("p2.png", 0.1), [r"p2\.png is not an image.*PNG, JPEG, .* allowed"]),
+    (no_presses, [r"captures\.toml holds no presses", "at least one image"]),
+    (
+        other_size,
+        [r"p2\.png is 96x60 px but the background .*background\.png is 96x72 px", "one size"],
+    ),
+    (frame_without_contact, [r"p2\.png: no contact found"]),
+    (edit("u_px = 33.0", "u_px = nan"), [r"captures\.toml: presses\.2\.contact\.u_px", "finite"]),
+    (edit("radius_px = 11.0", "radius_px = inf"), [r"presses\.2\.contact\.radius_px", "finite"]),
+    (
+        edit("u_px = 33.0", "u_px = 103.0"),
+        [r"p2\.png: the contact circle at \(103, 44\) px .*its centre has to be inside"],
+    ),
+    (
+        edit("radius_px = 11.0", "radius_px = 21.0"),
+        [r"p2\.png: contact radius 21 px is 2\.100 mm .*more than the ball's radius of 2 mm"],
+    ),
+    (edit("mm_per_px_x = 0.1", "mm_per_px_x = 0.0"), ["mm_per_px_x", "0.0001"]),
+    (edit("mm_per_px_y = 0.1", "mm_per_px_y = -0.1"), ["mm_per_px_y", "0.0001"]),
+    (THREE_TIMES_THE_SCALE, [r"captures\.toml: at 0\.3 x 0\.3 mm/px", "pad of 24 x 20 mm"]),
+    (edit("radius_mm = 2.0", "radius_mm = 0"), [r"indenter\.radius_mm"]),
+    (edit("radius_mm = 2.0", "radius_mm = nan"), [r"indenter\.radius_mm", "finite"]),
+    (edit('source = "', 'sauce = "'), [r"captures\.toml: sauce: unknown key; allowed: .*source"]),
+    (edit("schema_version = 1", "schema_version = 3"), ["schema_version", "should be 1 or 2"]),
+    (edit('"gelsight"', '"gelsite"'), ["gelsite", "gelsight"]),
+    (edit("[indenter]", "[indenter"), [r"captures\.toml is not valid TOML"]),
+]
+
+
+@pytest.mark.parametrize(("change", "words"), CAPTURES)
+def test_bad_captures(here: Path, capsys: Capsys, change: Change, words: list[str]) -> None:
+    change(here / "captures")
+    # The labelled circles as they are: fused with those found, a wrong label would be outvoted.
+    command = ["calibrate", "color", "captures", "--circles", "labels"]
+    refuse(command, words, capsys, ("earlier_profile",))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--steps 0", "steps must be at least 1, got 0"),
+        ("--steps -5", "steps must be at least 1, got -5"),
+        ("--ensemble 1", "ensemble must be 0 or at least 2, got 1"),
+        ("--ensemble -1", "ensemble must be 0 or at least 2, got -1"),
+        ("--holdout-every 1", "holdout_every must be 0 or at least 2, got 1"),
+        ("--holdout-every 6", r"captures\.toml holds 5 presses, too few to hold out"),
+        ("--base absent", r"absent/profile\.toml: no such profile folder"),
+    ],
+)
+def test_bad_options_of_calibrate(here: Path, capsys: Capsys, options: str, words: str) -> None:
+    refuse(["calibrate", "color", "captures", *options.split()], [words], capsys, ("new/out",))
+
+
+# Profiles ------------------------------------------------------------------------------------
+
+
+def profile(old: str, new: str) -> Change:
+    return rewrite("profile.toml", (old, new))
+
+
+WIDTH = f"[color.architecture]\nwidth_px = {GRID.width_px}"
+PROFILES: list[tuple[Change, list[str]]] = [
+    (cut("mesh.npz", 0.7), [r"profile/mesh\.npz: SHA-256"]),
+    (cut("color_model.safetensors", 0.5), [r"profile/color_model\.safetensors: SHA-256"]),
+    (cut("profile.toml", 0.4), [r"profile/profile\.toml"]),
+    (cut("profile.toml", 0.0), [r"profile\.toml: schema_version"]),
+    (remove("mesh.npz"), [r"profile/mesh\.npz: .*(missing|no such file)"]),
+    (remove("profile.toml"), [r"profile\.toml: no such file"]),
+    (
+        profile(f"schema_version = {SCHEMA_VERSION}", f"schema_version = {SCHEMA_VERSION + 1}"),
+        [r"profile\.toml: schema_version", "newer version of taccel-lab"],
+    ),
+    (profile("[gel]\n", '[gel]\ncolour = "red"\n'), [r"profile\.toml: gel\.colour: unknown key"]),
+    (
+        profile("poisson_ratio = 0.46", "poisson_ratio = 0.5"),
+        [r"material\.poisson_ratio: must be below 0\.5"],
+    ),
+    (
+        profile("young_modulus_pa = 150000.0", "young_modulus_pa = -150000.0"),
+        [r"material\.young_modulus_pa: must lie in .* Pa, got -150000"],
+    ),
+    (
+        profile("friction_coefficient = 1.0", "friction_coefficient = nan"),
+        [r"material\.friction_coefficient is nan.* finite"],
+    ),
+    (profile("thickness_mm = 5.0", "thickness_mm = 0.0"), [r"gel\.thickness_mm: must lie in"]),
+    (
+        profile("hidden = [\n    8,\n]", "hidden = [\n    9,\n]"),
+        ["color model weights have shapes", "expected"],
+    ),
+    (
+        profile(WIDTH, WIDTH.replace("96", "97")),
+        [r"color\.architecture is for 97x72 px, the camera block says 96x72 px"],
+    ),
+    (
+        profile('family = "gelsight"', 'family = "gelsite"'),
+        ["profile cannot be meshed", "gelsite", "known: ", "gelsight"],
+    ),
+    (
+        profile("length_x_mm = 24.0", "length_x_mm = -24.0"),
+        [r"sensor\.parameters\.length_x_mm = -24 is below its bound; allowed: 10 to 60"],
+    ),
+]
+
+
+@pytest.mark.parametrize(("change", "words"), PROFILES)
+def test_bad_profile(here: Path, capsys: Capsys, change: Change, words: list[str]) -> None:
+    change(here / "profile")
+    refuse(["press", "profile", "--depth-mm", "0.3"], words, capsys, ("new/out", "earlier"))
+
+
+# Presses -------------------------------------------------------------------------------------
+
+PRESSES = [
+    ("--depth-mm 0", "depth must be above 0 mm, got 0 mm"),
+    ("--depth-mm -0.5", "depth must be above 0 mm, got -0.5 mm"),
+    ("--depth-mm 5", "depth 5 mm goes past the gel, which is 5 mm thick.*4.5 mm"),
+    ("--depth-mm 4.6", "depth 4.6 mm goes past the gel.*at most 4.5 mm"),
+    ("--depth-mm 1e300", r"depth must be at most 100 mm, got 1e\+300 mm"),
+    # On the flank of the dome the gel is thinner than at the apex: 5 mm less 0.63 mm.
+    (
+        "--depth-mm 4.2 --at-mm 6.5 4.5 --mesh profile",
+        r"depth 4\.2 mm goes past the gel, which is 4\.\d+ mm thick there; at most 3\.9",
+    ),
+    (
+        "--at-mm 30 0",
+        r"gelsight .* a press at \(30, 0\) mm.*outside the pad, which reaches over x \[-1",
+    ),
+    (
+        "--at-mm 30 0 --mesh profile",
+        r"at \(30, 0\) mm the indenter sphere:2\.0 misses the gel; x must lie in \[-12, 12\] mm",
+    ),
+    ("--at-mm 1e308 0", r"at_mm = \(1e\+308, 0\) lies outside the pad"),
+    ("--at-mm 11.5 0", "at_mm.*at least 1.5 mm"),
+    ("", "either --depth-mm or --force-n"),
+    ("--depth-mm 0.3 --force-n 1", "either --depth-mm or --force-n, not both"),
+    ("--force-n 0", "must be above 0 N"),
+    ("--shear-mm 50 0", r"shear must lie within \+-20 mm"),
+    ("--twist-deg 400", r"twist must lie within \+-180 deg, got 400"),
+    ("--step-mm 0", "step_mm and step_deg must be above 0, got 0"),
+    ("--step-mm 1e-9", "step_mm 1e-09.*more than 10000 steps"),
+    ("--step-deg -2", "step_mm and step_deg must be above 0"),
+    ("--friction -1", r"--friction: friction .* \[0, 10\], got -1"),
+    ("--tolerance 0", r"--tolerance: relative_tolerance must lie in \[1e-12, 1\]"),
+    ("--dhat-mm 0", r"--dhat-mm: dhat_m must lie in \[1e-08, 0\.01\], got 0"),
+    ("--dhat-mm -0.1", "dhat_m must lie in"),
+    ("--device cuda:7", "device 'cuda:7' is not there.*has: cpu"),
+    ("--indenter sphere:-2", r"sphere:-2.*\[0\.05, 100\] mm, got -2"),
+    ("--indenter sphere:0", r"\[0\.05, 100\] mm, got 0 mm"),
+    ("--indenter cube:2", "'cube:2' is not understood; allowed: sphere"),
+    ("--indenter mesh:a.stl", r"a\.stl does not exist; expected a triangle mesh"),
+    ("--indenter mesh:plane.stl", r"mesh plane\.stl is not closed: 40 edges belong to one face"),
+]
+
+
+@pytest.mark.parametrize(("options", "words"), PRESSES)
+def test_bad_press(here: Path, capsys: Capsys, options: str, words: str) -> None:
+    if "plane" in options:
+        pyvista.Plane(i_size=3, j_size=3).triangulate().save(here / "plane.stl")
+    as_it_is = not options or "--depth" in options or "--force" in options
+    words_of = options if as_it_is else f"--depth-mm 0.3 {options}"
+    refuse(["press", "gelsight", *words_of.split()], [words], capsys)
+
+
+def test_unknown_sensor(here: Path, capsys: Capsys) -> None:
+    words = ["'gelsite' is neither a profile folder nor a sensor of the catalogue.*gelsight"]
+    refuse(["press", "gelsite", "--depth-mm", "0.3"], words, capsys)
+
+
+def test_indenter_that_starts_inside_the_gel(
+    here: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No input is known that leads there; were first touch found too deep, it would be refused."""
+    monkeypatch.setattr("taccel_lab.envs.press.first_touch_m", lambda *_: 1.5e-3)
+    refuse(["press", "gelsight", "--depth-mm", "0.3"], ["'sphere:2.0' starts inside 'gel'"], capsys)
+
+
+# Designs -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ("thickness_mm=-1", "thickness_mm = -1 is below its bound; allowed: 0.8 to 20 mm"),
+        ("thickness_mm=0", "thickness_mm.*0.8"),
+        ("thickness_mm=nan", "thickness_mm = 'nan' is not a number"),
+        ("thickness_mm=1e9", "thickness_mm.*20"),
+        ("thickness_mm=thick", "thickness_mm = 'thick' is not a number"),
+        ("thickness_mm=2.0", r"thickness_mm must be at least 2\.54"),
+        ("poisson_ratio=0.5", r"poisson_ratio.*0\.499"),
+        ("poisson_ratio=0.7", r"poisson_ratio.*0\.499"),
+        ("young_modulus_mpa=0", r"young_modulus_mpa.*0\.005"),
+        ("young_modulus_mpa=-0.15", r"young_modulus_mpa.*0\.005"),
+        ("young_modulus_mpa=150000", "young_modulus_mpa.*5 MPa"),
+        ("friction=-0.1", "friction"),
+        ("density_kg_m3=inf", "density_kg_m3"),
+        ("width_px=640.5", "width_px = 640.5 is not a whole number"),
+        ("colour=red", "no parameter 'colour'; known: .*thickness_mm"),
+        ("thickness_mm", "'thickness_mm' is not of the form name=value"),
+        ("thickness_mm=4 thickness_mm=5", "thickness_mm is set twice"),
+    ],
+)
+def test_bad_design(here: Path, capsys: Capsys, values: str, words: str) -> None:
+    command = ["design", "gelsight", "--set", *values.split()]
+    refuse(command, [words], capsys, ("new/out", "earlier"))
+
+
+@pytest.mark.parametrize("edge", ["0", "-1", "1000"])
+def test_bad_edge_length_of_a_design(
+    here: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch, edge: str
+) -> None:
+    # The solid comes first, and takes a second; the mesh, which is refused, does not need it.
+    monkeypatch.setattr("taccel_lab.cad.parts.pad_solid.labelled_solid", lambda pad: None)
+    refuse(["design", "gelsight", "--edge-mm", edge], ["edge_mm = .* is not allowed; use"], capsys)
+
+
+# Outputs -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "press gelsight --depth-mm 0.3",
+        "design gelsight",
+        "calibrate color captures",
+        "demo --captures captures",
+    ],
+)
+@pytest.mark.parametrize("out", ["mine", "captures", "profile", "mine/notes.txt"])
+def test_foreign_outputs_are_refused_before_any_work(
+    here: Path, capsys: Capsys, forbid: Callable[[str], None], command: str, out: str
+) -> None:
+    (here / "mine").mkdir()
+    (here / "mine" / "notes.txt").write_text("mine")
+    if out == "profile" and command.startswith("calibrate"):
+        pytest.skip("a calibration may replace a profile")
+    for name in (
+        "taccel_lab.calibration.capture.load_captures",
+        "taccel_lab.sensors.profile.load_sensor",
+        "taccel_lab.sensors.design.gel_mesh",
+    ):
+        forbid(name)
+    words = r"notes\.txt is a file" if "notes" in out else f"{out} holds files that"
+    refuse(command.split(), [words], capsys, (out,))

@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One design: its files, its pictures before it is built, its task, and the page of studies."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from taccel_lab.cli.app import main
+from taccel_lab.errors import InputError
+from taccel_lab.sensors.registry import sensor_family
+from taccel_lab.studies import preview as previews
+from taccel_lab.studies.camera_view import photometry
+from taccel_lab.studies.describe import press_in_words, with_tables
+from taccel_lab.studies.design_files import write_design_files
+from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.design_task import design_task
+from taccel_lab.studies.evidence import Evidence
+from taccel_lab.studies.metrics import METRICS
+from taccel_lab.studies.presses import STANDARD_PRESSES
+from taccel_lab.studies.preview import preview_design, write_preview
+from taccel_lab.studies.report import write_study_report
+from taccel_lab.studies.runner import run_study
+from taccel_lab.studies.spec import Output, StudySpec, spec_of
+from taccel_lab.studies.study import default_kit, make_study
+from taccel_lab.studies.study_folder import StudyFolder
+from taccel_lab.tasks.result import TaskResult, Trial, success_interval
+from taccel_lab.tasks.run import run_task
+from taccel_lab.tasks.touch_insertion import TouchInsertionParameters
+from tests.geometry.vtu_files import read_mesh_vtu
+from tests.studies.coarse_presses import coarse
+
+# Files --------------------------------------------------------------------------------------------
+
+
+def files_of(folder: StudyFolder, output: Output, **parameters: float) -> tuple[dict, dict]:
+    point = DesignPoint("x", "gelsight_r15", parameters)
+    return write_design_files(folder, DesignResult(point), output, "as it is")
+
+
+def test_pads_that_are_the_same_share_their_files(tmp_path: Path) -> None:
+    folder, output = StudyFolder(tmp_path), Output(step=True)
+    soft, causes = files_of(folder, output, young_modulus_mpa=0.1)
+    assert set(soft) == {"mesh", "step"} and not causes
+    written = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/*")}
+    assert len(written) == 2
+    assert files_of(folder, output, young_modulus_mpa=0.4)[0] == soft
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/*")} == written
+    thick, _ = files_of(folder, output, thickness_mm=5.0)
+    assert thick["mesh"] != soft["mesh"]
+    for files, thickness in (
+        (soft, sensor_family("gelsight_r15").parameters().pad().thickness_mm),
+        (thick, 5),
+    ):
+        z = read_mesh_vtu(tmp_path / files["mesh"]).nodes_m[:, 2]
+        assert np.ptp(z) * 1e3 == pytest.approx(thickness)
+        assert (tmp_path / files["step"]).read_text().startswith("ISO-10303-21")
+
+
+def test_only_what_is_asked_for_is_kept(tmp_path: Path) -> None:
+    files, causes = files_of(StudyFolder(tmp_path), Output(meshes=False, pictures=False))
+    assert not files and not causes and not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_a_real_study_from_file_to_report(tmp_path: Path) -> None:
+    """Two moduli of one pad: one simulation, forces in proportion, pictures, a report."""
+    table = {
+        "study": {
+            "name": "Real",
+            "sensor": "gelsight_r15",
+            "metrics": ["stiffness_secant", "force_range", "pixel_size"],
+        },
+        "parameters": {"young_modulus_mpa": {"values": [0.2, 0.4]}},
+        "sweep": {"kind": "grid"},
+    }
+    planned = make_study(spec_of(table), default_kit())
+    outcome = run_study(planned, tmp_path, processes=1)
+    soft, hard = outcome.rows
+    assert soft.status == hard.status == "done", (soft.cause, hard.cause)
+    assert sorted((soft.simulations, hard.simulations)) == [0, 1]
+    for press, curves in soft.curves.items():
+        forces = [np.array(row.curves[press][0]["force_n"]) for row in (soft, hard)]
+        np.testing.assert_allclose(forces[1], 2 * forces[0], rtol=1e-12, atol=1e-12)
+        assert curves[0]["cause"] == ""
+    assert hard.figures["force_range"] == pytest.approx(2 * soft.figures["force_range"])  # type: ignore[operator]
+    assert soft.files["mesh"] == hard.files["mesh"]
+    for row in outcome.rows:
+        picture = cv2.imread(str(tmp_path / row.files["picture"]))
+        assert picture is not None and picture.std() > 5
+        assert (outcome.folder.design(row.id) / "press_sphere.npz").is_file()
+    assert write_study_report(outcome)["verdict"]["good"]
+    assert run_study(planned, tmp_path, processes=1).new == 0
+
+
+# Previews -----------------------------------------------------------------------------------------
+
+
+def test_dots_are_no_dark_spots_of_the_light() -> None:
+    family = sensor_family("gelsight_mini")
+    dotted = family.parameters()
+    bare = family.parameters({"marker_pitch_mm": 0})
+    assert dotted.markers() is not None and bare.markers() is None
+    assert photometry(dotted) == photometry(bare)
+
+
+def test_without_presses_there_are_pictures_and_photometry(tmp_path: Path) -> None:
+    found = preview_design(sensor_family("digit"), {"mid_radius_mm": 25}, presses=(), size_px=96)
+    assert found.pressed is None and found.result.simulations == 0
+    assert {metric.name for metric in found.metrics} >= {"visible_fraction", "pixel_size"}
+    # Nobody asked for the 32 starts of a task.
+    assert not any(metric.runs_task for metric in found.metrics)
+    files = write_preview(found, tmp_path)
+    assert set(files) == {"figures", "overview", "rest"}
+    stored = json.loads(files["figures"].read_text())
+    assert stored["parameters"]["mid_radius_mm"] == 25
+    assert stored["photometry"]["light_rank"] == found.photometry.light_rank
+    image = np.asarray(Image.open(files["rest"]))
+    assert image.shape == found.rest.rgb.shape and max(image.shape) == 96
+    assert 0 < image[found.rest.mask].mean() < 255
+
+
+def test_a_press_shows_in_picture_and_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ball = coarse("sphere", depth_fraction=0.15, steps=3)
+    monkeypatch.setattr(previews, "standard_presses", lambda names: [ball])
+    out = tmp_path / "out"
+    arguments = ["preview", "gelsight", "--out", str(out), "--size-px", "96", "--json"]
+    assert main(arguments) == 0
+    stored = json.loads((out / "preview.json").read_text())
+    (curve,) = stored["presses"]["sphere"]
+    assert np.diff([0.0, *(force[2] for force in curve["force_n"])]).min() > 0
+    assert stored["figures"]["contact_area"]["unit"] == "mm2"
+    rest, pressed = (
+        np.asarray(Image.open(out / f"{name}.png")).astype(int) for name in ("rest", "pressed")
+    )
+    change = np.abs(pressed - rest).sum(axis=-1)
+    rows, columns = np.indices(change.shape)
+    middle = np.hypot(rows - rows.mean(), columns - columns.mean()) < 0.3 * change.shape[0]
+    assert change[middle].mean() > 5 * change[~middle].mean()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--presses", "hammer"], "no press 'hammer'; known: sphere"),
+        (["--set", "thickness_mm=99"], "thickness_mm = 99 is above its bound"),
+        (["--size-px", "4"], "size of a preview must lie in [32, 4096] px"),
+        (["--device", "cuda:99"], "device 'cuda:99' is not there"),
+    ],
+)
+def test_bad_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+) -> None:
+    out = tmp_path / "out"
+    assert main(["preview", "gelsight", "--out", str(out), *arguments]) == 2
+    assert words in capsys.readouterr().err
+    assert not out.exists()
+
+
+# In the task touch-insertion ----------------------------------------------------------------------
+
+
+CHANGES = {"thickness_mm": 2.5, "young_modulus_mpa": 0.3, "marker_pitch_mm": 4.0}
+
+
+def test_a_design_gives_the_task_its_gels_and_markers() -> None:
+    mini = sensor_family("gelsight_mini")
+    task = design_task(mini.parameters(CHANGES))
+    found = task.parameters
+    assert isinstance(found, TouchInsertionParameters)
+    assert found.gel.size_mm == pytest.approx((25.25, 20.75, 2.5))
+    assert found.gel.young_modulus_pa == pytest.approx(3e5)
+    assert found.markers.pitch_mm == (4.0, 1.9) and found.markers.columns == 5
+    standard = design_task(mini.parameters()).parameters
+    assert isinstance(standard, TouchInsertionParameters)
+    assert found.policy == standard.policy and found.start == standard.start
+
+
+def test_a_design_without_markers_is_refused() -> None:
+    with pytest.raises(InputError, match="this design has none"):
+        design_task(sensor_family("gelsight").parameters())
+
+
+def test_softer_gels_push_less_hard() -> None:
+    """The policy feels the rim by the same way of the markers."""
+    forces = []
+    for modulus in (0.1, 1.0):
+        mini = sensor_family("gelsight_mini").parameters({**CHANGES, "young_modulus_mpa": modulus})
+        task = design_task(mini)
+        task = replace(task, parameters=task.parameters.replace(steps=14))
+        (trial,) = run_task(task, [0], "cpu").trials
+        forces.append(trial.figures["jam_force_n"])
+    assert 0.1 < forces[0] < forces[1] / 3
+
+
+def test_metrics_are_the_rate_and_its_interval() -> None:
+    evidence = Evidence(sensor_family("gelsight_mini").parameters(), {})
+    trials = [Trial(k, k < 12, "", 9, {}, {"jam_force_n": float(k)}) for k in range(16)]
+    evidence.__dict__["insertion"] = TaskResult("touch-insertion", trials, 1.0, 16)
+    names = ("insertion_success", "insertion_low", "insertion_high")
+    rates = [METRICS[name].compute(evidence) for name in names]
+    assert rates == pytest.approx([100 * rate for rate in success_interval(12, 16)])
+    assert METRICS["insertion_force"].compute(evidence) == 7.5
+
+
+# The page docs/studies.md -------------------------------------------------------------------------
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "studies.md"
+
+
+def test_tables_are_up_to_date() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert with_tables(text) == text, "run: python -m taccel_lab.studies.describe docs/studies.md"
+
+
+def test_pages_without_places_for_tables_are_refused() -> None:
+    with pytest.raises(InputError, match="begin metrics"):
+        with_tables("# empty\n")
+
+
+def test_the_study_file_of_the_page_is_sound() -> None:
+    block, *_ = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert len(make_study(spec_of(tomllib.loads(block)), default_kit()).points()) == 32
+
+
+def test_every_key_is_described() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    reference = text[text.index("| key |") : text.index("## Presses")]
+    for table, field in StudySpec.model_fields.items():
+        assert f"`{table}" in reference, table
+        model = field.annotation
+        if table in ("study", "sweep", "output", "run"):
+            for key in model.model_fields:  # type: ignore[union-attr]
+                assert f"`{table}.{key}`" in reference or f"`.{key}`" in reference, (table, key)
+
+
+def test_presses_in_words() -> None:
+    words = press_in_words(STANDARD_PRESSES["shear"])
+    assert "sideways by" in words and "and back" in words and "turned by" in words
+    assert "in 5 places" in press_in_words(STANDARD_PRESSES["places"])
+    assert "up again" in press_in_words(STANDARD_PRESSES["release"])
