@@ -53,7 +53,7 @@ class Live(CameraOptions):
     port: int = PORT
     """Port of the page on this machine; 0 takes any that is free."""
     browser: bool = True
-    """Open the page in the browser of this machine."""
+    """Whether the page is opened in the browser of this machine."""
     json: bool = False
     """Print the last reading's figures and the time of each stage as JSON."""
 

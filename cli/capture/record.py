@@ -47,7 +47,7 @@ class _Session(CameraOptions):
     port: int = PORT
     """Port of the page on this machine; 0 takes any that is free."""
     browser: bool = True
-    """Open the page in the browser of this machine."""
+    """Whether the page is opened in the browser of this machine."""
     origin: str | None = None
     """Where and by whom, kept as provenance."""
     license: str | None = None

@@ -250,10 +250,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.parametrize(
-    "command",
-    ["press gelsight_mini --depth-mm 0.5", "preview gelsight_mini", "design gelsight_mini"],
-)
+@pytest.mark.parametrize("command", ["press --depth-mm 0.5", "preview", "design"])
 def test_a_picture_stands_before_anything_is_compiled_or_built(
     command: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
