@@ -6,6 +6,8 @@ PIP_FLAGS ?=
 TORCH ?= cpu
 OUT ?= out/demo
 JOBS ?= auto
+# Of make test: one folder below tests/, with ruff alone before it.
+FOLDER ?=
 # Of make explore: readers (names, patterns, commas), examples of each, the first seed.
 READERS ?= *
 COUNT ?= 2000
@@ -18,11 +20,12 @@ PIP := $(PY) -m pip install -q --disable-pip-version-check $(PIP_FLAGS) -c const
 TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile
 
-.PHONY: help demo test lint check slow explore notebook docs wheel doctor clean
+.PHONY: help demo test style lint check slow explore notebook docs wheel doctor clean
 
 help:
 	@echo "make demo      run the main job on real captures: $(OUT)/report.html"
 	@echo "make test      linters, type checker, import contracts, fast tests"
+	@echo "               FOLDER=calibration/color: ruff and the tests of one folder"
 	@echo "make slow      the tests that take minutes"
 	@echo "make explore   damaged files and property-based tests never tried before"
 	@echo "               READERS=import-* COUNT=2000 SEED=1 OUTPUT=out/explore"
@@ -35,16 +38,18 @@ help:
 demo: $(VENV)/.installed-demo
 	$(VENV)/bin/taccel-lab demo --out $(OUT)
 
-test: lint check
+test: $(if $(FOLDER),style,lint) check
 
-lint: $(VENV)/.installed-dev
+style: $(VENV)/.installed-dev
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
+
+lint: style
 	$(VENV)/bin/pyright --threads 2 --pythonpath $(PY)
 	$(VENV)/bin/lint-imports
 
 check: $(VENV)/.installed-dev
-	$(PYTEST)
+	$(PYTEST) tests/$(FOLDER)
 
 slow: $(VENV)/.installed-peers
 	$(PYTEST) -m slow
