@@ -107,7 +107,7 @@ def test_the_core_and_the_presses_of_studies_need_warp_numpy_and_scipy_alone() -
     modules = "taccel_lab.envs, taccel_lab.signals, taccel_lab.outputs, taccel_lab.optics.render"
     code = _BARE.format(
         absent=absent,
-        modules=f"{modules}, taccel_lab.studies.evaluate, taccel_lab.benchmarks.design_study",
+        modules=f"{modules}, taccel_lab.studies.evaluate, taccel_lab.benchmarks.speed",
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
