@@ -12,6 +12,8 @@ FOLDER ?=
 READERS ?= *
 COUNT ?= 2000
 SEED ?= $(shell date +%s)
+# Of make mutants: faults by pattern.
+FAULTS ?= *
 OUTPUT ?= out/explore
 
 PY := $(VENV)/bin/python
@@ -20,7 +22,7 @@ PIP := $(PY) -m pip install -q --disable-pip-version-check $(PIP_FLAGS) -c const
 TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile
 
-.PHONY: help demo test style lint check slow explore notebook docs wheel doctor clean
+.PHONY: help demo test style lint check slow explore mutants notebook docs wheel doctor clean
 
 help:
 	@echo "make demo      run the main job on real captures: $(OUT)/report.html"
@@ -29,6 +31,7 @@ help:
 	@echo "make slow      the tests that take minutes"
 	@echo "make explore   damaged files and property-based tests never tried before"
 	@echo "               READERS=import-* COUNT=2000 SEED=1 OUTPUT=out/explore"
+	@echo "make mutants   plant faults in the product: do the tests notice them?"
 	@echo "make notebook  execute the notebooks"
 	@echo "make docs      the documentation as a site: out/docs/index.html"
 	@echo "make wheel     build sdist and wheel, install the wheel elsewhere and use it there"
@@ -58,6 +61,9 @@ explore: $(VENV)/.installed-dev
 	$(TEST_ENV) $(PY) -m tests.fuzz --readers '$(READERS)' --count $(COUNT) --first $(SEED) \
 		--output $(OUTPUT)
 	TACCEL_LAB_EXPLORE=1 $(PYTEST) -m "hypothesis and not slow and not gpu"
+
+mutants: $(VENV)/.installed-dev
+	$(TEST_ENV) $(PY) -m tests.mutants --only '$(FAULTS)'
 
 notebook: $(VENV)/.installed-dev
 	$(PYTEST) --timeout=900 --nbmake --nbmake-timeout=900 notebooks
