@@ -5,7 +5,8 @@ PIP_FLAGS ?=
 # PyTorch for CPUs, 0.2 GB; `make demo TORCH=cuda` takes PyPI's build, 3 GB, for a GPU.
 TORCH ?= cpu
 OUT ?= out/demo
-JOBS ?= auto
+# One more than there are cores: browsers and processes that tests start are waited for.
+JOBS ?= $(shell echo $$(( $$(nproc 2>/dev/null || echo 2) + 1 )))
 # Of make test: one folder below tests/, with ruff alone before it.
 FOLDER ?=
 # Of make explore: readers (names, patterns, commas), examples of each, the first seed.
