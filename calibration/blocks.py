@@ -93,3 +93,8 @@ BLOCKS = (
     CalibrationBlock("spread", calibrate_spread, spread_page, SpreadOptions),
 )
 """What each needs of a capture folder, ``calibration/check/content.py`` says."""
+
+
+def block_named(name: str) -> CalibrationBlock:
+    """The block of a name of the table."""
+    return next(block for block in BLOCKS if block.name == name)

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from tyro.conf import Positional
 
@@ -16,11 +16,12 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.capture.folder import CaptureFolder
     from taccel_lab.calibration.report import Page
     from taccel_lab.calibration.result import CalibrationResult
     from taccel_lab.profile import SensorProfile
-    from taccel_lab.progress import Progress
+
+_MOST_ROWS = 24
+"""Of the table that is printed."""
 
 
 def report_folder(out: Path, report: Path | None) -> Path:
@@ -51,22 +52,6 @@ def require_outputs(out: Path, report: Path) -> None:
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """What a command found, and how it is shown."""
-
-    name: str
-    """Of the block."""
-    base: SensorProfile
-    """Profile that was extended."""
-    result: CalibrationResult
-    page: Page
-    summarise: Callable[[Console], None] | None = None
-    """Prints the figures for people; None where the report says all."""
-    files: Mapping[Path, Callable[[Path], None]] = field(default_factory=dict)
-    """Further files that were asked for, with what writes them."""
-
-
-@dataclass(frozen=True)
 class CalibrationFiles:
     """What every calibration reads and writes."""
 
@@ -85,24 +70,28 @@ class CalibrationFiles:
 
 @dataclass(frozen=True)
 class BlockCommand(CalibrationFiles):
-    """Captures and a profile to extend in, the extended profile and a report out."""
+    """Captures and a profile to extend in, the extended profile and a report out: what a row of
+    ``taccel_lab.calibration.blocks`` does. A command that takes the options of its fit inherits
+    them."""
+
+    name: ClassVar[str]
+    """Of the block."""
 
     def check(self) -> None:
         """Refuse options that cannot be used before anything is read."""
 
-    def profile_to_extend(self, folder: CaptureFolder) -> SensorProfile:
-        """The base profile, or the catalogue's design of the captures' sensor."""
-        from taccel_lab.calibration.base_profile import base_profile
+    def options(self, base: SensorProfile) -> Any:
+        """Of the fit that extends ``base``."""
+        return self
 
-        return base_profile(self.base, folder)
-
-    def fit(self, folder: CaptureFolder, progress: Progress) -> Fitted:
-        """Calibrate the block."""
-        raise NotImplementedError
+    def files(self, result: Any) -> Mapping[Path, Callable[[Path], None]]:
+        """Further files that were asked for, with what writes them."""
+        return {}
 
     def run(self) -> None:
         """Refuse unusable outputs, fit, and write profile, report and figures."""
-
+        from taccel_lab.calibration.base_profile import base_profile
+        from taccel_lab.calibration.blocks import block_named
         from taccel_lab.calibration.capture.load import load_capture_folder
         from taccel_lab.calibration.recorded import with_session
         from taccel_lab.cli.console import notes
@@ -113,42 +102,74 @@ class BlockCommand(CalibrationFiles):
         self.check()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
-        console = notes()
+        console, block = notes(), block_named(self.name)
         folder = load_capture_folder(self.captures)
         with stage_progress(console) as progress:
-            fitted = self.fit(folder, progress)
-        before = None if self.base is None else self.profile_to_extend(folder)
-        profile = with_session(before, fitted.result.apply_to(fitted.base), folder)
-        write_results(fitted, profile, self.out, report, console, json=self.json)
+            base = base_profile(self.base, folder)
+            options = None if block.options is None else self.options(base)
+            result = block.fit(folder, base, options, progress)
+            page = block.page(result, folder)
+        before = None if self.base is None else base
+        profile = with_session(before, result.apply_to(base), folder)
+        say = Sayings(self.name, console, self.json)
+        write_results(result, page, profile, self.out, report, say, self.files(result))
+
+
+@dataclass(frozen=True)
+class Sayings:
+    """What a command says of a calibration, and where."""
+
+    name: str
+    """Of the block."""
+    notes: Console
+    json: bool
+    """Figures as JSON in place of the page's summary."""
 
 
 def write_results(
-    fitted: Fitted,
+    result: CalibrationResult,
+    page: Page,
     profile: SensorProfile,
     out: Path,
     report: Path,
-    console: Console,
-    *,
-    json: bool,
+    say: Sayings,
+    files: Mapping[Path, Callable[[Path], None]] | None = None,
 ) -> None:
     """Save the extended profile and the report, say the verdict with its remarks, and give the
-    figures: on standard output, as JSON or for people."""
+    figures on standard output: as JSON, or the page's summary and first table."""
     from taccel_lab.calibration.report import write_page
     from taccel_lab.calibration.result import judge
     from taccel_lab.cli.console import print_json, results
     from taccel_lab.profile import save_profile
 
-    result = fitted.result
+    files = files or {}
     save_profile(profile, out)
-    write_page(fitted.page, report)
-    for path, write in fitted.files.items():
+    write_page(page, report)
+    for path, write in files.items():
         write(path)
     for remark in result.remarks:
-        console.print(str(remark))
-    console.print(f"verdict: {judge(result.remarks)}")
-    wrote = " and ".join(str(path) for path in (out, report / "report.html", *fitted.files))
-    console.print(f"wrote {wrote}")
-    if json:
-        print_json({"profile": str(out), fitted.name: result.figures()})
-    elif fitted.summarise is not None:
-        fitted.summarise(results())
+        say.notes.print(str(remark))
+    say.notes.print(f"verdict: {judge(result.remarks)}")
+    wrote = " and ".join(str(path) for path in (out, report / "report.html", *files))
+    say.notes.print(f"wrote {wrote}")
+    if say.json:
+        print_json({"profile": str(out), say.name: result.figures()})
+    else:
+        _print_page(page, results())
+
+
+def _print_page(page: Page, console: Console) -> None:
+    from rich.table import Table as Grid
+
+    from taccel_lab.report.build import format_number
+
+    console.print(page.summary)
+    if not page.tables or page.tables[0].folded:
+        return
+    table = page.tables[0].shown()
+    grid = Grid(*table.columns, title=table.title, title_justify="left")
+    for row in table.rows[:_MOST_ROWS]:
+        grid.add_row(*map(format_number, row))
+    console.print(grid)
+    if len(table.rows) > _MOST_ROWS:
+        console.print(f"{len(table.rows) - _MOST_ROWS} more rows stand in the report")

@@ -5,19 +5,12 @@ out."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from taccel_lab.calibration.force.options import ForceOptions
-from taccel_lab.cli.calibrate.base import Fitted, report_folder, require_outputs, write_results
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from taccel_lab.calibration.force.result import ForceCalibration
+from taccel_lab.cli.calibrate.base import Sayings, report_folder, require_outputs, write_results
 
 
 @dataclass(frozen=True)
@@ -79,24 +72,6 @@ class CalibrateForce(ForceOptions):
             else:
                 say(f"interrupted; the same command goes on after step {kept.step:,}")
             raise SystemExit(130) from None
-        fitted = Fitted("force", base, result, force_page(result), partial(_print_errors, result))
-        write_results(fitted, result.apply_to(base), self.out, report, console, json=self.json)
+        profile, say_it = result.apply_to(base), Sayings("force", console, self.json)
+        write_results(result, force_page(result), profile, self.out, report, say_it)
         kept.remove()
-
-
-def _print_errors(result: ForceCalibration, console: Console) -> None:
-    from rich.table import Table
-
-    table = Table(
-        "held-out touches by depth", "images", "Fz [N]", "of", "shear [N]", "of", "area [mm2]",
-        title_justify="left",
-    )  # fmt: skip
-    for row in (*result.tables["depth"], result.overall):
-        numbers = (row.fz_n, row.fz_spread_n, row.shear_n, row.shear_spread_n, row.area_mm2)
-        table.add_row(row.name, str(row.images), *(f"{number:.3f}" for number in numbers))
-    console.print(table)
-    console.print(result.headline())
-    console.print(
-        f"{result.false_alarms:.2%} of held-out images are called outside the training's range; "
-        f"trained in {result.seconds:.0f} s on {result.options.device}",
-    )

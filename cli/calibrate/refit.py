@@ -41,7 +41,7 @@ class CalibrateRefit:
         from taccel_lab.calibration.refit.fit import RefitOptions, calibrate_refit
         from taccel_lab.calibration.refit.report import refit_page
         from taccel_lab.cli.calibrate.base import (
-            Fitted,
+            Sayings,
             report_folder,
             require_outputs,
             write_results,
@@ -57,6 +57,6 @@ class CalibrateRefit:
         folder = load_capture_folder(self.captures)
         with stage_progress(console) as progress:
             result = calibrate_refit(folder, profile, RefitOptions(self.surface), progress)
-        fitted = Fitted("refit", profile, result, refit_page(result, profile))
         fresh = with_session(profile, result.apply_to(profile), folder)
-        write_results(fitted, fresh, self.out, report, console, json=self.json)
+        say = Sayings("refit", console, self.json)
+        write_results(result, refit_page(result, profile), fresh, self.out, report, say)

@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab calibrate NAME``: a command for each row of ``taccel_lab.calibration.blocks``, which
+fits it and shows it. Here stands what the command line adds: help and options."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from tyro.conf import Positional
+
+from taccel_lab.calibration.camera.options import CameraOptions
+from taccel_lab.calibration.color.options import ColorOptions
+from taccel_lab.calibration.depth.options import DepthOptions
+from taccel_lab.calibration.normals.options import NormalOptions
+from taccel_lab.cli.calibrate.base import BlockCommand
+from taccel_lab.errors import InputError
+
+if TYPE_CHECKING:
+    from taccel_lab.calibration.material.options import MaterialOptions
+    from taccel_lab.calibration.spread.fit import SpreadOptions
+    from taccel_lab.profile import SensorProfile
+
+Files = Mapping[Path, Callable[[Path], None]]
+
+
+@dataclass(frozen=True)
+class CalibrateBackground(BlockCommand):
+    """Average all frames to a quieter background, the drift of each frame's light taken off.
+
+    Uses the background, the further untouched images and the untouched parts of the presses; with
+    no untouched image at all, the median of five or more presses. Reports the drift over the
+    frames, whether the white balance was automatic, the noise of the pixels, and dust. Writes the
+    block ``background``, and dust.png beside the report, which serves as the captures' mask.
+    """
+
+    name: ClassVar[str] = "background"
+
+
+@dataclass(frozen=True)
+class CalibrateCamera(BlockCommand, CameraOptions):
+    """Fit the camera to views of a calibration board and write a profile.
+
+    Boards held before the camera give the lens (optics block); boards that lie on the gel or are
+    pressed into it give mm/px in x and y and the pose of the gel (camera block). Chessboards,
+    ChArUco boards, boards of dots and of pins are found, also where points are missing.
+    """
+
+    name: ClassVar[str] = "camera"
+    captures: Positional[Path]
+    """Capture folder whose captures.toml names [[boards]] (docs/calibration_camera.md)."""
+    maps: Path | None = None
+    """File (.npz) for rectification maps: map_u_px and map_v_px for cv2.remap, the pixels that the
+    board measured, and the grid's scale."""
+
+    def check(self) -> None:
+        """Refuse a file of maps that cannot be written."""
+        if self.maps is not None and (self.maps.suffix != ".npz" or self.maps.is_dir()):
+            raise InputError(f"--maps writes one .npz file, got {self.maps}")
+
+    def files(self, result: Any) -> Files:
+        return {} if self.maps is None else {self.maps: lambda path: result.maps().save(path)}
+
+
+@dataclass(frozen=True)
+class CalibrateColor(BlockCommand, ColorOptions):
+    """Fit the pixel-to-colour model to captured ball presses and write a profile.
+
+    Every press is simulated to get the gel's surface under it; the model then learns the colour
+    of each pixel from position, normal and displacement. Figures are of presses that were chosen
+    before any image was read, and are looked at when the model is frozen. Simulations are kept, so
+    that a second run takes the fit only.
+    """
+
+    name: ClassVar[str] = "color"
+    captures: Positional[Path]
+    """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
+    base: Path | None = None
+    """Profile of the designed sensor to extend; the catalogue's design of the sensor, turned as the
+    images are, when left out. A sensor that the catalogue does not know is taken as a flat pad."""
+
+
+@dataclass(frozen=True)
+class CalibrateDepth(BlockCommand, DepthOptions):
+    """Fit the depth of a grey sensor (9DTact) to ball presses and write a profile.
+
+    Where such a gel is pressed it looks darker. The ball's shape gives the depth of every pixel
+    inside a contact; a monotone curve from the drop of the grey level to the depth is fitted to
+    them, with what left-out presses (or parts of a single one) say of it. Raw images of a lens
+    that distorts should be rectified: give --maps. `taccel-lab depth` then reads height maps.
+    """
+
+    name: ClassVar[str] = "depth"
+    captures: Positional[Path]
+    """Capture folder with captures.toml (docs/captures.md): background and [[presses]]."""
+    base: Path | None = None
+    """Profile to extend; the catalogue's design of the captures' sensor when left out. Its camera
+    gives the scale where the captures state none."""
+
+
+@dataclass(frozen=True)
+class CalibrateMarkers(BlockCommand):
+    """Find the dots painted on the gel, fit their grid and follow them through videos.
+
+    Dots may be dark or bright, of any size, in a square, rectangular or hexagonal grid, with some
+    missing; nothing has to be tuned. The picture at rest is [markers] rest in captures.toml, or the
+    background, or else frames of the videos, [[markers.videos]], over which nothing moves; where
+    there are none the command refuses.
+    """
+
+    name: ClassVar[str] = "markers"
+    base: Path | None = None
+    """Profile to extend; the catalogue's design of the sensor when left out. A profile with a
+    calibrated camera or scale gives the millimetres."""
+    tracks: Path | None = None
+    """File for the dots' places and displacements in every frame, pixels and millimetres:
+    .json, .npz or .csv."""
+
+    def check(self) -> None:
+        """Refuse a file of tracks of an unknown kind."""
+        from taccel_lab.calibration.markers.track_files import require_track_file
+
+        if self.tracks is not None:
+            require_track_file(self.tracks)
+
+    def files(self, result: Any) -> Files:
+        from taccel_lab.calibration.markers.track_files import write_tracks
+
+        tracks = {video.name: video.tracks for video in result.videos}
+        if self.tracks is None:
+            return {}
+        return {self.tracks: lambda path: write_tracks(path, tracks, result.flows())}
+
+
+@dataclass(frozen=True)
+class CalibrateMaterial(BlockCommand):
+    """Fit stiffness, Poisson's ratio, friction and damping to force records and write a profile.
+
+    Presses of the record's tool on the sensor's gel are simulated once and kept; the fit gives
+    each parameter with its 95 % interval, and the report says which ones the records leave open.
+    """
+
+    name: ClassVar[str] = "material"
+    captures: Positional[Path]
+    """Capture folder with captures.toml whose [[records]] name force records (docs/captures.md)."""
+    model: (
+        Literal["neo_hookean", "stable_neo_hookean", "st_venant_kirchhoff", "mooney_rivlin"] | None
+    ) = None
+    """Law of the gel; that of the base profile when left out."""
+    fix: tuple[str, ...] = ()
+    """Parameters that are held, as in nu=0.48 or e=3e5; of e [Pa], nu, mooney_ratio, friction."""
+    touch_sigma_mm: float | None = None
+    """How well the records know first touch [mm]; for few points 0.1 of a ball and 0.05 of a flat
+    punch, for many 0.2 when left out, 0 to trust them."""
+    accuracy: Literal["fast", "default", "reference"] = "default"
+    """How closely presses are simulated: as those that are to reproduce the records."""
+    device: str = "cpu"
+    """Device of the presses: cpu, or cuda:0, which takes those of a table together."""
+
+    def check(self) -> None:
+        """Refuse an unknown device and parameters that cannot be held."""
+        from taccel_lab.model.devices import require_device
+
+        require_device(self.device)
+        self.options()
+
+    def options(self, base: SensorProfile | None = None) -> MaterialOptions:
+        from taccel_lab.calibration.material.options import MaterialOptions
+        from taccel_lab.envs.physics import PHYSICS, Accuracy
+
+        return MaterialOptions(
+            model=self.model,
+            fixed=parse_fixed(self.fix),
+            touch_sigma_mm=self.touch_sigma_mm,
+            physics=PHYSICS[Accuracy(self.accuracy)],
+            device=self.device,
+        )
+
+
+@dataclass(frozen=True)
+class CalibrateNormals(BlockCommand, NormalOptions):
+    """Fit the model from colour to surface normal to captured ball presses and write a profile.
+
+    Inside a contact the ball gives the normal of every pixel; a small ensemble of networks learns
+    it from the change of colour around the pixel, with its own uncertainty. Figures are of
+    presses that were chosen before any image was read, and are looked at when the model is frozen.
+    `taccel-lab depth` then reads height maps from images.
+    """
+
+    name: ClassVar[str] = "normals"
+    captures: Positional[Path]
+    """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
+
+
+@dataclass(frozen=True)
+class CalibrateScale(BlockCommand):
+    """Measure mm/px along x and y from whatever of known length was captured.
+
+    Boards on the gel, presses of a straight edge, markers of known pitch, landmarks, and ball
+    presses with depths each give a scale with its uncertainty; they are compared and, where they
+    agree, averaged. Ball presses without depths give an upper limit only.
+    """
+
+    name: ClassVar[str] = "scale"
+    captures: Positional[Path]
+    """Capture folder (docs/calibration_camera.md)."""
+
+
+@dataclass(frozen=True)
+class CalibrateSpread(BlockCommand):
+    """Measure how much frames drift and units differ, for domain randomisation.
+
+    The light of every frame (gain, offset, gradient) is fitted against the background; with
+    --units the images at rest, scales and materials of other units of this design are compared
+    too. The block ``perturbation`` holds the standard deviations;
+    taccel_lab.signals.perturbation.draw_perturbation draws sensors from it.
+    """
+
+    name: ClassVar[str] = "spread"
+    captures: Positional[Path]
+    """Capture folder with captures.toml: its untouched images are compared, or else its presses."""
+    units: tuple[Path, ...] = ()
+    """Profiles of other units of the same design; the base counts as one when it is given."""
+
+    def options(self, base: SensorProfile) -> SpreadOptions:
+        from taccel_lab.calibration.spread.fit import SpreadOptions
+        from taccel_lab.profile import load_profile
+
+        units = [load_profile(path) for path in self.units]
+        if units and self.base is not None:
+            units.insert(0, base)
+        return SpreadOptions(tuple(units))
+
+
+def parse_fixed(items: tuple[str, ...]) -> dict[str, float]:
+    """Held parameters from ``name=value``; InputError says what is wrong."""
+    fixed = {}
+    for item in items:
+        name, equals, value = item.partition("=")
+        try:
+            fixed[name.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise InputError(f"--fix {item!r} is not understood; write name=value, as in nu=0.48")
+    return fixed
+
+
+BLOCK_COMMANDS: dict[str, type[BlockCommand]] = {
+    command.name: command
+    for command in (
+        CalibrateBackground,
+        CalibrateCamera,
+        CalibrateColor,
+        CalibrateDepth,
+        CalibrateMarkers,
+        CalibrateMaterial,
+        CalibrateNormals,
+        CalibrateScale,
+        CalibrateSpread,
+    )
+}
