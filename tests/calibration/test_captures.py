@@ -101,11 +101,7 @@ def test_empty_folder(tmp_path: Path) -> None:
         ('name = "second"', "colour = 3", r"presses\.1\.colour: unknown key"),
         ('name = "second"', 'name = "a"', r"names must differ, a appears twice"),
         ("u_px = 30.0", "u_px = nan", r"presses\.0\.contact\.u_px.*finite"),
-        (
-            "u_px = 30.0",
-            "u_px = 99.0",
-            r"a\.png: the contact .*outside of the image of 64x48",
-        ),
+        ("u_px = 30.0", "u_px = 99.0", r"a\.png: the contact .*outside of the image of 64x48"),
         ("radius_px = 12.0", "radius_px = 1.0", r"contact radius 1 px is too small"),
         ("radius_px = 12.0", "radius_px = -1.0", r"radius_px.*greater than 0"),
         ("schema_version = 1", "schema_version =", r"not valid TOML"),

@@ -17,13 +17,7 @@ from taccel_lab.calibration.capture import ContactCircle, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
 from taccel_lab.errors import InputError
 from tests.calibration.contacts.presses import BALL_MM, GRID, gel, pressed, scattered
-from tests.calibration.drawn.faults import (
-    add_dust,
-    add_noise,
-    drift,
-    poison,
-    quantise,
-)
+from tests.calibration.drawn.faults import add_dust, add_noise, drift, poison, quantise
 from tests.support.synthetic_presses import tiny_profile
 
 BASE = tiny_profile(GRID)

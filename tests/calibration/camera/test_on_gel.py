@@ -45,11 +45,7 @@ def flat_view(
 
 
 @settings(max_examples=8, deadline=None)
-@given(
-    sx=st.floats(0.02, 0.08),
-    ratio=st.floats(0.9, 1.1),
-    turn=st.floats(-40, 40),
-)
+@given(sx=st.floats(0.02, 0.08), ratio=st.floats(0.9, 1.1), turn=st.floats(-40, 40))
 def test_unequal_scales_come_back_exactly(sx: float, ratio: float, turn: float) -> None:
     found = fit_on_gel([flat_view((sx, sx * ratio), turn)])
     assert found.frame.mm_per_px_x.value == pytest.approx(sx, rel=1e-6)

@@ -178,27 +178,21 @@ def test_an_outlier_is_named(sound: tuple[CaptureSet, list[PressSurface]]) -> No
     assert provenance.spread["ensemble_disc_levels"] == figures["spread"]["disc_levels"]
 
 
-def test_a_model_that_explains_little_is_weak(
-    sound: tuple[CaptureSet, list[PressSurface]],
-) -> None:
+def test_a_model_that_explains_little_is_weak(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
     captures, surfaces = sound
     shuffled = [surfaces[(i + 5) % len(surfaces)] for i in range(len(surfaces))]
     result = calibrate(captures, shuffled)
     assert "explains_little" in codes(result) and judge(result.remarks) is Verdict.WEAK
 
 
-def test_without_held_out_presses_it_says_so(
-    sound: tuple[CaptureSet, list[PressSurface]],
-) -> None:
+def test_without_held_out_presses_it_says_so(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
     captures, surfaces = sound
     result = calibrate(captures, surfaces, holdout_every=0, options=replace(QUICK, steps=20))
     (remark,) = result.remarks
     assert remark.code == "nothing_held_out" and remark.severity is Severity.WARNING
 
 
-def test_a_model_of_three_presses_is_weak(
-    sound: tuple[CaptureSet, list[PressSurface]],
-) -> None:
+def test_a_model_of_three_presses_is_weak(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
     captures, surfaces = sound
     few = replace(captures, presses=captures.presses[:3])
     result = calibrate(few, surfaces[:3], holdout_every=0, options=replace(QUICK, steps=20))

@@ -10,12 +10,7 @@ from hypothesis import strategies as st
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.color.evaluate import (
-    crop_slices,
-    psnr_db,
-    score_image,
-    ssim,
-)
+from taccel_lab.calibration.color.evaluate import crop_slices, psnr_db, score_image, ssim
 from taccel_lab.calibration.result import mean_figures
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid

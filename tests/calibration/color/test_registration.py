@@ -14,10 +14,7 @@ from taccel_lab.calibration.color import registration
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame, Samples
 from taccel_lab.calibration.color.network_fit import fit_color_model
-from taccel_lab.calibration.color.registration import (
-    place_press,
-    register_presses,
-)
+from taccel_lab.calibration.color.registration import place_press, register_presses
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.errors import InputError

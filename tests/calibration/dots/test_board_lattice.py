@@ -24,11 +24,7 @@ def bent(index: np.ndarray, angle: float, bend: float) -> np.ndarray:
 
 @settings(max_examples=25, deadline=None)
 @example(angle=0.0, bend=0.0, seed=739)  # The first seed steps to a knight's place.
-@given(
-    angle=st.floats(-3.1, 3.1),
-    bend=st.floats(-0.15, 0.45),
-    seed=st.integers(0, 1000),
-)
+@given(angle=st.floats(-3.1, 3.1), bend=st.floats(-0.15, 0.45), seed=st.integers(0, 1000))
 def test_every_point_gets_its_neighbours_index(angle: float, bend: float, seed: int) -> None:
     """A third of the points is missing and a tenth is dirt; indices differ as the sites do."""
     rng = np.random.default_rng(seed)
