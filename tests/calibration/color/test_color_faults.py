@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,14 @@ from taccel_lab.calibration.result import Severity, Verdict, judge
 from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.profile import Provenance
 from tests.calibration.drawn.faults import add_noise, blur, drift, quantise, vignette
-from tests.support.synthetic_presses import GRID, calibrated, synthetic_captures, tiny_profile
+from tests.support.synthetic_presses import (
+    GRID,
+    calibrated,
+    synthetic_captures,
+    tiny_profile,
+    with_circles,
+    with_images,
+)
 
 QUICK = ColorFitOptions(
     hidden=(24, 24), steps=300, batch_pixels=1024, disc_pixels=800, ring_pixels=500,
@@ -29,12 +35,8 @@ QUICK = ColorFitOptions(
 )  # fmt: skip
 
 
-def with_images(captures: CaptureSet, images: list[np.ndarray], **changes: object) -> CaptureSet:
-    presses = tuple(
-        replace(press, read=partial(np.copy, image))
-        for press, image in zip(captures.presses, images, strict=True)
-    )
-    return replace(captures, presses=presses, **changes)  # type: ignore[arg-type]
+Sound = tuple[CaptureSet, list[PressSurface]]
+"""Captures and the true surface of each press."""
 
 
 def calibrate(
@@ -61,14 +63,21 @@ def provenance_of(result: ColorCalibration) -> Provenance:
     return block.provenance
 
 
+def in_drifting_light(captures: CaptureSet) -> CaptureSet:
+    rng = np.random.default_rng(1)
+    images = [
+        quantise(drift(p.image(), rng.uniform(0.92, 1.08, 3), rng.uniform(-12, 12, 3)))
+        for p in captures.presses
+    ]
+    return with_images(captures, images)
+
+
 @pytest.fixture(scope="module")
 def sound() -> tuple[CaptureSet, list[PressSurface]]:
     return synthetic_captures(12, noise=1.0)
 
 
-def test_more_noise_is_seen_in_the_figures_and_nothing_else(
-    sound: tuple[CaptureSet, list[PressSurface]],
-) -> None:
+def test_more_noise_is_seen_in_the_figures_and_nothing_else(sound: Sound) -> None:
     captures, surfaces = sound
     rng = np.random.default_rng(0)
     noisy = with_images(
@@ -82,9 +91,7 @@ def test_more_noise_is_seen_in_the_figures_and_nothing_else(
     assert not codes(quiet_result) and judge(quiet_result.remarks) is Verdict.GOOD
 
 
-def test_blur_and_vignetting_of_camera_and_lamps_are_learned(
-    sound: tuple[CaptureSet, list[PressSurface]],
-) -> None:
+def test_blur_and_vignetting_of_camera_and_lamps_are_learned(sound: Sound) -> None:
     captures, surfaces = sound
 
     def through_lens(image: np.ndarray) -> np.ndarray:
@@ -100,16 +107,9 @@ def test_blur_and_vignetting_of_camera_and_lamps_are_learned(
     assert "explains_little" not in codes(result)
 
 
-def test_drift_is_found_and_taken_off(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
+def test_drift_is_found_and_taken_off(sound: Sound) -> None:
     captures, surfaces = sound
-    rng = np.random.default_rng(1)
-    drifting = with_images(
-        captures,
-        [
-            quantise(drift(p.image(), rng.uniform(0.92, 1.08, 3), rng.uniform(-12, 12, 3)))
-            for p in captures.presses
-        ],
-    )
+    drifting = in_drifting_light(captures)
     result = calibrate(drifting, surfaces, drift="auto")
     choice = result.drift_choice
     assert choice is not None and choice.remove and result.drift_corrected
@@ -125,32 +125,17 @@ def test_drift_is_found_and_taken_off(sound: tuple[CaptureSet, list[PressSurface
 def test_drift_is_taken_off_where_contacts_have_a_third_of_the_height() -> None:
     """No pixel of such a picture lies beyond 2.5 radii of most contacts."""
     captures, surfaces = synthetic_captures(12, noise=1.0, radii_px=(34.0, 40.0), ball_mm=5.0)
-    rng = np.random.default_rng(1)
-    drifting = with_images(
-        captures,
-        [
-            quantise(drift(p.image(), rng.uniform(0.92, 1.08, 3), rng.uniform(-12, 12, 3)))
-            for p in captures.presses
-        ],
-    )
+    drifting = in_drifting_light(captures)
     result = calibrate(drifting, surfaces, drift="auto")
     assert result.drift_corrected and not result.failures
     assert heldout_l1(result) < 0.6 * heldout_l1(calibrate(drifting, surfaces, drift="off"))
     assert not calibrate(captures, surfaces, drift="auto").drift_corrected
 
 
-def test_labels_that_all_lie_to_one_side_are_told(
-    sound: tuple[CaptureSet, list[PressSurface]],
-) -> None:
+def test_labels_that_all_lie_to_one_side_are_told(sound: Sound) -> None:
     captures, surfaces = sound
     circles = [press.circle for press in captures.presses if press.circle is not None]
-    beside = replace(
-        captures,
-        presses=tuple(
-            replace(press, circle=replace(circle, u_px=circle.u_px + 1.5))
-            for press, circle in zip(captures.presses, circles, strict=True)
-        ),
-    )
+    beside = with_circles(captures, [replace(c, u_px=c.u_px + 1.5) for c in circles])
     (remark,) = [
         item for item in fit_color(beside, circles, surfaces, options=QUICK).remarks
         if item.code == "labels_beside"
@@ -159,7 +144,7 @@ def test_labels_that_all_lie_to_one_side_are_told(
     assert "labels_beside" not in codes(fit_color(captures, circles, surfaces, options=QUICK))
 
 
-def test_an_outlier_is_named(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
+def test_an_outlier_is_named(sound: Sound) -> None:
     captures, surfaces = sound
     images = [press.image() for press in captures.presses]
     split = captures.split(4)
@@ -178,30 +163,24 @@ def test_an_outlier_is_named(sound: tuple[CaptureSet, list[PressSurface]]) -> No
     assert provenance.spread["ensemble_disc_levels"] == figures["spread"]["disc_levels"]
 
 
-def test_a_model_that_explains_little_is_weak(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
+def test_a_model_that_explains_little_is_weak(sound: Sound) -> None:
     captures, surfaces = sound
     shuffled = [surfaces[(i + 5) % len(surfaces)] for i in range(len(surfaces))]
     result = calibrate(captures, shuffled)
     assert "explains_little" in codes(result) and judge(result.remarks) is Verdict.WEAK
 
 
-def test_without_held_out_presses_it_says_so(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
+def test_nothing_held_out_and_too_few_presses_are_said(sound: Sound) -> None:
     captures, surfaces = sound
     result = calibrate(captures, surfaces, holdout_every=0, options=replace(QUICK, steps=20))
     (remark,) = result.remarks
     assert remark.code == "nothing_held_out" and remark.severity is Severity.WARNING
-
-
-def test_a_model_of_three_presses_is_weak(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
-    captures, surfaces = sound
     few = replace(captures, presses=captures.presses[:3])
     result = calibrate(few, surfaces[:3], holdout_every=0, options=replace(QUICK, steps=20))
     assert {r.code: r.severity for r in result.remarks}["color_few_presses"] is Severity.ERROR
 
 
-def test_the_page_shows_every_press(
-    sound: tuple[CaptureSet, list[PressSurface]], tmp_path: Path
-) -> None:
+def test_the_page_shows_every_press(sound: Sound, tmp_path: Path) -> None:
     captures, surfaces = sound
     result = calibrate(captures, surfaces, options=replace(QUICK, steps=60), folds=2, table=True)
     page = color_page(result)

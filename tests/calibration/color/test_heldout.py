@@ -28,7 +28,7 @@ from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.color.tiles import even_tiles, filled_from
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.surfaces import PressSurface
-from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.errors import SimulationError
 from tests.calibration.judged_once import detect_once, judge_slopes_once
 from tests.support.synthetic_presses import (
     GRID,
@@ -36,6 +36,8 @@ from tests.support.synthetic_presses import (
     synthetic_captures,
     tiny_profile,
     true_surfaces,
+    with_circles,
+    with_images,
     without_check,
     write_captures,
 )
@@ -47,6 +49,10 @@ QUICK = ColorFitOptions(
 
 BRIEF = replace(QUICK, hidden=(16,), steps=60)
 """For short fits whose result has to be the same, be it good or not."""
+
+
+Sound = tuple[CaptureSet, list[PressSurface]]
+"""Captures and the true surface of each press."""
 
 
 @pytest.mark.parametrize("labelled", [True, False])
@@ -101,29 +107,12 @@ def sound() -> tuple[CaptureSet, list[PressSurface]]:
     return synthetic_captures(12, noise=1.0)
 
 
-def with_image(captures: CaptureSet, name: str, image: np.ndarray) -> CaptureSet:
-    return replace(
-        captures,
-        presses=tuple(
-            replace(p, read=partial(np.copy, image)) if p.name == name else p
-            for p in captures.presses
-        ),
-    )
-
-
-def test_a_contact_too_large_for_its_light_fails_alone(
-    sound: tuple[CaptureSet, list[PressSurface]],
-) -> None:
+def test_a_contact_too_large_for_its_light_fails_alone(sound: Sound) -> None:
     """Its drift cannot be told: known before the fit, and no end of the run."""
     captures, surfaces = sound
-    name = captures.split(4).heldout_names[0]
-    large = ContactCircle(80.0, 59.0, 49.0)
-    captures = replace(
-        captures,
-        ball_radius_mm=5.0,
-        presses=tuple(replace(p, circle=large) if p.name == name else p for p in captures.presses),
-        heldout=captures.split(4).heldout_names,
-    )
+    split = captures.split(4)
+    name, large = split.heldout_names[0], {split.heldout[0]: ContactCircle(80.0, 59.0, 49.0)}
+    captures = with_circles(captures, large, ball_radius_mm=5.0, heldout=split.heldout_names)
     told: list[str] = []
     result = calibrated(
         captures, surfaces, options=QUICK, drift="on", progress=lambda task, *_: told.append(task)
@@ -142,23 +131,16 @@ def test_a_contact_too_large_for_its_light_fails_alone(
     assert result.figures()["failures"] == {name: failure.reason}
 
 
-def test_a_press_without_a_contact_lowers_the_figures(
-    sound: tuple[CaptureSet, list[PressSurface]],
-) -> None:
+def test_a_press_without_a_contact_lowers_the_figures(sound: Sound) -> None:
     captures, surfaces = sound
     split = captures.split(4)
-    unlabelled = replace(
-        captures,
-        presses=tuple(
-            replace(p, circle=None) if p.name in split.heldout_names else p
-            for p in captures.presses
-        ),
-        heldout=split.heldout_names,
-    )
+    blank = dict.fromkeys(split.heldout)
+    unlabelled = with_circles(captures, blank, heldout=split.heldout_names)
     whole = calibrated(unlabelled, surfaces, options=QUICK)
     assert whole.placement == "tiles" and whole.placements == ("tiles", "self")
     gone = split.heldout_names[1]
-    result = calibrated(with_image(unlabelled, gone, captures.background), surfaces, options=QUICK)
+    empty = with_images(unlabelled, {split.heldout[1]: captures.background})
+    result = calibrated(empty, surfaces, options=QUICK)
     (failure,) = result.failures
     assert failure.name == gone and "no contact found" in failure.reason
     worst = min(item.background_only.crop_psnr_db for item in result.heldout)
@@ -167,9 +149,7 @@ def test_a_press_without_a_contact_lowers_the_figures(
     assert result.heldout_means()["crop_psnr_db"] < whole.heldout_means()["crop_psnr_db"] - 3
 
 
-def test_a_simulation_that_does_not_converge_spoils_no_other(
-    sound: tuple[CaptureSet, list[PressSurface]],
-) -> None:
+def test_a_simulation_that_does_not_converge_spoils_no_other(sound: Sound) -> None:
     captures, surfaces = sound
     split = captures.split(4)
     bad = split.heldout_names[2]
@@ -191,16 +171,14 @@ def test_a_simulation_that_does_not_converge_spoils_no_other(
     assert {item.name for item in result.heldout} == set(split.heldout_names) - {bad}
 
 
-def test_a_press_left_out_by_a_person_counts(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
+def test_a_press_left_out_by_a_person_counts(sound: Sound) -> None:
     captures, surfaces = sound
     stated = (*captures.split(4).heldout_names, "p99")
     result = calibrated(captures, surfaces, heldout_names=stated, options=QUICK)
     assert [failure.name for failure in result.failures] == ["p99"]
 
 
-def test_labels_that_all_lie_to_one_side_are_shifted_by_what_training_says(
-    sound: tuple[CaptureSet, list[PressSurface]],
-) -> None:
+def test_labels_that_all_lie_to_one_side_are_shifted_by_what_training_says(sound: Sound) -> None:
     captures, _ = sound
     rng = np.random.default_rng(3)
     off = np.array([2.0, -1.5, 1.0])
@@ -238,9 +216,7 @@ def test_radii_that_labels_scatter_are_drawn_to_their_mean() -> None:
     assert shift.deviation_px[2] < 0.5
 
 
-def test_half_an_image_is_filled_from_the_other_half(
-    sound: tuple[CaptureSet, list[PressSurface]],
-) -> None:
+def test_half_an_image_is_filled_from_the_other_half(sound: Sound) -> None:
     captures, _ = sound
     image, background = captures.presses[0].image(), captures.background
     even = even_tiles(GRID, 20.0)
@@ -252,11 +228,3 @@ def test_half_an_image_is_filled_from_the_other_half(
     assert np.array_equal(half[even], image[even].astype(np.float32))
     off = np.abs(half - image)[~even].mean()
     assert off < 0.6 * np.abs(background.astype(float) - image)[~even].mean() + 0.8
-
-
-def test_a_press_on_both_sides_is_refused(sound: tuple[CaptureSet, list[PressSurface]]) -> None:
-    captures, surfaces = sound
-    circles = [press.circle for press in captures.presses if press.circle is not None]
-    held = HeldoutSet(captures.only([1]), true_surfaces, captures.split(4))
-    with pytest.raises(InputError, match="p1: held out and fitted at once"):
-        fit_color(captures, circles, surfaces, held)

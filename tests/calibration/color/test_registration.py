@@ -19,6 +19,7 @@ from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from tests.calibration.drawn.faults import poison, quantise
 from tests.support.synthetic_presses import BALL_RADIUS_MM, GRID, synthetic_captures
 
 COUNT = 12
@@ -103,22 +104,14 @@ def test_a_press_the_model_never_saw_is_placed(captures: CaptureSet) -> None:
     found = [place_press(fit.model, fit.background, f, library, GRID, NO_DRIFT) for f in off]
     for circle, frame in zip(found, held, strict=True):
         assert np.hypot(circle.u_px - frame.circle.u_px, circle.v_px - frame.circle.v_px) < 0.5
-
-
-def test_a_press_is_placed_by_the_pixels_that_are_given(captures: CaptureSet) -> None:
-    right = clicked_frames(captures, np.random.default_rng(3), off_px=0.0, scale=1.0)
-    training, held = right[:-1], right[-1]
-    fit = fit_color_model(training, captures.background, GRID, QUICK)
-    library = RadialSurfaces.of([f.surface for f in training], [f.circle for f in training], GRID)
-    rows, columns = np.indices((GRID.height_px, GRID.width_px)) // 8
-    even = (rows + columns) % 2 == 0
-    image = held.image.copy()
-    image[~even] = np.random.default_rng(0).integers(0, 256, image[~even].shape)
-
-    def placed(frame: ColorFrame) -> ContactCircle:
-        return place_press(fit.model, fit.background, frame, library, GRID, NO_DRIFT, mask=even)
-
-    assert placed(held) == placed(replace(held, image=image))
+    # Pixels that are not given have no part in it.
+    even = (np.indices((GRID.height_px, GRID.width_px)) // 8).sum(axis=0) % 2 == 0
+    image = quantise(poison(off[0].image, even, np.random.default_rng(0)))
+    clean, spoilt = (
+        place_press(fit.model, fit.background, f, library, GRID, NO_DRIFT, mask=even)
+        for f in (off[0], replace(off[0], image=image))
+    )
+    assert clean == spoilt
 
 
 def test_masked_pixels_have_no_effect_and_runs_agree(
@@ -128,11 +121,7 @@ def test_masked_pixels_have_no_effect_and_runs_agree(
     mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
     mask[50:60, 60:100] = False
     rng = np.random.default_rng(5)
-    poisoned = []
-    for frame in frames:
-        image = frame.image.copy()
-        image[~mask] = rng.integers(0, 256, image[~mask].shape)
-        poisoned.append(replace(frame, image=image))
+    poisoned = [replace(f, image=quantise(poison(f.image, mask, rng))) for f in frames]
     monkeypatch.setattr(registration, "ROUNDS", 1)
     clean, dirty = (
         register_presses(

@@ -39,12 +39,19 @@ from tests.calibration.drawn.faults import (
     quantise,
     vignette,
 )
+from tests.support.synthetic_presses import with_circles
 
 
 def offsets(captures: CaptureSet, contacts: Sequence[DetectedContact]) -> np.ndarray:
     """Found minus true u, v, radius of each press [px]."""
     truth = [press.circle for press in captures.presses if press.circle is not None]
     return circle_array([contact.circle for contact in contacts]) - circle_array(truth)
+
+
+def in_sigmas(captures: CaptureSet, contacts: Sequence[DetectedContact]) -> np.ndarray:
+    """The same in the standard deviations that the contacts state."""
+    sigmas = [(c.center_sigma_px, c.center_sigma_px, c.radius_sigma_px) for c in contacts]
+    return offsets(captures, contacts) / np.array(sigmas)
 
 
 def test_perfect_presses_to_a_tenth_of_a_pixel() -> None:
@@ -78,8 +85,7 @@ def test_faulty_presses_within_their_own_sigma() -> None:
     contacts = contacts_of(captures)
     off = offsets(captures, contacts)
     assert np.median(np.hypot(off[:, 0], off[:, 1])) < 0.35 and np.abs(off).max() < 2.0
-    centers = off[:, :2] / np.array([[c.center_sigma_px] for c in contacts])
-    radii = off[:, 2] / np.array([c.radius_sigma_px for c in contacts])
+    centers, radii = np.split(in_sigmas(captures, contacts), [2], axis=1)
     # Robust spread of the normalised errors: 1 when the predicted sigma is right.
     assert 0.4 < 1.4826 * np.median(np.abs(centers)) < 2.0
     assert 0.3 < 1.4826 * np.median(np.abs(radii)) < 2.5
@@ -87,16 +93,13 @@ def test_faulty_presses_within_their_own_sigma() -> None:
 
 def test_sigma_holds_what_the_law_of_the_gel_may_be_wrong_by() -> None:
     """Gels that sink over shorter and longer ways than the law says: radii are off together."""
-    centers, radii = [], []
+    scores = []
     for seed, skirt in enumerate((0.9, 1.6, 2.0)):
         rng = np.random.default_rng(seed)
         circles = scattered(8, seed=20 + seed)
         captures = press_set(circles, [faulty(c, rng, skirt) for c in circles])
-        contacts = contacts_of(captures)
-        off = offsets(captures, contacts)
-        centers.append(off[:, :2] / np.array([[c.center_sigma_px] for c in contacts]))
-        radii.append(off[:, 2] / np.array([c.radius_sigma_px for c in contacts]))
-    for standardised in (np.concatenate(centers), np.concatenate(radii)):
+        scores.append(in_sigmas(captures, contacts_of(captures)))
+    for standardised in np.split(np.concatenate(scores), [2], axis=1):
         assert 0.4 < np.sqrt(np.mean(standardised**2)) < 1.5
 
 
@@ -140,20 +143,11 @@ def test_contacts_that_fill_the_picture(share: float, left_px: float) -> None:
     low, high = np.full(2, radius + 3), np.array([116, 86]) - radius
     places = rng.uniform(low, high, (8, 2)).tolist()
     circles = [ContactCircle(u_px, v_px, radius) for u_px, v_px in places]
-    images = [
-        quantise(
-            add_noise(
-                drift(
-                    pressed(circle, grid, ball_px=1.3 * radius),
-                    rng.uniform(0.95, 1.05, 3),
-                    rng.uniform(-8, 8, 3),
-                ),
-                1.5,
-                rng,
-            )
-        )
-        for circle in circles
-    ]
+    images = []
+    for circle in circles:
+        clean = pressed(circle, grid, ball_px=1.3 * radius)
+        lit = drift(clean, rng.uniform(0.95, 1.05, 3), rng.uniform(-8, 8, 3))
+        images.append(quantise(add_noise(lit, 1.5, rng)))
     captures = dataclasses.replace(
         press_set(circles, images, grid), ball_radius_mm=1.3 * radius * grid.mm_per_px_x
     )
@@ -212,8 +206,7 @@ def test_a_ball_that_is_too_small_shows() -> None:
     captures = press_set(circles, [pressed(c) for c in circles])
     right = check_ball(captures, find_contacts(captures))
     assert right is not None and right.consistent, right
-    blank = tuple(dataclasses.replace(press, circle=None) for press in captures.presses)
-    small = dataclasses.replace(captures, ball_radius_mm=0.65 * BALL_MM, presses=blank)
+    small = with_circles(captures, [None] * 6, ball_radius_mm=0.65 * BALL_MM)
     wrong = check_ball(small, find_contacts(small))
     assert wrong is not None and not wrong.consistent
     assert wrong.remark().code == "wrong_ball_radius" and "mm" in wrong.remark().message
@@ -223,11 +216,8 @@ def test_a_ball_that_is_too_small_shows() -> None:
 def test_labels_to_one_side_are_told_apart_from_scatter() -> None:
     circles = scattered(6)
     captures = press_set(circles, [pressed(c) for c in circles])
-    moved = tuple(
-        dataclasses.replace(p, circle=dataclasses.replace(c, u_px=c.u_px + 3))
-        for p, c in zip(captures.presses, circles, strict=True)
-    )
-    found = compare_with_labels(dataclasses.replace(captures, presses=moved), contacts_of(captures))
+    moved = [dataclasses.replace(c, u_px=c.u_px + 3) for c in circles]
+    found = compare_with_labels(with_circles(captures, moved), contacts_of(captures))
     assert found is not None and found.shift_u_px == pytest.approx(-3, abs=0.1)
     assert found.center_median_px == pytest.approx(3, abs=0.1)
     assert found.center_median_shifted_px < 0.1
