@@ -183,21 +183,18 @@ def test_two_pictures_of_the_dents_that_differ_widen_the_scale() -> None:
     assert wide.mm_per_px_y.sigma < 1.1 * plain.mm_per_px_y.sigma
 
 
-def test_boards_that_give_no_scale_are_refused() -> None:
+def test_boards_that_give_no_scale_are_refused_and_one_beside_the_middle_is_told() -> None:
     view = flat_view((0.05, 0.05))
-    with pytest.raises(InputError, match="pitch_mm"):
-        fit_on_gel([replace(view, pitch_mm=None)])
-    with pytest.raises(InputError, match="at least 8"):
-        fit_on_gel([view.take(np.arange(5))])
+    for bad, words in (
+        (replace(view, pitch_mm=None), "pitch_mm"),
+        (view.take(np.arange(5)), "at least 8"),
+    ):
+        with pytest.raises(InputError, match=words):
+            fit_on_gel([bad])
     with pytest.raises(InputError, match="use one size"):
         fit_on_gel([replace(view, size_px=(320, 240))], intrinsics=lens_of("k1"))
-
-
-def test_a_board_beside_the_middle_is_said_to_be_so() -> None:
-    view = flat_view((0.02, 0.02))
-    view = replace(view, uv_px=view.uv_px * 0.3 + (10.0, 10.0))
-    found = fit_on_gel([view])
-    assert any(remark.code == "off_center" for remark in found.remarks)
+    beside = replace(view, uv_px=flat_view((0.02, 0.02)).uv_px * 0.3 + (10.0, 10.0))
+    assert "off_center" in {remark.code for remark in fit_on_gel([beside]).remarks}
 
 
 @pytest.mark.parametrize(("unit", "removed"), [(1, 0), (2, 21)])
