@@ -135,12 +135,9 @@ def test_the_example_of_the_docs_runs(captures: Path, monkeypatch: pytest.Monkey
     assert Path("unit3", "profile.toml").is_file() and Path("unit3_report").is_dir()
 
 
-def test_nothing_to_do_is_refused(captures: Path) -> None:
+def test_nothing_to_do_unknown_blocks_and_other_sensors_are_refused(captures: Path) -> None:
     with pytest.raises(InputError, match="nothing could be calibrated\n  markers: needs"):
         calibrate(captures, only=("markers",))
-
-
-def test_unknown_blocks_and_other_sensors_are_refused(captures: Path) -> None:
     with pytest.raises(InputError, match="no block colour; there are camera, scale"):
         calibrate(captures, only=("colour",))
     with pytest.raises(InputError, match="no block colour"):
