@@ -30,6 +30,8 @@ from tests.support.synthetic_presses import (
     write_captures,
 )
 
+pytestmark = pytest.mark.usefixtures("equal_captures_are_judged_once")
+
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
