@@ -170,3 +170,12 @@ def test_a_damaged_file_is_told_and_made_anew(captures: CaptureSet, text: str) -
         again = cached_contacts(captures)
     assert again.contacts == found.contacts
     assert cached_contacts(captures).contacts == found.contacts
+
+
+def test_a_cache_that_cannot_be_written_is_named(
+    captures: CaptureSet, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "file"))
+    with pytest.raises(InputError, match=CACHE_VARIABLE):
+        cached_contacts(replace(captures, presses=captures.presses[:3]))
