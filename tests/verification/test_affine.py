@@ -100,30 +100,14 @@ def test_spin_about_a_principal_axis_follows_the_rotations(spin: float) -> None:
     assert run.strain < 1e-4
 
 
-def on_slope(friction: float, slope: float, config: SolverConfig | None = None) -> Run:
+def on_slope(friction: float, slope: float) -> Run:
     """A box at rest just above a plane; gravity is what is tilted."""
     gravity = (G * np.sin(slope), 0.0, -G * np.cos(slope))
     body = box("block", (0.1, 0.1, 0.04), (0, 0, 0.02 + 1e-5), friction_coefficient=friction)
-    return Run(affine_scene([body], planes=[Plane()], gravity=gravity), config)
+    return Run(affine_scene([body], planes=[Plane()], gravity=gravity))
 
 
-@pytest.mark.parametrize("part", [0.5, 0.95])
-def test_a_block_below_the_friction_angle_sticks(part: float) -> None:
-    friction, n = 0.5, 20
-    slope = np.arctan(part * friction)
-    eps = 1e-6
-    run = on_slope(friction, slope, SolverConfig(friction_speed_m_s=eps / 0.01))
-    run.step()
-    start = run.y[0, 0].copy()
-    for _ in range(n):
-        run.step()
-    crept = run.y[0, 0] - start
-    assert 0 < crept[0] < 1.1 * n * eps
-    assert abs(crept[1]) < 1e-8
-    assert run.overlaps() == []
-
-
-@pytest.mark.parametrize(("friction", "slope"), [(0.5, np.arctan(0.55)), (0.2, 0.5), (0.0, 0.3)])
+@pytest.mark.parametrize(("friction", "slope"), [(0.2, 0.5), (0.0, 0.3)])
 def test_a_block_above_the_friction_angle_slides(friction: float, slope: float) -> None:
     """At g (sin - mu cos), from the first step that is held by the plane."""
     run = on_slope(friction, slope)
