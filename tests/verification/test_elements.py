@@ -3,9 +3,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from taccel_lab.cad.mesh.focus import FocusOptions
+from taccel_lab.cad.mesh.gel_mesh import focused_gel_mesh
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.scene import Element, Material, MaterialModel, Scene, SoftBody
 from tests.support.blocks import block_mesh
 from tests.verification.element_problems import (
@@ -13,11 +19,11 @@ from tests.verification.element_problems import (
     cook_error,
     rate,
     referee,
+    surface_load,
     swirl_error,
+    whole_faces,
 )
 from tests.verification.elements import ElementForces
-from tests.verification.layer_press import press
-from tests.verification.nodal_loads import surface_load, whole_faces
 
 KINDS = list(Element)
 YOUNG = 1e5
@@ -135,27 +141,49 @@ def test_the_referee_of_cooks_membrane(poisson: float) -> None:
     assert referee(poisson) == pytest.approx(COOK_ENERGY[poisson], abs=2e-4)
 
 
+def layer_press(element: Element, layers: int, poisson_ratio: float) -> tuple[int, list[float]]:
+    """Nodes, and forces [N] of a frictionless ball of 4 mm radius, 0.2, 0.6 and 1 mm into a bonded
+    gel of 24 x 24 x 4.25 mm, on meshes that are refined alike in all directions."""
+    mesh = focused_gel_mesh(
+        GelPad(
+            length_x_mm=24.0,
+            length_y_mm=24.0,
+            corner_radius_mm=1.5,
+            thickness_mm=4.25,
+            window_x_mm=18.0,
+            window_y_mm=18.0,
+        ),
+        FocusOptions(
+            at_mm=(0.0, 0.0),
+            radius_mm=3.5,
+            size_mm=1.4 / layers,
+            core=2 * layers,
+            rings=max(5, round(2.3 * layers)),
+            layers=layers,
+            layer_ratio=1.15,
+        ),
+    )
+    env = PressEnv(
+        mesh,
+        Material(1.5e5, poisson_ratio),
+        parse_indenter("sphere:4.0"),
+        np.zeros((1, 2)),
+        physics=replace(PHYSICS[Accuracy.DEFAULT], element=element),
+    )
+    forces = []
+    for depth in (0.2, 0.6, 1.0):
+        env.move_to(depth)
+        forces.append(float(env.wrench[0, 2]))
+    return env.model.soft_count, forces
+
+
 @pytest.mark.parametrize("poisson", [pytest.param(0.45, marks=pytest.mark.slow), 0.499])
 def test_force_of_a_bonded_layer(poisson: float) -> None:
     """Force over depth of a ball on a bonded layer: within 3 % on the coarsest quadratic mesh."""
-    coarse, fine = (press(Element.QUADRATIC, n, poisson) for n in (2, 3))
+    (count, coarse), (_, fine) = (layer_press(Element.QUADRATIC, n, poisson) for n in (2, 3))
     # The next mesh, of 12,969 nodes, moves the last force of ``fine`` by 0.4 %.
-    assert coarse.node_count < 2100
-    np.testing.assert_allclose(coarse.forces_n[1:], fine.forces_n[1:], rtol=0.03)
-    linear = press(Element.LINEAR, 4, poisson)
-    assert linear.node_count == pytest.approx(coarse.node_count, rel=0.1)
-    assert linear.forces_n[-1] > (1.15 if poisson == 0.45 else 5) * fine.forces_n[-1]
-
-
-def test_quadratic_faces_are_what_collides() -> None:
-    mesh = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
-    body = SoftBody(mesh, Material(YOUNG, 0.4), element=Element.QUADRATIC)
-    model = Scene(body).finalize()
-    first, last = model.bodies[0].faces
-    assert last - first == 4 * len(mesh.faces)
-    areas = model.surface.node_areas.numpy()[0]
-    faces = model.surface.faces.numpy()[first:last]
-    assert (areas[np.unique(faces)] > 0).all()
-    masses = model.masses.numpy()[0]
-    assert masses.min() > 0
-    assert masses.sum() == pytest.approx(1000 * 2e-3 * 2e-3 * 1e-3, rel=1e-12)
+    assert count < 2100
+    np.testing.assert_allclose(coarse[1:], fine[1:], rtol=0.03)
+    linear_count, linear = layer_press(Element.LINEAR, 4, poisson)
+    assert linear_count == pytest.approx(count, rel=0.1)
+    assert linear[-1] > (1.15 if poisson == 0.45 else 5) * fine[-1]

@@ -8,13 +8,23 @@ import pytest
 
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.model.kinematics import interpolate_poses
-from taccel_lab.scene import Ball, KinematicBody, TriangleMesh, box_mesh, cylinder_mesh
+from taccel_lab.scene import (
+    Ball,
+    Element,
+    KinematicBody,
+    Material,
+    Scene,
+    SoftBody,
+    TriangleMesh,
+    box_mesh,
+    cylinder_mesh,
+)
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose, scene
+from tests.support.blocks import bumpy_body, everywhere, pose
+from tests.verification.test_press import MESHES
 
-MESH = block_mesh((8, 8, 3), (6e-3, 6e-3, 2.4e-3), jitter=0.15)
 MAX_DEPTH = 0.8e-3
 
 
@@ -61,29 +71,37 @@ def advance(solver: SolverIPC, state: State, target: np.ndarray) -> int:
 
 
 @pytest.mark.parametrize(
-    "presses", [16, pytest.param(200, marks=pytest.mark.slow, id="200 presses")]
+    ("element", "presses"),
+    [
+        (Element.LINEAR, 16),
+        (Element.QUADRATIC, 10),
+        pytest.param(Element.LINEAR, 200, marks=pytest.mark.slow),
+        pytest.param(Element.QUADRATIC, 60, marks=pytest.mark.slow),
+    ],
 )
-def test_rough_presses_never_intersect(presses: int) -> None:
+def test_rough_presses_never_intersect(element: Element, presses: int) -> None:
+    linear = element is Element.LINEAR
     parts: list[int] = []
     for seed in range(presses):
-        rng = np.random.default_rng(seed)
-        friction, poisson = rng.choice([0, 0.3, 1.0]), rng.choice([0.3, 0.45, 0.49])
+        rng = np.random.default_rng(seed if linear else 1000 + seed)
+        friction = rng.choice([0, 0.3, 1.0])
+        poisson = rng.choice([0.3, 0.45, 0.49 if linear else 0.499])
         body = KinematicBody(random_shape(rng), float(friction))
-        model = scene(MESH, body, poisson=float(poisson)).finalize()
+        gel = SoftBody(MESHES[element], Material(1e5, float(poisson)), element=element)
+        model = Scene(gel, body).finalize()
         solver = SolverIPC(model, SolverConfig(dhat_m=float(rng.choice([5e-6, 2e-5, 1e-4]))))
         x, y = rng.uniform(-1e-3, 1e-3, 2)
         axis = rng.normal(size=3)
-        placed = everywhere(
-            1,
-            pose(x, y, reach(body.shape) + 2e-4, (axis[0], axis[1], axis[2]), rng.uniform(0, 180)),
-        )
-        state = initial_state(model, placed)
+        high = reach(body.shape) + 2e-4
+        placed = pose(x, y, high, (axis[0], axis[1], axis[2]), rng.uniform(0, 180))
+        state = initial_state(model, everywhere(1, placed))
         for _ in range(5):
             now = state.poses.numpy().reshape(1, 1, 7)
             target = next_pose(now, reach(body.shape) - MAX_DEPTH, rng)
             parts.append(advance(solver, state, target))
     counts = np.array(parts)
-    assert (counts > 0).all(), "a step stayed unsolved"
+    unsolved = (counts == 0).sum()
+    assert unsolved <= (0 if linear else 1 + 0.02 * len(counts)), "a step stayed unsolved"
     # Friction of 1 on sharp bodies with a range of 5 um is what has to be halved: 19 in 1,000. The
     # first ten presses have most of it, and by rounding four or five steps of their 50.
     assert (counts == 1).mean() > (0.97 if presses > 100 else 0.9)
