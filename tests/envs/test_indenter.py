@@ -24,12 +24,6 @@ def signed_volume(mesh: TriangleMesh) -> float:
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
 
 
-def test_sphere() -> None:
-    indenter = parse_indenter("sphere:2.5")
-    assert indenter.name == "sphere:2.5"
-    assert indenter.shape == Ball(2.5e-3)
-
-
 def test_cylinder() -> None:
     mesh = parse_indenter("cylinder:1.5").shape
     assert isinstance(mesh, TriangleMesh)
@@ -56,38 +50,25 @@ def test_every_allowed_size_is_read_in_mm(size: float) -> None:
     ("text", "message"),
     [
         ("", "not understood"),
-        ("sphere", "'' is not a number"),
         ("sphere:", "'' is not a number"),
         ("ball:2", "not understood; allowed: sphere:RADIUS"),
-        ("Sphere:2", "not understood"),
         ("sphere:2mm", "'2mm' is not a number"),
-        ("sphere:2x3", "'2x3' is not a number"),
         ("sphere:0", r"must lie in \[0.05, 100\] mm, got 0 mm"),
         ("sphere:-2", r"must lie in \[0.05, 100\] mm, got -2 mm"),
         ("sphere:nan", r"must lie in \[0.05, 100\] mm, got nan mm"),
         ("cylinder:inf", r"must lie in \[0.05, 100\] mm, got inf mm"),
         ("cylinder:0.002", r"must lie in \[0.05, 100\] mm"),
-        ("box:4", "not understood"),
         ("box:4x", "'' is not a number"),
         ("box:4x2x3", "'2x3' is not a number"),
-        ("box:4x-2", "must lie in"),
         ("box:0.01x2", r"must lie in \[0.05, 100\] mm, got 0.01 mm"),
-        ("roller:2", "not understood"),
-        ("roller:2x3x4", "'3x4' is not a number"),
         ("roller:-2x3", "must lie in"),
-        ("edge:90", "not understood"),
         ("edge:5x6", r"opening angle must lie in \[10, 170\] deg, got 5 deg"),
         ("edge:180x6", r"opening angle must lie in \[10, 170\] deg"),
-        ("edge:nanx6", "opening angle must lie in"),
-        ("edge:90x6x", "'' is not a number"),
         ("edge:90x6x0.01", r"must lie in \[0.05, 100\] mm, got 0.01 mm"),
         ("edge:90x6x50", r"rounded by 50 mm leaves no flanks"),
-        ("grating:1x5", "not understood"),
         ("grating:1x2.5x4", r"ridges must be a whole number in \[2, 100\], got 2.5"),
         ("grating:1x1x4", r"ridges must be a whole number in \[2, 100\], got 1"),
-        ("grating:1xnanx4", "ridges must be a whole number"),
         ("grating:5x30x4", "is 150 mm wide; at most 100 mm"),
-        ("pair:1", "not understood"),
         ("pair:1x0", r"must lie in \[0.05, 100\] mm, got 0 mm"),
         ("mesh:", "is a folder"),
         ("mesh:absent.stl", "absent.stl does not exist"),
@@ -142,72 +123,62 @@ def test_an_axis_of_the_file_points_into_the_gel(
     assert signed_volume(mesh) > 0
 
 
-def test_a_file_far_from_its_origin_is_refused(tmp_path: Path) -> None:
-    ball = pyvista.Sphere(radius=2.0, center=(250, 0, 0))
-    with pytest.raises(InputError, match=r"ball\.stl reaches 25[12].* mm from its origin"):
-        parse_indenter(save(ball, tmp_path / "ball.stl"))
-
-
 def test_faces_that_look_inwards_are_turned(tmp_path: Path) -> None:
-    cube = pyvista.Cube(x_length=3, y_length=2, z_length=1).triangulate().clean()
-    faces = cube.faces.reshape(-1, 4)[:, [0, 1, 3, 2]]
-    inside_out = pyvista.PolyData(np.asarray(cube.points), faces)
+    points, faces = cube()
+    inside_out = pyvista.PolyData(points, faces[:, [0, 1, 3, 2]])
     mesh = parse_indenter(save(inside_out, tmp_path / "cube.stl")).shape
     assert isinstance(mesh, TriangleMesh)
     assert signed_volume(mesh) == pytest.approx(6e-9)
 
 
-def test_open_surface_is_refused(tmp_path: Path) -> None:
-    text = save(pyvista.Plane(i_size=3, j_size=3).triangulate(), tmp_path / "plane.stl")
-    with pytest.raises(
-        InputError, match=r"plane\.stl is not closed: \d+ edges belong to one face only"
-    ):
-        parse_indenter(text)
+def cube() -> tuple[np.ndarray, np.ndarray]:
+    """Corners [mm] and rows (3, a, b, c) of the faces of a cuboid."""
+    found = pyvista.Cube(x_length=3, y_length=2, z_length=1).triangulate().clean()
+    return np.asarray(found.points), np.array(found.faces.reshape(-1, 4))
 
 
-def test_surface_with_a_fin_is_refused(tmp_path: Path) -> None:
-    cube = pyvista.Cube(x_length=3, y_length=2, z_length=1).triangulate().clean()
-    points = np.vstack([cube.points, [0.0, 0.0, 5.0]])
-    faces = cube.faces.reshape(-1, 4)
-    extra = [3, faces[0, 1], faces[0, 2], len(points) - 1]
-    fin = pyvista.PolyData(points, np.vstack([faces, extra]))
-    with pytest.raises(InputError, match="is not manifold: 1 edges belong to more than two faces"):
-        parse_indenter(save(fin, tmp_path / "fin.stl"))
+def with_a_fin() -> pyvista.PolyData:
+    points, faces = cube()
+    fin = [3, faces[0, 1], faces[0, 2], len(points)]
+    return pyvista.PolyData(np.vstack([points, [0.0, 0.0, 5.0]]), np.vstack([faces, fin]))
 
 
-def test_parts_that_pass_through_each_other_are_refused(tmp_path: Path) -> None:
-    cubes = [pyvista.Cube(center=(0.7 * k, 0.3 * k, 0.2 * k)).triangulate() for k in range(2)]
-    with pytest.raises(InputError, match=r"two\.stl intersects itself: \d+ times an edge passes"):
-        parse_indenter(save(cubes[0].append_polydata(cubes[1]), tmp_path / "two.stl"))
+def of_both_ways() -> pyvista.PolyData:
+    points, faces = cube()
+    faces[4] = faces[4][[0, 1, 3, 2]]
+    return pyvista.PolyData(points, faces)
 
 
-CORNERS = "v 0 0 0\nv 3 0 0\nv 0 3 0\n"
+def crossing() -> pyvista.PolyData:
+    one, two = (pyvista.Cube(center=(0.7 * k, 0.3 * k, 0.2 * k)).triangulate() for k in range(2))
+    return one.append_polydata(two)
+
+
+def triangles(*rows: tuple[int, int, int]) -> pyvista.PolyData:
+    corners = np.array([[0.0, 0, 0], [3, 0, 0], [0, 3, 0]])
+    return pyvista.PolyData(corners, np.array([[3, *row] for row in rows]))
 
 
 @pytest.mark.parametrize(
-    ("faces", "words"),
+    ("surface", "words"),
     [
-        ("f 1 2 3\n", r"is not closed: 3 edges belong to one face only"),
-        ("f 1 2 3\n" * 4, r"3 edges belong to more than two faces"),
-        ("f 1 2 3\nf 1 3 2\n", r"encloses 0 mm\^3, 0 mm thick on average; a body of at least"),
+        (with_a_fin(), "is not manifold: 1 edges belong to more than two faces"),
+        (of_both_ways(), "neighbouring faces are oriented differently"),
+        (crossing(), r"intersects itself: \d+ times an edge passes"),
+        (triangles((0, 1, 2)), r"is not closed: 3 edges belong to one face only"),
+        (triangles(*[(0, 1, 2)] * 4), r"3 edges belong to more than two faces"),
+        (
+            triangles((0, 1, 2), (0, 2, 1)),
+            r"encloses 0 mm\^3, 0 mm thick on average; a body of at least",
+        ),
+        (pyvista.Sphere(radius=2.0, center=(250, 0, 0)), r"reaches 25[12].* mm from its origin"),
     ],
 )
-def test_one_triangle_alone_repeated_or_from_both_sides_is_no_body(
-    faces: str, words: str, tmp_path: Path
+def test_surfaces_of_no_body_are_refused(
+    surface: pyvista.PolyData, words: str, tmp_path: Path
 ) -> None:
-    path = tmp_path / "sheet.obj"
-    path.write_text(CORNERS + faces)
-    with pytest.raises(InputError, match=rf"sheet\.obj.*{words}"):
-        parse_indenter(f"mesh:{path}")
-
-
-def test_faces_that_look_both_ways_are_refused(tmp_path: Path) -> None:
-    cube = pyvista.Cube(x_length=3, y_length=2, z_length=1).triangulate().clean()
-    faces = np.array(cube.faces.reshape(-1, 4))
-    faces[4] = faces[4][[0, 1, 3, 2]]
-    text = save(pyvista.PolyData(np.asarray(cube.points), faces), tmp_path / "cube.obj")
-    with pytest.raises(InputError, match=r"cube\.obj: neighbouring faces are oriented differently"):
-        parse_indenter(text)
+    with pytest.raises(InputError, match=rf"bad\.obj.*{words}"):
+        parse_indenter(save(surface, tmp_path / "bad.obj"))
 
 
 @pytest.mark.filterwarnings("error")
@@ -253,30 +224,3 @@ def test_part_of_python_in_millimetres_is_refused() -> None:
     tool = Indenter("puck", TriangleMesh(1e3 * box.vertices_m, box.faces))
     with pytest.raises(InputError, match=r"6e\+04 mm across: at most 1000 mm"):
         tool.contact(0.3)
-
-
-def test_other_files_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "ball.step"
-    path.write_text("ISO-10303-21;")
-    with pytest.raises(InputError, match=r"ball\.step: only \.stl, \.ply and \.obj"):
-        parse_indenter(f"mesh:{path}")
-    with pytest.raises(InputError, match="is a folder; expected a triangle mesh"):
-        parse_indenter(f"mesh:{tmp_path}")
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
-@pytest.mark.parametrize("content", [b"", b"not a mesh at all", bytes(range(256)) * 4])
-def test_broken_mesh_file_is_refused(tmp_path: Path, suffix: str, content: bytes) -> None:
-    path = tmp_path / f"broken.{suffix}"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=rf"broken\.{suffix}"):
-        parse_indenter(f"mesh:{path}")
-
-
-def test_truncated_mesh_file_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "ball.stl"
-    pyvista.Sphere(radius=2.0).save(path)
-    path.write_bytes(path.read_bytes()[:2000])
-    with pytest.raises(InputError, match=r"ball\.stl"):
-        parse_indenter(f"mesh:{path}")

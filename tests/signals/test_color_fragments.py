@@ -10,6 +10,7 @@ import warp as wp
 from taccel_lab.signals.color_fragments import NetworkLayout, pack_network
 from taccel_lab.signals.color_kernel import color_kernel
 from taccel_lab.signals.color_model import (
+    INPUT_NAMES,
     ColorModel,
     ColorModelConfig,
     expected_shapes,
@@ -101,53 +102,49 @@ def run(model: ColorModel, inputs: np.ndarray, pixel: np.ndarray | None = None) 
 
 
 @pytest.mark.parametrize(
-    ("hidden", "activation"),
-    [((64, 64, 64), "silu"), ((20, 40), "tanh"), ((5,), "silu"), ((48, 96), "silu")],
+    ("hidden", "activation", "inputs", "bands"),
+    [
+        *[
+            (hidden, activation, ("v", "normal_z", "normal_x", "displacement_mm"), 0)
+            for hidden, activation in (
+                ((64, 64, 64), "silu"),
+                ((20, 40), "tanh"),
+                ((5,), "silu"),
+                ((48, 96), "silu"),
+            )
+        ],
+        # With the table of places: of the positional encoding.
+        ((20, 32), "silu", INPUT_NAMES, 3),
+        ((20, 32), "tanh", INPUT_NAMES, 3),
+    ],
 )
-def test_fragments_compute_the_network(hidden, activation):
-    rng = np.random.default_rng(1)
+def test_fragments_compute_the_network(hidden, activation, inputs, bands):
     config = ColorModelConfig(
         20,
         15,
         hidden=hidden,
         activation=activation,
-        inputs=("v", "normal_z", "normal_x", "displacement_mm"),
-        input_mean=(0.0,) * 4,
-        input_scale=(1.0,) * 4,
+        inputs=inputs,
+        position_bands=bands,
+        input_mean=(0.0,) * len(inputs),
+        input_scale=(1.0,) * len(inputs),
     )
+    rng = np.random.default_rng(1)
     weights = {
         name: rng.normal(0, 1.5 / np.sqrt(shape[-1]) if len(shape) == 2 else 0.3, shape)
         for name, shape in expected_shapes(config).items()
     }
-    model = ColorModel(config, weights)
-    inputs = rng.normal(0, 1, (16, 6))
-    x = inputs[:, [1, 4, 2, 5]]
+    pixel = rng.integers(0, 20 * 15, 16) if bands else None
+    given = rng.normal(0, 1, (16, 6))
+    x = given[:, [INPUT_NAMES.index(name) for name in inputs]]
+    if bands:
+        given[:, :2] = x[:, :2] = uv = pixel_uv(config, pixel)
+        x = np.concatenate([x, encode_position(uv, bands)], axis=1)
     for i in range(len(hidden)):
         x = x @ weights[f"layer{i}.weight"].T + weights[f"layer{i}.bias"]
         x = np.tanh(x) if activation == "tanh" else x / (1 + np.exp(-x))
     expected = x @ weights[f"layer{len(hidden)}.weight"].T * config.output_scale
-    error = np.abs(run(model, inputs) - expected)
-    assert np.abs(expected).max() > 20
-    assert error.max() < 0.12 and error.mean() < 0.03
-
-
-@pytest.mark.parametrize("activation", ["silu", "tanh"])
-def test_the_table_of_places_is_the_positional_encoding(activation):
-    config = ColorModelConfig(20, 15, hidden=(20, 32), activation=activation, position_bands=3)
-    rng = np.random.default_rng(2)
-    weights = {
-        name: rng.normal(0, 1.5 / np.sqrt(shape[-1]) if len(shape) == 2 else 0.3, shape)
-        for name, shape in expected_shapes(config).items()
-    }
-    pixel = rng.integers(0, 20 * 15, 16)
-    uv = pixel_uv(config, pixel)
-    inputs = np.concatenate([uv, rng.normal(0, 1, (16, 4))], axis=1)
-    x = np.concatenate([inputs, encode_position(uv, 3)], axis=1)
-    for i in range(2):
-        x = x @ weights[f"layer{i}.weight"].T + weights[f"layer{i}.bias"]
-        x = np.tanh(x) if activation == "tanh" else x / (1 + np.exp(-x))
-    expected = x @ weights["layer2.weight"].T * config.output_scale
-    error = np.abs(run(ColorModel(config, weights), inputs, pixel) - expected)
+    error = np.abs(run(ColorModel(config, weights), given, pixel) - expected)
     assert np.abs(expected).max() > 20
     assert error.max() < 0.12 and error.mean() < 0.03
 
@@ -169,12 +166,19 @@ def test_the_first_layer_keeps_more_than_half_precision():
 
 
 @pytest.mark.parametrize(
-    ("hidden", "activation"), [((64, 64, 64), "silu"), ((20, 128), "tanh"), ((16,), "relu")]
+    ("hidden", "activation", "encoded"),
+    [
+        ((64, 64, 64), "silu", False),
+        ((20, 128), "tanh", False),
+        ((16,), "relu", False),
+        ((64, 64, 64), "silu", True),
+    ],
 )
-def test_kernels_compile_for_hopper(hidden, activation, tmp_path):
+def test_kernels_compile_for_hopper(hidden, activation, encoded, tmp_path):
     """The CUDA half of the source, which nothing else reads on a machine without a GPU."""
-    module = color_kernel(hidden, activation).module
+    module = color_kernel(hidden, activation, encoded=encoded).module
     wp.compile_aot_module(module, arch=90, module_dir=str(tmp_path))
     assert list(tmp_path.glob("*.sm90.cubin"))
     (source,) = (path.read_text() for path in tmp_path.glob("*.cu"))
     assert source.count("mma.sync.aligned.m16n8k16") == 1
+    assert ("place.data + 64 * (width + at / width)" in source) == encoded

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
-from taccel_lab.signals.color_kernel import color_kernel
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
 from taccel_lab.signals.normal_features import feature_names, pixel_place
 from taccel_lab.signals.normal_model import NormalModel
@@ -107,14 +106,6 @@ def test_device_images_are_those_of_the_model(bands: int, device: str) -> None:
     assert np.abs(expected - background).max() > 10
     assert np.abs(levels.numpy() - expected).max() < LEVELS[device]
     assert np.array_equal(levels.numpy()[0, :5], background[:5])
-
-
-def test_the_encoded_kernel_compiles_for_hopper(tmp_path) -> None:
-    module = color_kernel((64, 64, 64), "silu", encoded=True).module
-    wp.compile_aot_module(module, arch=90, module_dir=str(tmp_path))
-    assert list(tmp_path.glob("*.sm90.cubin"))
-    (source,) = (path.read_text() for path in tmp_path.glob("*.cu"))
-    assert "place.data + 64 * (width + at / width)" in source
 
 
 def test_settings_say_how_many_bands_and_refuse_too_many() -> None:

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 import warp as wp
@@ -34,72 +32,6 @@ from tests.signals.tactile_cases import (
 from tests.support.sample_blocks import ASSUMED, bare_profile
 
 
-@pytest.fixture
-def launched(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Names of the kernels that are launched."""
-    names: list[str] = []
-    launch = wp.launch
-
-    def counted(kernel: Any, *args: Any, **kwargs: Any) -> Any:
-        names.append(kernel.key)
-        return launch(kernel, *args, **kwargs)
-
-    launch_tiled = wp.launch_tiled
-
-    def counted_tiled(kernel: Any, *args: Any, **kwargs: Any) -> Any:
-        names.append(kernel.key)
-        return launch_tiled(kernel, *args, **kwargs)
-
-    monkeypatch.setattr(wp, "launch", counted)
-    monkeypatch.setattr(wp, "launch_tiled", counted_tiled)
-    return names
-
-
-def test_only_what_is_read_is_launched(launched):
-    mesh = flat_pad(0.4, PAD_HALF_MM)
-    signal = make(mesh)
-    positions = on_device(presses(mesh), "cpu")
-    signal.update(positions)
-    assert launched == []
-    assert signal.markers_px is not None
-    assert launched == ["_project_markers_kernel"]
-    launched.clear()
-    assert signal.markers_px is signal.read("markers_px")[0]
-    assert launched == []
-    signal.read("height_m", "rgb", "markers_px")
-    signal.update(positions)
-    launched.clear()
-
-    def surface_and(*own: str) -> list[str]:
-        return sorted([*SURFACE, *own])
-
-    signal.read("height_m")
-    assert sorted(launched) == surface_and("height_kernel")
-    launched.clear()
-    signal.read("rgb")
-    signal.read("rgb_levels")
-    # The surface is still there from the height map.
-    assert len(launched) == 2 and all("color_kernel" in name for name in launched)
-    signal.update(positions)
-    launched.clear()
-    signal.read("rgb", "rgb_levels", "height_m")
-    assert len(launched) == len(SURFACE) + 2
-    assert "_project_markers_kernel" not in launched
-
-
-SURFACE = [
-    "_gather_surface_kernel",
-    "_network_terms_kernel",
-    "_relax_gradients_kernel",
-    "build_patches_kernel",
-    "_sample_kernel",
-    "_prepare_raster_kernel",
-    "_rasterize_faces_kernel",
-    "_rasterize_faces_kernel",
-    "_settle_kernel",
-]
-
-
 def test_signals_that_are_not_read_take_no_memory():
     mesh = flat_pad(0.4, PAD_HALF_MM)
     signal = make(mesh)
@@ -107,7 +39,10 @@ def test_signals_that_are_not_read_take_no_memory():
     signal.read("markers_px")
     assert signal._surface.made is None and signal._painter is None
     signal.read("height_m")
+    surface = signal._surface.made
     assert signal._painter is None
+    signal.read("rgb")
+    assert signal._surface.made is surface, "still there from the height map"
 
 
 @pytest.mark.parametrize("device", DEVICES)
