@@ -10,7 +10,6 @@ import warp as wp
 from taccel_lab.errors import InputError
 from tests.newton_door.squeezed_cube import (
     CONFIG,
-    EDGE,
     MASS,
     PAD,
     BodyGel,
@@ -155,9 +154,3 @@ def test_bad_wishes_are_refused(options: dict[str, object], message: str) -> Non
     given = {"gels": GELS, "touched": ["cube"], **options}
     with pytest.raises(InputError, match=message):
         SolverGel(cube_model(), given.pop("gels"), given.pop("touched"), **given)
-
-
-def test_sizes_are_of_the_model() -> None:
-    solver = SolverGel(cube_model(), GELS, ["cube"], config=CONFIG)
-    assert solver.wrenches.shape == (3, 6)
-    assert solver.gel_model.affine.properties[0].mass_kg == pytest.approx(1200 * EDGE**3, rel=1e-6)
