@@ -1,20 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Indenters from text and from mesh files, and every way they are refused."""
+"""Indenters from text and mesh files: size, closed, right way round, what they touch, refusals."""
 
 from __future__ import annotations
 
+import math
 from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 import pyvista
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.envs import Indenter, PressEnv, parse_indenter
+from taccel_lab.envs.prisms import edge_mesh
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
+from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.scene import Ball, Material, TriangleMesh, box_mesh
 from taccel_lab.studies.presses import StandardPress
 
@@ -224,3 +227,160 @@ def test_part_of_python_in_millimetres_is_refused() -> None:
     tool = Indenter("puck", TriangleMesh(1e3 * box.vertices_m, box.faces))
     with pytest.raises(InputError, match=r"6e\+04 mm across: at most 1000 mm"):
         tool.contact(0.3)
+
+
+sizes = st.floats(0.1, 10.0)
+
+
+def mesh_of(text: str) -> TriangleMesh:
+    shape = parse_indenter(text).shape
+    assert isinstance(shape, TriangleMesh)
+    return shape
+
+
+def volume_mm3(mesh: TriangleMesh) -> float:
+    a, b, c = (mesh.vertices_m[mesh.faces[:, k]] * 1e3 for k in range(3))
+    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
+
+
+def assert_closed(mesh: TriangleMesh) -> None:
+    """Each directed edge once, and its opposite once: closed, manifold, consistently wound."""
+    edges = mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    directed = {tuple(edge) for edge in edges.tolist()}
+    assert len(directed) == len(edges)
+    assert all((b, a) in directed for a, b in directed)
+    assert volume_mm3(mesh) > 0
+    low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
+    assert (low + high)[:2] == pytest.approx(np.zeros(2), abs=1e-12)
+
+
+@settings(max_examples=20)
+@given(radius=sizes, length=sizes)
+def test_roller(radius: float, length: float) -> None:
+    mesh = mesh_of(f"roller:{radius!r}x{length!r}")
+    assert_closed(mesh)
+    assert volume_mm3(mesh) == pytest.approx(math.pi * radius**2 * length, rel=1e-3)
+    assert np.ptp(mesh.vertices_m, axis=0) * 1e3 == pytest.approx(
+        [2 * radius, length, 2 * radius], rel=1e-3
+    )
+    # A vertex lies at the very bottom, so that first touch is that of the true cylinder.
+    assert mesh.vertices_m[:, 2].min() * 1e3 == pytest.approx(-radius, rel=1e-12)
+
+
+@settings(max_examples=20)
+@given(angle=st.floats(10, 170), length=sizes, radius=st.none() | st.floats(0.05, 0.2))
+def test_edge(angle: float, length: float, radius: float | None) -> None:
+    mesh = mesh_of(f"edge:{angle!r}x{length!r}" + (f"x{radius!r}" if radius else ""))
+    assert_closed(mesh)
+    assert np.ptp(mesh.vertices_m[:, 1]) * 1e3 == pytest.approx(length)
+    section = np.unique(mesh.vertices_m[:, [0, 2]].round(12), axis=0) * 1e3
+    top = section[section[:, 1] > section[:, 1].max() - 1e-9]
+    right = section[section[:, 0] >= 0]
+    right = right[np.argsort(right[:, 1])]
+    flank = right[-1] - right[-2]
+    assert math.degrees(math.atan2(flank[0], flank[1])) == pytest.approx(angle / 2, abs=1e-4)
+    assert len(top) == 2
+    # Convex, its lowest point on the axis.
+    assert section[np.argmin(section[:, 1]), 0] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_rounded_edge_has_its_radius() -> None:
+    mesh = edge_mesh(math.degrees(1.2), 5e-3, 0.1e-3)
+    low = mesh.vertices_m[:, 2].min()
+    tip = mesh.vertices_m[mesh.vertices_m[:, 2] < low + 0.03e-3]
+    reach = np.hypot(tip[:, 0], tip[:, 2] - low - 0.1e-3)
+    assert len(tip) > 6
+    assert reach == pytest.approx(np.full(len(tip), 0.1e-3), rel=1e-6)
+
+
+@settings(max_examples=20)
+@given(pitch=st.floats(0.1, 3.0), ridges=st.integers(2, 12), length=sizes)
+def test_grating(pitch: float, ridges: int, length: float) -> None:
+    mesh = mesh_of(f"grating:{pitch!r}x{ridges}x{length!r}")
+    assert_closed(mesh)
+    vertices = mesh.vertices_m * 1e3
+    low = vertices[:, 2].min()
+    x = np.unique(vertices[vertices[:, 2] < low + 1e-9, 0].round(9))
+    assert len(x) == 2 * ridges
+    assert x[1::2] - x[::2] == pytest.approx(np.full(ridges, pitch / 2), abs=1e-8)
+    assert np.diff(x[::2]) == pytest.approx(np.full(ridges - 1, pitch), abs=1e-8)
+    plate = max(pitch, 1.0) * (ridges - 0.5) * pitch * length
+    assert volume_mm3(mesh) == pytest.approx(plate + ridges * pitch**2 / 2 * length, rel=1e-9)
+
+
+@settings(max_examples=20)
+@given(radius=sizes, gap=sizes)
+def test_pair(radius: float, gap: float) -> None:
+    mesh = mesh_of(f"pair:{radius!r}x{gap!r}")
+    assert_closed(mesh)
+    vertices = mesh.vertices_m * 1e3
+    right = vertices[vertices[:, 0] > 0]
+    assert right[:, 0].min() == pytest.approx(gap / 2, rel=1e-6)
+    tip = right[np.argmin(right[:, 2])]
+    assert tip[:2] == pytest.approx([radius + gap / 2, 0.0], abs=1e-9)
+    # The lower part is half of a sphere.
+    centre = tip + [0, 0, radius]
+    below = right[right[:, 2] < centre[2]]
+    assert np.linalg.norm(below - centre, axis=1) == pytest.approx(
+        np.full(len(below), radius), rel=1e-9
+    )
+
+
+@pytest.mark.parametrize(("depth_mm", "radius_mm"), [(0.5, 0.968), (5.0, 2.0)])
+def test_the_radius_of_a_ball_is_hertz(depth_mm: float, radius_mm: float) -> None:
+    found = parse_indenter("sphere:2.0").contact(depth_mm)
+    assert found == pytest.approx(radius_mm, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "depth_mm", "half_mm"),
+    [
+        ("cylinder:1.5", 0.5, (1.5, 1.5)),
+        ("box:6x8", 0.5, (3.0, 4.0)),
+        ("roller:2x6", 0.5, (0.968, 3.0)),
+        ("edge:90x6", 0.4, (0.2, 3.0)),
+        ("edge:60x5", 0.4, (0.2 * math.tan(math.radians(30)), 2.5)),
+        ("pair:0.25x0.5", 0.4, (0.25 + 0.25 + math.sqrt(0.25**2 - 0.05**2), 0.245)),
+    ],
+)
+def test_the_outline_of_a_tool(text: str, depth_mm: float, half_mm: tuple[float, float]) -> None:
+    section = parse_indenter(text).contact(depth_mm)
+    assert isinstance(section, ToolSection)
+    outline = section.outline_mm
+    assert np.abs(outline).max(axis=0) == pytest.approx(half_mm, rel=0.02)
+    ahead = np.roll(outline, -1, axis=0) - outline
+    turn = ahead[:, 0] * np.roll(ahead, -1, axis=0)[:, 1]
+    turn -= ahead[:, 1] * np.roll(ahead, -1, axis=0)[:, 0]
+    assert (turn > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "filled"),
+    [
+        ("cylinder:1.5", 1.0),
+        ("edge:90x6", 1.0),
+        ("roller:2x6", 1.0),
+        ("grating:2x4x6", 4 / 7),
+        ("pair:0.25x0.5", 2 * math.pi * 0.06 / (math.pi * 0.06 + 2 * math.sqrt(0.06))),
+    ],
+)
+def test_how_much_of_its_outline_a_tool_fills(text: str, filled: float) -> None:
+    section = parse_indenter(text).contact(0.4)
+    assert isinstance(section, ToolSection)
+    assert section.filled == pytest.approx(filled, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("outline", "filled", "depth_mm", "message"),
+    [
+        (np.ones(4), 1.0, 0.1, r"finite xy in mm, \[n, 2\]"),
+        (np.full((4, 2), math.nan), 1.0, 0.1, "finite"),
+        (np.eye(2), 0.0, 0.1, r"a part of its outline in \(0, 1\]"),
+        (np.eye(2), 1.0, 0.0, "above 0 mm"),
+    ],
+)
+def test_a_section_is_checked(
+    outline: np.ndarray, filled: float, depth_mm: float, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        ToolSection(outline, filled, depth_mm)
