@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
@@ -74,8 +74,10 @@ class BlockCommand(CalibrationFiles):
     ``taccel_lab.calibration.blocks`` does. A command that takes the options of its fit inherits
     them."""
 
-    name: ClassVar[str]
-    """Of the block."""
+    @classmethod
+    def block_name(cls) -> str:
+        """``Calibrate`` and the name of the block is the name of its command."""
+        return cls.__name__.removeprefix("Calibrate").lower()
 
     def check(self) -> None:
         """Refuse options that cannot be used before anything is read."""
@@ -102,7 +104,7 @@ class BlockCommand(CalibrationFiles):
         self.check()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
-        console, block = notes(), block_named(self.name)
+        console, block = notes(), block_named(self.block_name())
         folder = load_capture_folder(self.captures)
         with stage_progress(console) as progress:
             base = base_profile(self.base, folder)
@@ -111,7 +113,7 @@ class BlockCommand(CalibrationFiles):
             page = block.page(result, folder)
         before = None if self.base is None else base
         profile = with_session(before, result.apply_to(base), folder)
-        say = Sayings(self.name, console, self.json)
+        say = Sayings(block.name, console, self.json)
         write_results(result, page, profile, self.out, report, say, self.files(result))
 
 

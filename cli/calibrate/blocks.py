@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
@@ -36,8 +36,6 @@ class CalibrateBackground(BlockCommand):
     block ``background``, and dust.png beside the report, which serves as the captures' mask.
     """
 
-    name: ClassVar[str] = "background"
-
 
 @dataclass(frozen=True)
 class CalibrateCamera(BlockCommand, CameraOptions):
@@ -48,7 +46,6 @@ class CalibrateCamera(BlockCommand, CameraOptions):
     ChArUco boards, boards of dots and of pins are found, also where points are missing.
     """
 
-    name: ClassVar[str] = "camera"
     captures: Positional[Path]
     """Capture folder whose captures.toml names [[boards]] (docs/calibration_camera.md)."""
     maps: Path | None = None
@@ -74,7 +71,6 @@ class CalibrateColor(BlockCommand, ColorOptions):
     that a second run takes the fit only.
     """
 
-    name: ClassVar[str] = "color"
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
     base: Path | None = None
@@ -92,7 +88,6 @@ class CalibrateDepth(BlockCommand, DepthOptions):
     that distorts should be rectified: give --maps. `taccel-lab depth` then reads height maps.
     """
 
-    name: ClassVar[str] = "depth"
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md): background and [[presses]]."""
     base: Path | None = None
@@ -110,7 +105,6 @@ class CalibrateMarkers(BlockCommand):
     there are none the command refuses.
     """
 
-    name: ClassVar[str] = "markers"
     base: Path | None = None
     """Profile to extend; the catalogue's design of the sensor when left out. A profile with a
     calibrated camera or scale gives the millimetres."""
@@ -142,7 +136,6 @@ class CalibrateMaterial(BlockCommand):
     each parameter with its 95 % interval, and the report says which ones the records leave open.
     """
 
-    name: ClassVar[str] = "material"
     captures: Positional[Path]
     """Capture folder with captures.toml whose [[records]] name force records (docs/captures.md)."""
     model: (
@@ -189,7 +182,6 @@ class CalibrateNormals(BlockCommand, NormalOptions):
     `taccel-lab depth` then reads height maps from images.
     """
 
-    name: ClassVar[str] = "normals"
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
 
@@ -203,7 +195,6 @@ class CalibrateScale(BlockCommand):
     agree, averaged. Ball presses without depths give an upper limit only.
     """
 
-    name: ClassVar[str] = "scale"
     captures: Positional[Path]
     """Capture folder (docs/calibration_camera.md)."""
 
@@ -218,7 +209,6 @@ class CalibrateSpread(BlockCommand):
     taccel_lab.signals.perturbation.draw_perturbation draws sensors from it.
     """
 
-    name: ClassVar[str] = "spread"
     captures: Positional[Path]
     """Capture folder with captures.toml: its untouched images are compared, or else its presses."""
     units: tuple[Path, ...] = ()
@@ -249,7 +239,7 @@ def parse_fixed(items: tuple[str, ...]) -> dict[str, float]:
 
 
 BLOCK_COMMANDS: dict[str, type[BlockCommand]] = {
-    command.name: command
+    command.block_name(): command
     for command in (
         CalibrateBackground,
         CalibrateCamera,

@@ -224,9 +224,8 @@ def command_classes() -> Iterator[ast.ClassDef]:
     for path in sorted((ROOT / "taccel_lab" / "cli").rglob("*.py")):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.ClassDef) and node.name != "Command":
-                if any(
-                    isinstance(m, ast.FunctionDef) and m.name in ("run", "fit") for m in node.body
-                ):
+                runs = any(isinstance(m, ast.FunctionDef) and m.name == "run" for m in node.body)
+                if runs or "BlockCommand" in map(ast.unparse, node.bases):
                     yield node
 
 

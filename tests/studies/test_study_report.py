@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taccel_lab.errors import InputError
 from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.runner import Outcome, run_study
 from tests.support.fake_kit import evaluate_and_tear, study, table
@@ -76,6 +77,15 @@ def drawn(root: Path) -> set[str]:
         assert image is not None and (image != 255).any(axis=2).mean() > 0.01, path
         names.add(path.stem)
     return names
+
+
+def test_the_row_of_another_design_is_no_row(tmp_path: Path) -> None:
+    outcome, _ = report(tmp_path, parameters=SQUARE)
+    first, second = outcome.folder.ids()[:2]
+    row = outcome.folder.design(first) / "result.json"
+    row.write_text((outcome.folder.design(second) / "result.json").read_text())
+    with pytest.raises(InputError, match=f"is that of another design, {second}"):
+        outcome.folder.read(first)
 
 
 def test_a_grid_of_two_parameters_has_everything(tmp_path: Path) -> None:
