@@ -13,8 +13,8 @@ FOLDER ?=
 READERS ?= *
 COUNT ?= 2000
 SEED ?= $(shell date +%s)
-# Of make mutants: faults by pattern.
-FAULTS ?= *
+# Of make mutants: faults by patterns, each in quotes.
+FAULTS ?= '*'
 OUTPUT ?= out/explore
 
 PY := $(VENV)/bin/python
@@ -64,7 +64,7 @@ explore: $(VENV)/.installed-dev
 	TACCEL_LAB_EXPLORE=1 $(PYTEST) -m "hypothesis and not slow and not gpu"
 
 mutants: $(VENV)/.installed-dev
-	$(TEST_ENV) $(PY) -m tests.mutants --only '$(FAULTS)'
+	$(TEST_ENV) $(PY) -m tests.mutants --only $(FAULTS)
 
 notebook: $(VENV)/.installed-dev
 	$(PYTEST) --timeout=900 --nbmake --nbmake-timeout=900 notebooks

@@ -2,7 +2,7 @@
 """``make mutants``: plant each fault of the table in a copy of the tree and run the tests that
 should notice it.
 
-    python -m tests.mutants --only 'barrier-*' --jobs 2 --out out/mutants
+    python -m tests.mutants --only 'barrier-*' snell --jobs 2 --out out/mutants
 
 A fault is noticed when a test fails; a run that passes or takes longer than ``--limit-s`` did
 not notice it. Exit code 1: fewer were noticed than ``--least``.
@@ -28,15 +28,15 @@ import tyro
 
 from tests.mutants.table import ROOT, Fault, read_faults
 
-_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - |$)", re.MULTILINE)
 
 
 @dataclass(frozen=True)
 class Mutants:
     """Plant faults in a copy of the tree, one at a time, and see whether the tests notice."""
 
-    only: str = "*"
-    """Faults by pattern of their id."""
+    only: tuple[str, ...] = ("*",)
+    """Faults by patterns of their ids."""
     jobs: int = 2
     """Faults that are tried side by side."""
     least: float = 0.95
@@ -113,7 +113,13 @@ def plant(fault: Fault, root: Path, limit_s: float) -> Outcome:
 
 def main(options: Mutants) -> int:
     """Try all of them; the exit code."""
-    faults = [fault for fault in read_faults() if fnmatch.fnmatch(fault.id, options.only)]
+    faults = [
+        fault
+        for fault in read_faults()
+        if any(fnmatch.fnmatch(fault.id, pattern) for pattern in options.only)
+    ]
+    for fault in faults:
+        fault.planted(ROOT)  # A table that is out of date is said before anything runs.
     options = replace(options, out=options.out.absolute())
     options.out.mkdir(parents=True, exist_ok=True)
     outcomes: list[Outcome] = []
