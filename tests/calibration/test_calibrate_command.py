@@ -91,7 +91,7 @@ def test_bands_of_the_positional_encoding_are_asked_for(
 ) -> None:
     without_check(monkeypatch)
     command(folder, register=False, position_bands=2, holdout_every=0).run()
-    assert "no press was held out" in capsys.readouterr().out
+    assert "No press was held out" in capsys.readouterr().out
     profile = load_profile(folder.parent / "profile")
     assert profile.color is not None and profile.color.architecture["position_bands"] == 2
     assert "2 bands of position" in profile.color.provenance.method
