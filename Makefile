@@ -5,11 +5,16 @@ PIP_FLAGS ?=
 # PyTorch for CPUs, 0.2 GB; `make demo TORCH=cuda` takes PyPI's build, 3 GB, for a GPU.
 TORCH ?= cpu
 OUT ?= out/demo
-JOBS ?= auto
+# One more than there are cores: browsers and processes that tests start are waited for.
+JOBS ?= $(shell echo $$(( $$(nproc 2>/dev/null || echo 2) + 1 )))
+# Of make test: one folder below tests/, with ruff alone before it.
+FOLDER ?=
 # Of make explore: readers (names, patterns, commas), examples of each, the first seed.
 READERS ?= *
 COUNT ?= 2000
 SEED ?= $(shell date +%s)
+# Of make mutants: faults by patterns, each in quotes.
+FAULTS ?= '*'
 OUTPUT ?= out/explore
 
 PY := $(VENV)/bin/python
@@ -18,14 +23,16 @@ PIP := $(PY) -m pip install -q --disable-pip-version-check $(PIP_FLAGS) -c const
 TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile
 
-.PHONY: help demo test lint check slow explore notebook docs wheel doctor clean
+.PHONY: help demo test style lint check slow explore mutants notebook docs wheel doctor clean
 
 help:
 	@echo "make demo      run the main job on real captures: $(OUT)/report.html"
 	@echo "make test      linters, type checker, import contracts, fast tests"
+	@echo "               FOLDER=calibration/color: ruff and the tests of one folder"
 	@echo "make slow      the tests that take minutes"
 	@echo "make explore   damaged files and property-based tests never tried before"
 	@echo "               READERS=import-* COUNT=2000 SEED=1 OUTPUT=out/explore"
+	@echo "make mutants   plant faults in the product: do the tests notice them?"
 	@echo "make notebook  execute the notebooks"
 	@echo "make docs      the documentation as a site: out/docs/index.html"
 	@echo "make wheel     build sdist and wheel, install the wheel elsewhere and use it there"
@@ -35,16 +42,18 @@ help:
 demo: $(VENV)/.installed-demo
 	$(VENV)/bin/taccel-lab demo --out $(OUT)
 
-test: lint check
+test: $(if $(FOLDER),style,lint) check
 
-lint: $(VENV)/.installed-dev
+style: $(VENV)/.installed-dev
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
+
+lint: style
 	$(VENV)/bin/pyright --threads 2 --pythonpath $(PY)
 	$(VENV)/bin/lint-imports
 
 check: $(VENV)/.installed-dev
-	$(PYTEST)
+	$(PYTEST) tests/$(FOLDER)
 
 slow: $(VENV)/.installed-peers
 	$(PYTEST) -m slow
@@ -53,6 +62,9 @@ explore: $(VENV)/.installed-dev
 	$(TEST_ENV) $(PY) -m tests.fuzz --readers '$(READERS)' --count $(COUNT) --first $(SEED) \
 		--output $(OUTPUT)
 	TACCEL_LAB_EXPLORE=1 $(PYTEST) -m "hypothesis and not slow and not gpu"
+
+mutants: $(VENV)/.installed-dev
+	$(TEST_ENV) $(PY) -m tests.mutants --only $(FAULTS)
 
 notebook: $(VENV)/.installed-dev
 	$(PYTEST) --timeout=900 --nbmake --nbmake-timeout=900 notebooks

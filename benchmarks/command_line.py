@@ -1,42 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """``taccel-lab bench`` and ``python -m taccel_lab.benchmarks``: the options of each command, which
-stand in its own file, as arguments.
-
-Written with argparse, which every machine has; a command's module is imported when it is asked for.
+stand in its own file, as arguments. A command's module is imported when it is asked for.
 """
 
 from __future__ import annotations
 
-import argparse
-import ast
-import inspect
 import sys
 from collections.abc import Sequence
-from dataclasses import MISSING, fields
 from importlib import import_module
-from itertools import pairwise
-from typing import Any, Protocol, get_args, get_origin, get_type_hints
+from typing import Protocol
 
 from taccel_lab.errors import InputError, SimulationError
 
 COMMANDS = {
     "speed": "speed:Speed",
     "learning": "learning:Learning",
-    "error": "error:Error",
     "press_accuracy": "press_accuracy:PressAccuracy",
-    "scaling": "scaling:Scaling",
-    "skips": "skips:Skips",
-    "precision": "precision:Precision",
     "stress": "stress.suite:Stress",
-    "peers": "peers:Peers",
-    "study": "design_study:Study",
     "captures": "capture_sets:Captures",
-    "check_errors": "check_errors:CheckErrors",
     "images": "images:Images",
-    "fine_images": "fine_images:FineImages",
-    "environments": "environments:Environments",
-    "dataset": "dataset:DatasetSpeed",
     "multi_gpu": "multi_gpu:MultiGpu",
+    "peers": "peers:Peers",
     "quick": "quick:Quick",
     "compare": "compare:Compare",
     "report": "report.pages:Report",
@@ -54,56 +38,10 @@ class Command(Protocol):
     def run(self) -> None: ...
 
 
-def options_of(command: str) -> type:
+def options_of(command: str) -> type[Command]:
     """The dataclass of a command's options."""
     module, name = COMMANDS[command].split(":")
     return getattr(import_module(f"taccel_lab.benchmarks.{module}"), name)
-
-
-def field_help(options: type) -> dict[str, str]:
-    """Docstrings of a dataclass's fields, inherited ones too: the strings below them in source."""
-    found: dict[str, str] = {}
-    for kind in reversed(options.__mro__[:-1]):
-        body = ast.parse(inspect.getsource(kind).strip()).body[0].body  # type: ignore[attr-defined]
-        for node, text in pairwise(body):
-            if (
-                isinstance(node, ast.AnnAssign)
-                and isinstance(node.target, ast.Name)
-                and isinstance(text, ast.Expr)
-                and isinstance(text.value, ast.Constant)
-            ):
-                found[node.target.id] = ast.literal_eval(text.value)
-    return found
-
-
-def add_options(parser: argparse.ArgumentParser, options: type) -> None:
-    """An argument for each field; those without a default are positional, tuples are lists."""
-    hints, texts = get_type_hints(options), field_help(options)
-    for item in fields(options):
-        kind, text = hints[item.name], texts.get(item.name, "").replace("%", "%%")
-        flag = f"--{item.name.replace('_', '-')}"
-        inner = [part for part in get_args(kind) if part not in (type(None), ...)]
-        if item.default is MISSING:
-            parser.add_argument(item.name, type=kind, help=text)
-        elif kind is bool:
-            parser.add_argument(
-                flag, action=argparse.BooleanOptionalAction, default=item.default, help=text
-            )
-        else:
-            parser.add_argument(
-                flag,
-                type=inner[0] if inner else kind,
-                nargs="+" if get_origin(kind) is tuple else None,
-                default=item.default,
-                metavar=item.name.upper(),
-                help=f"{text} ({_shown(item.default)})",
-            )
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, tuple):
-        return " ".join(map(str, value)) or "none"
-    return "not set" if value is None else str(value)
 
 
 def parse(
@@ -111,26 +49,20 @@ def parse(
 ) -> Command:
     """The command that the arguments name, with its options; --help and usage errors leave through
     SystemExit (0 and 2)."""
+    import tyro
+    from tyro.extras import SubcommandApp
+
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if not words or words[0] not in COMMANDS:
-        _parser_of_all(program).parse_args(words[:1])
-    command, *rest = words
-    options = options_of(command)
-    text = inspect.getdoc(options)
-    parser = argparse.ArgumentParser(prog=f"{program} {command}", description=text)
-    add_options(parser, options)
-    found = vars(parser.parse_args(rest))
-    return options(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})
-
-
-def _parser_of_all(program: str) -> argparse.ArgumentParser:
-    """For help and for errors in the command's name."""
-    parser = argparse.ArgumentParser(prog=program, description=DESCRIPTION)
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in COMMANDS:
-        text = inspect.getdoc(options_of(command)) or ""
-        commands.add_parser(command, help=text.split("\n")[0])
-    return parser
+    app = SubcommandApp()
+    # All of them are imported for help, and for errors in the command's name, alone.
+    for command in [words[0]] if words and words[0] in COMMANDS else COMMANDS:
+        app.command(name=command)(options_of(command))
+    return app.cli(
+        prog=program,
+        description=DESCRIPTION,
+        args=words or ["--help"],
+        config=(tyro.conf.PositionalRequiredArgs, tyro.conf.PositionalMetavarFromFieldName),
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

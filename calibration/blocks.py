@@ -20,7 +20,7 @@ from taccel_lab.calibration.depth.fit import calibrate_depth
 from taccel_lab.calibration.depth.options import DepthOptions
 from taccel_lab.calibration.depth.report import depth_page
 from taccel_lab.calibration.markers.fit import calibrate_markers
-from taccel_lab.calibration.markers.report import markers_page
+from taccel_lab.calibration.markers.report import marker_page
 from taccel_lab.calibration.material.fit import calibrate_material
 from taccel_lab.calibration.material.options import MaterialOptions
 from taccel_lab.calibration.material.report import material_page
@@ -88,8 +88,13 @@ BLOCKS = (
     CalibrationBlock("color", calibrate_color, color_page, ColorOptions),
     CalibrationBlock("normals", calibrate_normals, normals_page, NormalOptions),
     CalibrationBlock("depth", calibrate_depth, depth_page, DepthOptions),
-    CalibrationBlock("markers", calibrate_markers, markers_page),
+    CalibrationBlock("markers", calibrate_markers, marker_page),
     CalibrationBlock("material", calibrate_material, material_page, MaterialOptions),
     CalibrationBlock("spread", calibrate_spread, spread_page, SpreadOptions),
 )
 """What each needs of a capture folder, ``calibration/check/content.py`` says."""
+
+
+def block_named(name: str) -> CalibrationBlock:
+    """The block of a name of the table."""
+    return next(block for block in BLOCKS if block.name == name)

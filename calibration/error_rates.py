@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How often findings about presses err on published sets, by ``taccel-lab bench check_errors``.
+"""How often findings about presses err on published sets: ``benchmarks/results/check_errors.json``.
 
 The one place in code that holds these rates: findings quote them, docs/captures.md has their table,
-and a test compares them with the results of the suite.
+and a test compares them with that result.
 """
 
 from __future__ import annotations

@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from taccel_lab.benchmarks.front import is_on_front
 from taccel_lab.benchmarks.peers import read_field
 from taccel_lab.output import atomic_file
 from taccel_lab.studies.report.figures import plain_log_ticks
@@ -24,11 +23,9 @@ def draw_all(results: Results, folder: Path) -> list[Path]:
     written = []
     if any(row["envs"] > 1 for d in results.get("speed", []) for row in d["rows"]):
         written.append(save(draw_speed(results), folder / "speed.png"))
-    by_suite = {"error": draw_error, "scaling": draw_scaling, "stress": draw_stress}
-    for kind, draw in by_suite.items():
-        for document in results.get(kind, []):
-            name = Path(document["file"]).stem
-            written.append(save(draw(document), folder / f"{kind}_{name}.png"))
+    for document in results.get("stress", []):
+        name = f"stress_{Path(document['file']).stem}.png"
+        written.append(save(draw_stress(document), folder / name))
     return written
 
 
@@ -78,93 +75,6 @@ def draw_speed(results: Results) -> Figure:
     axis.set_title("Environments x steps / seconds; dashed: peg scene, others")
     make_logarithmic(axis)
     axis.legend(fontsize=7)
-    return figure
-
-
-PANELS = (
-    ("force_percent", "error of the normal force [%]"),
-    ("height_rms_um", "error of heights, rms [um]"),
-    ("marker_rms_um", "error of markers, rms [um]"),
-)
-
-
-def draw_error(document: dict[str, Any]) -> Figure:
-    """Time against error: all meshes by total error above, the default's mesh by settings below."""
-    rows = [row for row in document["rows"] if "failed" not in row and row["group"] != "dt"]
-    figure, axes = plt.subplots(2, 3, figsize=(13, 8), layout="constrained")
-    default = next((row for row in rows if row["is_default"]), None)
-    for column, (key, label) in enumerate(PANELS):
-        _draw_front(axes[0, column], rows, "error", key, by_mesh=True)
-        axes[0, column].set(title="against the converged run", ylabel=label)
-        if default is not None:
-            own = [row for row in rows if mesh_of(row) == mesh_of(default)]
-            _draw_front(axes[1, column], own, "settings_error", key, by_mesh=False)
-        axes[1, column].set(title="settings alone, the default's mesh", ylabel=label)
-    for axis in axes.ravel():
-        axis.set(xlabel="ms a step")
-        make_logarithmic(axis)
-    axes[0, 0].legend(fontsize=7)
-    if default is not None:
-        axes[1, 0].legend(fontsize=7)
-    return figure
-
-
-def mesh_of(row: dict[str, Any]) -> tuple[str, int]:
-    """Element and layers."""
-    return row["settings"]["element"], row["settings"]["layers"]
-
-
-def _draw_front(
-    axis: Axes, rows: list[dict[str, Any]], kind: str, key: str, *, by_mesh: bool
-) -> None:
-    """Points by mesh or by what is varied, the front as a line, the default as a star."""
-    rows = [row for row in rows if row[kind][key] > 0]
-    if not rows:
-        return
-    times = np.array([row["ms_per_step"]["median"] for row in rows])
-    values = np.array([row[kind][key] for row in rows])
-    names = [
-        f"{row['settings']['element']}, {row['settings']['layers']} layers"
-        if by_mesh
-        else row["group"].replace("front", "dhat and tolerance")
-        for row in rows
-    ]
-    for name in dict.fromkeys(names):
-        mine = np.array([n == name for n in names])
-        axis.plot(times[mine], values[mine], "o", ms=4, alpha=0.7, label=name)
-    best = is_on_front(times, values, noise=0.0)
-    order = np.argsort(times[best])
-    axis.step(times[best][order], values[best][order], "k-", lw=0.8, where="post", label="front")
-    chosen = np.array([row["is_default"] for row in rows])
-    if chosen.any():
-        axis.plot(times[chosen], values[chosen], "k*", ms=12, mfc="none", label="default")
-
-
-def draw_scaling(document: dict[str, Any]) -> Figure:
-    """Time a Newton iteration and memory of each series."""
-    rows = document["rows"]
-    series = list(dict.fromkeys(row["series"] for row in rows))
-    figure, axes = plt.subplots(
-        2, len(series), figsize=(3.4 * len(series), 6.5), layout="constrained", squeeze=False
-    )
-    for column, name in enumerate(series):
-        mine = [row for row in rows if row["series"] == name]
-        x = [row["size"] for row in mine]
-        fit = document.get("fits", {}).get(name, {})
-        pairs = (
-            ("ms a Newton iteration", [row["ms_per_newton"] for row in mine], "time_per_newton"),
-            ("MiB", [row["memory_mib"] for row in mine], "memory"),
-        )
-        for axis, (label, y, key) in zip(axes[:, column], pairs, strict=True):
-            axis.plot(x, y, "o-", ms=4)
-            if key in fit:
-                ends = np.array([fit["from"], fit["to"]])
-                used = [(a, b) for a, b in zip(x, y, strict=True) if a >= ends[0]]
-                middle, height = np.exp(np.log(used).mean(axis=0))
-                axis.plot(ends, height * (ends / middle) ** fit[key], "k--", lw=0.9)
-                axis.set_title(f"{label} ~ {name}^{fit[key]:.2f}", fontsize=10)
-            axis.set(xlabel=name, ylabel=label)
-            make_logarithmic(axis)
     return figure
 
 

@@ -11,11 +11,6 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.benchmarks.peers import read_field
-from taccel_lab.benchmarks.report.capture_sections import (
-    captures,
-    check_errors,
-    forces,
-)
 from taccel_lab.benchmarks.report.figures import NOTHING, Document, Results, number
 from taccel_lab.benchmarks.report.headline import headline
 from taccel_lab.report.markdown import markdown_table
@@ -128,64 +123,6 @@ def _observed(seen: dict[str, Any] | None) -> list[str]:
     return [", ".join(spent), number(seen["fps_without"])]
 
 
-def error(document: Document) -> Iterator[str]:
-    """One setting at a time, and the front."""
-    rows = [row for row in document["rows"] if row["group"] != "front"]
-    lines = []
-    for row in rows:
-        if "failed" in row:
-            lines.append([row["group"], row["value"], "failed", *["-"] * 5])
-            continue
-        total, own = row["error"], row["settings_error"]
-        lines.append(
-            [
-                row["group"],
-                row["value"] + (" (default)" if row["is_default"] else ""),
-                number(row["ms_per_step"]["median"]),
-                number(total["force_percent"]),
-                number(own["force_percent"]),
-                f"{number(total['height_rms_um'])} ({number(total['height_max_um'])})",
-                f"{number(total['marker_rms_um'])} ({number(total['marker_max_um'])})",
-                number(own["marker_rms_um"]),
-            ]
-        )
-    head = ["varied", "value", "ms a step", "force error [%]", "of it by settings [%]"]
-    head += ["height rms (max) [um]", "markers rms (max) [um]", "markers by settings [um]"]
-    yield markdown_table(head, lines)
-    if document.get("front"):
-        yield _front(document["front"])
-    yield picture(document, "error", "Time a step against error")
-
-
-def _front(verdict: dict[str, Any]) -> str:
-    """Whether the defaults pay."""
-    if "default" not in verdict:
-        return ""
-    lines = [
-        f"Default: {verdict['default']}. A row is on the front when none is faster by 5 % and no "
-        "worse in force, heights and markers."
-    ]
-    for name, where in (
-        ("own_mesh", "Settings on the default's own mesh"),
-        ("all_meshes", "All meshes and elements"),
-    ):
-        found = verdict[name]
-        near = found["best_nearby"]
-        if found["default_is_on_it"]:
-            text = "the default is on the front"
-        else:
-            better = "; ".join(found["better_than_the_default"])
-            text = f"the default is **not** on the front; faster and better are: {better}"
-        text += (
-            f". Within half as long again the smallest force error is "
-            f"{number(near['force_percent'])} % (default: "
-            f"{number(near['default_force_percent'])} %), with {near['settings']} in "
-            f"{near['times_as_long']:.2f} times the time."
-        )
-        lines.append(f"- {where}: {text}")
-    return "\n".join([lines[0], "", *lines[1:]])
-
-
 def press_accuracy(document: Document) -> Iterator[str]:
     """Errors of presses with the default mesh, and how often the press's own estimate held."""
     rows = [row for row in document["rows"] if row["setting"] == "default"]
@@ -212,55 +149,24 @@ def press_accuracy(document: Document) -> Iterator[str]:
         yield f"{len(rows) - len(done)} of {len(rows)} cases did not converge."
 
 
-def scaling(document: Document) -> Iterator[str]:
-    """Exponents."""
+def captures(document: Document) -> Iterator[str]:
+    """Calibrations of published captures against their goals."""
     rows = [
         [
-            series,
-            f"{fit['from']:,.0f} to {fit['to']:,.0f}",
-            fit["time"],
-            fit["time_per_newton"],
-            fit["memory"],
-        ]
-        for series, fit in document.get("fits", {}).items()
-    ]
-    head = ["by", "fitted from", "time a step", "time a Newton iteration", "memory"]
-    yield markdown_table(head, rows)
-    yield picture(document, "scaling", "Time and memory by size")
-
-
-def skips(document: Document) -> Iterator[str]:
-    """With and without."""
-    rows = [
-        [
-            row["skip"],
-            row["what"],
-            spread(row["on"]["ms_per_step"]),
-            spread(row["off"]["ms_per_step"]),
-            f"{row['saved_percent']:.0f} %",
-            f"{number(row['on']['newton_mean'])} / {number(row['off']['newton_mean'])}",
+            row["set"],
+            f"`{row['command']}`",
+            row["figure"],
+            number(row["value"]),
+            f"{'at least' if row['at_least'] else 'at most'} {row['goal']:g}",
+            "met" if row["met"] else "**missed**",
+            row["verdict"] or "-",
+            "-" if row["fit_seconds"] is None else number(row["fit_seconds"], 2),
+            number(row["seconds"], 3),
         ]
         for row in document["rows"]
     ]
-    head = ["skip", "scene", "with [ms a step]", "without", "saved", "Newton with / without"]
-    yield markdown_table(head, rows)
-
-
-def precision(document: Document) -> Iterator[str]:
-    """A row a scene, tolerance and precision."""
-    rows = [
-        [
-            row["scene"],
-            f"{row['tolerance']:.0e}",
-            row["precision"],
-            f"{row['residual']['unconverged']} of {row['steps']}",
-            number(row["newton_mean"]),
-            number(row["ms_per_step"]),
-        ]
-        for row in document["rows"]
-    ]
-    head = ["scene", "residual over contact force", "precision", "steps that fail", "Newton a step"]
-    yield markdown_table([*head, "ms a step"], rows)
+    head = ["captures", "calibration", "figure", "value", "goal", "", "verdict", "fit [s]"]
+    yield markdown_table([*head, "command [s]"], rows)
 
 
 def peers(results: Results) -> str:
@@ -344,34 +250,6 @@ def stress(document: Document) -> Iterator[str]:
     yield picture(document, "stress", "Outcomes and Newton iterations by family")
 
 
-def study(document: Document) -> Iterator[str]:
-    """Designs a minute, where the time goes, and forces against another device."""
-    rows = []
-    for row in document["rows"]:
-        stages = row["seconds_by_stage"]
-        presses = sum(value for name, value in stages.items() if name.startswith("press "))
-        difference = row.get("force_difference")
-        rows.append([
-            f"{row['designs']:,}",
-            f"{row['simulations']:,}",
-            f"{row['nodes']:,}",
-            number(row["seconds"]),
-            number(row["designs_per_minute"]),
-            *(number(value) for value in (stages["meshed"], presses, stages["figures"])),
-            number(row["largest_residual_over_force"], 2),
-            row["failures"],
-            f"{100 * max(difference.values()):.2g} %" if difference else "-",
-        ])  # fmt: skip
-    head = ["designs", "presses", "nodes", "seconds", "designs a minute"]
-    head += ["meshing [s]", "pressing [s]", "figures [s]", "residual over force", "failed"]
-    what = document["settings"]
-    yield (
-        f"{what['sensor']}, designs that differ in `{what['vary']}`; the first design, with "
-        f"compilation, took {number(document['first_design_s'])} s."
-    )
-    yield markdown_table([*head, "forces against the CPU's"], rows)
-
-
 def picture(document: Document, kind: str, title: str) -> str:
     """Link to a picture of a result."""
     name = Path(document["file"]).stem
@@ -394,14 +272,7 @@ SECTIONS: dict[str, Section] = {
     "speed picture": speed_pictures,
     "learning": partial(of_each_result, "learning", learning),
     "peers": peers,
-    "error": partial(of_each_result, "error", error),
-    "scaling": partial(of_each_result, "scaling", scaling),
-    "skips": partial(of_each_result, "skips", skips),
-    "precision": partial(of_each_result, "precision", precision),
     "stress": partial(of_each_result, "stress", stress),
-    "study": partial(of_each_result, "study", study),
     "captures": partial(of_each_result, "captures", captures),
-    "check_errors": partial(of_each_result, "check_errors", check_errors),
-    "force": partial(of_each_result, "force", forces),
 }
 """Parts of the page by the name in its markers."""

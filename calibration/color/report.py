@@ -120,6 +120,8 @@ def _summary(result: ColorCalibration) -> str:
             f"{score['crop_psnr_db']:.1f} dB in the crop around the contact and "
             f"{score['disc_l1']:.2f} levels of error inside it."
         )
+    else:
+        parts.append("No press was held out, so there are no figures of presses it never saw.")
     if result.spread is not None:
         parts.append(
             f"{result.spread.fit_count} fits to different presses disagree by "

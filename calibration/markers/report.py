@@ -17,7 +17,7 @@ from taccel_lab.calibration.markers.result import MarkerCalibration
 from taccel_lab.calibration.report import Page, Picture, Table
 
 
-def markers_page(result: MarkerCalibration) -> Page:
+def marker_page(result: MarkerCalibration) -> Page:
     """Verdict, estimates with their uncertainty, and pictures of dots, residuals and tracks."""
     figures = result.figures()
     estimates = [

@@ -8,22 +8,10 @@ from typing import Any
 
 def calibrate_commands() -> dict[str, Any]:
     """The sub-commands by name; imported here so that help is fast."""
-    from taccel_lab.cli.calibrate import blocks
     from taccel_lab.cli.calibrate.all import CalibrateAll
+    from taccel_lab.cli.calibrate.blocks import BLOCK_COMMANDS
     from taccel_lab.cli.calibrate.force import CalibrateForce
     from taccel_lab.cli.calibrate.refit import CalibrateRefit
 
-    return {
-        "all": CalibrateAll,
-        "background": blocks.CalibrateBackground,
-        "camera": blocks.CalibrateCamera,
-        "color": blocks.CalibrateColor,
-        "depth": blocks.CalibrateDepth,
-        "force": CalibrateForce,
-        "markers": blocks.CalibrateMarkers,
-        "material": blocks.CalibrateMaterial,
-        "normals": blocks.CalibrateNormals,
-        "scale": blocks.CalibrateScale,
-        "refit": CalibrateRefit,
-        "spread": blocks.CalibrateSpread,
-    }
+    others = {"all": CalibrateAll, "force": CalibrateForce, "refit": CalibrateRefit}
+    return dict(sorted({**others, **BLOCK_COMMANDS}.items()))

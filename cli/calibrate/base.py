@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the calibration commands share: from what was fitted to profile and report."""
+"""What the calibration commands share: their files, and the way from captures to a profile."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from taccel_lab.calibration.report import Page
     from taccel_lab.calibration.result import CalibrationResult
     from taccel_lab.profile import SensorProfile
-    from taccel_lab.progress import Progress
+
+_MOST_ROWS = 24
+"""Of the table that is printed."""
 
 
 def report_folder(out: Path, report: Path | None) -> Path:
@@ -49,12 +51,9 @@ def require_outputs(out: Path, report: Path) -> None:
     require_replaceable(report)
 
 
-def _nothing() -> None: ...
-
-
 @dataclass(frozen=True)
 class CalibrationFiles:
-    """What every calibration of captures reads and writes."""
+    """What every calibration reads and writes."""
 
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md)."""
@@ -70,45 +69,33 @@ class CalibrationFiles:
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """What a command found."""
+class BlockCommand(CalibrationFiles):
+    """Captures and a profile to extend in, the extended profile and a report out: what a row of
+    ``taccel_lab.calibration.blocks`` does. A command that takes the options of its fit inherits
+    them."""
 
-    name: str
-    """Of the block."""
-    profile: SensorProfile
-    """Extended by the block."""
-    result: CalibrationResult
-    page: Page
-    files: Mapping[Path, Callable[[Path], None]] = field(default_factory=dict)
-    """Further files that were asked for, with what writes them."""
-    forget: Callable[[], None] = _nothing
-    """Takes away what was kept for an interrupt; called when all is written."""
-
-
-class ProfileCommand:
-    """A command that writes a profile with one more block, and a report of it. The fields are
-    declared again by the sub-classes, in the order of their help."""
-
-    out: Path
-    """Profile folder to write."""
-    report: Path | None
-    """Folder for the report; <out>_report when left out."""
-    json: bool
-    """Whether the figures are printed as JSON."""
+    @classmethod
+    def block_name(cls) -> str:
+        """``Calibrate`` and the name of the block is the name of its command."""
+        return cls.__name__.removeprefix("Calibrate").lower()
 
     def check(self) -> None:
         """Refuse options that cannot be used before anything is read."""
 
-    def read(self) -> Any:
-        """What the fit starts from."""
-        raise NotImplementedError
+    def options(self, base: SensorProfile) -> Any:
+        """Of the fit that extends ``base``."""
+        return self
 
-    def fit(self, given: Any, progress: Progress, console: Console) -> Fitted:
-        """Calibrate with what was read."""
-        raise NotImplementedError
+    def files(self, result: Any) -> Mapping[Path, Callable[[Path], None]]:
+        """Further files that were asked for, with what writes them."""
+        return {}
 
     def run(self) -> None:
         """Refuse unusable outputs, fit, and write profile, report and figures."""
+        from taccel_lab.calibration.base_profile import base_profile
+        from taccel_lab.calibration.blocks import block_named
+        from taccel_lab.calibration.capture.load import load_capture_folder
+        from taccel_lab.calibration.recorded import with_session
         from taccel_lab.cli.console import notes
         from taccel_lab.cli.progress import stage_progress
         from taccel_lab.warp_output import quiet_warp
@@ -117,48 +104,74 @@ class ProfileCommand:
         self.check()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
-        console = notes()
-        given = self.read()
+        console, block = notes(), block_named(self.block_name())
+        folder = load_capture_folder(self.captures)
         with stage_progress(console) as progress:
-            fitted = self.fit(given, progress, console)
-        self._write(fitted, report, console)
-        fitted.forget()
-
-    def _write(self, fitted: Fitted, report: Path, console: Console) -> None:
-        """Save the profile and the report, say the verdict with its remarks, and give the figures:
-        on standard output, as JSON or for people."""
-        from taccel_lab.calibration.report import write_page
-        from taccel_lab.calibration.result import judge
-        from taccel_lab.cli.console import print_json, results
-        from taccel_lab.profile import save_profile
-
-        result = fitted.result
-        save_profile(fitted.profile, self.out)
-        write_page(fitted.page, report)
-        for path, write in fitted.files.items():
-            write(path)
-        for remark in result.remarks:
-            console.print(str(remark))
-        console.print(f"verdict: {judge(result.remarks)}")
-        wrote = " and ".join(
-            str(path) for path in (self.out, report / "report.html", *fitted.files)
-        )
-        console.print(f"wrote {wrote}")
-        if self.json:
-            print_json({"profile": str(self.out), fitted.name: result.figures()})
-        else:
-            _show(fitted.page, results())
+            base = base_profile(self.base, folder)
+            options = None if block.options is None else self.options(base)
+            result = block.fit(folder, base, options, progress)
+            page = block.page(result, folder)
+        before = None if self.base is None else base
+        profile = with_session(before, result.apply_to(base), folder)
+        say = Sayings(block.name, console, self.json)
+        write_results(result, page, profile, self.out, report, say, self.files(result))
 
 
-def _show(page: Page, console: Console) -> None:
-    """The paragraph of a page and its first table."""
-    from rich.table import Table
+@dataclass(frozen=True)
+class Sayings:
+    """What a command says of a calibration, and where."""
+
+    name: str
+    """Of the block."""
+    notes: Console
+    json: bool
+    """Figures as JSON in place of the page's summary."""
+
+
+def write_results(
+    result: CalibrationResult,
+    page: Page,
+    profile: SensorProfile,
+    out: Path,
+    report: Path,
+    say: Sayings,
+    files: Mapping[Path, Callable[[Path], None]] | None = None,
+) -> None:
+    """Save the extended profile and the report, say the verdict with its remarks, and give the
+    figures on standard output: as JSON, or the page's summary and first table."""
+    from taccel_lab.calibration.report import write_page
+    from taccel_lab.calibration.result import judge
+    from taccel_lab.cli.console import print_json, results
+    from taccel_lab.profile import save_profile
+
+    files = files or {}
+    save_profile(profile, out)
+    write_page(page, report)
+    for path, write in files.items():
+        write(path)
+    for remark in result.remarks:
+        say.notes.print(str(remark))
+    say.notes.print(f"verdict: {judge(result.remarks)}")
+    wrote = " and ".join(str(path) for path in (out, report / "report.html", *files))
+    say.notes.print(f"wrote {wrote}")
+    if say.json:
+        print_json({"profile": str(out), say.name: result.figures()})
+    else:
+        _print_page(page, results())
+
+
+def _print_page(page: Page, console: Console) -> None:
+    from rich.table import Table as Grid
 
     from taccel_lab.report.build import format_number
 
     console.print(page.summary)
-    for table in (table.shown() for table in page.tables[:1]):
-        drawn = Table(*table.columns, title=table.title, title_justify="left")
-        for row in table.rows:
-            drawn.add_row(*map(format_number, row))
-        console.print(drawn)
+    if not page.tables or page.tables[0].folded:
+        return
+    table = page.tables[0].shown()
+    grid = Grid(*table.columns, title=table.title, title_justify="left")
+    for row in table.rows[:_MOST_ROWS]:
+        grid.add_row(*map(format_number, row))
+    console.print(grid)
+    if len(table.rows) > _MOST_ROWS:
+        console.print(f"{len(table.rows) - _MOST_ROWS} more rows stand in the report")

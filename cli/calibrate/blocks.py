@@ -1,17 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab calibrate NAME``: a command for each block of ``calibration/``, its options as data.
-
-A command is its help, its options and the name of the block; the block's folder has the rest under
-the names that every block has (docs/architecture.md).
-"""
+"""``taccel-lab calibrate NAME``: a command for each row of ``taccel_lab.calibration.blocks``, which
+fits it and shows it. Here stands what the command line adds: help and options."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
@@ -19,56 +15,15 @@ from taccel_lab.calibration.camera.options import CameraOptions
 from taccel_lab.calibration.color.options import ColorOptions
 from taccel_lab.calibration.depth.options import DepthOptions
 from taccel_lab.calibration.normals.options import NormalOptions
-from taccel_lab.cli.calibrate.base import CalibrationFiles, Fitted, ProfileCommand
+from taccel_lab.cli.calibrate.base import BlockCommand
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from taccel_lab.calibration.capture.folder import CaptureFolder
     from taccel_lab.calibration.material.options import MaterialOptions
+    from taccel_lab.calibration.spread.fit import SpreadOptions
     from taccel_lab.profile import SensorProfile
-    from taccel_lab.progress import Progress
 
-
-OPTIONS = (CameraOptions, ColorOptions, DepthOptions, NormalOptions)
-
-
-@dataclass(frozen=True)
-class BlockCommand(CalibrationFiles, ProfileCommand):
-    """Captures and a profile to extend in, the extended profile and a report out."""
-
-    block: ClassVar[str]
-    """Its name, and that of its folder."""
-    page_reads_folder: ClassVar[bool] = False
-
-    def options(self, base: SensorProfile) -> tuple[Any, ...]:
-        """Of the fit: the command itself, where it is options of a block, or else none."""
-        return (self,) if isinstance(self, OPTIONS) else ()
-
-    def files(self, result: Any) -> Mapping[Path, Callable[[Path], None]]:
-        """Further files that were asked for, with what writes them."""
-        return {}
-
-    def read(self) -> CaptureFolder:
-        from taccel_lab.calibration.capture.load import load_capture_folder
-
-        return load_capture_folder(self.captures)
-
-    def fit(self, given: CaptureFolder, progress: Progress, console: Console) -> Fitted:
-        """Calibrate the block, on the base profile or the catalogue's design of the sensor."""
-        from taccel_lab.calibration.base_profile import base_profile
-        from taccel_lab.calibration.recorded import with_session
-
-        # By name: the table of all blocks loads all of them, which takes seconds.
-        room = f"taccel_lab.calibration.{self.block}"
-        calibrate = getattr(import_module(f"{room}.fit"), f"calibrate_{self.block}")
-        page_of = getattr(import_module(f"{room}.report"), f"{self.block}_page")
-        base = base_profile(self.base, given)
-        result = calibrate(given, base, *self.options(base), progress)
-        page = page_of(result, given) if self.page_reads_folder else page_of(result)
-        profile = with_session(self.base and base, result.apply_to(base), given)
-        return Fitted(self.block, profile, result, page, self.files(result))
+Files = Mapping[Path, Callable[[Path], None]]
 
 
 @dataclass(frozen=True)
@@ -80,8 +35,6 @@ class CalibrateBackground(BlockCommand):
     frames, whether the white balance was automatic, the noise of the pixels, and dust. Writes the
     block ``background``, and dust.png beside the report, which serves as the captures' mask.
     """
-
-    block = "background"
 
 
 @dataclass(frozen=True)
@@ -99,14 +52,12 @@ class CalibrateCamera(BlockCommand, CameraOptions):
     """File (.npz) for rectification maps: map_u_px and map_v_px for cv2.remap, the pixels that the
     board measured, and the grid's scale."""
 
-    block = "camera"
-    page_reads_folder = True
-
     def check(self) -> None:
+        """Refuse a file of maps that cannot be written."""
         if self.maps is not None and (self.maps.suffix != ".npz" or self.maps.is_dir()):
             raise InputError(f"--maps writes one .npz file, got {self.maps}")
 
-    def files(self, result: Any) -> Mapping[Path, Callable[[Path], None]]:
+    def files(self, result: Any) -> Files:
         return {} if self.maps is None else {self.maps: lambda path: result.maps().save(path)}
 
 
@@ -126,8 +77,6 @@ class CalibrateColor(BlockCommand, ColorOptions):
     """Profile of the designed sensor to extend; the catalogue's design of the sensor, turned as the
     images are, when left out. A sensor that the catalogue does not know is taken as a flat pad."""
 
-    block = "color"
-
 
 @dataclass(frozen=True)
 class CalibrateDepth(BlockCommand, DepthOptions):
@@ -144,8 +93,6 @@ class CalibrateDepth(BlockCommand, DepthOptions):
     base: Path | None = None
     """Profile to extend; the catalogue's design of the captures' sensor when left out. Its camera
     gives the scale where the captures state none."""
-
-    block = "depth"
 
 
 @dataclass(frozen=True)
@@ -165,15 +112,14 @@ class CalibrateMarkers(BlockCommand):
     """File for the dots' places and displacements in every frame, pixels and millimetres:
     .json, .npz or .csv."""
 
-    block = "markers"
-
     def check(self) -> None:
+        """Refuse a file of tracks of an unknown kind."""
         from taccel_lab.calibration.markers.track_files import require_track_file
 
         if self.tracks is not None:
             require_track_file(self.tracks)
 
-    def files(self, result: Any) -> Mapping[Path, Callable[[Path], None]]:
+    def files(self, result: Any) -> Files:
         from taccel_lab.calibration.markers.track_files import write_tracks
 
         tracks = {video.name: video.tracks for video in result.videos}
@@ -206,39 +152,24 @@ class CalibrateMaterial(BlockCommand):
     device: str = "cpu"
     """Device of the presses: cpu, or cuda:0, which takes those of a table together."""
 
-    block = "material"
-
     def check(self) -> None:
+        """Refuse an unknown device and parameters that cannot be held."""
         from taccel_lab.model.devices import require_device
 
         require_device(self.device)
-        self._chosen()
+        self.options()
 
-    def options(self, base: SensorProfile) -> tuple[MaterialOptions]:
-        return (self._chosen(),)
-
-    def _chosen(self) -> MaterialOptions:
+    def options(self, base: SensorProfile | None = None) -> MaterialOptions:
         from taccel_lab.calibration.material.options import MaterialOptions
         from taccel_lab.envs.physics import PHYSICS, Accuracy
 
         return MaterialOptions(
             model=self.model,
-            fixed=dict(map(_held, self.fix)),
+            fixed=parse_fixed(self.fix),
             touch_sigma_mm=self.touch_sigma_mm,
             physics=PHYSICS[Accuracy(self.accuracy)],
             device=self.device,
         )
-
-
-def _held(item: str) -> tuple[str, float]:
-    """A held parameter from ``name=value``."""
-    name, _, value = item.partition("=")
-    try:
-        return name.strip(), float(value)
-    except ValueError:
-        raise InputError(
-            f"--fix {item!r} is not understood; write name=value, as in nu=0.48"
-        ) from None
 
 
 @dataclass(frozen=True)
@@ -254,8 +185,6 @@ class CalibrateNormals(BlockCommand, NormalOptions):
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
 
-    block = "normals"
-
 
 @dataclass(frozen=True)
 class CalibrateScale(BlockCommand):
@@ -268,9 +197,6 @@ class CalibrateScale(BlockCommand):
 
     captures: Positional[Path]
     """Capture folder (docs/calibration_camera.md)."""
-
-    block = "scale"
-    page_reads_folder = True
 
 
 @dataclass(frozen=True)
@@ -288,13 +214,41 @@ class CalibrateSpread(BlockCommand):
     units: tuple[Path, ...] = ()
     """Profiles of other units of the same design; the base counts as one when it is given."""
 
-    block = "spread"
-
-    def options(self, base: SensorProfile) -> tuple[Any]:
+    def options(self, base: SensorProfile) -> SpreadOptions:
         from taccel_lab.calibration.spread.fit import SpreadOptions
         from taccel_lab.profile import load_profile
 
         units = [load_profile(path) for path in self.units]
         if units and self.base is not None:
             units.insert(0, base)
-        return (SpreadOptions(tuple(units)),)
+        return SpreadOptions(tuple(units))
+
+
+def parse_fixed(items: tuple[str, ...]) -> dict[str, float]:
+    """Held parameters from ``name=value``; InputError says what is wrong."""
+    fixed = {}
+    for item in items:
+        name, equals, value = item.partition("=")
+        try:
+            fixed[name.strip()] = float(value)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise InputError(f"--fix {item!r} is not understood; write name=value, as in nu=0.48")
+    return fixed
+
+
+BLOCK_COMMANDS: dict[str, type[BlockCommand]] = {
+    command.block_name(): command
+    for command in (
+        CalibrateBackground,
+        CalibrateCamera,
+        CalibrateColor,
+        CalibrateDepth,
+        CalibrateMarkers,
+        CalibrateMaterial,
+        CalibrateNormals,
+        CalibrateScale,
+        CalibrateSpread,
+    )
+}

@@ -6,23 +6,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from taccel_lab.calibration.force.options import ForceOptions
-from taccel_lab.cli.calibrate.base import Fitted, ProfileCommand
-from taccel_lab.errors import InputError
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from taccel_lab.profile import SensorProfile
-    from taccel_lab.progress import Progress
+from taccel_lab.cli.calibrate.base import Sayings, report_folder, require_outputs, write_results
 
 
 @dataclass(frozen=True)
-class CalibrateForce(ForceOptions, ProfileCommand):
+class CalibrateForce(ForceOptions):
     """Train the model from images to forces on a data set of simulated touches and write a profile.
 
     The data set (taccel-lab dataset) is made with the profile of your sensor and units drawn from
@@ -44,35 +36,42 @@ class CalibrateForce(ForceOptions, ProfileCommand):
     json: bool = False
     """Print the figures as JSON instead of a summary."""
 
-    def check(self) -> None:
-        if not self.datasets:
-            raise InputError("name at least one folder of a data set")
-
-    def read(self) -> SensorProfile:
-        from taccel_lab.datasets.reading import Dataset
-        from taccel_lab.profile import load_profile
-
-        if self.profile is None:
-            return Dataset(self.datasets).profile(0)
-        return load_profile(self.profile)
-
-    def fit(self, given: SensorProfile, progress: Progress, console: Console) -> Fitted:
-        """Train the model; an interrupt says after which step the same command goes on."""
+    def run(self) -> None:
         from taccel_lab.calibration.force.fit import calibrate_force
         from taccel_lab.calibration.force.report import force_page
         from taccel_lab.calibration.force.training_file import TrainingFile
+        from taccel_lab.cli.console import notes
+        from taccel_lab.cli.progress import stage_progress
+        from taccel_lab.datasets.reading import Dataset
+        from taccel_lab.errors import InputError
+        from taccel_lab.profile import load_profile
+        from taccel_lab.warp_output import quiet_warp
+
+        quiet_warp()
+        if not self.datasets:
+            raise InputError("name at least one folder of a data set")
+        report = report_folder(self.out, self.report)
+        require_outputs(self.out, report)
+        base = (
+            Dataset(self.datasets).profile(0)
+            if self.profile is None
+            else load_profile(self.profile)
+        )
+        console = notes()
 
         def say(words: str) -> None:
             console.print(words, soft_wrap=True)
 
         kept = TrainingFile.beside(self.out, say)
         try:
-            result = calibrate_force(self.datasets, given, self, progress, kept)
+            with stage_progress(console) as progress:
+                result = calibrate_force(self.datasets, base, self, progress, kept)
         except KeyboardInterrupt:
             if kept.step is None:
                 say("interrupted before anything of the training was kept")
             else:
                 say(f"interrupted; the same command goes on after step {kept.step:,}")
             raise SystemExit(130) from None
-        page = force_page(result)
-        return Fitted("force", result.apply_to(given), result, page, forget=kept.remove)
+        profile, say_it = result.apply_to(base), Sayings("force", console, self.json)
+        write_results(result, force_page(result), profile, self.out, report, say_it)
+        kept.remove()

@@ -5,22 +5,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from tyro.conf import Positional
 
-from taccel_lab.cli.calibrate.base import Fitted, ProfileCommand
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from taccel_lab.calibration.capture.folder import CaptureFolder
-    from taccel_lab.profile import SensorProfile
-    from taccel_lab.progress import Progress
-
 
 @dataclass(frozen=True)
-class CalibrateRefit(ProfileCommand):
+class CalibrateRefit:
     """Correct an existing profile for aged lamps or a changed camera, from about 5 new frames.
 
     Fits gain, offset and gradient of the background and the response of the colour model, a channel
@@ -44,21 +35,28 @@ class CalibrateRefit(ProfileCommand):
     json: bool = False
     """Print the figures as JSON."""
 
-    def read(self) -> tuple[SensorProfile, CaptureFolder]:
+    def run(self) -> None:
         from taccel_lab.calibration.capture import load_capture_folder
-        from taccel_lab.profile import load_profile
-
-        return load_profile(self.profile), load_capture_folder(self.captures)
-
-    def fit(
-        self, given: tuple[SensorProfile, CaptureFolder], progress: Progress, console: Console
-    ) -> Fitted:
-        """Correct the profile."""
         from taccel_lab.calibration.recorded import with_session
         from taccel_lab.calibration.refit.fit import RefitOptions, calibrate_refit
         from taccel_lab.calibration.refit.report import refit_page
+        from taccel_lab.cli.calibrate.base import (
+            Sayings,
+            report_folder,
+            require_outputs,
+            write_results,
+        )
+        from taccel_lab.cli.console import notes
+        from taccel_lab.cli.progress import stage_progress
+        from taccel_lab.profile import load_profile
 
-        profile, folder = given
-        result = calibrate_refit(folder, profile, RefitOptions(self.surface), progress)
+        console = notes()
+        report = report_folder(self.out, self.report)
+        require_outputs(self.out, report)
+        profile = load_profile(self.profile)
+        folder = load_capture_folder(self.captures)
+        with stage_progress(console) as progress:
+            result = calibrate_refit(folder, profile, RefitOptions(self.surface), progress)
         fresh = with_session(profile, result.apply_to(profile), folder)
-        return Fitted("refit", fresh, result, refit_page(result, profile))
+        say = Sayings("refit", console, self.json)
+        write_results(result, refit_page(result, profile), fresh, self.out, report, say)

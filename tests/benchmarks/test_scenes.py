@@ -67,12 +67,13 @@ class Refuse:
             raise ModuleNotFoundError(name)
 
 sys.meta_path.insert(0, Refuse())
-from taccel_lab.benchmarks import compare, error, images, multi_gpu, peers, quick, scaling, skips
-from taccel_lab.benchmarks.command_line import main, parse
+from taccel_lab.benchmarks import compare, images, multi_gpu, peers, quick
+from taccel_lab.benchmarks.learning import Learning
+from taccel_lab.benchmarks.speed import Speed
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 for name in SCENES:
     assert build_scene(name, SceneOptions(source="generated")).steps > 10
-assert parse(["speed", "--envs", "1", "16", "--scene", "peg", "hand"]).envs == (1, 16)
+assert Speed(envs=(1, 16)).settings() and Learning().settings()
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -9,14 +9,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import warp as wp
+from tyro._docstrings import get_field_docstring
 
-from taccel_lab.benchmarks import design_study, quick
-from taccel_lab.benchmarks.command_line import COMMANDS, field_help, main, options_of, parse
+from taccel_lab.benchmarks import quick
+from taccel_lab.benchmarks.command_line import COMMANDS, main, options_of, parse
 from taccel_lab.benchmarks.compare import compare
-from taccel_lab.benchmarks.front import is_on_front, power_law
 from taccel_lab.benchmarks.launches import LaunchCounter
 from taccel_lab.benchmarks.memory import MemoryMeter
 from taccel_lab.benchmarks.peers import parse_results, read_field
@@ -25,7 +24,11 @@ from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, ratios
 from taccel_lab.benchmarks.results import REQUIRED, Deadline, ResultFile, read_result
 from taccel_lab.benchmarks.speed import Speed, parse_settings
 from taccel_lab.errors import InputError, SimulationError
-from tests.studies.coarse_presses import coarse
+
+
+def tyro_help(options: type, field: str) -> str | None:
+    """The text below a field, as the command line finds it."""
+    return get_field_docstring(options, field, ())
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +134,8 @@ def test_results_of_the_repository_are_written_on_request_only() -> None:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_option_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     options = options_of(command)
-    assert {item.name for item in dataclasses.fields(options)} <= set(field_help(options))
+    for item in dataclasses.fields(options):
+        assert tyro_help(options, item.name), item.name
     with pytest.raises(SystemExit) as done:
         main([command, "--help"])
     assert done.value.code == 0
@@ -139,11 +143,12 @@ def test_every_option_has_help(command: str, capsys: pytest.CaptureFixture[str])
 
 
 def test_commands_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as done:
-        main(["--help"])
-    assert done.value.code == 0
-    text = capsys.readouterr().out
-    assert all(f"    {command}" in text for command in COMMANDS)
+    for words in ([], ["--help"]):
+        with pytest.raises(SystemExit) as done:
+            main(words)
+        assert done.value.code == 0
+        text = capsys.readouterr().out
+        assert all(f"• {command.replace('_', '-')}" in text for command in COMMANDS)
     with pytest.raises(SystemExit) as done:
         main(["nonsense"])
     assert done.value.code == 2
@@ -195,13 +200,6 @@ def test_launches_and_memory_are_counted() -> None:
     found = meter.allocations()
     assert found.count == 1
     assert found.peak_bytes == pytest.approx(2**20, rel=0.01)
-
-
-def test_front_and_power_law() -> None:
-    costs, errors = np.array([1.0, 2.0, 3.0, 3.01]), np.array([9.0, 10.0, 1.0, 0.9])
-    assert is_on_front(costs, errors).tolist() == [True, False, True, True]
-    sizes = np.array([1.0, 10.0, 100.0])
-    assert power_law(sizes, 3 * sizes**1.5) == pytest.approx((1.5, 3.0))
 
 
 # Results --------------------------------------------------------------------------------------
@@ -293,29 +291,3 @@ def test_ratios_are_of_equal_devices_and_counts() -> None:
     assert text.count("peer") == 1
     assert "3 times at 1" in text and "64" not in text
     assert ratios([own], []) == ""
-
-
-def test_study_rows_hold_stages_and_forces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ball = coarse("sphere", depth_fraction=0.1, steps=3)
-    monkeypatch.setattr(design_study, "standard_presses", lambda: [ball])
-    reference, out = tmp_path / "elsewhere.json", tmp_path / "study.json"
-    elsewhere = ResultFile("study", "", reference, "cpu", {})
-    elsewhere.add({"designs": 2, "force_n": {"sphere": [[0.0, 0.0, 1.0], None]}})
-    arguments = ["study", "--sensor", "gelsight", "--designs", "2", "--out", str(out)]
-    assert main([*arguments, "--reference", str(reference)]) == 0
-    (row,) = read_result(out)["rows"]
-    assert row["designs"] == row["simulations"] == 2 and row["failures"] == 0
-    assert {"meshed", "press sphere", "figures"} <= set(row["seconds_by_stage"])
-    assert 0 < row["largest_residual_over_force"] < 1e-2
-    thin, thick = (np.array(force) for force in row["force_n"]["sphere"])
-    # The depth follows the thickness, and the contact grows with the depth.
-    assert 0 < thin[2] < thick[2]
-    off = float(np.linalg.norm(thin - [0, 0, 1]))
-    assert row["force_difference"] == {"sphere": pytest.approx(off)}
-    page = SECTIONS["study"]({"study": [read_result(out) | {"file": "study.json"}]})
-    assert "| 2 | 2 |" in page and f"{100 * off:.2g} %" in page
-
-
-def test_study_names_the_parameters_of_a_sensor(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["study", "--sensor", "gelsight", "--vary", "colour"]) == 2
-    assert "no parameter 'colour'" in capsys.readouterr().err

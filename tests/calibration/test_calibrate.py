@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,16 +23,9 @@ from taccel_lab.calibration.spread.fit import SpreadOptions
 from taccel_lab.errors import InputError
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.calibration.judged_once import detect_once, judge_slopes_once
 from tests.support.small_captures import write_captures
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _equal_captures_are_judged_once() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        detect_once(patch)
-        judge_slopes_once(patch)
-        yield
+pytestmark = pytest.mark.usefixtures("equal_captures_are_judged_once")
 
 
 @pytest.fixture
@@ -135,12 +127,9 @@ def test_the_example_of_the_docs_runs(captures: Path, monkeypatch: pytest.Monkey
     assert Path("unit3", "profile.toml").is_file() and Path("unit3_report").is_dir()
 
 
-def test_nothing_to_do_is_refused(captures: Path) -> None:
+def test_nothing_to_do_unknown_blocks_and_other_sensors_are_refused(captures: Path) -> None:
     with pytest.raises(InputError, match="nothing could be calibrated\n  markers: needs"):
         calibrate(captures, only=("markers",))
-
-
-def test_unknown_blocks_and_other_sensors_are_refused(captures: Path) -> None:
     with pytest.raises(InputError, match="no block colour; there are camera, scale"):
         calibrate(captures, only=("colour",))
     with pytest.raises(InputError, match="no block colour"):

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +30,8 @@ from tests.support.synthetic_presses import (
     write_captures,
 )
 
+pytestmark = pytest.mark.usefixtures("equal_captures_are_judged_once")
+
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
@@ -39,21 +42,20 @@ def folder(tmp_path: Path) -> Path:
     return path
 
 
+def command(folder: Path, **changes: Any) -> CalibrateColor:
+    """A short fit over the base profile into ``profile`` beside the captures."""
+    values = {"base": folder.parent / "base", "surface": "hertz", "steps": 5, "ensemble": 0}
+    return CalibrateColor(
+        folder, folder.parent / "profile", **(values | {"drift": "off"} | changes)
+    )
+
+
 def test_writes_a_profile(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     without_check(monkeypatch)
     out = folder.parent / "profile"
-    CalibrateColor(
-        folder,
-        out,
-        base=folder.parent / "base",
-        surface="hertz",
-        steps=60,
-        ensemble=2,
-        drift="off",
-        json=True,
-    ).run()
+    command(folder, steps=60, ensemble=2, json=True).run()
     figures = json.loads(capsys.readouterr().out)
     assert figures["profile"] == str(out)
     heldout = figures["color"]["heldout"]
@@ -74,9 +76,7 @@ def test_the_fitted_table_lies_beside_the_report_and_is_exported(
     without_check(monkeypatch)
     out, base = folder.parent / "profile", folder.parent / "flat"
     save_profile(flat_profile(GRID), base)
-    CalibrateColor(
-        folder, out, base=base, surface="hertz", steps=5, ensemble=0, drift="off", register=False
-    ).run()
+    command(folder, base=base, register=False).run()
     path = folder.parent / "profile_report" / "polycalib.npz"
     file = read_table(path)
     assert file.image_size_px == (GRID.width_px, GRID.height_px)
@@ -87,34 +87,16 @@ def test_the_fitted_table_lies_beside_the_report_and_is_exported(
 
 
 def test_bands_of_the_positional_encoding_are_asked_for(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    without_check(monkeypatch)
-    out, base = folder.parent / "profile", folder.parent / "base"
-    command = CalibrateColor(
-        folder, out, base=base, surface="hertz", steps=5, ensemble=0, drift="off", register=False,
-        position_bands=2,
-    )  # fmt: skip
-    command.run()
-    profile = load_profile(out)
-    assert profile.color is not None and profile.color.architecture["position_bands"] == 2
-    assert "2 bands of position" in profile.color.provenance.method
-    with pytest.raises(InputError, match=r"position_bands must lie in 0\.\.8, got 9"):
-        replace(command, position_bands=9).run()
-
-
-def test_table_names_the_figures(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     without_check(monkeypatch)
-    out = folder.parent / "profile"
-    CalibrateColor(
-        folder, out, base=folder.parent / "base", surface="hertz", steps=5, ensemble=0, drift="off",
-        holdout_every=0,
-    ).run()  # fmt: skip
-    shown = capsys.readouterr()
-    assert "A network of" in shown.out and "no press was held out" in shown.err
-    assert load_profile(out).color is not None
+    command(folder, register=False, position_bands=2, holdout_every=0).run()
+    assert "No press was held out" in capsys.readouterr().out
+    profile = load_profile(folder.parent / "profile")
+    assert profile.color is not None and profile.color.architecture["position_bands"] == 2
+    assert "2 bands of position" in profile.color.provenance.method
+    with pytest.raises(InputError, match=r"position_bands must lie in 0\.\.8, got 9"):
+        command(folder, position_bands=9).run()
 
 
 def test_a_sensor_of_ones_own_is_a_flat_pad_and_the_report_says_so(
@@ -122,11 +104,8 @@ def test_a_sensor_of_ones_own_is_a_flat_pad_and_the_report_says_so(
 ) -> None:
     manifest = folder / "captures.toml"
     manifest.write_text(manifest.read_text().replace('"gelsight"', '"flat_pad"'))
-    out = folder.parent / "profile"
-    CalibrateColor(
-        folder, out, surface="hertz", steps=20, ensemble=0, drift="off", table=False
-    ).run()
-    profile = load_profile(out)
+    command(folder, base=None, steps=20, table=False).run()
+    profile = load_profile(folder.parent / "profile")
     assert profile.sensor.family == "flat_pad" and profile.grid() == GRID
     assert "flat_pad stands for a sensor" in " ".join(capsys.readouterr().err.split())
     report = json.loads((folder.parent / "profile_report" / "report.json").read_text())
@@ -215,7 +194,6 @@ def test_bad_options(
 ) -> None:
     without_check(monkeypatch)
     out = folder.parent / "profile"
-    values = {"captures": folder, "out": out, "base": folder.parent / "base", **change}
     with pytest.raises(InputError, match=message):
-        CalibrateColor(**values).run()  # type: ignore[arg-type]
+        replace(CalibrateColor(folder, out, base=folder.parent / "base"), **change).run()
     assert not out.exists()

@@ -34,6 +34,8 @@ image = "b.png"
 name = "second"
 """
 
+NO_PRESSES = MANIFEST[: MANIFEST.index("[[presses]]")]
+
 
 def write_image(path: Path, shape: tuple[int, ...] = (48, 64, 3), value: int = 90) -> None:
     assert cv2.imwrite(str(path), np.full(shape, value, dtype=np.uint8))
@@ -43,6 +45,7 @@ def write_image(path: Path, shape: tuple[int, ...] = (48, 64, 3), value: int = 9
 def folder(tmp_path: Path) -> Path:
     for name in ("background", "a", "b"):
         write_image(tmp_path / f"{name}.png")
+    write_image(tmp_path / "black.png", (48, 64), 0)
     red = np.zeros((48, 64, 3), dtype=np.uint8)
     red[..., 2] = 200  # OpenCV writes BGR.
     assert cv2.imwrite(str(tmp_path / "b.png"), red)
@@ -79,12 +82,9 @@ def test_mask_is_read(folder: Path) -> None:
     assert not captures.mask[:10].any() and captures.mask[10:].all()
 
 
-def test_missing_folder(tmp_path: Path) -> None:
+def test_folders_without_captures_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nowhere does not exist.*captures\.toml"):
         load_captures(tmp_path / "nowhere")
-
-
-def test_empty_folder(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"an empty folder.*captures\.toml"):
         load_captures(tmp_path)
 
@@ -101,14 +101,12 @@ def test_empty_folder(tmp_path: Path) -> None:
         ('name = "second"', "colour = 3", r"presses\.1\.colour: unknown key"),
         ('name = "second"', 'name = "a"', r"names must differ, a appears twice"),
         ("u_px = 30.0", "u_px = nan", r"presses\.0\.contact\.u_px.*finite"),
-        (
-            "u_px = 30.0",
-            "u_px = 99.0",
-            r"a\.png: the contact .*outside of the image of 64x48",
-        ),
+        ("u_px = 30.0", "u_px = 99.0", r"a\.png: the contact .*outside of the image of 64x48"),
         ("radius_px = 12.0", "radius_px = 1.0", r"contact radius 1 px is too small"),
         ("radius_px = 12.0", "radius_px = -1.0", r"radius_px.*greater than 0"),
         ("schema_version = 1", "schema_version =", r"not valid TOML"),
+        (MANIFEST, f"presses = []{NO_PRESSES}", r"captures\.toml holds no presses; at least one"),
+        ("schema_version", 'mask = "black.png"\nschema_version', r"black\.png masks every pixel"),
     ],
 )
 def test_bad_manifest(folder: Path, old: str, new: str, message: str) -> None:
@@ -118,37 +116,23 @@ def test_bad_manifest(folder: Path, old: str, new: str, message: str) -> None:
     assert str(folder) in str(caught.value)
 
 
-def test_no_presses(folder: Path) -> None:
-    text = MANIFEST[: MANIFEST.index("[[presses]]")]
-    (folder / "captures.toml").write_text(
-        text.replace("schema_version", "presses = []\nschema_version")
-    )
-    with pytest.raises(InputError, match=r"captures\.toml holds no presses; at least one"):
-        load_captures(folder)
-
-
-def test_no_background(folder: Path) -> None:
-    (folder / "background.png").unlink()
-    with pytest.raises(InputError, match=r"background\.png does not exist"):
-        load_captures(folder)
-
-
-def test_images_of_other_size(folder: Path) -> None:
-    write_image(folder / "b.png", (40, 64, 3))
-    with pytest.raises(InputError, match=r"b\.png is 64x40 px but the background .* is 64x48 px"):
-        load_captures(folder)
-
-
-def test_broken_image(folder: Path) -> None:
-    (folder / "b.png").write_bytes((folder / "b.png").read_bytes()[:20])
-    with pytest.raises(InputError, match=r"b\.png is not an image"):
-        load_captures(folder)
-
-
-def test_mask_without_pixels(folder: Path) -> None:
-    write_image(folder / "mask.png", (48, 64), 0)
-    edit(folder, 'sensor = "gelsight"', 'sensor = "gelsight"\nmask = "mask.png"')
-    with pytest.raises(InputError, match=r"mask\.png masks every pixel"):
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("background.png", None, r"background\.png does not exist"),
+        ("b.png", (40, 64, 3), r"b\.png is 64x40 px but the background .* is 64x48 px"),
+        ("b.png", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", r"b\.png is not an image"),
+    ],
+)
+def test_bad_images(
+    folder: Path, name: str, content: tuple[int, ...] | bytes | None, message: str
+) -> None:
+    (folder / name).unlink()
+    if isinstance(content, bytes):
+        (folder / name).write_bytes(content)
+    elif content is not None:
+        write_image(folder / name, content)
+    with pytest.raises(InputError, match=message):
         load_captures(folder)
 
 

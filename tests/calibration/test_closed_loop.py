@@ -12,7 +12,6 @@ import json
 from dataclasses import dataclass, replace
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -31,11 +30,12 @@ from taccel_lab.scene import Material
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
+from tests.support.synthetic_presses import write_folder
 
 FAMILY, BALL_MM, PRESSES = "gelsight_mini", 2.0, 14
 LONGEST_PX, CUT = 224, 0.06
 NOISE_LEVELS = 1.5
-TIMEOUT_S = 1800
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 TRUTH = replace(
     PHYSICS[Accuracy.DEFAULT],
     mesh=PressMeshOptions(elements_per_radius=4.5, core=6, rings=8, layers=3),
@@ -95,28 +95,21 @@ def loop(
 ) -> tuple[SensorProfile, dict[str, Any], PressOutcome, np.ndarray]:
     """Calibrated profile, report of its colours, the object's press, and its picture."""
     folder = tmp_path_factory.mktemp("loop")
-    captures = folder / "captures"
-    captures.mkdir()
     rng = np.random.default_rng(11)
     camera = Camera.of_family()
     reach = 0.5 * np.array([camera.grid.width_px, camera.grid.height_px]) * (
         camera.grid.mm_per_px_x, camera.grid.mm_per_px_y,
     ) - 2.2  # fmt: skip
-    lines = [
-        "schema_version = 2", f'sensor = "{FAMILY}"', 'background = "background.png"',
-        f"mm_per_px_x = {camera.grid.mm_per_px_x}", f"mm_per_px_y = {camera.grid.mm_per_px_y}",
-        "[indenter]", f"radius_mm = {BALL_MM}",
-    ]  # fmt: skip
+    images = {}
     for i in range(PRESSES):
         at_mm = (float(rng.uniform(-reach[0], reach[0])), float(rng.uniform(-reach[1], reach[1])))
         outcome = truth(camera.grid, f"sphere:{BALL_MM}", at_mm, float(rng.uniform(0.45, 0.85)))
         if i == 0:
             untouched = camera.shot(outcome, False, rng)
-            cv2.imwrite(str(captures / "background.png"), untouched[..., ::-1])
-        image = camera.shot(outcome, True, rng)
-        cv2.imwrite(str(captures / f"press_{i}.png"), image[..., ::-1])
-        lines += ["[[presses]]", f'image = "press_{i}.png"']
-    (captures / "captures.toml").write_text("\n".join(lines))
+        images[f"press_{i}"] = camera.shot(outcome, True, rng)
+    captures = write_folder(
+        folder / "captures", untouched, images, {}, BALL_MM, camera.grid, FAMILY
+    )
     out = folder / "unit"
     # 1: a stage had captures that are weak; what was calibrated is there nevertheless.
     only = ("--only", "color", "normals")
@@ -126,8 +119,6 @@ def loop(
     return load_profile(out), report, pressed, camera.shot(pressed, True, rng)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(TIMEOUT_S)
 def test_balls_that_were_held_out_are_rendered(loop: Any) -> None:
     _, report, _, _ = loop
     assert report["heldout_placed_by"] == "tiles" and report["failures"] == {}
@@ -136,8 +127,6 @@ def test_balls_that_were_held_out_are_rendered(loop: Any) -> None:
     assert report["heldout"]["crop_psnr_db"] > bare + 6
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(TIMEOUT_S)
 def test_an_object_that_is_no_ball_is_rendered(loop: Any) -> None:
     profile, _, pressed, image = loop
     assert profile.color is not None and profile.background_rgb is not None
@@ -162,8 +151,6 @@ def test_an_object_that_is_no_ball_is_rendered(loop: Any) -> None:
     assert error < 0.5 * nothing
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(TIMEOUT_S)
 def test_the_shape_of_an_object_that_is_no_ball_is_read(loop: Any) -> None:
     profile, _, pressed, image = loop
     reading = SurfaceReader(profile).read(image)

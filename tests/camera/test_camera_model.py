@@ -89,7 +89,10 @@ def test_fisheye_is_opencv(rotation: tuple[float, ...]) -> None:
     np.testing.assert_allclose(CameraModel(camera).project(points), expected[:, 0], atol=1e-8)
 
 
-@pytest.mark.parametrize("camera", [DIGIT, FISHEYE, replace(DIGIT, distortion=())])
+TURNED = replace(DIGIT, rotation=unit((0.2, -0.3, 0.1, 0.9)))
+
+
+@pytest.mark.parametrize("camera", [DIGIT, FISHEYE, replace(DIGIT, distortion=()), TURNED])
 def test_every_pixel_comes_back(camera: Camera) -> None:
     model = CameraModel(camera)
     uv = np.stack(np.meshgrid(np.arange(240.0), np.arange(320.0)), axis=-1)

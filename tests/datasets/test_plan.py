@@ -16,6 +16,8 @@ from hypothesis import strategies as st
 from taccel_lab.datasets.motion import Motion, rolled_mm
 from taccel_lab.datasets.placing import Placing
 from taccel_lab.datasets.plan import Plan
+from taccel_lab.datasets.runner import touches_of
+from taccel_lab.datasets.touch import Touch
 from taccel_lab.envs import parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.model.embedding import rotate
@@ -38,6 +40,15 @@ def test_episodes_follow_from_seed_and_number() -> None:
     assert many.episodes[:5] == few.episodes[:]
     assert other.episodes[:] != few.episodes[:]
     assert len({few.digest, many.digest, other.digest}) == 3
+
+
+def test_noise_follows_from_the_seed() -> None:
+    seeds = {}
+    for seed in (4, 5):
+        made = plan("flat_pad", dataset={"episodes": 2, "seed": seed}, **NO_IMAGES)
+        touches = [t for part in made.parts for t in touches_of(made, part)]
+        seeds[seed] = {t.seed for t in touches if isinstance(t, Touch)}
+    assert len(seeds[4]) == len(seeds[5]) == 1 and seeds[4] != seeds[5]
 
 
 def test_what_was_drawn_once_is_drawn_for_ever() -> None:

@@ -41,6 +41,13 @@ def test_labels_agree_with_one_another(made: Path) -> None:
     pixel_mm2 = np.prod([data.about[0]["sensors"][0]["grid"][f"mm_per_px_{a}"] for a in "xy"])
     assert (area[untouched] == 0).all() and (area[~untouched] > 0).all()
     assert mask.sum(axis=(1, 2)) * pixel_mm2 == pytest.approx(area, abs=3 * pixel_mm2)
+    # The middle of a ball's force lies in the middle of its contact.
+    grid = data.sensors[0].grid if hasattr(data, "sensors") else data.profile(0).grid()
+    for row in np.flatnonzero(~untouched):
+        v, u = np.nonzero(mask[row])
+        middle = grid.gel_from_pixel(np.array([u.mean(), v.mean()]))
+        center = [data.steps[f"contact_center_{axis}_mm"][row] for axis in "xy"]
+        assert center == pytest.approx(middle, abs=1.0)
     depth = data.read("depth_mm", slice(None))
     assert depth[untouched].max() == 0
     for step in np.flatnonzero(~untouched):

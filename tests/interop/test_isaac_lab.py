@@ -66,6 +66,21 @@ def test_camera_stands_behind_the_gel_and_sees_its_extent(
     np.testing.assert_allclose(turned, LINK_FROM_GEL, atol=1e-12)
 
 
+def test_a_turned_camera_keeps_the_order_of_its_quaternion(
+    mini: SensorProfile, tmp_path: Path
+) -> None:
+    from scipy.spatial.transform import Rotation
+
+    assert mini.optics is not None
+    turn = Rotation.from_euler("xyz", [0.1, -0.2, 0.3])
+    optics = mini.optics.model_copy(update={"rotation": tuple(turn.as_quat())})
+    turned = mini.with_block(optics)
+    export_profile(turned, "isaac-lab", tmp_path / "out")
+    camera = json.loads((tmp_path / "out" / "sensor_cfg.json").read_text())["camera_cfg"]
+    found = Rotation.from_quat(camera["offset_quat_xyzw"]).as_matrix()
+    np.testing.assert_allclose(found, LINK_FROM_GEL @ turn.as_matrix(), atol=1e-9)
+
+
 def test_the_configuration_file_runs(
     mini: SensorProfile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,7 +7,9 @@ Two pads of 8 x 8 x 3 mm (E 0.1 MPa, nu 0.45, 300 linear tets) close on a cube o
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,6 +124,18 @@ def cube_model() -> object:
     return cube_builder().finalize(device="cpu")  # type: ignore[attr-defined]
 
 
+def squeezing(solver: SolverGel, states: list, steps: int, dt_s: float = 1e-3) -> Iterator[Any]:
+    """The state after each step in which the jaws go their way."""
+    for step in range(1, steps + 1):
+        before, after = states
+        poses = before.body_q.numpy()
+        poses[:2] = jaws(step * dt_s)
+        before.body_q.assign(poses)
+        solver.step(before, after, None, None, dt_s)
+        yield after
+        states = [after, before]
+
+
 def coupled(dt_s: float, coupling: Coupling, end_s: float = END_S) -> Run:
     """The same in newton, whose own solver moves what is not inside."""
     model = cube_model()
@@ -136,16 +150,9 @@ def coupled(dt_s: float, coupling: Coupling, end_s: float = END_S) -> Run:
     states = [model.state(), model.state()]  # type: ignore[attr-defined]
     solver.reset(states[0])
     rows = []
-    for step in range(1, round(end_s / dt_s) + 1):
-        before, after = states
-        poses = before.body_q.numpy()
-        poses[:2] = jaws(step * dt_s)
-        before.body_q.assign(poses)
-        solver.step(before, after, None, None, dt_s)
-        on_gels = solver.wrenches[:2, :3].copy()
+    for after in squeezing(solver, states, round(end_s / dt_s), dt_s):
         rows.append(
             (after.body_q.numpy()[2, :3].copy(), after.body_qd.numpy()[2, :3].copy())
-            + (solver.wrenches[2, :3].copy(), on_gels)
+            + (solver.wrenches[2, :3].copy(), solver.wrenches[:2, :3].copy())
         )
-        states = [after, before]
     return Run(dt_s, *(np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)))

@@ -27,8 +27,8 @@ from tests.newton_door.squeezed_cube import (
     Coupling,
     SolverGel,
     cube_model,
-    jaws,
     newton,
+    squeezing,
 )
 from tests.signals.tactile_cases import background, color_model
 from tests.support.sample_blocks import ASSUMED, bare_profile
@@ -36,25 +36,16 @@ from tests.support.sample_blocks import ASSUMED, bare_profile
 SensorTactile = pytest.importorskip("taccel_lab.newton_door.sensor_tactile").SensorTactile
 
 
-def squeezed() -> tuple[SolverGel, object]:
+@pytest.fixture(scope="module")
+def held() -> tuple[SolverGel, object]:
     """A cube held between two pads."""
     model = cube_model()
     gels = [BodyGel(side, PAD, name=f"{side} pad") for side in ("left", "right")]
     solver = SolverGel(model, gels, ["cube"], coupling=Coupling.INSIDE, config=CONFIG)
     states = [model.state(), model.state()]  # type: ignore[attr-defined]
     solver.reset(states[0])
-    for step in range(1, 11):
-        poses = states[0].body_q.numpy()
-        poses[:2] = jaws(1e-3 * step)
-        states[0].body_q.assign(poses)
-        solver.step(states[0], states[1], None, None, 1e-3)
-        states = states[::-1]
-    return solver, states[0]
-
-
-@pytest.fixture(scope="module")
-def held() -> tuple[SolverGel, object]:
-    return squeezed()
+    *_, state = squeezing(solver, states, 10)
+    return solver, state
 
 
 def test_a_gel_feels_the_cube_at_its_nodes(held: tuple[SolverGel, object]) -> None:
@@ -107,12 +98,7 @@ def test_a_gel_of_a_profile_has_images(own: bool) -> None:
     rest = sensor.image
     assert rest.shape == (48, 64, 3) and rest.dtype == np.uint8
     assert np.abs(rest.astype(int) - profile.background_rgb).max() <= 1  # type: ignore[operator]
-    for step in range(1, 6):
-        poses = states[0].body_q.numpy()
-        poses[:2] = jaws(1e-3 * step)
-        states[0].body_q.assign(poses)
-        solver.step(states[0], states[1], None, None, 1e-3)
-        states = states[::-1]
+    list(squeezing(solver, states, 5))
     changed = np.abs(sensor.update().image.astype(int) - rest).max(axis=2)
     assert changed.max() > 5
     with pytest.raises(InputError, match="nodes, that of the profile 108"):

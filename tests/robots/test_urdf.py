@@ -181,6 +181,19 @@ def links(inertial: str = "", shape: str = BOX, effort: str = "1") -> str:
     return LINKS.format(inertial=inertial, shape=shape, effort=effort)
 
 
+def test_an_inertia_is_turned_into_the_links_frame(tmp_path: Path) -> None:
+    from scipy.spatial.transform import Rotation
+
+    inertial = """<inertial><origin rpy="0.3 0.5 0.7"/><mass value="2"/>
+        <inertia ixx="0.1" iyy="0.2" izz="0.25" ixy="0.01" ixz="0.02" iyz="0.03"/></inertial>"""
+    robot = load_urdf(write(tmp_path, links(inertial)))
+    mass = next(link.mass for link in robot.links if link.name == "a")
+    turn = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).as_matrix()
+    given = np.array([[0.1, 0.01, 0.02], [0.01, 0.2, 0.03], [0.02, 0.03, 0.25]])
+    assert mass is not None
+    np.testing.assert_allclose(mass.inertia_kg_m2, turn @ given @ turn.T, atol=1e-12)
+
+
 @pytest.mark.parametrize("inertial", ["", '<inertial><origin xyz="0 0 0.001"/></inertial>'])
 def test_a_link_without_mass_has_that_of_its_shapes(tmp_path: Path, inertial: str) -> None:
     path = write(tmp_path, links(inertial))

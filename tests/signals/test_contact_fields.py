@@ -14,13 +14,10 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import Outputs
-from taccel_lab.scene import Ball, Material
+from taccel_lab.scene import Material
 from taccel_lab.signals import SignalTactile
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
-from taccel_lab.solvers import SolverConfig, SolverIPC
-from tests.verification.half_space import DOMAIN_OVER_RADIUS, GROWTH, HalfSpace
-from tests.verification.half_space_mesh import half_space_mesh
-from tests.verification.test_mindlin import sliding
+from tests.verification.test_mindlin import BALL, DEPTH, MU, RADIUS, pressed_block, sliding
 
 GRID = PixelGrid(100, 80, 0.06, 0.06)
 PIXEL_M2 = 0.06e-3**2
@@ -107,39 +104,16 @@ def test_a_gel_that_is_not_touched_feels_nothing() -> None:
 def test_partial_slip_of_cattaneo_and_mindlin() -> None:
     """A ball pressed without and moved with friction; ``tests/verification/test_mindlin.py`` says
     where the closed form is from, and checks nodes where this looks at pixels."""
-    radius_ball, depth, young, poisson, mu = 1e-2, 2.5e-5, 1e5, 0.49, 0.3
-    dhat = 0.01 * depth
-    a = float(np.sqrt(radius_ball * (depth + dhat)))
-
-    def config(eps_m: float) -> SolverConfig:
-        return SolverConfig(
-            dhat_m=dhat,
-            relative_tolerance=1e-5,
-            absolute_tolerance_n=1e-12,
-            friction_eps_m=eps_m,
-        )
-
-    block = HalfSpace(
-        half_space_mesh(a, 2, DOMAIN_OVER_RADIUS * a, GROWTH),
-        Ball(radius_ball),
-        young_pa=young,
-        poisson=poisson,
-        friction=mu,
-        start_m=radius_ball + 2 * dhat,
-        config=config(1e-2),
-    )
-    block.move(0.0, radius_ball - depth)
-    load = -float(block.normal_n[:, 2].sum())
-    full = 3 * mu * load * (2 - poisson) / (16 * a * young / (2 * (1 + poisson)))
-    block.solver = SolverIPC(block.model, config(2e-8))
+    block, load, full = pressed_block(2)
+    a = RADIUS
     before = block.positions_m.copy()
-    block.move(0.6 * full, radius_ball - depth)
-    stick = (1 - block.friction_n[:, 0].sum() / (mu * load)) ** (1 / 3)
+    block.move(0.6 * full, BALL - DEPTH)
+    stick = (1 - block.friction_n[:, 0].sum() / (MU * load)) ** (1 / 3)
     assert 0.6 < stick < 0.8
 
     read = Outputs(block.solver).update(block.state).sliding
     limits = read.limits.numpy()[0, : block.model.soft_count]
-    assert limits.sum() == pytest.approx(mu * load, rel=2e-3)
+    assert limits.sum() == pytest.approx(MU * load, rel=2e-3)
     behind = (block.positions_m - before)[:, 0] - 0.6 * full
     slips = read.slips.numpy()[0, : block.model.soft_count]
     # Along the ball, which is flat to within a tenth of a degree.
@@ -170,7 +144,7 @@ def test_partial_slip_of_cattaneo_and_mindlin() -> None:
         assert abs(slip[ring, 1].mean()) / full < 0.01
     assert (slip[~contact] == 0).all()
     total = traction.sum(axis=(0, 1))
-    assert total[0] / (mu * -total[2]) == pytest.approx(1 - stick**3, abs=0.01)
+    assert total[0] / (MU * -total[2]) == pytest.approx(1 - stick**3, abs=0.01)
     assert pressure.sum() == pytest.approx(-total[2], rel=1e-3)
 
 

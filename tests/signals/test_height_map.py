@@ -19,7 +19,6 @@ from tests.signals.height_map_referee import HeightMapReferee
 from tests.signals.pressed_surface import (
     PressedSphere,
     angle_deg,
-    extrude,
     flat_pad,
     pixel_xy,
     shaped,
@@ -59,17 +58,6 @@ def test_facet_mode_is_the_piecewise_linear_interpolant():
     expected = LinearNDInterpolator(top[:, :2], top[:, 2])(*pixel_xy(GRID))
     assert np.abs(signal.height_m[0] - expected).max() < 1e-13
     assert np.ptp(expected) > 1e-4
-
-
-def test_of_two_layers_the_camera_sees_the_lower_one():
-    xy = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 3e-3
-    xy = np.concatenate([xy, xy])
-    mesh = extrude(xy, np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]))
-    positions = mesh.nodes_m[None].copy()
-    positions[0, 4:8, 2] = 5e-4
-    signal = HeightMapReferee(mesh, GRID, mode=SurfaceMode.FACET)
-    signal.update(positions)
-    assert (signal.height_m == 0).all()
 
 
 @pytest.mark.parametrize(("mode", "ratio"), [(SurfaceMode.SMOOTH, 0.6), (SurfaceMode.FACET, 1.0)])
@@ -146,43 +134,6 @@ def test_a_domed_rest_surface_is_smooth():
     inside = (np.abs(x) < 2e-3) & (np.abs(y) < 1.5e-3)
     assert angle_deg(signal.normals[0], expected)[inside].max() < 0.2
     assert np.abs(signal.height_m[0] - dome(x, y))[inside].max() < 0.3e-6
-
-
-def test_environments_do_not_mix():
-    mesh = flat_pad(0.4, PAD_HALF_MM)
-    first = shaped(mesh, PressedSphere(1.0e-3).height)
-    second = shaped(mesh, lambda x, y: 0.1 * x)
-    second[..., :2] *= 1.05
-    signal = HeightMapReferee(mesh, GRID)
-    signal.update(np.concatenate([first, second, first]))
-    together = signal.height_m.copy(), signal.normals.copy()
-    for env, alone in ((0, first), (1, second), (2, first)):
-        signal.update(alone)
-        assert np.array_equal(together[0][env], signal.height_m[0], equal_nan=True)
-        assert np.array_equal(together[1][env], signal.normals[0], equal_nan=True)
-    assert not np.array_equal(together[0][0], together[0][1])
-
-
-def test_pixels_beside_the_pad_are_nan_and_only_those():
-    mesh = flat_pad(0.2, (1.5, 1.0))
-    signal = HeightMapReferee(mesh, GRID)
-    signal.update(mesh.nodes_m)
-    x, y = (np.abs(value) for value in pixel_xy(GRID))
-    assert np.isnan(signal.height_m[0][(x > 1.8e-3) | (y > 1.3e-3)]).all()
-    assert np.isfinite(signal.height_m[0][(x < 1.3e-3) & (y < 0.8e-3)]).all()
-    assert np.array_equal(np.isnan(signal.height_m), np.isnan(signal.normals).any(axis=-1))
-
-
-def test_folded_triangles_are_skipped():
-    mesh = flat_pad(0.4, PAD_HALF_MM, seed=1)
-    positions = mesh.nodes_m[None].copy()
-    top = mesh.region_nodes(Region.CONTACT)
-    near = top[np.argmin(np.linalg.norm(mesh.nodes_m[top], axis=1))]
-    positions[0, near] += [0.7e-3, 0.0, 0.0]
-    signal = HeightMapReferee(mesh, GRID)
-    signal.update(positions)
-    assert np.isfinite(signal.height_m).all()
-    assert np.abs(signal.height_m).max() < 1e-12
 
 
 def test_slopes_of_pixels_that_are_not_square() -> None:

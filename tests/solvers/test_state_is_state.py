@@ -269,14 +269,20 @@ def test_a_solver_in_two_threads_is_refused() -> None:
     for step in range(1, STEPS + 1):
         expected[0].step(expected[1], poses([step] * ENVS))
 
+    ended = threading.Event()
+
     def steps() -> int:
-        return sum(
-            solver.step(state, poses([step] * ENVS)).converged.all() for step in range(1, STEPS + 1)
-        )
+        try:
+            return sum(
+                solver.step(state, poses([step] * ENVS)).converged.all()
+                for step in range(1, STEPS + 1)
+            )
+        finally:
+            ended.set()
 
     def intrude() -> str:
         other = initial_state(solver.model, poses([0] * ENVS))
-        for _ in range(100_000):
+        while not ended.is_set():
             try:
                 solver.step(other, poses([0] * ENVS))
             except InputError as error:

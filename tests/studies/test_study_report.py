@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from taccel_lab.errors import InputError
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.ranking import (
     Goal,
@@ -93,6 +94,15 @@ def drawn(root: Path) -> set[str]:
         assert image is not None and (image != 255).any(axis=2).mean() > 0.01, path
         names.add(path.stem)
     return names
+
+
+def test_the_row_of_another_design_is_no_row(tmp_path: Path) -> None:
+    outcome, _ = report(tmp_path, parameters=SQUARE)
+    first, second = outcome.folder.ids()[:2]
+    row = outcome.folder.design(first) / "result.json"
+    row.write_text((outcome.folder.design(second) / "result.json").read_text())
+    with pytest.raises(InputError, match=f"is that of another design, {second}"):
+        outcome.folder.read(first)
 
 
 def test_a_grid_of_two_parameters_has_everything(tmp_path: Path) -> None:

@@ -57,6 +57,23 @@ def press_image(
     return np.clip(np.rint(image), 0, 255).astype(np.uint8), surface
 
 
+def memory_captures(
+    circles: Sequence[ContactCircle | None],
+    images: Sequence[np.ndarray],
+    background: np.ndarray,
+    grid: PixelGrid,
+    ball_mm: float,
+    sensor: str = "gelsight",
+) -> CaptureSet:
+    """A capture set of images in memory, levels of any type."""
+    presses = tuple(
+        Press(f"p{i}", f"memory[{i}]", f"{i:064x}", circle, partial(np.copy, image))
+        for i, (circle, image) in enumerate(zip(circles, images, strict=True))
+    )
+    mask = np.ones(background.shape[:2], dtype=bool)
+    return CaptureSet("memory", sensor, background, "0" * 64, mask, ball_mm, grid, presses, {})
+
+
 def synthetic_captures(
     count: int = 12,
     seed: int = 0,
@@ -66,30 +83,20 @@ def synthetic_captures(
 ) -> tuple[CaptureSet, list[PressSurface]]:
     """A capture set in memory, and the true surface of each press."""
     rng = np.random.default_rng(seed)
-    presses, surfaces = [], []
+    circles, images, surfaces = [], [], []
     margin = max(35.0, radii_px[1] + 2)
-    for i in range(count):
+    for _ in range(count):
         circle = ContactCircle(
             float(rng.uniform(margin, GRID.width_px - margin)),
             float(rng.uniform(margin, GRID.height_px - margin)),
             float(rng.uniform(*radii_px)),
         )
         image, surface = press_image(circle, rng, noise, ball_mm)
-        presses.append(Press(f"p{i}", f"memory[{i}]", f"{i:064x}", circle, partial(np.copy, image)))
+        circles.append(circle)
+        images.append(image)
         surfaces.append(surface)
     background = np.rint(flat_background()).astype(np.uint8)
-    captures = CaptureSet(
-        source="memory",
-        sensor="gelsight",
-        background=background,
-        background_sha256="0" * 64,
-        mask=np.ones(background.shape[:2], dtype=bool),
-        ball_radius_mm=ball_mm,
-        grid=GRID,
-        presses=tuple(presses),
-        provenance={},
-    )
-    return captures, surfaces
+    return memory_captures(circles, images, background, GRID, ball_mm), surfaces
 
 
 def write_folder(
@@ -98,15 +105,17 @@ def write_folder(
     images: Mapping[str, np.ndarray],
     circles: Mapping[str, ContactCircle],
     ball_mm: float = BALL_RADIUS_MM,
+    grid: PixelGrid = GRID,
+    sensor: str = "gelsight",
 ) -> Path:
     """A capture folder of ball presses, those of ``circles`` labelled; returns it."""
     path.mkdir(parents=True)
     lines = [
         "schema_version = 2",
-        'sensor = "gelsight"',
+        f'sensor = "{sensor}"',
         'background = "background.png"',
-        f"mm_per_px_x = {GRID.mm_per_px_x}",
-        f"mm_per_px_y = {GRID.mm_per_px_y}",
+        f"mm_per_px_x = {grid.mm_per_px_x}",
+        f"mm_per_px_y = {grid.mm_per_px_y}",
         "[indenter]",
         f"radius_mm = {ball_mm}",
     ]
@@ -162,6 +171,30 @@ def calibrated(
         HeldoutSet.of(captures, split, true_surfaces),
         **more,
     )
+
+
+def with_images(
+    captures: CaptureSet, images: Mapping[int, np.ndarray] | Sequence[np.ndarray], **changes: Any
+) -> CaptureSet:
+    """Some presses, or all, with other images; ``changes`` of the set beside."""
+    by_place = dict(images.items() if isinstance(images, Mapping) else enumerate(images))
+    presses = list(captures.presses)
+    for i, image in by_place.items():
+        presses[i] = replace(presses[i], read=partial(np.copy, image))
+    return replace(captures, presses=tuple(presses), **changes)
+
+
+def with_circles(
+    captures: CaptureSet,
+    circles: Mapping[int, ContactCircle | None] | Sequence[ContactCircle | None],
+    **changes: Any,
+) -> CaptureSet:
+    """The same with other labels."""
+    by_place = dict(circles.items() if isinstance(circles, Mapping) else enumerate(circles))
+    presses = list(captures.presses)
+    for i, circle in by_place.items():
+        presses[i] = replace(presses[i], circle=circle)
+    return replace(captures, presses=tuple(presses), **changes)
 
 
 def without_check(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,37 +9,100 @@ with the order of the element. Error: L2 norm over that of the displacement.
 
 *Cook's membrane* [Cook, Malkus and Plesha 1989] in plane strain, a sheet of one tet between two
 frictionless walls, even cells. Referee: scikit-fem 12, plane strain, triangles of order four on
-meshes of 2^r x 2^r cells graded towards the clamped corners, extrapolated over r
-(``python -m tests.verification.element_problems --referee`` does it again). Error: energy of
+meshes of 2^r x 2^r cells graded towards the clamped corners, extrapolated over r. Error: energy of
 the load, which the corner where the clamped edge meets the free one keeps from converging with the
 order of any element: near it stress goes to infinity.
-
-    python -m tests.verification.element_problems --out benchmarks/results
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import permutations
 
 import numpy as np
 
-from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
+from taccel_lab.geometry.quadratic import TET_EDGES
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.scene import Element, Material, Scene, SoftBody
 from tests.verification.elements import ElementForces
-from tests.verification.nodal_loads import (
-    body_load,
-    shape_functions,
-    surface_load,
-    tet_rule,
-    whole_faces,
-)
 
 YOUNG_PA = 1e5
 CUBE_M = 1e-2
 COOK_ENERGY = {0.3: 22.0122, 0.49: 18.7928, 0.499: 18.5881}
 """Work of a unit load on a membrane of unit thickness and modulus, lengths 48, 44, 16: referee."""
 COOK_THICKNESS = 8.0
+
+
+Field = Callable[[np.ndarray], np.ndarray]
+"""Vectors [n, 3] at points [n, 3] [m]."""
+
+
+def tet_rule(order: int = 4) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric points [q, 4] and weights [q] of sum 1: Gauss-Legendre in collapsed cubes."""
+    g, w = np.polynomial.legendre.leggauss(order)
+    g, w = (g + 1) / 2, w / 2
+    a, b, c = (v.ravel() for v in np.meshgrid(g, g, g, indexing="ij"))
+    weight = np.einsum("i,j,k->ijk", w, w, w).ravel() * 6 * (1 - a) ** 2 * (1 - b)
+    b, c = b * (1 - a), c * (1 - a) * (1 - b)
+    return np.stack([1 - a - b - c, a, b, c], axis=1), weight
+
+
+def face_rule(order: int = 4) -> tuple[np.ndarray, np.ndarray]:
+    """Barycentric points [q, 3] and weights [q] of sum 1 of a triangle."""
+    g, w = np.polynomial.legendre.leggauss(order)
+    g, w = (g + 1) / 2, w / 2
+    a, b = (v.ravel() for v in np.meshgrid(g, g, indexing="ij"))
+    weight = np.outer(w, w).ravel() * 2 * (1 - a)
+    return np.stack([1 - a - b * (1 - a), a, b * (1 - a)], axis=1), weight
+
+
+def shape_functions(point: np.ndarray, node_count: int) -> np.ndarray:
+    """Values of the shape functions of a tet or triangle, linear or quadratic, at a point."""
+    corners = len(point)
+    if node_count == corners:
+        return point
+    edges = TET_EDGES if corners == 4 else ((0, 1), (1, 2), (2, 0))
+    middles = [4 * point[i] * point[j] for i, j in edges]
+    return np.array([*(point * (2 * point - 1)), *middles])
+
+
+def body_load(mesh: TetMesh | QuadraticMesh, force_n_m3: Field) -> np.ndarray:
+    """Nodal forces [N] of a force per volume, shape [node_count, 3]."""
+    corners = mesh.nodes_m[mesh.tets[:, :4]]
+    volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    load = np.zeros((mesh.node_count, 3))
+    for point, weight in zip(*tet_rule(), strict=True):
+        here = np.einsum("k,tkd->td", point, corners)
+        force = force_n_m3(here) * (weight * volumes)[:, None]
+        for local, value in enumerate(shape_functions(point, mesh.tets.shape[1])):
+            np.add.at(load, mesh.tets[:, local], value * force)
+    return load
+
+
+def whole_faces(mesh: TetMesh | QuadraticMesh) -> np.ndarray:
+    """Boundary faces as elements: three corners, then, if quadratic, the middles 01, 12, 20."""
+    if isinstance(mesh, TetMesh):
+        return mesh.faces
+    parts = mesh.faces.reshape(-1, 4, 3)
+    columns = [parts[:, 0, 0], parts[:, 1, 1], parts[:, 2, 2]]
+    return np.stack([*columns, parts[:, 3, 0], parts[:, 3, 1], parts[:, 3, 2]], axis=1)
+
+
+def surface_load(
+    mesh: TetMesh | QuadraticMesh, faces: np.ndarray, traction_pa: Field
+) -> np.ndarray:
+    """Nodal forces [N] of a traction on some of ``whole_faces``, shape [node_count, 3]."""
+    corners = mesh.nodes_m[faces[:, :3]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(normals, axis=1) / 2
+    load = np.zeros((mesh.node_count, 3))
+    for point, weight in zip(*face_rule(), strict=True):
+        here = np.einsum("k,fkd->fd", point, corners)
+        force = traction_pa(here) * (weight * areas)[:, None]
+        for local, value in enumerate(shape_functions(point, faces.shape[1])):
+            np.add.at(load, faces[:, local], value * force)
+    return load
 
 
 def _grid(cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rigid body on an elastic half-space of quadratic tets, which the contact tests share.
+"""A rigid body on an elastic half-space, which the contact tests share.
 
 The block is fixed on a half sphere 300 contact radii away. Far from the contact the half-space of
 the closed forms moves there by F (1 - nu^2) / (pi E r); holding it still instead adds about
@@ -34,9 +34,10 @@ class HalfSpace:
         config: SolverConfig,
         start_m: float,
         friction: float = 0.0,
+        element: Element = Element.QUADRATIC,
     ) -> None:
         """``start_m``: height of the body's origin at first [m]."""
-        soft = SoftBody(mesh, Material(young_pa, poisson), element=Element.QUADRATIC)
+        soft = SoftBody(mesh, Material(young_pa, poisson), element=element)
         self.model = Scene(soft, KinematicBody(shape, friction)).finalize()
         self.solver = SolverIPC(self.model, config)
         self.state = initial_state(self.model, everywhere(1, pose(0, 0, start_m)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closed meshes for contact scenes: concave surfaces, and tets inside star-shaped ones."""
+"""Closed meshes for contact scenes: concave surfaces, tips and cracks, tets inside of them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import grid_tets
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.scene import TriangleMesh
+
+SIZE = 1e-2
+"""Of the solids after Erleben [m]."""
 
 
 def grid_faces(points: np.ndarray, close_rows: bool = False) -> np.ndarray:
@@ -99,6 +102,41 @@ def nut_mesh(
         ]
     )
     return TriangleMesh(np.concatenate([bore.reshape(-1, 3), outside.reshape(-1, 3)]), faces)
+
+
+def extruded(
+    profile: list[tuple[float, float]], triangles: list[tuple[int, int, int]]
+) -> TriangleMesh:
+    """A profile (y, z) counter-clockwise as seen against x, with its triangulation, along x."""
+    flat = SIZE * np.array(profile)
+    n = len(flat)
+    ends = [np.column_stack([np.full(n, x), flat]) for x in (-SIZE / 2, SIZE / 2)]
+    caps = np.array(triangles)
+    a, b = np.arange(n), np.roll(np.arange(n), -1)
+    sides = [np.stack([a, b, b + n], 1), np.stack([a, b + n, a + n], 1)]
+    return TriangleMesh(np.concatenate(ends), np.concatenate([caps[:, ::-1], caps + n, *sides]))
+
+
+def pyramid(height: float) -> TriangleMesh:
+    """A square base at z = 0 and an apex at ``height``; below zero it points down."""
+    corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    base = np.array([(0.5 * x, 0.5 * y, 0) for x, y in corners])
+    vertices = SIZE * np.concatenate([base, [[0, 0, height]]])
+    faces = np.array([[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    return TriangleMesh(vertices, faces if height > 0 else faces[:, ::-1])
+
+
+def pit() -> TriangleMesh:
+    """A block whose upper face, at z = 0, is a pyramid of one half pressed into it."""
+    corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    top = [(0.5 * x, 0.5 * y, 0) for x, y in corners]
+    bottom = [(0.5 * x, 0.5 * y, -1) for x, y in corners]
+    vertices = SIZE * np.array([*top, *bottom, (0, 0, -0.5)])
+    faces = [(0, 1, 8), (1, 2, 8), (2, 3, 8), (3, 0, 8), (4, 6, 5), (4, 7, 6)]
+    for i in range(4):
+        j = (i + 1) % 4
+        faces += [(i, 4 + i, 4 + j), (i, 4 + j, j)]
+    return TriangleMesh(vertices, np.array(faces))
 
 
 def touchable(nodes_m: np.ndarray, tets: np.ndarray) -> TetMesh:

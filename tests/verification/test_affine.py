@@ -1,16 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Affine bodies against mechanics: free flight, free rotation, friction on a slope."""
+"""Affine bodies against mechanics: flight, rotation, slopes, rolling, dragging, wrecking."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
+from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.model.embedding import rotate
-from taccel_lab.scene import AffineBody, Plane, TimeScheme, TriangleMesh
+from taccel_lab.scene import (
+    AffineBody,
+    KinematicBody,
+    Plane,
+    PositionDrive,
+    PrismaticJoint,
+    RevoluteJoint,
+    Surface,
+    TimeScheme,
+    TriangleMesh,
+    sphere_mesh,
+)
 from taccel_lab.solvers import SolverConfig
+from tests.support.blocks import everywhere
 from tests.verification.affine_scenes import DOWN, G, Run, affine_scene, box, turned
 
 NONE = (0.0, 0.0, 0.0)
@@ -100,30 +114,14 @@ def test_spin_about_a_principal_axis_follows_the_rotations(spin: float) -> None:
     assert run.strain < 1e-4
 
 
-def on_slope(friction: float, slope: float, config: SolverConfig | None = None) -> Run:
+def on_slope(friction: float, slope: float) -> Run:
     """A box at rest just above a plane; gravity is what is tilted."""
     gravity = (G * np.sin(slope), 0.0, -G * np.cos(slope))
     body = box("block", (0.1, 0.1, 0.04), (0, 0, 0.02 + 1e-5), friction_coefficient=friction)
-    return Run(affine_scene([body], planes=[Plane()], gravity=gravity), config)
+    return Run(affine_scene([body], planes=[Plane()], gravity=gravity))
 
 
-@pytest.mark.parametrize("part", [0.5, 0.95])
-def test_a_block_below_the_friction_angle_sticks(part: float) -> None:
-    friction, n = 0.5, 20
-    slope = np.arctan(part * friction)
-    eps = 1e-6
-    run = on_slope(friction, slope, SolverConfig(friction_speed_m_s=eps / 0.01))
-    run.step()
-    start = run.y[0, 0].copy()
-    for _ in range(n):
-        run.step()
-    crept = run.y[0, 0] - start
-    assert 0 < crept[0] < 1.1 * n * eps
-    assert abs(crept[1]) < 1e-8
-    assert run.overlaps() == []
-
-
-@pytest.mark.parametrize(("friction", "slope"), [(0.5, np.arctan(0.55)), (0.2, 0.5), (0.0, 0.3)])
+@pytest.mark.parametrize(("friction", "slope"), [(0.2, 0.5), (0.0, 0.3)])
 def test_a_block_above_the_friction_angle_slides(friction: float, slope: float) -> None:
     """At g (sin - mu cos), from the first step that is held by the plane."""
     run = on_slope(friction, slope)
@@ -174,4 +172,259 @@ def test_a_tilted_plate_that_slides_and_turns_in_its_first_contact() -> None:
     report = run.step()
     assert report.substeps[0] == 1
     assert report.newton_iterations[0] < 60
+    assert run.overlaps() == []
+
+
+RADIUS, SLOPE = 20e-3, np.radians(10)
+
+
+def ball_on_slope(friction: float) -> tuple[Run, float]:
+    """2,562 vertices, and gravity that leans; also m r^2 over the mesh's moment of inertia."""
+    mesh, dhat = sphere_mesh(RADIUS, 2e-3), 1e-4
+    reach = float(np.linalg.norm(mesh.vertices_m, axis=1).max())
+    ball = AffineBody(
+        mesh,
+        name="ball",
+        friction_coefficient=friction,
+        initial_pose=np.array([0, 0, reach + 0.5 * dhat, 0, 0, 0, 1]),
+    )
+    scene = affine_scene(
+        [ball],
+        planes=[Plane(friction_coefficient=friction)],
+        gravity=(G * np.sin(SLOPE), 0.0, -G * np.cos(SLOPE)),
+        dt=5e-3,
+        scheme=TimeScheme.BDF2,
+    )
+    properties = mass_properties(mesh, 1000.0)
+    ratio = properties.mass_kg * RADIUS**2 / properties.inertia_kg_m2[1, 1]
+    return Run(scene, SolverConfig(dhat_m=dhat, kappa_pa=1e5)), float(ratio)
+
+
+@pytest.mark.parametrize("friction", [0.5, 0.02])
+def test_a_ball_on_a_slope(friction: float) -> None:
+    """It rolls where mu > 2/7 tan, at 5/7 g sin, and else slides at g (sin - mu cos).
+
+    A mesh rolls from facet to facet: edges of a tenth of the radius dip by a thousandth of it, half
+    of the layer that carries the ball, and its acceleration wavers by some thousandths.
+    """
+    run, ratio = ball_on_slope(friction)
+    assert ratio == pytest.approx(2.5, rel=3e-3)
+    n = 15
+    places, angles = [0.0], [0.0]
+    for _ in range(2 * n):
+        run.step()
+        places.append(run.y[0, 0, 0])
+        a = run.maps[0]
+        angles.append(float(np.arctan2(-a[2, 0], a[0, 0])))
+    assert run.overlaps() == []
+    found = np.diff(places[::n], n=2)[0] / (n * run.dt) ** 2
+    arc = RADIUS * np.unwrap(angles)[-1]
+    if friction > 2 / 7 * np.tan(SLOPE):
+        assert found == pytest.approx(5 / 7 * G * np.sin(SLOPE), rel=1e-2)
+        assert arc == pytest.approx(places[-1], rel=5e-3)
+    else:
+        assert found == pytest.approx(G * (np.sin(SLOPE) - friction * np.cos(SLOPE)), rel=1e-2)
+        assert arc < 0.5 * places[-1]
+    assert run.strain < 1e-4
+
+
+# Wrecking ball ---------------------------------------------------------------------------------
+
+LINKS, LINK, BALL = 4, 25e-3, 15e-3
+CUBE, CUBE_GAP = 15e-3, 4e-5
+
+
+def wrecking_ball(start: float) -> Run:
+    """A chain held at the origin, straight, ``start`` from the vertical, with a ball of steel at
+    its end; at its lowest point the ball meets a pyramid of three light cubes."""
+    along = np.array([-np.sin(start), 0, -np.cos(start)])
+    rotation = turned((0, 1, 0), start)
+    links = [
+        box(
+            f"link {i}",
+            (4e-3, 4e-3, LINK),
+            (i + 0.5) * LINK * along,
+            rotation,
+            young_modulus_pa=1e10,
+        )
+        for i in range(LINKS)
+    ]
+    reach = LINKS * LINK
+    ball = AffineBody(
+        sphere_mesh(BALL, 6e-3),
+        7800.0,
+        name="ball",
+        friction_coefficient=0.3,
+        initial_pose=np.array([*((reach + BALL) * along), 0, 0, 0, 1]),
+    )
+    names = [None, *(link.name for link in links), "ball"]
+    joints = [
+        RevoluteJoint(str(first), second, i * LINK * along, (0, 1, 0), name=f"hinge {i}")
+        for i, (second, first) in enumerate(pairwise(names))
+    ]
+    floor = -(reach + 2 * BALL) - 0.3 * CUBE
+    x = BALL + 2e-3 + CUBE / 2
+    places = [(x, -0.6 * CUBE, 0), (x, 0.6 * CUBE, 0), (x + 1e-3, 0, 1)]
+    cubes = [
+        box(
+            f"cube {k}",
+            (CUBE, CUBE, CUBE),
+            (x, y, floor + (level + 0.5) * CUBE + (level + 1) * CUBE_GAP),
+            density_kg_m3=200.0,
+            friction_coefficient=0.5,
+        )
+        for k, (x, y, level) in enumerate(places)
+    ]
+    ground = Plane((0, 0, floor), friction_coefficient=0.5)
+    return Run(
+        affine_scene([*links, ball, *cubes], joints, planes=[ground], dt=5e-3),
+        SolverConfig(dhat_m=5e-5, kappa_pa=1e4),
+    )
+
+
+def test_a_wrecking_ball() -> None:
+    """Joints stay closed (checked in each step), nothing intersects, energy is only ever lost."""
+    run = wrecking_ball(np.radians(30))
+
+    def energy() -> float:
+        return run.kinetic_energy + float((run.masses[:, 0, 0] * G * run.y[:, 0, 2]).sum())
+
+    before = energy()
+    wall = run.y[LINKS + 1 :, 0].copy()
+    fastest = 0.0
+    for _ in range(39):
+        run.step()
+        assert run.overlaps() == []
+        # Contacts and stiff bodies store next to nothing.
+        assert energy() < before + 1e-9
+        before = energy()
+        fastest = max(fastest, run.v[LINKS, 0, 0])
+    # A little below the speed of a pendulum: implicit Euler loses some of the swing.
+    drop = (LINKS * LINK + BALL) * (1 - np.cos(np.radians(30)))
+    assert 0.9 < fastest / np.sqrt(2 * G * drop) < 1
+    assert (run.y[LINKS + 1 :, 0] - wall)[:, 0].min() > 5e-3, "all cubes are pushed ahead"
+    assert run.strain < 1e-4
+
+
+MU = 0.35
+BLOCK, SPRING, DRAG_SPEED, DRAG_DT = 20e-3, 20.0, 0.05, 2e-3
+DHAT = 2e-5
+
+
+def pulled_block() -> Run:
+    """A block that may sink and rise on a light carriage, which a spring pulls along x."""
+    block = box(
+        "block", (BLOCK, BLOCK, BLOCK), (0, 0, BLOCK / 2 + 0.9 * DHAT), friction_coefficient=MU
+    )
+    apart = Surface(layer=2, collides_with=0)
+    carriage = box("carriage", (5e-3, 5e-3, 5e-3), (0, 0, 0.1), density_kg_m3=100.0, surface=apart)
+    joints = [
+        PrismaticJoint("block", "carriage", (0, 0, 0), (0, 0, 1), name="guide"),
+        PrismaticJoint(
+            "carriage", None, (0, 0, 0.1), (1, 0, 0), name="rail", drive=PositionDrive(SPRING)
+        ),
+    ]
+    return Run(
+        affine_scene(
+            [block, carriage], joints, planes=[Plane(friction_coefficient=MU)], dt=DRAG_DT
+        ),
+        SolverConfig(dhat_m=DHAT, kappa_pa=1e4),
+    )
+
+
+def spring_forces(mass: float, limit: float, steps: int) -> np.ndarray:
+    """Coulomb's law in steps of implicit Euler: the spring's force [N], shape [steps]."""
+    place, speed, forces = 0.0, 0.0, []
+    for step in range(1, steps + 1):
+        gap = DRAG_SPEED * step * DRAG_DT - place
+        # Sliding forward: m (v' - v) = dt (k (gap - dt v') - limit).
+        ahead = mass * speed + DRAG_DT * (SPRING * gap - limit)
+        speed = max(ahead / (mass + DRAG_DT**2 * SPRING), 0.0)
+        place += DRAG_DT * speed
+        forces.append(SPRING * (DRAG_SPEED * step * DRAG_DT - place))
+    return np.array(forces)
+
+
+def test_a_block_pulled_by_a_spring_sticks_and_slips() -> None:
+    """The spring's end moves at V. The block sticks until k V t = mu N, and lets go at rest: the
+    spring overshoots mu N by V sqrt(k m), less what the steps damp, as an oscillator about mu N
+    that starts at speed -V, and settles to steady sliding at mu N."""
+    run = pulled_block()
+    joints = run.solver.joints
+    assert joints is not None
+    for _ in range(5):
+        run.step()
+    weight, mass = run.masses[0, 0, 0] * G, run.masses[:, 0, 0].sum()
+    limit, steps = MU * weight, 220
+    slips = round(limit / (SPRING * DRAG_SPEED * DRAG_DT))
+    forces = []
+    for step in range(1, steps + 1):
+        assert run.state.joints is not None
+        targets = run.state.joints.targets.numpy()
+        targets[0, 1] = DRAG_SPEED * step * DRAG_DT
+        run.state.joints.targets.assign(targets)
+        run.step()
+        forces.append(SPRING * (DRAG_SPEED * step * DRAG_DT - joints.coordinates.numpy()[0, 1]))
+        if step == slips - 1:
+            assert run.v[0, 0, 0] < run.solver.config.friction_speed_m_s, "it sticks"
+        nodes = run.model.bodies[0].node_slice
+        normal = -run.solver.contact_gradient.numpy()[0, nodes].sum(axis=0)[2]
+        assert normal == pytest.approx(weight, rel=2e-3)
+    expected = spring_forces(mass, limit, steps)
+    np.testing.assert_allclose(forces, expected, atol=0.01 * limit)
+    overshoot = (max(forces) - limit) / (DRAG_SPEED * np.sqrt(SPRING * mass))
+    assert 0.9 < overshoot < 1
+    assert forces[slips - 2] == pytest.approx(SPRING * DRAG_SPEED * (slips - 1) * DRAG_DT, rel=1e-2)
+
+
+LENGTH, ANGLE = 60e-3, np.radians(45)
+
+
+@pytest.mark.parametrize("direction", [1, -1], ids=["trailing", "pushed"])
+def test_a_rod_dragged_by_its_upper_end(direction: int) -> None:
+    """Moments about the hinge: N (cos +- mu sin) = (W / 2) cos for the force N of the plane on the
+    tip of a rod at 45 degrees; + where it trails. (With mu tan = 1 a pushed rod would jam.)"""
+    top = np.array([0, 0, LENGTH * np.sin(ANGLE) + 2.0e-3])
+    # The rod's lower end lies behind, at negative x.
+    along = np.array([-np.cos(ANGLE), 0, -np.sin(ANGLE)])
+    rod = box(
+        "rod",
+        (LENGTH, 4e-3, 1e-3),
+        top + 0.5 * LENGTH * along,
+        turned((0, 1, 0), -ANGLE),
+        friction_coefficient=MU,
+    )
+    hinge = RevoluteJoint(
+        "rod", "hand", top, (0, 1, 0), second_pose=np.array([*top, 0, 0, 0, 1]), name="hinge"
+    )
+    scene = affine_scene(
+        [rod],
+        [hinge],
+        planes=[Plane(friction_coefficient=MU)],
+        kinematic=[KinematicBody(None, name="hand")],
+        dt=5e-3,
+    )
+
+    def hand(x: float, z: float) -> np.ndarray:
+        return everywhere(1, np.array([top[0] + x, 0, top[2] + z, 0, 0, 0, 1]))
+
+    run = Run(scene, SolverConfig(dhat_m=DHAT, kappa_pa=1e5), hand(0, 0))
+    weight = run.masses[0, 0, 0] * G
+    for _ in range(8):
+        run.step(hand(0, 0))
+    found = []
+    nodes = run.model.bodies[0].node_slice
+    for step in range(1, 13):
+        run.step(hand(direction * 0.1 * step * run.dt, 0))
+        contact = -run.solver.contact_gradient.numpy()[0, nodes].sum(axis=0)
+        rubbing = -run.solver.friction_gradient.numpy()[0, nodes].sum(axis=0)
+        found.append([contact[2], rubbing[0]])
+    normal, rubs = np.mean(found[6:], axis=0)
+    low = run.vertices[run.vertices[:, 2].argmin()]
+    hinge_at = top + [direction * 0.1 * 12 * run.dt, 0, 0]
+    r, c = low - hinge_at, run.y[0, 0] - hinge_at
+    # Both moments about the hinge, about y, with the tip where it is.
+    expected = weight * c[0] / (r[0] + direction * MU * r[2])
+    assert rubs == pytest.approx(-direction * MU * normal, rel=1e-3)
+    assert normal == pytest.approx(expected, rel=1e-3)
     assert run.overlaps() == []

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,8 +13,6 @@ from taccel_lab.bodies.bodies import Surface
 from taccel_lab.bodies.crossings import self_crossings
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.ipc.collisions import EDGE_EDGE
-from taccel_lab.ipc.intersection import find_intersections
-from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,
     Element,
@@ -29,55 +26,17 @@ from taccel_lab.scene import (
     box_mesh,
 )
 from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.report import StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC
-from taccel_lab.state import State, initial_state
+from taccel_lab.state import initial_state
 from tests.support.blocks import block_mesh, everywhere, pose
+from tests.verification.watched import Watched
 
 DHAT = 2e-5
 GEL = Material(1e5, 0.4, 1000.0)
 FREE = np.zeros(0, dtype=np.int64)
 
 
-@dataclass
-class Watched:
-    """A scene whose every step has to converge without intersections or inversions."""
-
-    scene: Scene
-    start: np.ndarray | None = None
-
-    def __post_init__(self) -> None:
-        self.model: Model = self.scene.finalize()
-        self.solver = SolverIPC(self.model, SolverConfig(dhat_m=DHAT))
-        self.state: State = initial_state(self.model, self.start)
-
-    def step(self, poses: np.ndarray | None = None) -> StepReport:
-        report = self.solver.step(self.state, poses)
-        assert report.converged.all(), report.summary()
-        assert find_intersections(self.model, self.state) == [[]]
-        assert report.min_distance_m[0] > 0
-        return report
-
-    def walk(self, path: Iterable[np.ndarray]) -> None:
-        for poses in path:
-            self.step(poses)
-
-    def force(self, body: int) -> np.ndarray:
-        """Contact force on a body [N]."""
-        gradient = self.solver.contact_gradient.numpy()[0]
-        return -gradient[self.model.bodies[body].node_slice].sum(axis=0)
-
-    def self_contacts(self) -> int:
-        """Collisions of a body with itself."""
-        found = self.solver.collisions.snapshot(0)["stencils"]
-        bodies = self.model.surface.node_bodies.numpy()
-        return int((bodies[found[:, 0]] == bodies[found[:, 3]]).sum())
-
-    def positions(self, body: int = 0) -> np.ndarray:
-        return self.state.positions.numpy()[0, self.model.bodies[body].node_slice]
-
-
-def touchable(mesh: TetMesh) -> TetMesh:
+def free(mesh: TetMesh) -> TetMesh:
     """The mesh with nothing glued to anything."""
     return replace(mesh, face_regions=np.full(len(mesh.faces), int(Region.SIDE)))
 
@@ -187,7 +146,7 @@ def hairpin(self_contact: bool) -> Scene:
     x = -away * np.sin(angle) + np.where(along < arm, arm - along, 0)
     x += np.where(along > arm + arc, along - arm - arc, 0)
     nodes = np.column_stack([x, -straight.nodes_m[:, 1], -away * np.cos(angle)])
-    mesh = touchable(replace(straight, nodes_m=nodes))
+    mesh = free(replace(straight, nodes_m=nodes))
     strip = SoftBody(
         mesh,
         GEL,
@@ -232,7 +191,7 @@ def test_without_self_contact_the_strip_passes_through_itself() -> None:
 def test_a_mat_twisted_by_two_turns() -> None:
     """One end held, the other gripped by friction between two jaws that turn about the mat."""
     length, width, height = 8e-3, 4e-3, 0.3e-3
-    mesh = touchable(block_mesh((16, 8, 1), (length, width, height)))
+    mesh = free(block_mesh((16, 8, 1), (length, width, height)))
     mesh = replace(mesh, nodes_m=mesh.nodes_m + [0, 0, height / 2])
     held = np.flatnonzero(mesh.nodes_m[:, 0] < -length / 2 + 1e-9)
     jaw = box_mesh((1.2e-3, 1.2 * width, 0.5e-3))
@@ -262,7 +221,7 @@ def test_a_mat_twisted_by_two_turns() -> None:
 @pytest.mark.parametrize(("friction", "lowest"), [(0.0, 0.5e-3), (0.5, 0.4e-3)])
 def test_a_cube_squeezed_to_a_fifth_of_its_height(friction: float, lowest: float) -> None:
     side = 2e-3
-    mesh = touchable(block_mesh((5, 5, 5), (side, side, side), jitter=0.1))
+    mesh = free(block_mesh((5, 5, 5), (side, side, side), jitter=0.1))
     cube = SoftBody(
         mesh,
         GEL,

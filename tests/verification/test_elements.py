@@ -1,23 +1,48 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Linear and quadratic tets: patch test, bending, convergence, locking."""
+"""Linear and quadratic tets: patch test, bending, convergence, locking; quadratic gels at work."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import warp as wp
 
-from taccel_lab.scene import Element, Material, MaterialModel, Scene, SoftBody
-from tests.support.blocks import block_mesh
+from taccel_lab.cad.mesh.focus import FocusOptions
+from taccel_lab.cad.mesh.gel_mesh import focused_gel_mesh
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
+from taccel_lab.geometry import PixelGrid, Region
+from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.scene import (
+    Ball,
+    Element,
+    KinematicBody,
+    Material,
+    MaterialModel,
+    Scene,
+    SoftBody,
+    TimeStepping,
+)
+from taccel_lab.signals import SignalTactile
+from taccel_lab.solvers.config import SolverConfig
+from taccel_lab.solvers.report import EnvStatus
+from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.state import initial_state
+from tests.support.blocks import block_mesh, everywhere, pose
+from tests.verification.curved_tets import CURVED, curved
 from tests.verification.element_problems import (
     COOK_ENERGY,
     cook_error,
     rate,
     referee,
+    surface_load,
     swirl_error,
+    whole_faces,
 )
 from tests.verification.elements import ElementForces
-from tests.verification.layer_press import press
-from tests.verification.nodal_loads import surface_load, whole_faces
+from tests.verification.test_press import COARSE as MESH
 
 KINDS = list(Element)
 YOUNG = 1e5
@@ -135,27 +160,141 @@ def test_the_referee_of_cooks_membrane(poisson: float) -> None:
     assert referee(poisson) == pytest.approx(COOK_ENERGY[poisson], abs=2e-4)
 
 
+def layer_press(element: Element, layers: int, poisson_ratio: float) -> tuple[int, list[float]]:
+    """Nodes, and forces [N] of a frictionless ball of 4 mm radius, 0.2, 0.6 and 1 mm into a bonded
+    gel of 24 x 24 x 4.25 mm, on meshes that are refined alike in all directions."""
+    mesh = focused_gel_mesh(
+        GelPad(
+            length_x_mm=24.0,
+            length_y_mm=24.0,
+            corner_radius_mm=1.5,
+            thickness_mm=4.25,
+            window_x_mm=18.0,
+            window_y_mm=18.0,
+        ),
+        FocusOptions(
+            at_mm=(0.0, 0.0),
+            radius_mm=3.5,
+            size_mm=1.4 / layers,
+            core=2 * layers,
+            rings=max(5, round(2.3 * layers)),
+            layers=layers,
+            layer_ratio=1.15,
+        ),
+    )
+    env = PressEnv(
+        mesh,
+        Material(1.5e5, poisson_ratio),
+        parse_indenter("sphere:4.0"),
+        np.zeros((1, 2)),
+        physics=replace(PHYSICS[Accuracy.DEFAULT], element=element),
+    )
+    forces = []
+    for depth in (0.2, 0.6, 1.0):
+        env.move_to(depth)
+        forces.append(float(env.wrench[0, 2]))
+    return env.model.soft_count, forces
+
+
 @pytest.mark.parametrize("poisson", [pytest.param(0.45, marks=pytest.mark.slow), 0.499])
 def test_force_of_a_bonded_layer(poisson: float) -> None:
     """Force over depth of a ball on a bonded layer: within 3 % on the coarsest quadratic mesh."""
-    coarse, fine = (press(Element.QUADRATIC, n, poisson) for n in (2, 3))
+    (count, coarse), (_, fine) = (layer_press(Element.QUADRATIC, n, poisson) for n in (2, 3))
     # The next mesh, of 12,969 nodes, moves the last force of ``fine`` by 0.4 %.
-    assert coarse.node_count < 2100
-    np.testing.assert_allclose(coarse.forces_n[1:], fine.forces_n[1:], rtol=0.03)
-    linear = press(Element.LINEAR, 4, poisson)
-    assert linear.node_count == pytest.approx(coarse.node_count, rel=0.1)
-    assert linear.forces_n[-1] > (1.15 if poisson == 0.45 else 5) * fine.forces_n[-1]
+    assert count < 2100
+    np.testing.assert_allclose(coarse[1:], fine[1:], rtol=0.03)
+    linear_count, linear = layer_press(Element.LINEAR, 4, poisson)
+    assert linear_count == pytest.approx(count, rel=0.1)
+    assert linear[-1] > (1.15 if poisson == 0.45 else 5) * fine[-1]
 
 
-def test_quadratic_faces_are_what_collides() -> None:
-    mesh = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
-    body = SoftBody(mesh, Material(YOUNG, 0.4), element=Element.QUADRATIC)
-    model = Scene(body).finalize()
-    first, last = model.bodies[0].faces
-    assert last - first == 4 * len(mesh.faces)
-    areas = model.surface.node_areas.numpy()[0]
-    faces = model.surface.faces.numpy()[first:last]
-    assert (areas[np.unique(faces)] > 0).all()
-    masses = model.masses.numpy()[0]
-    assert masses.min() > 0
-    assert masses.sum() == pytest.approx(1000 * 2e-3 * 2e-3 * 1e-3, rel=1e-12)
+DHAT = 2e-5
+
+
+def gel(poisson: float = 0.45, **options) -> SoftBody:
+    return SoftBody(MESH, Material(1e5, poisson), element=Element.QUADRATIC, **options)
+
+
+def test_environments_do_not_see_each_other() -> None:
+    """Bitwise the same alone and among others, with a rest shape of its own."""
+    rests = np.stack([MESH.nodes_m, MESH.nodes_m * [1.05, 1.0, 0.9]])
+    results = []
+    for chosen in ([0, 1], [1]):
+        count = len(chosen)
+        body = gel(rest_positions_m=rests[chosen])
+        model = Scene(body, KinematicBody(Ball(1.5e-3), 0.5), count).finalize()
+        solver = SolverIPC(model)
+        state = initial_state(model, everywhere(count, pose(0, 0, 1.6e-3)))
+        for z in (1.4e-3, 1.2e-3):
+            report = solver.step(state, everywhere(count, pose(1e-4, 0, z)))
+            assert report.converged.all(), report.summary()
+        results.append(state.positions.numpy()[-1])
+    np.testing.assert_array_equal(results[0], results[1])
+
+
+def test_gels_of_unlike_elements_press_on_each_other() -> None:
+    lower = gel(0.45)
+    upper = SoftBody(
+        block_mesh((4, 4, 2), (4e-3, 4e-3, 2e-3), jitter=0.1),
+        Material(2e5, 0.4),
+        name="upper",
+        mount="hand",
+        element=Element.LINEAR,
+    )
+    model = Scene([lower, upper], KinematicBody(None, name="hand")).finalize()
+    assert len(model.elastic) == 2
+    solver = SolverIPC(model, SolverConfig(dhat_m=DHAT))
+
+    def facing(gap: float) -> np.ndarray:
+        return everywhere(1, pose(0, 0, gap, (1, 0.02, 0), 180))
+
+    state = initial_state(model, facing(3e-4))
+    for gap in (-1e-4, -3e-4):
+        report = solver.step(state, facing(gap))
+        assert report.converged.all(), report.summary()
+        assert find_intersections(model, state) == [[]]
+    contact = solver.contact_gradient.numpy()[0]
+    first, second = (contact[model.bodies[i].node_slice].sum(axis=0) for i in (0, 1))
+    assert abs(first[2]) > 1e-2
+    np.testing.assert_allclose(first, -second, atol=1e-12 * np.abs(contact).sum())
+
+
+def test_signals_read_all_nodes_of_the_surface() -> None:
+    """The height map of a paraboloid through the nodes: middles are part of the surface."""
+    body = gel()
+    mesh = body.nodal_mesh
+    x = mesh.nodes_m.copy()
+    on_top = mesh.region_nodes(Region.CONTACT)
+    x[on_top, 2] -= 10.0 * (x[on_top, :2] ** 2).sum(axis=1)
+    grid = PixelGrid(40, 30, 0.1, 0.1)
+    heights = []
+    for gel_mesh, nodes in ((mesh, x), (MESH, x[: MESH.node_count])):
+        reader = SignalTactile(gel_mesh, grid, env_count=1)
+        reader.update(wp.array(nodes[None], dtype=wp.vec3d, device="cpu"))
+        heights.append(reader.height_m.numpy()[0])
+    x_mm, y_mm = np.meshgrid(grid.x_mm(), grid.y_mm())
+    height = -10.0 * 1e-6 * (x_mm**2 + y_mm**2)
+    errors = [np.abs(found - height).max() for found in heights]
+    assert errors[0] < 0.3 * errors[1]
+    assert errors[0] < 2e-6
+
+
+@pytest.mark.parametrize("law", list(MaterialModel))
+def test_a_step_that_leaves_a_tet_inside_out_between_its_corners_is_no_result(
+    law: MaterialModel,
+) -> None:
+    """Held nodes bend one tet; no corner, no quadrature point and no energy tells."""
+    soft = SoftBody(CURVED, Material(1e5, 0.3, model=law), np.arange(4), element=Element.QUADRATIC)
+    model = Scene(soft, time=TimeStepping(quasi_static=False, dt_s=1e-5), env_count=2).finalize()
+    solver, state = SolverIPC(model), initial_state(model)
+    places = state.positions.numpy()
+    # The second environment bends it a little only.
+    state.positions.assign(places + np.stack([curved(soft), curved(soft, 0.2)]))
+    start = state.positions.numpy()
+    report = solver.step(state)
+    # A material that bears inversion may start so; then nothing was lost by the step.
+    bears = law in (MaterialModel.STABLE_NEO_HOOKEAN, MaterialModel.ST_VENANT_KIRCHHOFF)
+    first = EnvStatus.CONVERGED if bears else EnvStatus.INVERSION
+    assert [EnvStatus(status) for status in report.status] == [first, EnvStatus.CONVERGED]
+    if not bears:
+        np.testing.assert_array_equal(state.positions.numpy()[0], start[0])

@@ -11,6 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
@@ -85,12 +87,17 @@ def solved(body: SoftBody, target: np.ndarray) -> tuple[np.ndarray, Assembly]:
     return state.positions.numpy()[0], Assembly(model, SolverConfig(), NO_BODIES)
 
 
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("stretch", [0.8, 1.001, 1.3, 1.7])
+@pytest.mark.parametrize(
+    ("model", "stretch"),
+    [
+        *[(model, stretch) for model in MODELS for stretch in (0.8, 1.001, 1.3, 1.7)],
+        *[(MaterialModel.NEO_HOOKEAN, stretch) for stretch in (0.5, 2.0)],
+    ],
+)
 def test_uniaxial_stretch_with_free_sides(model: MaterialModel, stretch: float) -> None:
     mesh = block_mesh((3, 3, 3), SIZE, jitter=0.2, seed=1)
     law = principal_stress(model)
-    w = float(brentq(lambda w: law(w, w, stretch), 0.4, 1.5, xtol=1e-15))
+    w = float(brentq(lambda w: law(w, w, stretch), 0.4, 2.0, xtol=1e-15))
     stress = law(stretch, w, w)
     x0 = mesh.nodes_m[:, 0]
     end = x0 > x0.max() - 1e-9
@@ -121,7 +128,7 @@ def shear_energy_and_stress(model: MaterialModel, g: float) -> tuple[float, floa
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("shear", [1e-4, 0.1, 0.8])
+@pytest.mark.parametrize("shear", [1e-4, 0.1, 0.8, 1.0])
 def test_simple_shear(model: MaterialModel, shear: float) -> None:
     mesh = block_mesh((3, 3, 3), SIZE, jitter=0.2, seed=2)
     target = mesh.nodes_m + shear * mesh.nodes_m[:, 2:] * [1, 0, 0]
@@ -139,6 +146,34 @@ def test_simple_shear(model: MaterialModel, shear: float) -> None:
     assert cauchy[0, 0] - cauchy[2, 2] == pytest.approx(
         shear * cauchy[0, 2], rel=1e-8, abs=1e-10 * MU
     )
+
+
+@pytest.mark.parametrize("ratio", [0.8, 1.2])
+@pytest.mark.parametrize("model", MODELS)
+def test_uniform_compression(model: MaterialModel, ratio: float) -> None:
+    """F = s I: the first Piola-Kirchhoff stress is the law's at three equal stretches."""
+    mesh = block_mesh((3, 3, 3), SIZE, jitter=0.2, seed=3)
+    made = Scene(SoftBody(mesh, material(model), element=Element.LINEAR)).finalize()
+    assembly = Assembly(made, SolverConfig(), NO_BODIES)
+    gradient = assembly.elastic_gradient(mesh.nodes_m[None] * ratio)[0]
+    stress = np.einsum("ni,nj->ij", gradient, mesh.nodes_m) / float(np.prod(SIZE))
+    expected = principal_stress(model)(ratio, ratio, ratio)
+    np.testing.assert_allclose(stress, expected * np.eye(3), rtol=1e-10, atol=1e-10 * MU)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 10_000), shift=st.floats(-1.0, 1.0), model=st.sampled_from(MODELS))
+def test_rigid_motion_costs_nothing(seed: int, shift: float, model: MaterialModel) -> None:
+    mesh = block_mesh((3, 3, 3), SIZE, jitter=0.2, seed=4)
+    made = Scene(SoftBody(mesh, material(model), element=Element.LINEAR)).finalize()
+    assembly = Assembly(made, SolverConfig(), NO_BODIES)
+    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    x = mesh.nodes_m @ turn.T + shift
+    # At 1 m from the origin, positions are known to 2e-16 m, strains of 0.5 mm tets to 1e-12.
+    assert abs(assembly.elastic_energy(x[None])[0]) < 1e-14 * MU * np.prod(SIZE)
+    force = np.abs(assembly.elastic_gradient(x[None])[0]).max()
+    assert force < 1e-11 * LAM * SIZE[1] * SIZE[2]
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -90,9 +90,9 @@ def sliding(radii: np.ndarray, stick: float) -> np.ndarray:
     return r**2 / 2 - stick**2 + outside / np.pi
 
 
-@lru_cache
-def slid(cells: int, *shifts: float) -> list[Slid]:
-    """Press the ball in, then move it to each of ``shifts``, parts of dx at full slip."""
+def pressed_block(cells: int) -> tuple[HalfSpace, float, float]:
+    """A ball pressed into the half-space without friction, from now on with it; the load [N] and
+    dx at full slip [m]."""
 
     def config(eps_m: float) -> SolverConfig:
         return SolverConfig(
@@ -113,9 +113,16 @@ def slid(cells: int, *shifts: float) -> list[Slid]:
         config=config(1e-2),
     )
     block.move(0.0, BALL - DEPTH)
-    load, before = -float(block.normal_n[:, 2].sum()), block.positions_m.copy()
-    full = 3 * MU * load * (2 - POISSON) / (16 * RADIUS * SHEAR)
+    load = -float(block.normal_n[:, 2].sum())
     block.solver = SolverIPC(block.model, config(EPS))
+    return block, load, 3 * MU * load * (2 - POISSON) / (16 * RADIUS * SHEAR)
+
+
+@lru_cache
+def slid(cells: int, *shifts: float) -> list[Slid]:
+    """Press the ball in, then move it to each of ``shifts``, parts of dx at full slip."""
+    block, load, full = pressed_block(cells)
+    before = block.positions_m.copy()
     points = []
     for shift in shifts:
         dx = shift * full

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold in every frame of a press with shear and twist, whatever the numbers are."""
+"""What must hold in every frame of a press, whatever the numbers, and on random, rough paths."""
 
 from __future__ import annotations
 
@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 
 from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.model.kinematics import interpolate_poses
 from taccel_lab.scene import (
     Ball,
+    Element,
     KinematicBody,
+    Material,
+    Scene,
+    SoftBody,
     TriangleMesh,
     box_mesh,
     cylinder_mesh,
@@ -17,11 +22,13 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
-from taccel_lab.state import initial_state
+from taccel_lab.state import State, initial_state
 from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 
 DHAT = 2e-5
 MESH = block_mesh((8, 8, 3), (6e-3, 6e-3, 2.4e-3), jitter=0.15)
+COARSE = block_mesh((4, 4, 2), (6e-3, 6e-3, 2.4e-3), jitter=0.15)
+MESHES = {Element.LINEAR: MESH, Element.QUADRATIC: COARSE}
 
 # Shape, and the distance of its lowest point from its origin [m].
 INDENTERS: dict[str, tuple[TriangleMesh | Ball, float]] = {
@@ -43,25 +50,25 @@ def path(reach: float) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    ("name", "friction"),
+    ("name", "friction", "element"),
     [
-        ("ball", 0.0),
-        ("ball", 0.7),
-        ("box", 0.5),
-        ("sphere mesh", 0.0),
-        ("sphere mesh", 1.0),
-        ("box", 0.0),
-        ("box", 1.0),
-        ("cylinder", 0.5),
-        ("cylinder", 1.0),
-        ("concave", 0.5),
-        ("concave", 1.0),
+        *[("ball", mu, Element.LINEAR) for mu in (0.0, 0.7)],
+        *[("box", mu, Element.LINEAR) for mu in (0.0, 0.5, 1.0)],
+        *[("sphere mesh", mu, Element.LINEAR) for mu in (0.0, 1.0)],
+        *[("cylinder", mu, Element.LINEAR) for mu in (0.5, 1.0)],
+        *[("concave", mu, Element.LINEAR) for mu in (0.5, 1.0)],
+        ("ball", 0.7, Element.QUADRATIC),
+        ("sphere mesh", 0.0, Element.QUADRATIC),
+        ("box", 0.5, Element.QUADRATIC),
+        ("concave", 0.5, Element.QUADRATIC),
     ],
 )
-def test_every_frame_is_converged_separate_and_balanced(name: str, friction: float) -> None:
+def test_every_frame_is_converged_separate_and_balanced(
+    name: str, friction: float, element: Element
+) -> None:
     shape, reach = INDENTERS[name]
-    made = scene(MESH, KinematicBody(shape, friction), poisson=0.45)
-    model = made.finalize()
+    gel = SoftBody(MESHES[element], Material(1e5, 0.45), element=element)
+    model = Scene(gel, KinematicBody(shape, friction)).finalize()
     solver = SolverIPC(model, SolverConfig(dhat_m=DHAT))
     state = initial_state(model, everywhere(1, pose(0, 0, reach + 3 * DHAT)))
     soft = slice(0, model.soft_count)
@@ -94,18 +101,21 @@ def test_every_frame_is_converged_separate_and_balanced(name: str, friction: flo
         elastic.zero_()
         solver.active.fill_(1)
         solver.elastic[0].add_gradient(solver.active, state.positions, elastic)
-        bonded = elastic.numpy()[0][MESH.bonded_nodes()].sum(axis=0)
+        bonded = elastic.numpy()[0][gel.nodal_mesh.bonded_nodes()].sum(axis=0)
         np.testing.assert_allclose(bonded, total[soft].sum(axis=0), atol=report.residual_n[0])
         # Coulomb: friction of all pairs together cannot exceed mu times their normal forces.
         assert np.linalg.norm(rubbing[soft].sum(axis=0)) <= friction * force * (1 + 1e-3)
         largest = max(largest, np.linalg.norm(contact[soft], axis=1).sum())
         rubbed = max(rubbed, np.abs(rubbing).max())
         assert report.min_distance_m[0] > 0
-    assert largest > 4e-3
+    assert largest > (4e-3 if element is Element.LINEAR else 1e-3)
     assert (rubbed > 0) == (friction > 0)
     assert report.contact_force_n[0] == 0, "the body has left the gel"
     np.testing.assert_allclose(
-        state.positions.numpy()[0, soft], MESH.nodes_m, atol=2e-6, err_msg="the gel springs back"
+        state.positions.numpy()[0, soft],
+        model.rest_positions.numpy()[0, soft],
+        atol=2e-6,
+        err_msg="the gel springs back",
     )
 
 
@@ -133,3 +143,85 @@ def test_the_force_does_not_depend_on_how_the_depth_is_reached() -> None:
         forces.append(solver.contact_gradient.numpy()[0, : model.soft_count].sum(axis=0))
     np.testing.assert_allclose(forces[1], forces[0], atol=1e-5 * abs(forces[0][2]))
     np.testing.assert_allclose(forces[2], forces[0], atol=1e-5 * abs(forces[0][2]))
+
+
+MAX_DEPTH = 0.8e-3
+
+
+def random_shape(rng: np.random.Generator) -> TriangleMesh | Ball:
+    kind = rng.integers(4)
+    if kind == 0:
+        radius, depth = rng.uniform(0.5e-3, 2e-3), rng.uniform(0, 0.6)
+        return bumpy_body(int(rng.integers(1 << 30)), radius, depth)
+    if kind == 1:
+        x, y, z = rng.uniform(0.3e-3, 3e-3, 3)
+        return box_mesh((x, y, z))
+    if kind == 2:
+        radius, height = rng.uniform(0.3e-3, 1.5e-3), rng.uniform(0.3e-3, 2e-3)
+        return cylinder_mesh(radius, height, int(rng.integers(8, 20)))
+    return Ball(rng.uniform(0.5e-3, 2e-3))
+
+
+def reach(shape: TriangleMesh | Ball) -> float:
+    if isinstance(shape, Ball):
+        return shape.radius_m
+    return float(np.linalg.norm(shape.vertices_m, axis=1).max())
+
+
+def next_pose(now: np.ndarray, lowest: float, rng: np.random.Generator) -> np.ndarray:
+    """Up to 0.4 mm sideways, 0.7 mm down (not below ``lowest``) and 12 degrees about any axis."""
+    target = now.copy()
+    target[0, 0, :3] += rng.uniform(-1, 1, 3) * [4e-4, 4e-4, 2e-4]
+    target[0, 0, 2] = max(target[0, 0, 2] - 5e-4 * rng.uniform(), lowest)
+    axis = rng.normal(size=3)
+    turned = everywhere(1, pose(*target[0, 0, :3], (axis[0], axis[1], axis[2]), 40 * rng.uniform()))
+    target[0, 0] = interpolate_poses(target, turned, np.array([0.3 * rng.uniform()]))[0, 0]
+    return target
+
+
+def advance(solver: SolverIPC, state: State, target: np.ndarray) -> int:
+    """Go to ``target``; the parts it was taken in, or 0 when it failed and nothing moved."""
+    before = state.positions.numpy().copy()
+    report = solver.step(state, target)
+    assert find_intersections(solver.model, state) == [[]]
+    if report.converged.all():
+        return int(report.substeps[0])
+    np.testing.assert_array_equal(state.positions.numpy(), before)
+    return 0
+
+
+@pytest.mark.parametrize(
+    ("element", "presses"),
+    [
+        (Element.LINEAR, 16),
+        (Element.QUADRATIC, 10),
+        pytest.param(Element.LINEAR, 200, marks=pytest.mark.slow),
+        pytest.param(Element.QUADRATIC, 60, marks=pytest.mark.slow),
+    ],
+)
+def test_rough_presses_never_intersect(element: Element, presses: int) -> None:
+    linear = element is Element.LINEAR
+    parts: list[int] = []
+    for seed in range(presses):
+        rng = np.random.default_rng(seed if linear else 1000 + seed)
+        friction = rng.choice([0, 0.3, 1.0])
+        poisson = rng.choice([0.3, 0.45, 0.49 if linear else 0.499])
+        body = KinematicBody(random_shape(rng), float(friction))
+        gel = SoftBody(MESHES[element], Material(1e5, float(poisson)), element=element)
+        model = Scene(gel, body).finalize()
+        solver = SolverIPC(model, SolverConfig(dhat_m=float(rng.choice([5e-6, 2e-5, 1e-4]))))
+        x, y = rng.uniform(-1e-3, 1e-3, 2)
+        axis = rng.normal(size=3)
+        high = reach(body.shape) + 2e-4
+        placed = pose(x, y, high, (axis[0], axis[1], axis[2]), rng.uniform(0, 180))
+        state = initial_state(model, everywhere(1, placed))
+        for _ in range(5):
+            now = state.poses.numpy().reshape(1, 1, 7)
+            target = next_pose(now, reach(body.shape) - MAX_DEPTH, rng)
+            parts.append(advance(solver, state, target))
+    counts = np.array(parts)
+    unsolved = (counts == 0).sum()
+    assert unsolved <= (0 if linear else 1 + 0.02 * len(counts)), "a step stayed unsolved"
+    # Friction of 1 on sharp bodies with a range of 5 um is what has to be halved: 19 in 1,000. The
+    # first ten presses have most of it, and by rounding four or five steps of their 50.
+    assert (counts == 1).mean() > (0.97 if presses > 100 else 0.9)

@@ -3,8 +3,7 @@
 
 It sticks if and only if tan(angle) <= mu. Below that it creeps: friction is mu N (2 y - y^2) at
 sliding of y eps a step, hence at y = 1 - sqrt(1 - tan / mu), never faster than eps_v = eps / dt.
-Beyond it slides at g (sin - mu cos). (``test_dynamics`` and ``test_affine`` lean gravity instead;
-``test_slope_wrench`` has the torques.)
+Beyond it slides at g (sin - mu cos). (``test_affine`` leans gravity instead.)
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.model.env_rows import device_mask
+from taccel_lab.outputs import Outputs
 from taccel_lab.scene import (
     AffineBody,
     Ball,
@@ -181,6 +181,28 @@ def test_it_slides_just_beyond_the_friction_angle(block: str, floor: str) -> Non
     found = slope.acceleration(10)
     assert found == pytest.approx(G * (slope.sin - MU * slope.cos), rel=1e-3)
     assert slope.force("friction")[0] == pytest.approx(-MU * slope.cos, rel=1e-4)
+
+
+@pytest.mark.parametrize("floor", FLOORS)
+@pytest.mark.parametrize("block", ["affine", "linear"])
+def test_the_wrench_balances_the_weight(block: str, floor: str) -> None:
+    """Between block and floor, to a micronewton."""
+    slope = Slope(block, floor, 0.75 * MU, relative_tolerance=1e-8, absolute_tolerance_n=1e-9)
+    slope.run(40)
+    outputs = Outputs(slope.solver).update(slope.state)
+    x = slope.state.positions.numpy()[0]
+    masses = slope.model.masses.numpy()[0] * slope.model.gravity_scale.numpy()
+    centre = tuple(masses @ x / masses.sum())
+    normal, friction = (
+        read(centre).wrenches.numpy()[0]
+        for read in (outputs.contact_wrenches, outputs.friction_wrenches)
+    )
+    force = [slope.frame @ part[0, 1, :3] / slope.weight for part in (normal, friction)]
+    np.testing.assert_allclose(force[0], [0, 0, slope.cos], atol=1e-6 / slope.weight)
+    np.testing.assert_allclose(force[1], [-slope.sin, 0, 0], atol=1e-6 / slope.weight)
+    # Torques balance about the centre of mass of the block.
+    assert np.abs((normal + friction)[0, 1, 3:]).max() < 1e-6 * SIDE * 2
+    np.testing.assert_allclose(normal[1, 0, :3], -normal[0, 1, :3], rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize("block", BLOCKS)

@@ -180,16 +180,11 @@ def test_pressed_pins_show_against_the_untouched_gel() -> None:
         detect_pins(reference, 6, 5, reference=reference)
 
 
-def test_boards_of_two_cameras_are_not_mixed() -> None:
-    pose = pose_of(7, 5)
-    image = picture(chess_pattern(7, 5), pose)
+def test_images_of_two_sizes_are_refused_and_one_twice_counts_once() -> None:
+    image = picture(chess_pattern(7, 5), pose_of(7, 5))
     larger = cv2.resize(image, (640, 480), interpolation=cv2.INTER_CUBIC)
     with pytest.raises(InputError, match="of one size"):
         detect_views([board_of([image, larger], 7, 5)])
-
-
-def test_an_image_twice_counts_once() -> None:
-    image = picture(chess_pattern(7, 5), pose_of(7, 5))
     board = board_of([image] * 3, 7, 5)
     found = detect_views([board])
     assert len(found.views) == 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scale, pose and rectification from boards on the gel, exact, noisy, in part, and refracted."""
+"""Scale, pose and rectification from boards on the gel: exact, noisy, in part, refracted, bent."""
 
 from __future__ import annotations
 
@@ -18,8 +18,10 @@ from taccel_lab.calibration.camera.board_on_gel import fit_on_gel
 from taccel_lab.calibration.camera.dot_board import detect_dots
 from taccel_lab.calibration.camera.intrinsics import calibrate_intrinsics
 from taccel_lab.calibration.camera.lens import LENSES
-from taccel_lab.calibration.camera.plane_models import CameraPose
+from taccel_lab.calibration.camera.plane_fit import correct_plane, fit_planes
+from taccel_lab.calibration.camera.plane_models import BentHomography, CameraPose
 from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_maps
+from taccel_lab.calibration.camera.robust import huber_weights
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.reading.images import read_image
@@ -45,11 +47,7 @@ def flat_view(
 
 
 @settings(max_examples=8, deadline=None)
-@given(
-    sx=st.floats(0.02, 0.08),
-    ratio=st.floats(0.9, 1.1),
-    turn=st.floats(-40, 40),
-)
+@given(sx=st.floats(0.02, 0.08), ratio=st.floats(0.9, 1.1), turn=st.floats(-40, 40))
 def test_unequal_scales_come_back_exactly(sx: float, ratio: float, turn: float) -> None:
     found = fit_on_gel([flat_view((sx, sx * ratio), turn)])
     assert found.frame.mm_per_px_x.value == pytest.approx(sx, rel=1e-6)
@@ -187,21 +185,18 @@ def test_two_pictures_of_the_dents_that_differ_widen_the_scale() -> None:
     assert wide.mm_per_px_y.sigma < 1.1 * plain.mm_per_px_y.sigma
 
 
-def test_boards_that_give_no_scale_are_refused() -> None:
+def test_boards_that_give_no_scale_are_refused_and_one_beside_the_middle_is_told() -> None:
     view = flat_view((0.05, 0.05))
-    with pytest.raises(InputError, match="pitch_mm"):
-        fit_on_gel([replace(view, pitch_mm=None)])
-    with pytest.raises(InputError, match="at least 8"):
-        fit_on_gel([view.take(np.arange(5))])
+    for bad, words in (
+        (replace(view, pitch_mm=None), "pitch_mm"),
+        (view.take(np.arange(5)), "at least 8"),
+    ):
+        with pytest.raises(InputError, match=words):
+            fit_on_gel([bad])
     with pytest.raises(InputError, match="use one size"):
         fit_on_gel([replace(view, size_px=(320, 240))], intrinsics=lens_of("k1"))
-
-
-def test_a_board_beside_the_middle_is_said_to_be_so() -> None:
-    view = flat_view((0.02, 0.02))
-    view = replace(view, uv_px=view.uv_px * 0.3 + (10.0, 10.0))
-    found = fit_on_gel([view])
-    assert any(remark.code == "off_center" for remark in found.remarks)
+    beside = replace(view, uv_px=flat_view((0.02, 0.02)).uv_px * 0.3 + (10.0, 10.0))
+    assert "off_center" in {remark.code for remark in fit_on_gel([beside]).remarks}
 
 
 @pytest.mark.parametrize(("unit", "removed"), [(1, 0), (2, 21)])
@@ -246,3 +241,66 @@ def test_a_pressed_board_is_seen_through_several_filters() -> None:
     (even, filters), (uneven, _) = scale(plain), scale(shaded)
     assert filters >= 3  # Of one picture, and of the other where it shows the dents.
     assert even < 0.002 and uneven > 2 * even
+
+
+PICTURE, SHAPE, NOISE_PX = (300, 300), (9, 7), 0.3
+
+
+def board(bulge_px: float, seed: int) -> BoardView:
+    """A board that is pushed aside in its middle."""
+    rng = np.random.default_rng(seed)
+    index = np.stack(np.meshgrid(*map(np.arange, SHAPE)), axis=-1).reshape(-1, 2)
+    place = index - (np.array(SHAPE) - 1) / 2
+    uv = 25.0 * place + 149.5 + rng.normal(0, NOISE_PX, place.shape)
+    uv += bulge_px * np.exp(-((place / 2.0) ** 2).sum(axis=1))[:, None] * (1, -0.7)
+    return BoardView("v", "v", PICTURE, index, uv, len(index), pitch_mm=1.0)
+
+
+@pytest.mark.parametrize(("bulge_px", "boards"), [(1.0, 8), (3.0, 2)])
+def test_the_held_out_error_is_that_of_another_picture_of_the_board(
+    bulge_px: float, boards: int
+) -> None:
+    stated, found = [], []
+    for seed in range(boards):
+        view = board(bulge_px, seed)
+        fit = fit_planes([view], [BentHomography(PICTURE, 9.0, 2, True)])[0]
+        corrected = correct_plane(fit, [view], 1.0)
+        if corrected.correction is None:
+            continue
+        assert corrected.heldout_px < fit.heldout_px
+        predicted = corrected.project(view.board_mm()[:, :2])
+        fresh = [
+            np.sum((board(bulge_px, 100 + k).uv_px - predicted) ** 2, axis=1) for k in range(9)
+        ]
+        stated.append(corrected.heldout_px**2)
+        found.append(np.mean(fresh))
+    assert len(stated) >= 1
+    # Points of the picture that is fitted are nearer to it than those of another one.
+    assert 0.97 < np.sqrt(np.mean(stated) / np.mean(found)) < 1.15
+
+
+def test_efficiency_on_normal_noise_is_the_stated_one() -> None:
+    """Variance of the mean of normal 2-vectors over that of Huber's estimate, by its influence."""
+    length = np.linspace(0, 12, 240_001)
+    density = length * np.exp(-(length**2) / 2) * length[1]
+    weight = huber_weights(np.stack([length, 0 * length], axis=1), 1.0)
+    psi = weight * length
+    # Divergence of psi(x) x / |x| in two dimensions.
+    slope = np.gradient(psi, length) + weight
+    efficiency = (0.5 * np.sum(density * slope)) ** 2 / (0.5 * np.sum(density * psi**2))
+    assert efficiency == pytest.approx(0.98, abs=0.004)
+
+
+def test_a_plane_is_fitted_alike_in_a_turned_image() -> None:
+    rng = np.random.default_rng(0)
+    index = np.stack(np.meshgrid(np.arange(9), np.arange(9)), axis=-1).reshape(-1, 2)
+    seen = 20.0 * (index - 4) + rng.normal(0, 0.3, index.shape)
+    seen[::9] += rng.normal(0, 3.0, seen[::9].shape)
+    fits = []
+    for turn in (0.0, np.pi / 4):
+        c, s = np.cos(turn), np.sin(turn)
+        uv = seen @ np.array([[c, s], [-s, c]]) + 149.5
+        view = BoardView("v", "v.png", (300, 300), index, uv, len(index), pitch_mm=1.0)
+        fit = fit_planes([view], [BentHomography((300, 300), 4.0)])[0]
+        fits.append((fit.project(view.board_mm()[:, :2]) - 149.5) @ np.array([[c, -s], [s, c]]))
+    assert fits[1] == pytest.approx(fits[0], abs=2e-3)

@@ -25,24 +25,18 @@ TRUTHS = {
 COLUMNS, ROWS, PITCH = 8, 6, 3.0
 
 
-def views_of(
-    name: str, count: int = 16, noise_px: float = 0.0, seed: int = 0, columns: int = COLUMNS
-) -> list[BoardView]:
+def views_of(name: str, count: int = 16, noise_px: float = 0.0, seed: int = 0) -> list[BoardView]:
     """Views from many sides, all points inside the image."""
     rng = np.random.default_rng(seed)
     lens, truth, views = LENSES[name], TRUTHS[name], []
     while len(views) < count:
         pose = pose_over(
-            columns,
-            ROWS,
-            PITCH,
-            distance_mm=rng.uniform(24, 40),
-            tilt_deg=tuple(rng.uniform(-35, 35, 2)),
-            turn_deg=rng.uniform(-180, 180),
-            shift_mm=tuple(rng.uniform(-8, 8, 2)),
-        )
+            COLUMNS, ROWS, PITCH,
+            distance_mm=rng.uniform(24, 40), tilt_deg=tuple(rng.uniform(-35, 35, 2)),
+            turn_deg=rng.uniform(-180, 180), shift_mm=tuple(rng.uniform(-8, 8, 2)),
+        )  # fmt: skip
         view = exact_view(
-            lens, truth, pose, SIZE, columns, ROWS, PITCH,
+            lens, truth, pose, SIZE, COLUMNS, ROWS, PITCH,
             noise_px=noise_px, rng=rng, name=f"view{len(views)}",
         )  # fmt: skip
         if (view.uv_px > 2).all() and (view.uv_px < np.array(SIZE) - 3).all():

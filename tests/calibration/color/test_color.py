@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colour calibration: synthetic round trips, masks, drift, determinism, blocks."""
+"""Colour calibration: synthetic round trips, masks, drift, determinism, blocks, the loss."""
 
 from __future__ import annotations
 
@@ -14,16 +14,19 @@ from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.folds import fold_fits
-from taccel_lab.calibration.color.frames import ColorFrame
+from taccel_lab.calibration.color.frames import ColorFrame, Samples
 from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.network_fit import fit_color_model
+from taccel_lab.calibration.color.training import train
 from taccel_lab.calibration.light.average import average_background
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 from taccel_lab.signals.tactile_image import tactile_image
+from tests.calibration.drawn.faults import poison, quantise
 from tests.support.synthetic_presses import (
     GRID,
     calibrated,
@@ -108,24 +111,15 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
     mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
     mask[40:70, 60:90] = False
     rng = np.random.default_rng(0)
-
-    def poison(frame: ColorFrame) -> ColorFrame:
-        image = frame.image.copy()
-        image[~mask] = rng.integers(0, 256, image[~mask].shape)
-        return dataclasses.replace(frame, image=image)
-
+    spoilt = [dataclasses.replace(f, image=quantise(poison(f.image, mask, rng))) for f in frames]
     options = dataclasses.replace(QUICK, steps=40, remove_drift=True)
     clean = fit_color_model(frames, captures.background, GRID, options, mask=mask)
-    dirty = fit_color_model(
-        [poison(frame) for frame in frames], captures.background, GRID, options, mask=mask
-    )
+    dirty = fit_color_model(spoilt, captures.background, GRID, options, mask=mask)
     for name, weight in clean.model.weights.items():
         assert np.array_equal(weight, dirty.model.weights[name])
     assert np.array_equal(clean.background, dirty.background)
     assert clean.disc_l1_train == dirty.disc_l1_train
-    unmasked = fit_color_model(
-        [poison(frame) for frame in frames], captures.background, GRID, options
-    )
+    unmasked = fit_color_model(spoilt, captures.background, GRID, options)
     assert not np.array_equal(
         unmasked.model.weights["layer0.weight"], clean.model.weights["layer0.weight"]
     )
@@ -233,3 +227,44 @@ def test_light_that_changes_within_the_image_asks_for_bands() -> None:
             off.append(np.abs(rendered - wanted)[disc].mean())
         error[bands] = np.mean(off)
     assert error[4] < 0.6 * error[0], error
+
+
+SHARE, LEVELS, FAR = 0.3, 10.0, 100.0
+"""Of the pixels, a share is off by so much: a hair, a glint."""
+
+
+def pixels(count: int = 4000) -> Samples:
+    rng = np.random.default_rng(3)
+    slope = rng.uniform(0.2, 0.5, (count, 2)) * rng.choice([-1, 1], (count, 2))
+    normals = np.concatenate([-slope, np.ones((count, 1))], axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    change = np.full((count, 3), LEVELS)
+    change[rng.uniform(size=count) < SHARE] += FAR
+    return Samples(
+        uv=rng.uniform(-1, 1, (count, 2)),
+        normals=normals,
+        rest_normals=np.tile([0.0, 0.0, 1.0], (count, 1)),
+        displacement_mm=rng.uniform(-0.4, -0.1, count),
+        change=change,
+    )
+
+
+@pytest.mark.parametrize("width", [5.0, 40.0])
+def test_the_width_says_how_far_pixels_that_are_far_off_draw(width: float) -> None:
+    """The answer a draws by (1 - share) (a - levels) against share * width: in closed form."""
+    options = ColorFitOptions(
+        steps=400, batch_pixels=1024, hidden=(8,), learning_rate=0.02, huber_levels=width
+    )
+    samples = pixels()
+    trained = train(samples, PixelGrid(40, 30, 0.1, 0.1), options)
+    index = np.arange(len(samples.uv)) % (40 * 30)
+    found = trained.model.predict_pixels(
+        index, samples.normals, samples.displacement_mm, samples.rest_normals
+    )
+    share = np.mean(samples.change[:, 0] > LEVELS)
+    drawn = share / (1 - share) * width
+    assert np.median(found) - LEVELS == pytest.approx(drawn, rel=0.25)
+    # Slope 1 beyond the width: a mean absolute error [levels].
+    near, far = drawn**2 / 2, width * (FAR - drawn - width / 2)
+    loss = np.mean([loss for step, loss in trained.curve if step > 300])
+    assert loss == pytest.approx(((1 - share) * near + share * far) / width, rel=0.1)

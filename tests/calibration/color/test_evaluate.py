@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Image scores against scikit-image and by hand."""
+"""Image scores against scikit-image and by hand; the light of a frame beside its contact."""
 
 from __future__ import annotations
 
@@ -10,15 +10,19 @@ from hypothesis import strategies as st
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.color.evaluate import (
-    crop_slices,
-    psnr_db,
-    score_image,
-    ssim,
+from taccel_lab.calibration.color.evaluate import crop_slices, psnr_db, score_image, ssim
+from taccel_lab.calibration.color.light_beside import (
+    drift_by_halves,
+    far_pixels,
+    fit_light_beside,
+    noise_floor_l1,
+    too_little_left,
 )
-from taccel_lab.calibration.result import mean_figures
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from tests.support.synthetic_presses import GRID, flat_background, known_change
 
 
 @given(
@@ -37,12 +41,7 @@ def test_ssim_and_psnr_agree_with_scikit_image(
     )  # fmt: skip
     assert ssim(a, b) == pytest.approx(reference, abs=1e-9)
     assert psnr_db(a, b) == pytest.approx(peak_signal_noise_ratio(a, b, data_range=255))
-
-
-def test_equal_images() -> None:
-    image = np.random.default_rng(0).uniform(0, 255, (20, 20, 3))
-    assert ssim(image, image) == pytest.approx(1.0)
-    assert psnr_db(image, image) == float("inf")
+    assert ssim(a, a) == pytest.approx(1.0) and psnr_db(a, a) == float("inf")
 
 
 def test_score_separates_disc_crop_and_image() -> None:
@@ -70,17 +69,92 @@ def test_crop_of_oblong_pixels_is_square_in_millimetres() -> None:
     assert rows.stop - rows.start == 129
 
 
-def test_mean_is_a_mean() -> None:
-    grid = PixelGrid(60, 50, 0.1, 0.1)
-    circle = ContactCircle(30.0, 25.0, 10.0)
-    captured = np.full((50, 60, 3), 100.0)
-    scores = [score_image(captured + error, captured, circle, grid) for error in (1.0, 5.0, 2.0)]
-    assert mean_figures(scores)["disc_l1"] == pytest.approx(8 / 3)
-
-
 def test_shapes_are_checked() -> None:
     grid = PixelGrid(60, 50, 0.1, 0.1)
     with pytest.raises(InputError, match="differ in shape"):
         score_image(np.zeros((50, 60, 3)), np.zeros((50, 61, 3)), ContactCircle(30, 25, 10), grid)
     with pytest.raises(InputError, match="at least 11x11"):
         ssim(np.zeros((8, 20, 3)), np.zeros((8, 20, 3)))
+
+
+DRIFT = Light(np.array([1.05, 0.97, 1.0]), np.array([2.0, -3.0, 5.0]))
+CONTACTS = [
+    ContactCircle(70.0, 60.0, 13.0),
+    ContactCircle(80.0, 59.5, 30.0),
+    ContactCircle(70.0, 66.0, 40.0),
+]
+"""A tenth, a quarter and a third of the picture's height."""
+
+
+def background() -> np.ndarray:
+    """With a gradient wide enough to tell gain from offset."""
+    return flat_background() * np.linspace(0.5, 1.5, GRID.width_px)[None, :, None]
+
+
+def pressed(circle: ContactCircle) -> np.ndarray:
+    """A press of a ball of 1.25 times the contact's radius, before any noise and drift."""
+    ball_mm = 1.25 * circle.radius_px * GRID.mm_per_px_x
+    decay_mm = 0.5 * circle.radius_px * GRID.mm_per_px_x
+    return background() + known_change(analytic_surface(circle, GRID, ball_mm, decay_mm=decay_mm))
+
+
+@pytest.mark.parametrize(("circle", "left"), list(zip(CONTACTS, (0.05, 0.1, 0.25), strict=True)))
+def test_drift_is_recovered_beside_a_contact(circle: ContactCircle, left: float) -> None:
+    rng = np.random.default_rng(0)
+    still = background()
+    frame = DRIFT.apply(pressed(circle)) + rng.normal(0, 0.5, still.shape)
+    found = fit_light_beside(frame, still, circle, GRID).apply(still)
+    wanted = DRIFT.apply(still)
+    # The gel sinks as far as two radii, which a large contact leaves little beyond.
+    assert np.abs(found - wanted).mean() < left * np.abs(wanted - still).mean()
+    assert DRIFT.remove(DRIFT.apply(frame)) == pytest.approx(frame)
+
+
+@pytest.mark.parametrize("size", [(80, 60), (160, 120), (320, 240), (640, 480), (1280, 960)])
+@pytest.mark.parametrize("share", [0.1, 0.25, 0.33])
+def test_the_same_contact_leaves_enough_at_every_size(size: tuple[int, int], share: float) -> None:
+    grid = PixelGrid(*size, 16.0 / size[0], 16.0 / size[0])
+    circle = ContactCircle(0.45 * size[0], 0.52 * size[1], share * size[1])
+    assert not too_little_left(circle, grid)
+    frame = np.full((size[1], size[0], 3), 100.0)
+    assert fit_light_beside(frame, frame, circle, grid).gain == pytest.approx(1.0)
+
+
+def test_no_crop_is_reached() -> None:
+    for circle in CONTACTS:
+        far = far_pixels(circle, GRID)
+        v, u = np.nonzero(far)
+        beside = np.maximum(np.abs(u - circle.u_px), np.abs(v - circle.v_px))
+        assert beside.min() > 1.6 * circle.radius_px
+        assert circle.distance_px(GRID)[far].min() > 2 * circle.radius_px
+
+
+def test_a_contact_that_fills_the_picture_is_refused() -> None:
+    circle = ContactCircle(80.0, 59.5, 55.0)
+    frame = background()
+    for call in (fit_light_beside, drift_by_halves):
+        with pytest.raises(InputError, match="too few to tell the light"):
+            call(frame, frame, circle, GRID)
+    with pytest.raises(InputError, match="0 usable pixels"):
+        noise_floor_l1(frame, frame, circle, GRID)
+
+
+@pytest.mark.parametrize("circle", CONTACTS[:2])
+def test_drift_is_told_from_a_shade(circle: ContactCircle) -> None:
+    """A light by all of the gel takes a shade on one of its sides off in part; it is none."""
+    drifted = DRIFT.apply(pressed(circle))
+    before, after = drift_by_halves(drifted, background(), circle, GRID)
+    assert after < 0.3 * before
+    u = np.linspace(-1, 1, GRID.width_px)[None, :, None]
+    shaded = background() + 4.0 * np.sin(2.5 * u)
+    before, after = drift_by_halves(shaded, background(), circle, GRID)
+    assert after > 0.9 * before
+
+
+def test_noise_floor_ignores_the_contact() -> None:
+    grid = PixelGrid(200, 150, 0.1, 0.1)
+    circle = ContactCircle(100.0, 70.0, 20.0)
+    still = np.full((150, 200, 3), 100, dtype=np.uint8)
+    captured = still + np.uint8(2)
+    captured[circle.distance_px(grid) < 50] = 255
+    assert noise_floor_l1(captured, still, circle, grid) == pytest.approx(2.0)

@@ -21,6 +21,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.interop.taxim_table import TaximTable, bin_indices
 from taccel_lab.signals.normals import normals_from_slopes
+from tests.calibration.drawn.faults import poison
 
 GRID = PixelGrid(120, 90, 0.1, 0.1)
 BINS = 12
@@ -89,11 +90,7 @@ def test_drift_is_taken_off_and_masked_pixels_have_no_effect() -> None:
     mask = np.ones((GRID.height_px, GRID.width_px), dtype=bool)
     mask[30:50, 40:60] = False
     rng = np.random.default_rng(4)
-    poisoned = []
-    for frame in plain:
-        image = frame.image.copy()
-        image[~mask] = rng.uniform(0, 255, image[~mask].shape)
-        poisoned.append(replace(frame, image=image))
+    poisoned = [replace(frame, image=poison(frame.image, mask, rng)) for frame in plain]
     clean = fit_taxim_table(plain, BACKGROUND, lights(plain), GRID, mask=mask, bins=BINS)
     dirty = fit_taxim_table(poisoned, BACKGROUND, lights(plain), GRID, mask=mask, bins=BINS)
     assert np.array_equal(clean.grad_rgb, dirty.grad_rgb)

@@ -83,8 +83,7 @@ def test_images_at_rest_and_depth_curves() -> None:
     )
     second = first.with_block(BackgroundBlock(provenance=provenance()), brighter)
     found = compare_profiles(
-        first.with_block(block),
-        second.with_block(block.replace(drop_levels=(0.0, 100.0))),
+        first.with_block(block), second.with_block(block.replace(drop_levels=(0.0, 100.0)))
     )
     assert found.responses.background_l1_levels == pytest.approx(20 / 3)
     assert found.responses.background_gain_rgb == pytest.approx((1.1, 1.0, 0.9))

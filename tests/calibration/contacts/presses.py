@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.calibration.contacts.slope_law import SKIRT, slope_law
 from taccel_lab.calibration.contacts.usable import usable_presses
 from taccel_lab.geometry import PixelGrid
+from tests.support.synthetic_presses import memory_captures
 
 GRID = PixelGrid(200, 150, 0.08, 0.08)
 BALL_MM = 2.4
@@ -55,21 +54,7 @@ def press_set(
     circles: list[ContactCircle], images: list[np.ndarray], grid: PixelGrid = GRID
 ) -> CaptureSet:
     """A capture set in memory; images are levels of any type."""
-    presses = tuple(
-        Press(f"p{i}", f"memory[{i}]", f"{i:064x}", circle, partial(np.copy, image))
-        for i, (circle, image) in enumerate(zip(circles, images, strict=True))
-    )
-    return CaptureSet(
-        source="memory",
-        sensor="gelsight",
-        background=gel(grid),
-        background_sha256="0" * 64,
-        mask=np.ones((grid.height_px, grid.width_px), dtype=bool),
-        ball_radius_mm=BALL_MM,
-        grid=grid,
-        presses=presses,
-        provenance={},
-    )
+    return memory_captures(circles, images, gel(grid), grid, BALL_MM)
 
 
 def scattered(count: int, seed: int = 0, grid: PixelGrid = GRID) -> list[ContactCircle]:

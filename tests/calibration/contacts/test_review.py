@@ -7,7 +7,6 @@ import dataclasses
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -28,6 +27,7 @@ from tests.calibration.contacts.presses import (
     scattered,
 )
 from tests.calibration.drawn.faults import add_noise, quantise
+from tests.support.synthetic_presses import write_folder
 
 
 @pytest.fixture
@@ -35,33 +35,13 @@ def folder(tmp_path: Path) -> Path:
     """Five presses on disk, one of them empty, one with a label far off."""
     rng = np.random.default_rng(0)
     circles = scattered(5, seed=8)
-    path = tmp_path / "captures"
-    path.mkdir()
-    lines = [
-        "schema_version = 2",
-        'sensor = "gelsight"',
-        'background = "background.png"',
-        f"mm_per_px_x = {GRID.mm_per_px_x}",
-        f"mm_per_px_y = {GRID.mm_per_px_y}",
-        "[indenter]",
-        f"radius_mm = {BALL_MM}",
-    ]
-    write(path / "background.png", gel())
+    images, labels = {}, {}
     for i, circle in enumerate(circles):
         image = gel() if i == 2 else pressed(circle)
-        write(path / f"p{i}.png", add_noise(image, 1.0, rng))
-        u = circle.u_px + (12 if i == 3 else 0)
-        lines += ["[[presses]]", f'image = "p{i}.png"']
+        images[f"p{i}"] = quantise(add_noise(image, 1.0, rng))
         if i != 2:
-            lines.append(
-                f"contact = {{ u_px = {u}, v_px = {circle.v_px}, radius_px = {circle.radius_px} }}"
-            )
-    (path / "captures.toml").write_text("\n".join(lines))
-    return path
-
-
-def write(path: Path, image: np.ndarray) -> None:
-    assert cv2.imwrite(str(path), np.ascontiguousarray(quantise(image)[..., ::-1]))
+            labels[f"p{i}"] = dataclasses.replace(circle, u_px=circle.u_px + (12 if i == 3 else 0))
+    return write_folder(tmp_path / "captures", quantise(gel()), images, labels, BALL_MM, GRID)
 
 
 def test_review_then_correct(folder: Path, tmp_path: Path) -> None:

@@ -20,6 +20,13 @@ from taccel_lab.calibration.contacts.working_size import WorkingSize
 from taccel_lab.geometry import PixelGrid
 from tests.calibration.contacts.presses import GRID, gel, press_set, pressed, scattered
 
+
+def test_lengths_shrink_with_the_picture() -> None:
+    grid = PixelGrid(1920, 1440, 0.01, 0.01)
+    assert WorkingSize(grid).length_px(3.0) == pytest.approx(100.0)
+    assert WorkingSize(PixelGrid(640, 480, 0.03, 0.03)).length_px(3.0) == pytest.approx(100.0)
+
+
 TIMES = 16
 """Pixels of a large picture, 3200 x 2400 px, along a side of one that the tests draw."""
 LARGE = PixelGrid(GRID.width_px * TIMES, GRID.height_px * TIMES, GRID.mm_per_px_x / TIMES,

@@ -33,7 +33,7 @@ from taccel_lab.reading.images import read_image
 from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.signals.depth_response import DepthResponse
 from tests.support.real_data import real_data
-from tests.support.synthetic_presses import flat_profile
+from tests.support.synthetic_presses import flat_profile, memory_captures, with_circles, with_images
 
 GRID = PixelGrid(200, 150, 0.1, 0.1)
 BALL_MM = 4.0
@@ -48,23 +48,15 @@ def captures_of(
     """Ball presses on a grey sensor whose depth below the rim answers by ``TRUE``."""
     rng = np.random.default_rng(seed)
     background = np.full((GRID.height_px, GRID.width_px, 3), 160.0)
-    presses = []
-    for i, circle in enumerate(circles):
+    images = []
+    for circle in circles:
         distance = circle.distance_px(GRID) * GRID.mm_per_px_x
         rim = circle.radius_px * GRID.mm_per_px_x
         depth = np.sqrt(np.maximum(BALL_MM**2 - distance**2, 0)) - np.sqrt(BALL_MM**2 - rim**2)
         image = TRUE.render(np.maximum(depth, 0.0), background)
-        image = image + rng.normal(0, noise, image.shape[:2])[..., None]
-        presses.append(
-            Press(
-                f"p{i}", f"memory[{i}]", f"{i:064x}", circle if labelled else None,
-                partial(np.copy, image),
-            )
-        )  # fmt: skip
-    return CaptureSet(
-        "memory", "9dtact", background, "0" * 64,
-        np.ones((GRID.height_px, GRID.width_px), dtype=bool), BALL_MM, GRID, tuple(presses), {},
-    )  # fmt: skip
+        images.append(image + rng.normal(0, noise, image.shape[:2])[..., None])
+    labels = circles if labelled else [None] * len(circles)
+    return memory_captures(labels, images, background, GRID, BALL_MM, "9dtact")
 
 
 CIRCLES = [
@@ -149,12 +141,8 @@ def test_labels_off_the_dark_patch_are_weak() -> None:
         not {"depth_labels_off", "depth_one_spot", "depth_large_error"}
         & codes(fit_depth(captures)).keys()
     )
-    moved = tuple(
-        replace(p, circle=replace(p.circle, u_px=p.circle.u_px - 9))
-        for p in captures.presses
-        if p.circle is not None
-    )
-    result = fit_depth(replace(captures, presses=moved))
+    moved = [replace(circle, u_px=circle.u_px - 9) for circle in CIRCLES]
+    result = fit_depth(with_circles(captures, moved))
     assert codes(result)["depth_labels_off"] == "error"
     far = replace(CIRCLES[0], u_px=160.0, v_px=110.0)
     lost = replace(captures, presses=(replace(captures.presses[0], circle=far),))
@@ -162,18 +150,12 @@ def test_labels_off_the_dark_patch_are_weak() -> None:
         fit_depth(lost)
 
 
-def test_presses_at_one_spot_are_told() -> None:
-    captures = captures_of([CIRCLES[0]] * 3, noise=0.5)
-    assert codes(fit_depth(captures))["depth_one_spot"] == "warning"
-
-
-def test_presses_that_answer_differently_are_told() -> None:
-    """One press under a third of the light of the others: no curve fits both."""
-    captures = captures_of(CIRCLES)
-    dim = captures.presses[1].image()
-    dim = captures.background - 0.35 * (captures.background - dim)
-    presses = (captures.presses[0], replace(captures.presses[1], read=partial(np.copy, dim)))
-    result = fit_depth(replace(captures, presses=presses))
+def test_presses_at_one_spot_or_that_answer_differently_are_told() -> None:
+    assert codes(fit_depth(captures_of([CIRCLES[0]] * 3, noise=0.5)))["depth_one_spot"] == "warning"
+    # One press under a third of the light of the others: no curve fits both.
+    captures = captures_of(CIRCLES[:2])
+    dim = captures.background - 0.35 * (captures.background - captures.presses[1].image())
+    result = fit_depth(with_images(captures, {1: dim}))
     assert codes(result)["depth_large_error"] in ("warning", "error")
 
 
@@ -198,17 +180,9 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
     mask[:, :6] = False
     captures = replace(captures, mask=mask)
 
-    def poisoned(image: np.ndarray) -> np.ndarray:
-        image = image.copy()
-        image[~mask] = 0.0
-        return image
-
-    dirty = replace(
-        captures,
-        presses=tuple(
-            replace(p, read=partial(poisoned, p.image())) for p in captures.presses
-        ),
-    )  # fmt: skip
+    dirty = with_images(
+        captures, [np.where(mask[..., None], p.image(), 0.0) for p in captures.presses]
+    )
     one, two = fit_depth(captures), fit_depth(dirty)
     assert np.array_equal(one.response.depth_mm, two.response.depth_mm)
     assert one.presses == two.presses

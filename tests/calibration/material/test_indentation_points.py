@@ -38,6 +38,7 @@ def test_the_closed_form_starts_at_the_modulus(gel: Gel) -> None:
         (1 / 9.80665e-3, 1.0, "force in grams"),
         (1e3, 1.0, "force in mN"),
         (1.0, 1e-3, "depth in m "),
+        (1.5, 0.1, "depth in cm"),
         (1e-3, 1.0, "force in kN"),
     ],
 )
