@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import math
-import os
 import struct
 import tracemalloc
 import warnings
@@ -199,14 +198,6 @@ def test_flipped_bytes_never_give_another_error(tmp_path: Path) -> None:
                     read(path)
                 except InputError as error:
                     assert str(path) in str(error)
-
-
-def test_pipes_and_folders_are_refused(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    for name, words in (("pipe", "no regular file"), ("", "a folder"), ("none", "does not exist")):
-        for read in (read_npz, read_npy):
-            with pytest.raises(InputError, match=words):
-                read(tmp_path / name)
 
 
 @pytest.mark.parametrize(

@@ -14,12 +14,18 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.printable import printable
+from taccel_lab.reading.arrays import read_npy, read_npz
+from taccel_lab.reading.images import read_grey, read_image
+from taccel_lab.reading.json_file import read_json
 from taccel_lab.reading.regular_file import (
     file_sha256,
     in_bytes,
     read_regular_file,
     require_regular_file,
 )
+from taccel_lab.reading.toml_file import read_toml
+from taccel_lab.reading.videos import count_frames, read_frames
+from taccel_lab.reading.yaml_file import read_yaml
 
 
 @pytest.mark.parametrize("read", [require_regular_file, read_regular_file])
@@ -77,3 +83,27 @@ def test_good_files_are_read_whole(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_sizes(count: int, words: str) -> None:
     assert in_bytes(count) == words
+
+
+READERS: dict[Callable[[Path], Any], str] = {
+    read_npy: "", read_npz: "", read_image: "an image", read_grey: "an image",
+    count_frames: "a video", lambda path: list(read_frames(path)): "a video", read_toml: "",
+    read_json: "", read_yaml: "",
+}  # fmt: skip
+"""What each says that it expected."""
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_every_reader_takes_regular_files_alone(
+    read: Callable[[Path], Any], tmp_path: Path
+) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for name, words in (("pipe", "pipe|no regular file"), ("", "a folder"), ("none", "not exist")):
+        with pytest.raises(InputError, match=words) as caught:
+            read(tmp_path / name)
+        assert str(caught.value).startswith(str(tmp_path / name))
+        assert name or READERS[read] in str(caught.value)
+    (tmp_path / "empty").touch()
+    if read in (read_image, read_grey):
+        with pytest.raises(InputError, match=r"is empty \(0 bytes\)"):
+            read(tmp_path / "empty")

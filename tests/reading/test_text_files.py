@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""TOML, JSON and YAML: what is odd or damaged is refused in a sentence that names the file."""
+"""TOML, JSON, YAML and XML: what is odd or damaged is refused in a sentence with the file."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from taccel_lab.reading.json_file import JSON_LIMIT_BYTES, read_json
 from taccel_lab.reading.plain_values import MAX_DEPTH, MAX_VALUES, number_at
 from taccel_lab.reading.text_file import read_text, shown
 from taccel_lab.reading.toml_file import TOML_LIMIT_BYTES, read_toml
+from taccel_lab.reading.xml_file import MAX_DEPTH as XML_MAX_DEPTH
+from taccel_lab.reading.xml_file import XML_LIMIT_BYTES, read_xml
 from taccel_lab.reading.yaml_file import YAML_LIMIT_BYTES, read_yaml
 
 Read = Callable[[Path], dict[str, Any]]
@@ -71,20 +73,10 @@ def test_what_is_no_text(tmp_path: Path, kind: str, content: bytes, words: str) 
 
 
 @pytest.mark.parametrize("kind", READERS)
-def test_what_is_no_regular_file_of_a_sane_size(tmp_path: Path, kind: str) -> None:
+def test_files_of_a_size_that_is_not_sane(tmp_path: Path, kind: str) -> None:
     path = written(tmp_path, kind, "")
     os.truncate(path, LIMITS[kind] + 1)
     with pytest.raises(InputError, match=r"has .*; a \w+ file may have up to \d+ .iB"):
-        READERS[kind](path)
-    path.unlink()
-    with pytest.raises(InputError, match=rf"file\.{kind} does not exist"):
-        READERS[kind](path)
-    path.mkdir()
-    with pytest.raises(InputError, match=rf"file\.{kind} is a folder"):
-        READERS[kind](path)
-    path.rmdir()
-    os.mkfifo(path)
-    with pytest.raises(InputError, match="but a pipe"):
         READERS[kind](path)
 
 
@@ -210,3 +202,45 @@ def test_what_is_shown_can_be_written() -> None:
     assert printable("größe\u3000℃.png") == "größe\u3000℃.png"
     assert shown("x" * 10_000) == "'" + "x" * 75 + " ..."
     assert shown(10**5000) == "a number of thousands of digits"
+
+
+def xml_written(folder: Path, content: bytes) -> Path:
+    path = folder / "a.xml"
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize(
+    "head", [b"", b"\xef\xbb\xbf", b'<?xml version="1.0" encoding="latin-1"?>', b"<!-- a -->\n"]
+)
+def test_text_is_utf_8_whatever_the_file_says(tmp_path: Path, head: bytes) -> None:
+    root = read_xml(xml_written(tmp_path, head + '<a b="ü"><c/><c/></a>'.encode()), "a URDF file")
+    assert (root.tag, root.get("b"), len(root.findall("c"))) == ("a", "ü", 2)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "is not valid XML: no element found"),
+        (b"<a><b></a>", "is not valid XML: mismatched tag: line 1"),
+        (b"<a/><b/>", "is not valid XML: junk after document element"),
+        (b"<x:a/>", "is not valid XML: unbound prefix"),
+        (b"<a>&b;</a>", "is not valid XML: undefined entity"),
+        (b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "has a document type"),
+        (b"<a>" * (XML_MAX_DEPTH + 1), "is nested more than 100 deep"),
+        (b"<a>\xff</a>", "is not UTF-8 text"),
+        (b"<a>\0</a>", "has a NUL byte"),
+        ("<a/>".encode("utf-16"), "is UTF-16 text"),
+        (b" " * (XML_LIMIT_BYTES + 1), "a URDF file may have up to 16 MiB"),
+    ],
+)
+def test_what_cannot_be_read_is_said(tmp_path: Path, content: bytes, words: str) -> None:
+    path = xml_written(tmp_path, content)
+    with pytest.raises(InputError, match=words) as error:
+        read_xml(path, "a URDF file")
+    assert str(path) in str(error.value)
+
+
+def test_siblings_are_not_depth(tmp_path: Path) -> None:
+    path = xml_written(tmp_path, b"<a>" + b"<b><c/></b>" * 1000 + b"</a>")
+    assert len(read_xml(path, "a URDF file")) == 1000

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import tracemalloc
 from collections.abc import Callable
@@ -86,7 +85,6 @@ def test_what_is_no_video_is_refused(tmp_path: Path) -> None:
     # Lists of other files: what a file names is read nowhere else either.
     (tmp_path / "concat.mp4").write_text("ffconcat version 1.0\nfile v.mp4\nfile v.mp4\n")
     (tmp_path / "list.mp4").write_text("#EXTM3U\n#EXTINF:10,\nv.mp4\n#EXT-X-ENDLIST\n")
-    os.mkfifo(tmp_path / "pipe.avi")
     for name, words in (
         ("one.avi", r"does not decode as a video \(1 frames read\); AVI, MP4"),
         ("text.avi", r"\(0 frames read\)"),
@@ -94,9 +92,6 @@ def test_what_is_no_video_is_refused(tmp_path: Path) -> None:
         ("image.png", r"\(0 frames read\)"),
         ("concat.mp4", r"\(0 frames read\)"),
         ("list.mp4", r"\(0 frames read\)"),
-        ("pipe.avi", "no regular file"),
-        ("none.avi", "does not exist; expected a video"),
-        ("", "is a folder"),
     ):
         for read in READERS:
             with pytest.raises(InputError, match=words):

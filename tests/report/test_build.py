@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The written report: self-contained page, JSON keys, figures, sections that are left out."""
+"""The written report: self-contained page, JSON keys, sections, and what its verdict says."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ import pytest
 
 from taccel_lab.report import write_report
 from taccel_lab.report.build import format_number
-from tests.report.sample_report import full_report
+from taccel_lab.report.model import Report, Target
+from taccel_lab.report.values import look_up, report_values
+from taccel_lab.report.verdict import Verdict, judge_targets, reach_verdict
+from tests.report.sample_report import full_report, press
 
 
 class _Page(HTMLParser):
@@ -92,13 +95,10 @@ def test_json_holds_the_required_keys(written):
 
 def test_frames_are_listed_worst_first(written):
     values = json.loads((written / "report.json").read_text())
-    assert [frame["name"] for frame in values["color"]["frames"]] == [
-        "press 1",
-        "press 0",
-        "press 2",
-    ]
+    worst_first = ["press 1", "press 0", "press 2"]
+    assert [frame["name"] for frame in values["color"]["frames"]] == worst_first
     text = (written / "report.html").read_text(encoding="utf-8")
-    places = [text.index(f"<b>press {i}</b>") for i in (1, 0, 2)]
+    places = [text.index(f"<b>{name}</b>") for name in worst_first]
     assert places == sorted(places)
 
 
@@ -134,11 +134,7 @@ def test_a_failed_report_leaves_no_page(tmp_path):
      ("structured", "structured"), (True, "True"), (0.0, "0")],
 )  # fmt: skip
 def test_number_format(value, text):
-    assert format_number(value) == text
-
-
-def test_number_format_with_digits():
-    assert format_number(2, 2) == "2.00"
+    assert format_number(value) == text and format_number(2, 2) == "2.00"
 
 
 TEMPLATES = [
@@ -146,6 +142,9 @@ TEMPLATES = [
     for path in Path(__file__).parents[2].rglob("templates/*.j2")
     if not {"tests", ".venv"} & set(path.parts)
 ]
+
+
+assert len(TEMPLATES) == 6
 
 
 @pytest.mark.parametrize("path", TEMPLATES, ids=lambda path: path.name)
@@ -164,11 +163,7 @@ def test_values_stand_in_templates_where_escaping_makes_them_text(path: Path) ->
     assert set(values) <= {"src", "color", '"%.1f"', "frame.image", "frame.depth"}
 
 
-def test_there_are_templates_to_look_at() -> None:
-    assert len(TEMPLATES) == 6
-
-
-def test_names_of_a_report_are_text(tmp_path: Path) -> None:
+def test_names_of_a_report_are_text(written: Path, tmp_path: Path) -> None:
     attack = "</title></script><img src=x onerror=alert(1)>\"'"
     report = full_report()
     frames = tuple(replace(frame, name=attack) for frame in report.color.frames)
@@ -180,10 +175,67 @@ def test_names_of_a_report_are_text(tmp_path: Path) -> None:
         color=replace(report.color, frames=frames, facts={attack: attack}),
     )
     write_report(report, tmp_path)
-    plain = tmp_path / "plain"
-    write_report(full_report(), plain)
     shown, known = (
-        _Page((folder / "report.html").read_text(encoding="utf-8")) for folder in (tmp_path, plain)
+        _Page((folder / "report.html").read_text(encoding="utf-8"))
+        for folder in (tmp_path, written)
     )
     assert shown.tags == known.tags and len(shown.images) == len(known.images)
     assert all(image["src"].startswith("data:image/png;base64,") for image in shown.images)
+
+
+def _verdict(report: Report) -> Verdict:
+    values = report_values(report)
+    return reach_verdict(report, values, judge_targets(report, values))
+
+
+def test_targets_are_judged_in_their_direction():
+    report = full_report()
+    psnr, disc, unknown = judge_targets(report, report_values(report))
+    assert (psnr.met, disc.met, unknown.met) == (False, True, False)
+    assert psnr.value == 33.3 and psnr.baseline == 21.0
+    assert abs(psnr.shortfall - 0.7) < 1e-9 and disc.shortfall < 0
+    assert unknown.value is None and unknown.shortfall is None
+    assert (psnr.goal_text, disc.goal_text) == ("≥ 34.0 dB", "≤ 2.60 levels")
+
+
+def test_a_shortfall_comes_with_number_and_cause():
+    verdict = _verdict(full_report())
+    assert not verdict.good and verdict.headline == "1 of 3 targets are met"
+    assert (
+        "Falls short: crop PSNR is 33.3 dB, 0.7 dB from the goal of ≥ 34.0 dB."
+        in (verdict.sentences[0])
+    )
+    assert verdict.sentences[0].endswith("Likely cause: too dark.")
+    assert verdict.sentences[1].startswith("Not measured: something else")
+    assert "Met: L1 in the disc 2.50 levels (goal ≤ 2.60 levels)." in verdict.sentences
+    assert any("12.3 dB closer" in sentence for sentence in verdict.sentences)
+    assert "A remark." in verdict.sentences
+
+
+def test_all_met_is_good():
+    report = replace(full_report(), targets=(Target("mesh.min_dihedral_deg", "angle", 10, True),))
+    verdict = _verdict(report)
+    assert verdict.good and verdict.headline == "All 1 targets are met"
+
+
+def test_trouble_in_the_simulation_spoils_the_verdict():
+    report = full_report()
+    target = (Target("mesh.min_dihedral_deg", "angle", 10, True),)
+    pierced = replace(report.press, records=(press("press 7", 1.0, min_distance_m=0.0),))
+    verdict = _verdict(replace(report, targets=target, press=pierced))
+    assert not verdict.good and "trouble" in verdict.headline
+    assert any("intersect" in sentence for sentence in verdict.sentences)
+
+
+def test_a_rendering_worse_than_the_background_says_so():
+    report = full_report()
+    color = replace(report.color, heldout=replace(report.color.heldout, crop_psnr_db=19.0))
+    verdict = _verdict(replace(report, color=color))
+    assert any("2.0 dB further from the capture" in sentence for sentence in verdict.sentences)
+
+
+def test_look_up_takes_numbers_only():
+    values = {"a": {"b": 2, "c": "text", "d": None, "e": float("nan"), "f": True}}
+    assert look_up(values, "a.b") == 2.0
+    for key in ("a.c", "a.d", "a.e", "a.f", "a.b.c", "x", "a"):
+        assert look_up(values, key) is None

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures carry the data they are given and come out as PNG files."""
+"""Figures carry the data they are given; the surface that a reader turns is drawn as it is."""
 
 from __future__ import annotations
 
+import base64
 import struct
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import Region
 from taccel_lab.report import (
     draw_contact_forces,
     draw_force_depth,
@@ -21,6 +23,7 @@ from taccel_lab.report import (
 )
 from taccel_lab.report.figures import as_uint8
 from taccel_lab.report.figures_color import disc_normals, draw_heldout_frame
+from taccel_lab.report.mesh_view import MOST_FACES, MeshView, mesh_view
 from taccel_lab.report.model import ForceDepth
 from taccel_lab.report.style import new_figure
 from tests.report.sample_report import GRID, full_report, heldout_frame
@@ -43,9 +46,7 @@ def test_height_map_is_drawn_in_millimetres_over_the_gel(tmp_path):
     save_figure(figure, tmp_path / "h.png")
     width, tall = _png_size(tmp_path / "h.png")
     assert width > 500 and tall > 300
-
-
-def test_flat_height_maps_have_no_contours_to_draw(tmp_path):
+    # A flat one has no contours to draw.
     save_figure(draw_height_map(np.zeros((60, 80)), GRID), tmp_path / "flat.png")
     assert (tmp_path / "flat.png").stat().st_size > 1000
 
@@ -79,12 +80,6 @@ def test_contact_pressure_is_force_over_area():
     assert np.allclose(figure.axes[0].collections[0].get_array(), 50.0)
     assert "0.2 N" in figure.axes[0].get_title()
     draw_contact_forces(nodes, faces, np.zeros_like(forces), np.zeros(25))
-
-
-def test_force_depth_shows_the_curve():
-    depth = np.array([0.2, 0.4])
-    figure = draw_force_depth(ForceDepth("simulation", depth, depth * 3))
-    assert np.allclose(figure.axes[0].lines[0].get_ydata(), [0.6, 1.2])
 
 
 def test_crops_are_cut_at_the_border():
@@ -125,3 +120,68 @@ def test_names_between_dollars_are_no_formulas(tmp_path):
     assert not axes.title.get_parse_math() and not axes.xaxis.label.get_parse_math()
     powers = [label for label in axes.yaxis.get_ticklabels() if label.get_text()]
     assert powers and all(label.get_parse_math() for label in powers)
+
+
+def box(cells: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Surface of a pad of 20 x 20 x 4 mm with a bump: nodes [m], faces, regions."""
+    import pyvista as pv
+
+    cells = max(cells, 2)
+    sheet = pv.Plane(i_size=0.02, j_size=0.02, i_resolution=cells, j_resolution=cells).triangulate()
+    top = np.array(sheet.points, dtype=float)
+    top[:, 2] = 0.001 * np.exp(-(top[:, :2] ** 2).sum(axis=1) / 0.004**2)
+    bottom = top * [1, 1, 0] - [0, 0, 0.004]
+    faces = sheet.regular_faces
+    nodes = np.concatenate([top, bottom])
+    both = np.concatenate([faces, faces[:, ::-1] + len(top)])
+    regions = np.repeat([int(Region.CONTACT), int(Region.BOND)], len(faces))
+    return nodes, both, regions
+
+
+def drawn(view: MeshView) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes from -1 to 1, faces, regions as a browser reads them."""
+    nodes = np.frombuffer(base64.b64decode(view.nodes), "<i2").reshape(-1, 3) / 32767
+    faces = np.frombuffer(base64.b64decode(view.faces), "<u2").reshape(-1, 3)
+    return nodes, faces, np.frombuffer(base64.b64decode(view.regions), "u1")
+
+
+def area_mm2(view: MeshView) -> float:
+    nodes, faces, _ = drawn(view)
+    a, b, c = (max(view.size_mm) / 2 * nodes[faces[:, k]] for k in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def test_a_surface_is_drawn_as_it_is() -> None:
+    nodes, faces, regions = box(20)
+    view = mesh_view(nodes, faces, regions)
+    assert view is not None
+    assert view.drawn_faces == view.faces_in_all == len(faces)
+    seen, shown, kinds = drawn(view)
+    assert np.array_equal(kinds, regions) and len(seen) == len(nodes) and shown.max() < len(seen)
+    assert view.size_mm == pytest.approx((20, 20, 5), abs=0.1)
+    assert [name for name, _ in view.legend] == ["contact", "bond"]
+
+
+def test_a_fine_surface_is_drawn_coarser_with_its_shape_and_borders() -> None:
+    coarse, fine = mesh_view(*box(80)), mesh_view(*box(130))
+    assert coarse is not None and fine is not None
+    assert fine.faces_in_all == 4 * 130**2 > 4 * MOST_FACES
+    assert 0.5 * MOST_FACES < fine.drawn_faces <= MOST_FACES
+    assert fine.size_mm == pytest.approx(coarse.size_mm, rel=1e-3)
+    assert area_mm2(fine) == pytest.approx(area_mm2(coarse), rel=0.01)
+    nodes, faces, regions = drawn(fine)
+    for region in (Region.CONTACT, Region.BOND):
+        own = nodes[np.unique(faces[regions == int(region)])]
+        # All 4 x 130 nodes of the region's border are still there.
+        assert (np.abs(own[:, :2]).max(axis=1) > 1 - 1e-4).sum() == 4 * 130
+
+
+def test_nothing_to_draw_is_no_view() -> None:
+    none = np.zeros((0, 3), dtype=int)
+    assert mesh_view(np.zeros((3, 3)), none, np.zeros(0, dtype=int)) is None
+
+
+def test_force_depth_shows_the_curve():
+    depth = np.array([0.2, 0.4])
+    figure = draw_force_depth(ForceDepth("simulation", depth, depth * 3))
+    assert np.allclose(figure.axes[0].lines[0].get_ydata(), [0.6, 1.2])

@@ -6,10 +6,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
+from taccel_lab.calibration.capture import CaptureFolder, import_captures, load_capture_folder
+from taccel_lab.calibration.capture.importers import ImportOptions
 from tests.support.capture_sets import write_image
 
 RNG = np.random.default_rng(0)
@@ -155,3 +158,17 @@ MAKERS: dict[str, Callable[[Path], None]] = {
     "gs-sdk": gs_sdk, "cube-edges": cube_edges, "rvsathu": rvsathu, "ruihangao": ruihangao,
     "osaka": osaka, "gelslim": gelslim, "markers": markers, "plain": plain,
 }  # fmt: skip
+
+
+def source_of(make: Callable[[Path], None], folder: Path) -> Path:
+    """A layout below ``folder``."""
+    source = folder / "source"
+    source.mkdir()
+    make(source)
+    return source
+
+
+def imported(source: Path, layout: str = "auto", **options: Any) -> list[CaptureFolder]:
+    """The capture folders that are made of it, beside it in ``out``."""
+    outs = import_captures(source, source.parent / "out", layout, ImportOptions(**options))
+    return [load_capture_folder(out) for out in outs]

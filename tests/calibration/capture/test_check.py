@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
 from taccel_lab.calibration.check import CaptureCheck, check_captures, check_page
 from taccel_lab.calibration.check.balls import check_balls
 from taccel_lab.calibration.result import Remark, Severity
@@ -39,9 +40,12 @@ def by_code(found: CaptureCheck) -> dict[str, Remark]:
 HARMLESS = {"one_background", "few_presses"}
 
 
+EIGHT = spread_circles(8)
+"""Fewer presses where a fault changes all of them."""
+
+
 def eight(**changes: Any) -> CaptureMaker:
-    """Fewer presses where a fault changes all of them."""
-    return CaptureMaker(circles=spread_circles(8), **changes)
+    return CaptureMaker(circles=list(EIGHT), **changes)
 
 
 @pytest.fixture(scope="module")
@@ -67,65 +71,121 @@ def test_figures_are_of_every_press(sound: CaptureCheck) -> None:
     assert [picture.name for picture in page.pictures] == ["coverage", "frames", "light"]
 
 
-def test_auto_white_balance(tmp_path: Path) -> None:
-    maker = CaptureMaker()
-    maker.change(range(0, 15, 2), lambda image: drift(image, [1.08, 1.0, 0.93]))
-    finding = by_code(check(maker, tmp_path))["channels_drift"]
-    assert finding.severity == Severity.WARNING and "color" in finding.blocks
+Change = Callable[[np.ndarray], np.ndarray]
 
 
-def test_auto_exposure(tmp_path: Path) -> None:
-    maker = CaptureMaker()
-    maker.change(range(0, 15, 2), lambda image: drift(image, 0.9))
-    codes = by_code(check(maker, tmp_path))
-    assert "light_drifts" in codes and "channels_drift" not in codes
+def spoilt(which: Iterable[int], how: Change, **changes: Any) -> CaptureMaker:
+    """Captures with some images changed."""
+    maker = CaptureMaker(**changes)
+    maker.change(list(which), how)
+    return maker
 
 
-def test_saturation(tmp_path: Path) -> None:
-    maker = eight(background=gel() + 90)
-    maker.change(range(8), lambda image: image + 90)
-    finding = by_code(check(maker, tmp_path))["saturated"]
-    assert "Lower the exposure" in finding.message
+def of_balls(which: Iterable[int], ball_mm: float, stated_mm: float | None = None) -> CaptureMaker:
+    """Captures with some presses of another ball, which the manifest may state."""
+    maker = CaptureMaker(labelled=False)
+    for i in which:
+        maker.images[i] = press(maker.circles[i], ball_mm)
+        maker.extra[i] = f"radius_mm = {stated_mm}" if stated_mm else ""
+    return maker
 
 
-@pytest.mark.parametrize("order", [(2, 1, 0), (1, 2, 0)])
-def test_channels_swapped_in_some_frames(tmp_path: Path, order: tuple[int, int, int]) -> None:
-    maker = CaptureMaker()
-    maker.change([3, 7], lambda image: image[..., list(order)])
-    found = check(maker, tmp_path)
-    finding = by_code(found)["channels_swapped"]
-    assert finding.frames == ("p03", "p07") and not found.usable
+def at_one_spot() -> list[ContactCircle]:
+    rng = np.random.default_rng(2)
+    return [
+        ContactCircle(80 + rng.uniform(-4, 4), 60 + rng.uniform(-4, 4), rng.uniform(9, 15))
+        for _ in range(10)
+    ]
 
 
-def test_channels_swapped_in_the_background(tmp_path: Path) -> None:
-    maker = eight(background=gel()[..., ::-1])
-    finding = by_code(check(maker, tmp_path))["channels_swapped"]
-    assert "8 of 8 presses and the background" in finding.message and "BGR" in finding.message
-
-
-def test_all_channels_swapped_on_a_known_sensor(tmp_path: Path) -> None:
+SLOPED = np.linspace(-1, 1, HEIGHT)[:, None, None]
+ERROR, WARNING = Severity.ERROR, Severity.WARNING
+Row = tuple[str, Callable[[], CaptureMaker], str, Severity, tuple[str, ...], tuple[str, ...]]
+FAULTS: list[Row] = [
+    # What is spoilt, how, the finding's code and severity, words of it, its frames (if it has any).
+    ("auto white balance",
+     lambda: spoilt(range(0, 15, 2), lambda image: drift(image, [1.08, 1.0, 0.93])),
+     "channels_drift", WARNING, (), ()),
+    ("auto exposure", lambda: spoilt(range(0, 15, 2), lambda image: drift(image, 0.9)),
+     "light_drifts", WARNING, (), ()),
+    ("saturation",
+     lambda: spoilt(range(8), lambda image: image + 90, circles=EIGHT, background=gel() + 90),
+     "saturated", WARNING, ("Lower the exposure",), ()),
+    ("blue for red", lambda: spoilt([3, 7], lambda image: image[..., [2, 1, 0]]),
+     "channels_swapped", ERROR, (), ("p03", "p07")),
+    ("channels turned", lambda: spoilt([3, 7], lambda image: image[..., [1, 2, 0]]),
+     "channels_swapped", ERROR, (), ("p03", "p07")),
+    ("blue for red in the background",
+     lambda: eight(background=gel()[..., ::-1]),
+     "channels_swapped", ERROR, ("8 of 8 presses and the background", "BGR"), ()),
     # The made-up lamps stand red, green, blue clockwise, as a GelSight Mini's do.
-    right, wrong = eight(sensor="gelsight_mini"), eight(sensor="gelsight_mini")
-    wrong.change(range(8), lambda image: image[..., ::-1])
-    wrong.background = gel()[..., ::-1]
-    assert "lamps_reversed" not in by_code(check(right, tmp_path / "right"))
-    assert "lamps_reversed" in by_code(check(wrong, tmp_path / "wrong"))
+    ("blue for red everywhere",
+     lambda: spoilt(range(8), lambda image: image[..., ::-1], circles=EIGHT,
+                    background=gel()[..., ::-1], sensor="gelsight_mini"),
+     "lamps_reversed", WARNING, (), ()),
+    ("mixed sensors",
+     lambda: spoilt([1, 5, 9], lambda image: image - gel() + np.flip(gel(), 1) + 40 * SLOPED),
+     "mixed_sensors", ERROR, (), ("p01", "p05", "p09")),
+    ("blur", lambda: spoilt([6], lambda image: blur(image, 5.0)),
+     "blurred", WARNING, (), ("p06",)),
+    ("one spot", lambda: CaptureMaker(circles=at_one_spot()), "one_spot", ERROR, (), ()),
+    ("empty parts",
+     lambda: CaptureMaker(circles=[c for c in spread_circles(30) if c.u_px < 85]),
+     "coverage", WARNING, ("top right", "bottom right"), ()),
+    ("background of another sensor",
+     lambda: eight(background=np.flip(gel(), 1) + 60 * SLOPED),
+     "background_differs", ERROR, (), ()),
+    ("ball smaller than its contacts", lambda: CaptureMaker(radius_mm=1.0, labelled=False),
+     "ball_too_small", ERROR, ("the ball 1 mm",), ()),
+    ("another ball in some presses", lambda: of_balls([4, 10], 4.5),
+     "other_ball", WARNING, (), ("p04", "p10")),
+    ("wrong ratio of two balls", lambda: of_balls(range(8), 4.0, 1.6),
+     "ball_ratio", ERROR, (), ()),
+    # 25.3 x 19.0 mm of a pad of 25.25 x 20.75 mm.
+    ("view up to the pad's edge",
+     lambda: eight(sensor="gelsight_mini", mm_per_px=0.1585),
+     "pad_edge", WARNING, (), ()),
+    ("unknown sensor", lambda: CaptureMaker(sensor="gelsite"), "sensor_unknown", ERROR, (), ()),
+]  # fmt: skip
 
 
-def test_mixed_sensors(tmp_path: Path) -> None:
-    maker = CaptureMaker()
-    other = np.flip(gel(), axis=1) + np.linspace(-40, 40, HEIGHT)[:, None, None]
-    maker.change([1, 5, 9], lambda image: image - gel() + other)
-    found = check(maker, tmp_path)
-    finding = by_code(found)["mixed_sensors"]
-    assert finding.frames == ("p01", "p05", "p09") and not found.usable
+@pytest.mark.parametrize(
+    ("maker", "code", "severity", "words", "frames"),
+    [row[1:] for row in FAULTS],
+    ids=[row[0] for row in FAULTS],
+)
+def test_a_fault_is_found_by_its_name(
+    tmp_path: Path,
+    maker: Callable[[], CaptureMaker],
+    code: str,
+    severity: Severity,
+    words: tuple[str, ...],
+    frames: tuple[str, ...],
+) -> None:
+    found = check(maker(), tmp_path)
+    finding = by_code(found)[code]
+    assert finding.severity == severity and not (severity == ERROR and found.usable)
+    assert all(word in finding.message for word in words), finding.message
+    assert not frames or finding.frames == frames
+    assert code != "channels_drift" or "color" in finding.blocks
 
 
-def test_blurred_frame(tmp_path: Path) -> None:
-    maker = CaptureMaker()
-    maker.change([6], lambda image: blur(image, 5.0))
-    finding = by_code(check(maker, tmp_path))["blurred"]
-    assert finding.frames == ("p06",)
+@pytest.mark.parametrize(
+    ("maker", "code"),
+    [
+        (lambda: spoilt(range(0, 15, 2), lambda image: drift(image, 0.9)), "channels_drift"),
+        (lambda: spoilt([1, 5, 9], lambda image: image[::-1, ::-1]), "channels_swapped"),
+        (lambda: eight(sensor="gelsight_mini"), "lamps_reversed"),
+        (lambda: of_balls(range(8), 4.0, 4.0), "ball_ratio"),
+        (lambda: CaptureMaker(labelled=False), "ball_ratio"),
+        (lambda: eight(sensor="gelsight_mini", mm_per_px=0.1585),
+         "scale_past_pad"),
+    ],
+)  # fmt: skip
+def test_what_is_none_of_these_faults(
+    tmp_path: Path, maker: Callable[[], CaptureMaker], code: str
+) -> None:
+    assert code not in by_code(check(maker(), tmp_path))
 
 
 def test_duplicates(tmp_path: Path) -> None:
@@ -134,29 +194,11 @@ def test_duplicates(tmp_path: Path) -> None:
     maker = CaptureMaker(circles=circles)
     folder = maker.write(tmp_path)
     (folder / "p04.png").write_bytes((folder / "p02.png").read_bytes())
-    from taccel_lab.calibration.capture import load_capture_folder
-
     codes = by_code(check_captures(load_capture_folder(folder), fit_ball=False))
     assert codes["duplicates"].frames == ("p02", "p04")
     assert set(codes["duplicates"].blocks) == {"color", "normals", "depth"}
     # p05 shows the same press with other noise.
     assert set(codes["near_duplicates"].frames) == {"p02", "p04", "p05"}
-
-
-def test_presses_at_one_spot(tmp_path: Path) -> None:
-    rng = np.random.default_rng(2)
-    circles = [
-        ContactCircle(80 + rng.uniform(-4, 4), 60 + rng.uniform(-4, 4), rng.uniform(9, 15))
-        for _ in range(10)
-    ]
-    found = check(CaptureMaker(circles=circles), tmp_path)
-    assert by_code(found)["one_spot"].severity == Severity.ERROR and not found.usable
-
-
-def test_poor_coverage_names_the_empty_parts(tmp_path: Path) -> None:
-    circles = [circle for circle in spread_circles(30) if circle.u_px < 85]
-    finding = by_code(check(CaptureMaker(circles=circles), tmp_path))["coverage"]
-    assert "top right" in finding.message and "bottom right" in finding.message
 
 
 def test_labels_that_disagree(tmp_path: Path) -> None:
@@ -190,12 +232,6 @@ def test_a_black_background_is_called_black(tmp_path: Path) -> None:
     state = {block.command: str(block.readiness) for block in found.blocks}
     assert state["background"] == state["color"] == "blocked"
     assert all(frame.contact is not None for frame in found.frames)
-
-
-def test_turned_pictures_are_not_swapped_channels(tmp_path: Path) -> None:
-    maker = CaptureMaker()
-    maker.change([1, 5, 9], lambda image: image[::-1, ::-1])
-    assert "channels_swapped" not in by_code(check(maker, tmp_path))
 
 
 def test_labels_that_the_border_cuts_are_used_and_those_outside_are_told(tmp_path: Path) -> None:
@@ -281,27 +317,13 @@ def test_background_is_a_crop(tmp_path: Path) -> None:
     assert all(frame.contact is not None for frame in found.frames)
 
 
-def test_background_of_another_sensor(tmp_path: Path) -> None:
-    other = np.flip(gel(), axis=1) + np.linspace(-60, 60, HEIGHT)[:, None, None]
-    codes = by_code(check(eight(background=other), tmp_path))
-    assert "background_differs" in codes
-
-
 def test_no_background_falls_back_on_the_median(tmp_path: Path) -> None:
     folder = CaptureMaker().write(tmp_path)
     text = (folder / "captures.toml").read_text().replace('background = "background.png"\n', "")
     (folder / "captures.toml").write_text(text)
-    from taccel_lab.calibration.capture import load_capture_folder
-
     found = check_captures(load_capture_folder(folder), fit_ball=False)
     assert "no_background" in by_code(found)
     assert all(frame.contact is not None for frame in found.frames)
-
-
-def test_ball_smaller_than_its_contacts(tmp_path: Path) -> None:
-    maker = CaptureMaker(radius_mm=1.0, labelled=False)
-    finding = by_code(check(maker, tmp_path))["ball_too_small"]
-    assert finding.severity == Severity.ERROR and "the ball 1 mm" in finding.message
 
 
 @pytest.mark.parametrize(("radius_px", "told"), [(20.1, False), (22.0, False), (26.0, True)])
@@ -321,28 +343,21 @@ def test_a_contact_a_little_wider_than_its_ball_is_an_error_of_circles(
     assert ("ball_too_small" in {finding.code for finding in found}) == told
 
 
-def test_a_diameter_is_only_asked_about_where_it_would_explain_the_travel(tmp_path: Path) -> None:
-    def message(stated: float) -> str:
-        circles = [replace(c, radius_px=c.radius_px - 6) for c in spread_circles(8)]
-        maker = CaptureMaker(circles=circles, radius_mm=stated, labelled=False)
-        maker.extra = [f"depth_mm = {(0.1 * c.radius_px) ** 2 / (1.4 * 2.0):.4f}" for c in circles]
-        return by_code(check(maker, tmp_path / f"{stated}"))["ball_against_travel"].message
-
-    assert "diameter" in message(4.0)
-    assert "diameter" not in message(0.8)
-    assert "diameter" not in message(12.0)
-
-
-@pytest.mark.parametrize(("stated", "wrong"), [(2.0, False), (4.0, True), (0.8, True)])
-def test_ball_against_travel(tmp_path: Path, stated: float, wrong: bool) -> None:
-    circles = [replace(c, radius_px=c.radius_px - 6) for c in spread_circles(8)]
+@pytest.mark.parametrize(
+    ("stated", "wrong", "doubled"),
+    [(2.0, False, False), (4.0, True, True), (0.8, True, False), (12.0, True, False)],
+)
+def test_ball_against_travel(tmp_path: Path, stated: float, wrong: bool, doubled: bool) -> None:
+    """A diameter is only asked about where it would explain the travel."""
+    circles = [replace(c, radius_px=c.radius_px - 6) for c in EIGHT]
     maker = CaptureMaker(circles=circles, radius_mm=stated, labelled=False)
     # Travel between those of an elastic gel (a^2 = R d) and of one that does not rise (2 R d).
     maker.extra = [f"depth_mm = {(0.1 * c.radius_px) ** 2 / (1.4 * 2.0):.4f}" for c in circles]
     codes = by_code(check(maker, tmp_path))
     assert ("ball_against_travel" in codes) == wrong
     if wrong:
-        assert f"stated is {stated:g} mm" in codes["ball_against_travel"].message
+        message = codes["ball_against_travel"].message
+        assert f"stated is {stated:g} mm" in message and ("diameter" in message) == doubled
 
 
 @pytest.mark.parametrize(
@@ -357,24 +372,6 @@ def test_ball_against_slopes(tmp_path: Path, stated: float, code: str) -> None:
     assert found.usable == (stated == 2.0)
 
 
-def test_press_with_another_ball(tmp_path: Path) -> None:
-    maker = CaptureMaker(labelled=False)
-    maker.images[4] = press(maker.circles[4], 4.5)
-    maker.images[10] = press(maker.circles[10], 4.5)
-    finding = by_code(check(maker, tmp_path))["other_ball"]
-    assert set(finding.frames) == {"p04", "p10"}
-
-
-@pytest.mark.parametrize(("stated", "wrong"), [(4.0, False), (2.0, False), (1.6, True)])
-def test_ratio_of_two_balls(tmp_path: Path, stated: float, wrong: bool) -> None:
-    maker = CaptureMaker(labelled=False)
-    if stated != 2.0:
-        for i in range(8):
-            maker.images[i] = press(maker.circles[i], 4.0)
-            maker.extra[i] = f"radius_mm = {stated}"
-    assert ("ball_ratio" in by_code(check(maker, tmp_path))) == wrong
-
-
 def test_view_past_the_pad(tmp_path: Path) -> None:
     maker = eight(sensor="gelsight_mini", mm_per_px=0.25, radius_mm=5.0)
     found = check(maker, tmp_path)
@@ -383,22 +380,11 @@ def test_view_past_the_pad(tmp_path: Path) -> None:
     assert states["color"] == states["normals"] == "blocked"
 
 
-def test_a_view_up_to_the_edge_of_the_pad_is_used_without_it(tmp_path: Path) -> None:
-    # 25.3 x 19.0 mm of a pad of 25.25 x 20.75 mm.
-    found = by_code(check(eight(sensor="gelsight_mini", mm_per_px=0.1585), tmp_path))
-    assert "scale_past_pad" not in found
-    assert found["pad_edge"].severity == Severity.WARNING
-
-
 def test_radius_and_scale_that_nobody_states(tmp_path: Path) -> None:
     found = check(eight(radius_mm=None, mm_per_px=None), tmp_path)
     assert {"ball_radius_unstated", "scale_unstated"} <= set(by_code(found))
     color = next(block for block in found.blocks if block.command == "color")
     assert color.missing == "the ball's radius, the scale" and color.readiness == "blocked"
-
-
-def test_unknown_sensor(tmp_path: Path) -> None:
-    assert "sensor_unknown" in by_code(check(CaptureMaker(sensor="gelsite"), tmp_path))
 
 
 def test_a_pressed_frame_as_background(tmp_path: Path) -> None:

@@ -10,14 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import CaptureFolder, import_captures, load_capture_folder
-from taccel_lab.calibration.capture.importers import ImportOptions
+from taccel_lab.calibration.capture import CaptureFolder, import_captures
 from taccel_lab.calibration.capture.importers.background_guess import guess_background
 from taccel_lab.calibration.capture.importers.label_tables import read_label_tables, read_labels
 from taccel_lab.calibration.capture.records import kind_of_record, read_columns
 from taccel_lab.errors import InputError
 from taccel_lab.reading.images import read_image
-from tests.calibration.capture.made_up_layouts import picture, rvsathu
+from tests.calibration.capture.made_up_layouts import imported, picture, rvsathu, source_of
 from tests.support.capture_sets import gel, press, spread_circles, write_image
 
 CIRCLES = spread_circles(8)
@@ -37,16 +36,17 @@ def source(tmp_path: Path) -> Path:
     return folder
 
 
-def imported(source: Path, crop: str | None = None) -> tuple[CaptureFolder, str]:
-    (out,) = import_captures(source, source.parent / "out", options=ImportOptions(crop=crop))
-    return load_capture_folder(out), (out / "captures.toml").read_text(encoding="utf-8")
+def taken(source: Path, crop: str | None = None) -> tuple[CaptureFolder, str]:
+    """The one folder that is made of it, and its manifest."""
+    (captures,) = imported(source, crop=crop)
+    return captures, (source.parent / "out" / "captures.toml").read_text(encoding="utf-8")
 
 
 def test_broken_files_are_left_out_and_named(source: Path) -> None:
     (source / "p1.png").write_bytes(b"")
     whole = (source / "p2.png").read_bytes()
     (source / "p2.png").write_bytes(whole[: len(whole) // 2])
-    captures, manifest = imported(source)
+    captures, manifest = taken(source)
     assert [p.name for p in captures.presses] == ["p0", "p3", "p4", "p5", "p6", "p7"]
     assert "# left out, 1 file (p1.png): is empty (0 bytes)" in manifest
     assert "# left out, 1 file (p2.png): is not an image" in manifest
@@ -59,7 +59,7 @@ def test_what_a_link_names_is_not_taken_in(source: Path, name: str, crop: str | 
     (source / name).rename(source.parent / "private.png")
     (source / name).symlink_to("../private.png")
     with pytest.raises(InputError, match=rf"{name} is a link out of .*; put the file itself there"):
-        imported(source, crop)
+        taken(source, crop)
     assert not (source.parent / "out").exists()
 
 
@@ -92,7 +92,7 @@ def test_sixteen_bits(tmp_path: Path) -> None:
         read_image(tmp_path / "float.tiff")
 
 
-def test_tables_of_spreadsheets(tmp_path: Path) -> None:
+def test_tables_of_spreadsheets_and_lists_of_circles(tmp_path: Path) -> None:
     table = tmp_path / "circles.csv"
     table.write_bytes("Datei;file;cx;cy;r\n\xfc;a.png;1,5;2;30,25\n".encode("latin-1"))
     assert read_labels(table) == {"a.png": {"u_px": 1.5, "v_px": 2.0, "radius_px": 30.25}}
@@ -100,22 +100,21 @@ def test_tables_of_spreadsheets(tmp_path: Path) -> None:
     record.write_bytes(b"\xef\xbb\xbfdepth_mm,force_n\n0,0\n0.1,0.2\n")
     assert kind_of_record(record) == "indentation"
     assert set(read_columns(record)) == {"depth_mm", "force_n"}
+    table.write_text("a.png (204, 98) 31\nb.png (10, 20) 5.5\n")
+    labels = read_labels(table)
+    assert labels is not None and labels["b.png"] == {"u_px": 10, "v_px": 20, "radius_px": 5.5}
+    for none in ("image, u_px, v_px, radius_px\n", "nothing of the kind\n"):
+        table.write_text(none)
+        assert read_labels(table) is None
 
 
 def test_labels_without_effect_are_told(source: Path) -> None:
     (source / "mine.csv").write_text("picture,column\np0.png,3\n")
     (source / "circles.csv").write_text("file,cx,cy,r\np0.png,60,60,12\nq9.png,60,60,12\n")
-    captures, manifest = imported(source)
+    captures, manifest = taken(source)
     assert captures.contents()["labelled_presses"] == 1
     said = next(line for line in manifest.splitlines() if "left out, 1 file (mine.csv)" in line)
-    for word in (
-        "the image (file, ",
-        "press)",
-        "cx_px",
-        "cy_px",
-        "radius_px",
-        "without the ending",
-    ):
+    for word in ("the image (file, ", "press)", "cx_px", "cy_px", "radius_px", "without the end"):
         assert word in said
     assert "circles without an image here, or of no press: q9.png" in manifest
 
@@ -155,14 +154,12 @@ def test_images_that_are_all_alike(source: Path) -> None:
 
 
 def test_rvsathu_with_another_background(tmp_path: Path) -> None:
-    source = tmp_path / "source"
-    source.mkdir()
-    rvsathu(source)
+    source = source_of(rvsathu, tmp_path)
     (source / "background_real.png").rename(source / "bg.png")
-    captures, _ = imported(source)
+    captures, _ = taken(source)
     assert captures.background is not None
     (source / "bg.png").unlink()
-    captures, manifest = imported(source)
+    captures, manifest = taken(source)
     assert captures.background is None and "background_real.png is missing; give" in manifest
 
 
@@ -178,7 +175,7 @@ def test_background_of_another_framing(source: Path, crop: str) -> None:
     mask = np.full((height, width, 3), 255, dtype=np.uint8)
     mask[30:40, 60:80] = 0  # As the presses show it.
     write_image(source / "mask.png", mask)
-    captures, manifest = imported(source, crop=crop)
+    captures, manifest = taken(source, crop=crop)
     assert captures.mask is not None
     assert not captures.mask[18:22, 45:55].any() and captures.mask[:10].all()
     size = captures.require_background().image().shape
@@ -208,7 +205,7 @@ def test_presses_that_show_a_part_of_the_background(source: Path) -> None:
     mask = np.full((height, width, 3), 255, dtype=np.uint8)
     mask[:, :20] = 0
     write_image(source / "mask.png", mask)
-    captures, manifest = imported(source, crop="auto")
+    captures, manifest = taken(source, crop="auto")
     assert captures.mask is not None
     np.testing.assert_array_equal(captures.mask, mask[..., 0] > 0)
     assert len(captures.presses) == len(CIRCLES) and "which the presses show" in manifest
@@ -228,5 +225,5 @@ def test_presses_that_show_a_part_of_the_background(source: Path) -> None:
 )
 def test_crops_that_are_none(source: Path, crop: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        imported(source, crop=crop)
+        taken(source, crop=crop)
     assert not (source.parent / "out").exists()

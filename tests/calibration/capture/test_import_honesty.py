@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.base_profile import on_grid
-from taccel_lab.calibration.capture import CaptureFolder, import_captures, load_capture_folder
+from taccel_lab.calibration.capture import import_captures, load_capture_folder
 from taccel_lab.calibration.capture.importers import ImportOptions, read_drafts
 from taccel_lab.calibration.capture.importers.left_out import files_of, left_out_sentences
 from taccel_lab.calibration.capture.importers.origin import UNKNOWN, Origin, read_origin
@@ -27,33 +27,23 @@ from tests.calibration.capture.made_up_layouts import (
     fots,
     gelslim,
     gs_sdk,
+    imported,
     ninedtact,
     osaka,
     picture,
     plain,
     py3dcal,
     ruihangao,
+    source_of,
     taxim,
 )
 
 MIT = "MIT License\n\nPermission is hereby granted, free of charge, to any person"
 
 
-def made(make: Callable[[Path], None], folder: Path) -> Path:
-    source = folder / "source"
-    source.mkdir()
-    make(source)
-    return source
-
-
-def imported(source: Path, layout: str = "auto", **options: Any) -> list[CaptureFolder]:
-    outs = import_captures(source, source.parent / "out", layout, ImportOptions(**options))
-    return [load_capture_folder(out) for out in outs]
-
-
 @pytest.mark.parametrize("name", sorted(MAKERS))
 def test_every_file_is_imported_read_or_told(name: str, tmp_path: Path) -> None:
-    source = made(MAKERS[name], tmp_path)
+    source = source_of(MAKERS[name], tmp_path)
     picture(source / "deep" / "below" / "x.png", size=(40, 50))
     (source / "notes.docx").write_bytes(b"anything")
     (source / ".hidden").write_text("not looked at")
@@ -70,19 +60,8 @@ def test_every_file_is_imported_read_or_told(name: str, tmp_path: Path) -> None:
     assert counted == sum(len(draft.left_out) for draft in drafts)
 
 
-@pytest.mark.parametrize("name", sorted(MAKERS))
-def test_origin_is_unknown_where_nothing_states_it(name: str, tmp_path: Path) -> None:
-    source = made(MAKERS[name], tmp_path)
-    for captures in imported(source, name):
-        assert captures.provenance["source"].startswith(
-            f"unknown; imported from source, layout {name}"
-        )
-        assert captures.provenance["license"] == "unknown"
-        assert "sensor" in captures.assumed and "gel" in captures.assumed
-
-
 def test_what_a_person_states_is_not_assumed(tmp_path: Path) -> None:
-    source = made(ruihangao, tmp_path)
+    source = source_of(ruihangao, tmp_path)
     (captures,) = imported(source)
     assert {"sensor", "radius_mm", "mm_per_px", "background", "gel"} == set(captures.assumed)
     assert captures.assumed["radius_mm"].startswith("2 mm, that of sensorParams.py")
@@ -101,7 +80,7 @@ def test_what_a_person_states_is_not_assumed(tmp_path: Path) -> None:
 
 
 def test_assumptions_reach_the_check_and_the_profile(tmp_path: Path) -> None:
-    (captures,) = imported(made(ruihangao, tmp_path))
+    (captures,) = imported(source_of(ruihangao, tmp_path))
     findings = {f.code: f.message for f in check_captures(captures, fit_ball=False).findings}
     assert "radius_mm: 2 mm, that of sensorParams.py" in findings["assumed"]
     profile = on_grid(catalogue_profile(captures.sensor), captures.grid(), captures.provenance)
@@ -109,7 +88,7 @@ def test_assumptions_reach_the_check_and_the_profile(tmp_path: Path) -> None:
 
 
 def test_the_catalogue_s_thickness_is_told(tmp_path: Path) -> None:
-    (captures,) = imported(made(gelslim, tmp_path))
+    (captures,) = imported(source_of(gelslim, tmp_path))
     assert captures.sensor == "flat_pad" and "4 mm thick" in captures.assumed["gel"]
 
 
@@ -218,23 +197,16 @@ def test_a_damaged_index_says_nothing_wrong(tmp_path: Path, at: int, byte: int, 
     assert read_origin(tmp_path / "x").license in (UNKNOWN, "MIT (../LICENSE says)")
 
 
-def test_the_pitch_of_the_9dtact_board_is_asked_for(tmp_path: Path) -> None:
-    source = made(ninedtact, tmp_path)
+def test_a_given_board_replaces_the_settings(tmp_path: Path) -> None:
+    source = source_of(ninedtact, tmp_path)
+    unit, _ = imported(source, board="dots:8x6:1.5")
+    entry = unit.boards[0].entry
+    assert (entry.columns, entry.rows, entry.pitch_mm) == (8, 6, 1.5)
+    assert "board" not in unit.assumed and "radius_mm" not in unit.assumed
     (source / "shape_config.yaml").unlink()
-    with pytest.raises(InputError, match=r"dot board is not known.*--board dots:COLUMNSxROWS:PI"):
-        imported(source)
-    with pytest.raises(InputError, match=r"the pitch is missing"):
-        imported(source, board="dots:9x7")
     unit, _ = imported(source, board="dots:9x7:3.0")
     assert unit.boards[0].entry.pitch_mm == 3.0 and unit.boards[0].entry.on_gel
     assert unit.ball_radius_mm == 4.0 and "radius_mm" in unit.assumed
-
-
-def test_a_given_board_replaces_the_settings(tmp_path: Path) -> None:
-    unit, _ = imported(made(ninedtact, tmp_path), board="dots:8x6:1.5")
-    entry = unit.boards[0].entry
-    assert (entry.columns, entry.rows, entry.pitch_mm) == (8, 6, 1.5)
-    assert "board" not in unit.assumed
     osaka(other := tmp_path / "other")
     (captures,) = imported(other, board="chessboard:5x4:3")
     assert captures.boards[0].entry.pitch_mm == 3 and "board" not in captures.assumed
@@ -265,7 +237,7 @@ def test_flags_replace_missing_files(
     missing: list[str],
     flags: dict[str, Any],
 ) -> None:
-    source = made(make, tmp_path)
+    source = source_of(make, tmp_path)
     for name in missing:
         (source / name).unlink()
     picture(source / "spare.png")
@@ -281,28 +253,37 @@ def test_flags_replace_missing_files(
         assert "background" not in captures.assumed
 
 
-def test_what_is_missing_is_asked_for(tmp_path: Path) -> None:
-    source = made(taxim, tmp_path)
-    (source / "params.json").unlink()
-    with pytest.raises(InputError, match=r"params\.json is missing; .* with --mm-per-px-x"):
-        imported(source)
-    py3dcal(other := tmp_path / "other")
-    (other / "annotations" / "metadata.json").unlink()
-    imported(other, radius_mm=2.0)
+@pytest.mark.parametrize(
+    ("make", "missing", "options", "words"),
+    [
+        (ninedtact, "shape_config.yaml", {}, r"board is not known.*--board dots:COLUMNSxROWS:PI"),
+        (ninedtact, "shape_config.yaml", {"board": "dots:9x7"}, "the pitch is missing"),
+        (taxim, "params.json", {}, r"params\.json is missing; .* with --mm-per-px-x"),
+        # Flags that nothing would follow.
+        (ruihangao, "", {"board": "dots:9x7:2.5"}, r"--board was given, but .* has no boards"),
+        (ruihangao, "", {"edge_mm": 3.0}, r"--edge-mm was given, but .* has no edges"),
+    ],
+)
+def test_what_is_missing_is_asked_for(
+    tmp_path: Path, make: Callable[[Path], None], missing: str, options: dict, words: str
+) -> None:
+    source = source_of(make, tmp_path)
+    if missing:
+        (source / missing).unlink()
+    with pytest.raises(InputError, match=words):
+        imported(source, **options)
+
+
+def test_what_may_be_missing_is_noted(tmp_path: Path) -> None:
+    source = source_of(py3dcal, tmp_path)
+    (source / "annotations" / "metadata.json").unlink()
+    imported(source, radius_mm=2.0)
     notes = (tmp_path / "out" / "captures.toml").read_text()
     assert "# annotations/metadata.json is missing; --mm-per-px-x give" in notes
 
 
-def test_flags_without_effect_are_refused(tmp_path: Path) -> None:
-    source = made(ruihangao, tmp_path)
-    with pytest.raises(InputError, match=r"--board was given, but .* has no boards"):
-        imported(source, board="dots:9x7:2.5")
-    with pytest.raises(InputError, match=r"--edge-mm was given, but .* has no edges"):
-        imported(source, edge_mm=3.0)
-
-
 def test_a_background_by_name_is_no_other_image_of_that_name(tmp_path: Path) -> None:
-    source = made(plain, tmp_path)
+    source = source_of(plain, tmp_path)
     picture(source / "again" / "a_1.png")
     (captures,) = imported(source, sensor="flat_pad", background="a_1.png")
     assert {press.name for press in captures.presses} == {"again_a_1", "a_2", "a_10"}
@@ -321,7 +302,7 @@ def test_names_that_differ_in_numbers_are_counted(tmp_path: Path) -> None:
 
 
 def test_an_earlier_import_below_the_source_is_not_read_again(tmp_path: Path) -> None:
-    source = made(plain, tmp_path)
+    source = source_of(plain, tmp_path)
     first = import_captures(source, source / "captures")
     again = import_captures(source, source / "captures")
     assert first == again
@@ -346,7 +327,7 @@ def test_lengths_out_of_bounds_are_told_by_their_flag(option: dict[str, float], 
 
 
 def test_nothing_is_said_of_a_rest_that_nobody_assumed(tmp_path: Path) -> None:
-    folders = imported(made(fots, tmp_path))
+    folders = imported(source_of(fots, tmp_path))
     (of_markers,) = [folder for folder in folders if folder.markers is not None]
     assert "rest" not in of_markers.assumed
     assert "0.csv has the places of the dots without load" in of_markers.assumed["labels"]

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import import_captures, load_capture_folder
@@ -16,26 +18,22 @@ from taccel_lab.calibration.capture.importers.files import natural_key
 from taccel_lab.errors import InputError
 from taccel_lab.reading.yaml_file import YAML_LIMIT_BYTES
 from tests.calibration.capture.made_up_layouts import (
+    cube_edges,
     feats,
     fots,
     gs_sdk,
+    imported,
     ninedtact,
     picture,
     plain,
     py3dcal,
+    source_of,
     taxim,
 )
 
 Make = Callable[[Path], None]
 BOARD = "camera_calibration: {row_points: 7, col_points: 9, grid_distance: 2.5}\n"
 CATALOG = "experiment_reldir,diameter(mm)\n"
-
-
-def source_of(make: Make, folder: Path) -> Path:
-    source = folder / "source"
-    source.mkdir()
-    make(source)
-    return source
 
 
 def refused(source: Path, options: ImportOptions | None = None) -> str:
@@ -54,53 +52,80 @@ def indentations(**values: object) -> str:
     return json.dumps(known | values)
 
 
-FAULTS: list[tuple[Make, str, str, str]] = [
+def saved(**arrays: object) -> bytes:
+    """A ``.npz``."""
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)
+    return buffer.getvalue()
+
+
+def alone(array: np.ndarray) -> bytes:
+    """A ``.npy``."""
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+FAULTS: list[tuple[Make, str, str | bytes | None, str]] = [
     (ninedtact, "shape_config.yaml", "camera_calibration: {row_points: seven}",
      "shape_config.yaml: camera_calibration.row_points is 'seven'; a number is needed"),
     (ninedtact, "shape_config.yaml", BOARD.replace("9", "7.5"),
      "camera_calibration.col_points is 7.5; a whole number is needed"),
     (ninedtact, "shape_config.yaml", BOARD + "depth_calibration: {BallRad: 2026-01-01}",
      "depth_calibration.BallRad is '2026-01-01'; a number is needed"),
-    (ninedtact, "shape_config.yaml", BOARD + "depth_calibration: {BallRad: yes}",
-     "BallRad is 'yes'"),
     (ninedtact, "shape_config.yaml", "camera_calibration: {row_points: 7, col_points: 9}",
      "grid_distance of"),
     (gs_sdk, "gsmini.yaml", "ppmm: true\n", "ppmm is True; a number is needed"),
-    (gs_sdk, "gsmini.yaml", "a: &a 0.06\nppmm: *a\n", "anchors and aliases are not read"),
+    (gs_sdk, "gsmini.yaml", "ppmm: 15.8\n", "ppmm is 15.8; gs_sdk"),
+    (gs_sdk, "gsmini.yaml", "ppmm: [1,", "gsmini.yaml cannot be read as YAML"),
     (gs_sdk, "catalog.csv", CATALOG + "4.760mm/0,4.7_6\n", "line 2: column diameter(mm): '4.7_6'"),
-    (gs_sdk, "catalog.csv", CATALOG + "4.760mm/0,nan\n", "'nan' is not a finite number"),
+    (gs_sdk, "catalog.csv", CATALOG + "x,1\n", "x/gelsight.png does not exist"),
     (gs_sdk, "catalog.csv", CATALOG + "../other,4.76\n", "'..' leads out of it"),
     (gs_sdk, "catalog.csv", CATALOG + "/etc,4.76\n", "not by an absolute path"),
-    (gs_sdk, "catalog.csv", CATALOG + "4.760mm/0\n", "line 2 has 1 cells, the header 2"),
-    (gs_sdk, "catalog.csv", CATALOG + '"4.760mm/0,4.76\n', "line 2: a quote is not closed"),
     (gs_sdk, "catalog.csv", CATALOG + "x" * 5000 + ",4.76\n", "File name too long"),
+    (gs_sdk, "4.760mm/0/label.npz", "x", "label.npz is not a"),
+    (gs_sdk, "4.760mm/0/label.npz", saved(center=np.zeros(2), radius="x"),
+     "radius has type <U1; real numbers"),
+    (cube_edges, "2/label.npz", saved(line_center=np.zeros(3)), "two numbers"),
+    (cube_edges, "2/gelsight.png", None, "2/gelsight.png does not exist"),
     (py3dcal, "annotations/annotations.csv", "img_name\n../../secret.png\n", "'..' leads out"),
     (py3dcal, "annotations/annotations.csv", "img_name\n/etc/secret.png\n", "absolute path"),
     (py3dcal, "annotations/annotations.csv", "img_name,img_name\n0.png,0.png\n", "twice"),
-    (py3dcal, "annotations/annotations.csv", "img_name,depth_mm\n0.png,1_0\n", "'1_0' is not"),
+    (py3dcal, "annotations/annotations.csv", "img_name,depth_mm\n0.png,1_0\n",
+     "csv: line 2: column depth_mm: '1_0' is not"),
     (py3dcal, "annotations/annotations.csv", "file\n0.png\n", "lacks a column img_name"),
     (py3dcal, "annotations/metadata.json", metadata("20"), "px_per_mm is '20'; a number"),
-    (py3dcal, "annotations/metadata.json", metadata(True), "px_per_mm is True; a number"),
     (py3dcal, "annotations/metadata.json", metadata(0), "px_per_mm is 0; a positive number"),
     (py3dcal, "annotations/metadata.json", "[" * 100_000, "nested more than 32 deep"),
+    (py3dcal, "probe_images/0.png", None, "0.png does not exist"),
+    (feats, "force_indentation.json", "{", "not valid JSON"),
     (feats, "force_indentation.json", indentations(indenter="radius 7.5.1 mm"),
      "the radius of the sphere: '7.5.1' is not a number"),
     (feats, "force_indentation.json", indentations(indentation_mm=[True]), "a list of numbers"),
+    (feats, "homography.npy", "x", "homography.npy is not a read"),
+    (feats, "homography.npy", alone(np.full((3, 3), "x")), "homography.npy has type <U1"),
+    (feats, "homography.npy", alone(np.full((3, 3), np.nan)), "npy[0, 0] is nan"),
+    (fots, "mlp_calib/0000.png", None, "no background"),
+    (fots, "mlp_calib/gelsight/0001.png", "x", "is not an image"),
     (taxim, "params.json", '{"sensor": {"pixmm": "0.1"}}', "sensor.pixmm is '0.1'; a number"),
-    (taxim, "params.json", '{"sensor": {"pixmm": true}}', "sensor.pixmm is True; a number"),
     (plain, "labels.csv", "name,x,y,radius\na_2.png,30,1_0,11\n", "column y: '1_0' is not a"),
-    (plain, "labels.csv", "name,x,y,radius\na_2.png,30,１２,11\n", "is not a finite number"),
     (plain, "labels.csv", "name,x,y,radius,X\na_2.png,3,2,1,4\n", "has the columns x and X"),
     (plain, "labels.csv", "name,x,y,radius\na_2.png,3,2,1\na_2.png,3,2,2\n", "has two circles of"),
     (plain, "more.csv", "name,x,y,radius\na_2.png,3,2,1\n", "have different circles of 'a_2.png'"),
     (plain, "press.csv", "depth_mm,force_n,force_n\n0.2,0.1,0.1\n", "twice"),
 ]  # fmt: skip
+"""Layout, its file, what it holds (None: it is gone), words of the refusal."""
 
 
 @pytest.mark.parametrize(("make", "file", "content", "words"), FAULTS)
-def test_faulty_tables(tmp_path: Path, make: Make, file: str, content: str, words: str) -> None:
+def test_faulty_files(
+    tmp_path: Path, make: Make, file: str, content: str | bytes | None, words: str
+) -> None:
     source = source_of(make, tmp_path)
-    (source / file).write_text(content, encoding="utf-8")
+    if content is None:
+        (source / file).unlink()
+    else:
+        (source / file).write_bytes(content if isinstance(content, bytes) else content.encode())
     if file == "press.csv":  # Not a table of circles: the folder is taken, the file told.
         (out,) = import_captures(source, tmp_path / "out")
         assert words in (out / "captures.toml").read_text(encoding="utf-8")
@@ -114,7 +139,7 @@ def test_settings_of_the_9dtact_are_taken(tmp_path: Path) -> None:
         "camera_calibration: {row_points: 5, col_points: 9, grid_distance: 3}\n"
         "depth_calibration: {BallRad: 2.5}\n"
     )
-    captures = load_capture_folder(import_captures(source, tmp_path / "out")[0])
+    captures = imported(source)[0]
     board = captures.boards[0].entry
     assert (board.rows, board.columns, board.pitch_mm) == (5, 9, 3.0)
     assert captures.ball_radius_mm == 2.5
@@ -188,5 +213,8 @@ def test_options_with_odd_numbers(tmp_path: Path, options: ImportOptions, words:
     assert words in refused(source_of(plain, tmp_path), options)
 
 
-def test_digits_of_other_scripts_in_names() -> None:
+def test_names_are_in_natural_order() -> None:
+    names = ["f_10", "f_2", "f_1", "g", "2", "10"]
+    assert sorted(names, key=natural_key) == ["2", "10", "f_1", "f_2", "f_10", "g"]
+    # Digits of other scripts are none.
     assert sorted(["²", "10", "2", "١"], key=natural_key)[:2] == ["2", "10"]

@@ -19,8 +19,6 @@ from taccel_lab.calibration.capture.importers import (
     read_drafts,
 )
 from taccel_lab.calibration.capture.importers.background_guess import guess_background
-from taccel_lab.calibration.capture.importers.files import natural_key
-from taccel_lab.calibration.capture.importers.label_tables import read_labels
 from taccel_lab.errors import InputError
 from tests.calibration.capture.made_up_layouts import (
     MAKERS,
@@ -30,68 +28,46 @@ from tests.calibration.capture.made_up_layouts import (
     feats,
     fots,
     gs_sdk,
+    imported,
     ninedtact,
     osaka,
     picture,
     plain,
     py3dcal,
     ruihangao,
+    source_of,
 )
 from tests.support.capture_sets import gel, press, spread_circles, write_image
-
-
-@pytest.fixture(params=sorted(MAKERS))
-def source(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
-    folder = tmp_path / "source"
-    folder.mkdir()
-    MAKERS[request.param](folder)
-    return request.param, folder
 
 
 def test_every_layout_has_a_maker() -> None:
     assert set(MAKERS) == set(LAYOUTS)
 
 
-def test_layouts_are_told_apart(source: tuple[str, Path]) -> None:
-    name, folder = source
-    assert detect_layout(folder).name == name
-
-
-def test_imported_files_keep_their_bytes(source: tuple[str, Path], tmp_path: Path) -> None:
-    name, folder = source
-    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    outs = import_captures(folder, tmp_path / "out", name)
-    assert {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()} == before
-    originals = set(before.values())
-    for out in outs:
+@pytest.mark.parametrize("name", sorted(MAKERS))
+def test_every_layout_is_told_and_its_files_keep_their_bytes(name: str, tmp_path: Path) -> None:
+    source = source_of(MAKERS[name], tmp_path)
+    before = {path: path.read_bytes() for path in source.rglob("*") if path.is_file()}
+    layout, drafts = read_drafts(source)
+    assert layout.name == detect_layout(source).name == name
+    outs = import_captures(source, tmp_path / "out")
+    assert {p: p.read_bytes() for p in source.rglob("*") if p.is_file()} == before
+    for draft, out in zip(drafts, outs, strict=True):
         captures = load_capture_folder(out)
         assert tomllib.loads((out / "captures.toml").read_text())["schema_version"] == 2
-        assert captures.provenance["source"]
+        # Nothing states whence they are.
+        stated = captures.provenance
+        assert stated["source"].startswith(f"unknown; imported from source, layout {name}")
+        assert stated["license"] == "unknown" and {"sensor", "gel"} <= set(captures.assumed)
+        with draft.opened() as opened:  # Without being written.
+            assert opened.contents() == captures.contents() and opened.source == str(draft.place)
         if name != "taxim":  # whose images come out of an archive
             for image in [*out.glob("*.png"), *out.glob("*.jpg")]:
-                assert image.read_bytes() in originals
-
-
-def test_drafts_open_without_being_written(source: tuple[str, Path], tmp_path: Path) -> None:
-    name, folder = source
-    layout, drafts = read_drafts(folder)
-    for draft, out in zip(drafts, import_captures(folder, tmp_path / "out"), strict=True):
-        with draft.opened() as captures:
-            assert captures.contents() == load_capture_folder(out).contents()
-            assert captures.source == str(draft.place)
-    assert layout.name == name
-
-
-def imported(make: Callable[[Path], None], folder: Path, **options: object) -> list[CaptureFolder]:
-    source = folder / "source"
-    source.mkdir()
-    make(source)
-    outs = import_captures(source, folder / "out", "auto", ImportOptions(**options))  # type: ignore[arg-type]
-    return [load_capture_folder(out) for out in outs]
+                assert image.read_bytes() in before.values()
 
 
 def test_fots_has_three_sets(tmp_path: Path) -> None:
-    mini, digit, dots = imported(fots, tmp_path)
+    mini, digit, dots = imported(source_of(fots, tmp_path))
     assert (mini.sensor, mini.ball_radius_mm) == ("gelsight_mini", 2.35)
     assert mini.mm_per_px == pytest.approx((1 / 19.58,) * 2)
     assert [press.circle is not None for press in mini.presses] == [False, True]
@@ -101,26 +77,21 @@ def test_fots_has_three_sets(tmp_path: Path) -> None:
     assert dots.markers.rest is None and dots.markers.labels_frame is not None
 
 
-def test_gs_sdk_balls_and_scale(tmp_path: Path) -> None:
-    (captures,) = imported(gs_sdk, tmp_path)
+@pytest.mark.parametrize("cataloged", [True, False])
+def test_gs_sdk_balls_and_scale(tmp_path: Path, cataloged: bool) -> None:
+    source = source_of(gs_sdk, tmp_path)
+    if not cataloged:
+        (source / "catalog.csv").unlink()
+    (captures,) = imported(source)
     assert captures.mm_per_px == (0.0634, 0.0634)
     assert captures.ball_radii_mm() == {2.38: 2, 3.175: 1}
+    assert [press.name for press in captures.presses] == ["4.760mm_0", "4.760mm_1", "6.350mm_2"]
     circle = captures.presses[1].circle
     assert circle is not None and (circle.u_px, circle.v_px, circle.radius_px) == (31, 22, 11)
 
 
-def test_gs_sdk_without_its_catalogue(tmp_path: Path) -> None:
-    def without(folder: Path) -> None:
-        gs_sdk(folder)
-        (folder / "catalog.csv").unlink()
-
-    (captures,) = imported(without, tmp_path)
-    assert captures.ball_radii_mm() == {2.38: 2, 3.175: 1}
-    assert [press.name for press in captures.presses] == ["4.760mm_0", "4.760mm_1", "6.350mm_2"]
-
-
 def test_ninedtact_units(tmp_path: Path) -> None:
-    units = imported(ninedtact, tmp_path)
+    units = imported(source_of(ninedtact, tmp_path))
     assert [unit.unit for unit in units] == ["sensor_1", "sensor_2"]
     board = units[0].boards[0]
     assert (board.entry.columns, board.entry.rows, board.entry.pitch_mm) == (9, 7, 2.5)
@@ -128,35 +99,36 @@ def test_ninedtact_units(tmp_path: Path) -> None:
     assert units[0].ball_radius_mm == 4.0 and len(units[0].presses) == 1
 
 
-def test_feats_record(tmp_path: Path) -> None:
-    (captures,) = imported(feats, tmp_path)
-    record = captures.records[0]
-    assert record.entry.tool.radius_mm == 7.5
-    assert record.columns["force_n"].tolist() == [1.65, 5.96]
+def test_lengths_and_names_of_other_layouts(tmp_path: Path) -> None:
+    def only(make: Callable[[Path], None], **options: object) -> CaptureFolder:
+        (tmp_path / make.__name__).mkdir()
+        (captures,) = imported(source_of(make, tmp_path / make.__name__), **options)
+        return captures
+
+    captures = only(feats)
+    assert captures.records[0].entry.tool.radius_mm == 7.5
+    assert captures.records[0].columns["force_n"].tolist() == [1.65, 5.96]
     assert captures.mm_per_px == pytest.approx((1 / 14, 1 / 14))
-
-
-def test_cube_edges_are_in_natural_order(tmp_path: Path) -> None:
-    (captures,) = imported(cube_edges, tmp_path, edge_mm=8.0)
+    captures = only(cube_edges, edge_mm=8.0)
     assert [edge.frame.name for edge in captures.edges] == ["edge_0", "edge_2", "edge_10"]
     assert captures.edges[0].entry.length_mm == 8.0
-
-
-def test_py3dcal_travel(tmp_path: Path) -> None:
-    (captures,) = imported(py3dcal, tmp_path)
+    captures = only(py3dcal)
     assert captures.mm_per_px == (0.05, 0.05) and captures.ball_radius_mm == 2.0
     assert captures.presses[0].depth_mm == 0.8
-
-
-def test_osaka_boards_and_presses(tmp_path: Path) -> None:
-    (captures,) = imported(osaka, tmp_path)
+    captures = only(osaka)
     assert len(captures.boards[0].frames) == 3 and not captures.boards[0].entry.on_gel
     assert [press.name for press in captures.presses] == ["press_1", "press_2"]
     assert captures.background is not None
+    # Options replace what a layout says.
+    captures = only(ruihangao, sensor="flat_pad", unit="mine", radius_mm=3.0, mm_per_px_x=0.09,
+                    mm_per_px_y=0.08)  # fmt: skip
+    assert (captures.sensor, captures.unit, captures.ball_radius_mm) == ("flat_pad", "mine", 3.0)
+    assert captures.mm_per_px == (0.09, 0.08)
 
 
 def test_plain_folder(tmp_path: Path) -> None:
-    (captures,) = imported(plain, tmp_path, sensor="digit", radius_mm=3.0, mm_per_px_x=0.05)
+    options = {"sensor": "digit", "radius_mm": 3.0, "mm_per_px_x": 0.05}
+    (captures,) = imported(source_of(plain, tmp_path), **options)
     assert [press.name for press in captures.presses] == ["a_1", "a_2", "a_10"]
     assert [press.circle is not None for press in captures.presses] == [False, True, False]
     assert captures.background is not None and captures.mm_per_px == (0.05, 0.05)
@@ -165,40 +137,25 @@ def test_plain_folder(tmp_path: Path) -> None:
     assert "# left out, 1 file (other_camera.png): 80x60 px, not 64x48 px as most images" in notes
 
 
-def test_options_replace_what_a_layout_says(tmp_path: Path) -> None:
-    (captures,) = imported(
-        ruihangao, tmp_path, sensor="flat_pad", unit="mine", radius_mm=3.0, mm_per_px_x=0.09,
-        mm_per_px_y=0.08,
-    )  # fmt: skip
-    assert (captures.sensor, captures.unit, captures.ball_radius_mm) == ("flat_pad", "mine", 3.0)
-    assert captures.mm_per_px == (0.09, 0.08)
-
-
 def test_median_of_the_presses_as_background(tmp_path: Path) -> None:
     source = tmp_path / "source"
     source.mkdir()
     for i, circle in enumerate(spread_circles(9)):
         write_image(source / f"p{i}.png", np.clip(press(circle), 0, 255).astype(np.uint8))
-    (out,) = import_captures(
-        source, tmp_path / "out", "plain", ImportOptions(background="median", sensor="flat_pad")
-    )
-    captures = load_capture_folder(out)
+    (captures,) = imported(source, "plain", background="median", sensor="flat_pad")
     assert len(captures.presses) == 9
     off = np.abs(captures.require_background().image().astype(float) - gel())
     assert np.median(off) < 1.0 and np.percentile(off, 99) < 10
 
 
 def test_board_views_of_a_plain_folder(tmp_path: Path) -> None:
-    (captures,) = imported(gelslim_like_boards, tmp_path, board="charuco:8x6:3.5")
+    for name in ("view_a", "view_b"):
+        picture(tmp_path / "source" / f"{name}.png")
+    (captures,) = imported(tmp_path / "source", board="charuco:8x6:3.5")
     entry = captures.boards[0].entry
     assert (entry.kind, entry.columns, entry.rows, entry.pitch_mm) == ("charuco", 8, 6, 3.5)
     with pytest.raises(InputError, match=r"kind:COLUMNSxROWS"):
         read_drafts(tmp_path / "source", "plain", ImportOptions(board="8x6"))
-
-
-def gelslim_like_boards(folder: Path) -> None:
-    for name in ("view_a", "view_b"):
-        picture(folder / f"{name}.png")
 
 
 def test_the_untouched_image_is_found_without_a_name(tmp_path: Path) -> None:
@@ -222,20 +179,6 @@ def test_the_untouched_image_is_found_without_a_name(tmp_path: Path) -> None:
 def test_names_of_backgrounds(tmp_path: Path, name: str, is_background: bool) -> None:
     paths = [picture(tmp_path / f"{stem}.png") for stem in (name, "x", "y")]
     assert (guess_background(paths)[0] is not None) == is_background
-
-
-def test_label_tables(tmp_path: Path) -> None:
-    table = tmp_path / "t.txt"
-    table.write_text("a.png (204, 98) 31\nb.png (10, 20) 5.5\n")
-    labels = read_labels(table)
-    assert labels is not None and labels["b.png"] == {"u_px": 10, "v_px": 20, "radius_px": 5.5}
-    table.write_text("image, u_px, v_px, radius_px\n")
-    assert read_labels(table) is None
-    table.write_text("nothing of the kind\n")
-    assert read_labels(table) is None
-    table.write_text("file,cx,cy,r\na.png,1,2,x\n")
-    with pytest.raises(InputError, match=r"t\.txt: line 2: column r: 'x' is not"):
-        read_labels(table)
 
 
 def test_numbered_presses_are_no_video(tmp_path: Path) -> None:
@@ -291,57 +234,8 @@ def test_files_of_the_same_name_in_two_folders_are_both_kept(tmp_path: Path) -> 
     assert len(set(records)) == 5 and all((out / name).is_file() for name in records)
 
 
-def test_natural_order() -> None:
-    names = ["f_10", "f_2", "f_1", "g", "2", "10"]
-    assert sorted(names, key=natural_key) == ["2", "10", "f_1", "f_2", "f_10", "g"]
-
-
-Break = Callable[[Path], object]
-
-
-@pytest.mark.parametrize(
-    ("make", "spoil", "message"),
-    [
-        (gs_sdk, lambda f: (f / "catalog.csv").write_text("experiment_reldir,diameter(mm)\nx,1\n"),
-         r"x/gelsight\.png does not exist"),
-        (gs_sdk, lambda f: (f / "gsmini.yaml").write_text("ppmm: 15.8\n"), "ppmm is 15.8; gs_sdk"),
-        (gs_sdk, lambda f: (f / "gsmini.yaml").write_text("ppmm: [1,"),
-         "gsmini.yaml cannot be read as YAML"),
-        (gs_sdk, lambda f: (f / "4.760mm/0/label.npz").write_text("x"), "label.npz is not a"),
-        (feats, lambda f: (f / "force_indentation.json").write_text("{"), "not valid JSON"),
-        (feats, lambda f: (f / "force_indentation.json").write_text("{}"), "a list of numbers"),
-        (fots, lambda f: (f / "mlp_calib/0000.png").unlink(), "no background"),
-        (fots, lambda f: (f / "mlp_calib/gelsight/0001.png").write_text("x"), "is not an image"),
-        (py3dcal, lambda f: (f / "probe_images/0.png").unlink(), r"0\.png does not exist"),
-        (py3dcal, lambda f: (f / "annotations/annotations.csv").write_text(
-            "img_name,depth_mm\n0.png,deep\n"), r"csv: line 2: column depth_mm: 'deep' is not a"),
-        (feats, lambda f: (f / "homography.npy").write_text("x"), "homography.npy is not a read"),
-        (feats, lambda f: np.save(f / "homography.npy", np.full((3, 3), "x")),
-         "homography.npy has type <U1"),
-        (feats, lambda f: np.save(f / "homography.npy", np.full((3, 3), np.nan)),
-         r"npy\[0, 0\] is nan"),
-        (cube_edges, lambda f: np.savez(f / "2/label.npz", line_center=np.zeros(3)), "two numbers"),
-        (gs_sdk, lambda f: np.savez(f / "4.760mm/0/label.npz", center=np.zeros(2), radius="x"),
-         "radius has type <U1; real numbers"),
-        (cube_edges, lambda f: (f / "2/gelsight.png").unlink(), r"2/gelsight\.png does not exist"),
-    ],
-)  # fmt: skip
-def test_broken_sources(
-    tmp_path: Path, make: Callable[[Path], None], spoil: Break, message: str
-) -> None:
-    source = tmp_path / "source"
-    source.mkdir()
-    make(source)
-    spoil(source)
-    with pytest.raises(InputError, match=message):
-        import_captures(source, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_homography_without_a_scale_is_left_out(tmp_path: Path) -> None:
-    source = tmp_path / "source"
-    source.mkdir()
-    feats(source)
+    source = source_of(feats, tmp_path)
     np.save(source / "homography.npy", np.diag([0.0, 14.0, 1.0]))
     _, (draft,) = read_drafts(source, "feats")
     assert "mm_per_px_x" not in draft.manifest

@@ -132,9 +132,7 @@ def write(folder: Path, text: str) -> Path:
     ("text", "message"),
     [
         ("depth_mm,force_n\n", "holds 0 rows; a header and at least 2"),
-        ("depth_mm,force_n\n0.1,0.2\n0.2\n", "line 3 has 1 cells, the header 2"),
         ("depth_mm,force_n\n0.1,0.2\n0.2,nan\n", "line 3: column force_n: 'nan' is not a finite"),
-        ("depth_mm,force_n\n0.1,0.2\n0.2,1e999\n", "not a finite number"),
         ("depth_mm,force_g\n0.1,20\n0.2,30\n", r"lacks the column force_n.*found depth_mm"),
         ("depth_mm,force_n,sigma_n\n0.1,0.1,0\n0.2,0.3,0.1\n", "sigma_n has to be positive"),
     ],
@@ -232,11 +230,6 @@ def test_rows_that_stand_twice_count_once(tmp_path: Path) -> None:
 def test_a_load_cell_that_was_not_read(kind: str, columns: dict[str, np.ndarray]) -> None:
     with pytest.raises(InputError, match=r"r\.csv: .* is 1 in every row"):
         check_record("r.csv", entry(kind), columns)
-
-
-def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"r\.csv does not exist"):
-        load_record(tmp_path, entry())
 
 
 def test_kind_is_told_by_the_columns(tmp_path: Path) -> None:

@@ -141,16 +141,18 @@ def test_the_page_says_it_all(trained: ForceCalibration, tmp_path: Path) -> None
     assert (tmp_path / "page" / "patches.png").stat().st_size > 5000
 
 
+def row(episode: int, label: str, unit: int = 0, *, split: str = "train", seed: int = 3) -> dict:
+    """Of a data set's table of touches."""
+    return {"split": split, "object": label, "unit": unit, "seed": seed, "episode": episode}
+
+
 @pytest.mark.parametrize("held_out", [True, False])
 def test_no_touch_is_on_two_sides(sensor: Path, held_out: bool) -> None:
+    whole = planned(sensor, held_out=held_out)
     rows = [
-        {
-            "split": e.split, "object": planned_.spec.objects[e.object].label, "unit": e.unit,
-            "seed": 3, "episode": e.index,
-        }
-        for planned_ in [planned(sensor, held_out=held_out)]
-        for e in planned_.episodes
-    ]  # fmt: skip
+        row(e.index, whole.spec.objects[e.object].label, e.unit, split=e.split)
+        for e in whole.episodes
+    ]
     split = split_touches(rows)
     sides = [set(part.tolist()) for part in (split.train, split.validation, split.test)]
     assert sum(map(len, sides)) == len(rows) == len(set.union(*sides))
@@ -167,13 +169,7 @@ def test_no_touch_is_on_two_sides(sensor: Path, held_out: bool) -> None:
 @given(st.integers(1, 40), st.integers(0, 2**31), st.integers(1, 3))
 def test_small_data_sets_are_split_or_refused(count: int, seed: int, objects: int) -> None:
     rng = np.random.default_rng(seed)
-    rows = [
-        {
-            "split": "train", "object": f"o{rng.integers(objects)}", "unit": 0, "seed": seed,
-            "episode": k,
-        }
-        for k in range(count)
-    ]  # fmt: skip
+    rows = [row(k, f"o{rng.integers(objects)}", seed=seed) for k in range(count)]
     try:
         split = split_touches(rows)
     except InputError as error:

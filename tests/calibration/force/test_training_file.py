@@ -138,30 +138,24 @@ def test_nothing_that_a_file_holds_is_run(tmp_path: Path, content: str) -> None:
     assert "cannot be read; the training starts anew" in said[0] and not place.exists()
 
 
-def test_other_settings_begin_anew(touches: Path, stopped: Path) -> None:
-    before = stopped.read_bytes()
+def begun(touches: Path, path: Path, **changes: Any) -> str:
+    """What a training says that finds a file there; it is stopped before it keeps anything."""
+    said: list[str] = []
+    file, before = TrainingFile(path, said.append, every_s=1e9), path.read_bytes()
+    with pytest.raises(_StoppedError):
+        train(touches, file, stop_at(1), dataclasses.replace(SHORT, **changes))
+    # Replaced by the first state of the new one, not before.
+    assert file.step is None and path.read_bytes() == before
+    return said[0]
+
+
+def test_other_settings_other_data_and_spoilt_files_begin_anew(
+    touches: Path, sensor: Path, stopped: Path, tmp_path: Path
+) -> None:
+    other = "of other data or settings; the training starts anew"
     for changes in ({"seed": 1}, {"steps": 21}, {"light": 0.2}, {"learning_rate": 1e-3}):
-        said: list[str] = []
-        file = TrainingFile(stopped, said.append, every_s=1e9)
-        with pytest.raises(_StoppedError):
-            train(touches, file, stop_at(1), dataclasses.replace(SHORT, **changes))
-        assert "of other data or settings; the training starts anew" in said[0]
-        # Replaced by the first state of the new one, not before.
-        assert file.step is None and stopped.read_bytes() == before
-
-
-def test_other_data_begin_anew(sensor: Path, stopped: Path, tmp_path: Path) -> None:
-    said: list[str] = []
-    other = write_touches(planned(sensor, episodes=60), tmp_path / "other")
-    with pytest.raises(_StoppedError):
-        train(other, TrainingFile(stopped, said.append), stop_at(1))
-    assert "of other data or settings" in said[0]
-
-
-@pytest.mark.parametrize("spoil", [lambda data: data[:1000], lambda data: b"x"])
-def test_a_spoilt_file_begins_anew(touches: Path, stopped: Path, spoil: Any) -> None:
-    stopped.write_bytes(spoil(stopped.read_bytes()))
-    said: list[str] = []
-    with pytest.raises(_StoppedError):
-        train(touches, TrainingFile(stopped, said.append), stop_at(1))
-    assert "cannot be read; the training starts anew" in said[0]
+        assert other in begun(touches, stopped, **changes)
+    assert other in begun(write_touches(planned(sensor, episodes=60), tmp_path / "o"), stopped)
+    for spoilt in (stopped.read_bytes()[:1000], b"x"):
+        stopped.write_bytes(spoilt)
+        assert "cannot be read; the training starts anew" in begun(touches, stopped)

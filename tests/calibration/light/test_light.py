@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Light of single frames, and how it changes over many."""
+"""Light of single frames and over many, averaged backgrounds, images of another sensor."""
 
 from __future__ import annotations
 
@@ -9,15 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
+from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.light.average import average_background
 from taccel_lab.calibration.light.drift import drift_remark, drift_spread
-from taccel_lab.calibration.light.fit import PRIOR_SIGMA, fit_light, normal_equations
+from taccel_lab.calibration.light.fit import PRIOR_SIGMA, fit_light
 from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.likeness import unlike
 from taccel_lab.errors import InputError
-from tests.calibration.contacts.presses import gel, pressed, scattered
+from tests.calibration.contacts.presses import GRID, gel, pressed, scattered
 from tests.calibration.drawn.faults import (
     add_gradient,
     add_noise,
     drift,
+    quantise,
 )
 
 
@@ -72,28 +76,6 @@ def test_a_wider_prior_makes_no_gain_of_noise(
     assert np.abs(found.apply(flat) - flat - 6.0).mean() < 0.5
 
 
-@given(
-    seed=st.integers(0, 50), shades=st.floats(0.0, 40.0), noise=st.floats(0.1, 10.0),
-    sigma=st.floats(0.01, 1e3),
-)  # fmt: skip
-@settings(max_examples=40, deadline=None)
-def test_the_equations_of_the_drift_have_one_solution(
-    seed: int, shades: float, noise: float, sigma: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    place = rng.uniform(-1, 1, (300, 2))
-    shape = (3, 300)
-    levels = 100 + shades * rng.normal(size=shape) + 5 * place[:, 0] + rng.normal(0, noise, shape)
-    others = np.stack([np.ones(300), *place.T])
-    weight = rng.uniform(0, 1, 300)
-    prior = PRIOR_SIGMA * sigma / PRIOR_SIGMA[0]
-    matrices, _ = normal_equations(levels, others, rng.normal(size=shape), weight, noise, prior)
-    for normal in matrices:
-        scaled = normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal)))
-        assert np.allclose(normal, normal.T)
-        assert np.linalg.eigvalsh(scaled).min() > 0
-
-
 def test_a_gradient_needs_a_whole_image() -> None:
     tilted = Light(np.ones(3), np.zeros(3), np.ones((3, 2)))
     with pytest.raises(InputError, match="whole image"):
@@ -110,3 +92,120 @@ def test_auto_white_balance_is_told_from_lamps_that_warm_up() -> None:
     assert not drift_spread(warming, gel()).auto_white_balance
     codes = [drift_remark(d, gel()).code for d in (balance, warming, steady)]
     assert codes == ["channels_drift", "light_drifts", "light_steady"]
+
+
+STILL = Light(np.ones(3), np.zeros(3))
+CONTACT = ContactCircle(45.0, 75.0, 18.0)
+OBJECT = ContactCircle(150.0, 60.0, 20.0)
+
+
+def frames(count: int, rng: np.random.Generator) -> list[np.ndarray]:
+    return [quantise(add_noise(pressed(CONTACT), 2.0, rng)) for _ in range(count)]
+
+
+def averaged(background: np.ndarray, images: list[np.ndarray]) -> np.ndarray:
+    count = len(images)
+    return average_background(
+        background, images, [CONTACT.untouched(GRID)] * count, [STILL] * count
+    )
+
+
+def untouched() -> np.ndarray:
+    return CONTACT.distance_px(GRID) > 3.5 * CONTACT.radius_px
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 15])
+@pytest.mark.parametrize("strength", [0.2, 1.0])
+def test_another_object_in_one_frame_stays_out(count: int, strength: float) -> None:
+    rng = np.random.default_rng(count)
+    background = quantise(add_noise(gel(), 2.0, rng))
+    images = frames(count, rng)
+    clean = averaged(background, images)
+    change = strength * (pressed(OBJECT) - gel())
+    images[0] = quantise(np.clip(images[0] + change, 0, 255))
+    spoilt = averaged(background, images)
+    there = (OBJECT.distance_px(GRID) < 1.2 * OBJECT.radius_px) & untouched()
+    # The plain mean has 1 / (count + 1) of the object in it.
+    slope = float(np.sum((spoilt - clean)[there] * change[there]) / np.sum(change[there] ** 2))
+    assert abs(slope) < 0.2 / (count + 1)
+
+
+def test_an_object_in_the_background_image_is_outvoted() -> None:
+    rng = np.random.default_rng(7)
+    images = frames(6, rng)
+    change = pressed(OBJECT) - gel()
+    result = averaged(quantise(add_noise(gel() + change, 2.0, rng)), images)
+    there = (OBJECT.distance_px(GRID) < OBJECT.radius_px) & untouched()
+    assert np.abs(result - gel())[there].mean() < 1.0
+
+
+@pytest.mark.parametrize("count", [1, 3, 7, 31])
+def test_noise_is_that_of_the_plain_mean(count: int) -> None:
+    rng = np.random.default_rng(count)
+    background = quantise(add_noise(gel(), 2.0, rng))
+    images = frames(count, rng)
+    plain = np.mean([background, *images], axis=0)
+    where = untouched()
+    gain = np.std((averaged(background, images) - gel())[where]) / np.std((plain - gel())[where])
+    # A median's is 1.1 to 1.25 from 4 images on.
+    assert 0.99 < gain < 1.03
+
+
+HEIGHT, WIDTH = 60, 80
+V, U = np.mgrid[-1 : 1 : HEIGHT * 1j, -1 : 1 : WIDTH * 1j]
+BACKGROUND = np.stack([110 + 35 * U, 120 + 30 * V, 130 - 25 * U - 20 * V], axis=-1).astype(
+    np.float32
+)
+
+
+def say(image: np.ndarray, background: np.ndarray = BACKGROUND) -> str | None:
+    image = image.astype(np.float32)
+    return unlike(image, background, fit_light(image, background, gradient=False))
+
+
+def ball_pressed(u: float, v: float, radius: float) -> np.ndarray:
+    """The background with a ball's colours in a disc."""
+    inside = np.hypot(U - u, V - v) < radius
+    change = np.stack([60 * (U - u), 60 * (V - v), -60 * (U - u)], axis=-1) / radius
+    return np.clip(BACKGROUND + np.where(inside[..., None], change, 0.0), 0, 255)
+
+
+@given(
+    u=st.floats(-0.9, 0.9),
+    v=st.floats(-0.9, 0.9),
+    radius=st.floats(0.1, 0.6),
+    gain=st.floats(0.8, 1.25),
+    offset=st.floats(-10, 10),
+)
+def test_a_press_is_of_its_sensor(u, v, radius, gain, offset) -> None:
+    assert say(gain * ball_pressed(u, v, radius) + offset) is None
+
+
+@pytest.mark.parametrize(
+    ("image", "why"),
+    [
+        (np.zeros_like(BACKGROUND), "one colour"),
+        (np.full_like(BACKGROUND, 255.0), "one colour"),
+        (np.random.default_rng(0).integers(0, 256, BACKGROUND.shape), "differ|its light"),
+        (BACKGROUND[..., ::-1], "red and blue"),
+        (ball_pressed(0.2, 0.1, 0.4)[..., ::-1], "red and blue"),
+        (BACKGROUND[::-1, ::-1], "180 degrees"),
+        (BACKGROUND[:, ::-1], "left to right"),
+        (BACKGROUND[::-1], "top to bottom"),
+        (0.1 * BACKGROUND + 100, "its light"),
+    ],
+    ids=["black", "white", "noise", "bgr", "bgr press", "turned", "left", "top", "pale"],
+)
+def test_what_is_not_is_named(image: np.ndarray, why: str) -> None:
+    found = say(image)
+    assert found is not None
+    assert any(word in found for word in why.split("|")), found
+
+
+def test_masked_pixels_do_not_count() -> None:
+    image = BACKGROUND.copy()
+    image[:, : int(0.8 * WIDTH)] = 0.0
+    mask = np.zeros((HEIGHT, WIDTH), bool)
+    mask[:, int(0.8 * WIDTH) :] = True
+    light = fit_light(image, BACKGROUND, mask, gradient=False)
+    assert unlike(image, BACKGROUND, light, mask) is None

@@ -13,10 +13,10 @@ import pytest
 
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.check import check_captures
-from taccel_lab.cli.app import main
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
 from tests.calibration.drawn.dot_grids import HEIGHT, WIDTH, grid_points, picture
+from tests.support.commands import refusal, run
 from tests.support.synthetic_presses import tiny_profile
 
 PITCH_MM = 1.8
@@ -57,8 +57,8 @@ motion = "shear"
 """
 
 
-def run(*arguments: object) -> int:
-    return main(["calibrate", "markers", *map(str, arguments)])
+def calibrate(*words: object) -> int:
+    return run("calibrate", "markers", *words)
 
 
 def test_captures_become_a_block_a_report_and_tracks(
@@ -66,7 +66,7 @@ def test_captures_become_a_block_a_report_and_tracks(
 ) -> None:
     folder = write_captures(tmp_path / "captures", VIDEO, moving())
     out, tracks = tmp_path / "profile", tmp_path / "tracks.json"
-    assert run(folder, "--out", out, "--base", base, "--tracks", tracks, "--json") == 0
+    assert calibrate(folder, "--out", out, "--base", base, "--tracks", tracks, "--json") == 0
     figures = json.loads(capsys.readouterr().out)["markers"]
     block = load_profile(out).markers
     assert block is not None
@@ -94,7 +94,7 @@ def test_captures_become_a_block_a_report_and_tracks(
 def test_tracks_are_written_as_tables_and_arrays(tmp_path: Path, base: Path, suffix: str) -> None:
     folder = write_captures(tmp_path / "captures", VIDEO, moving())
     tracks = tmp_path / f"tracks{suffix}"
-    assert run(folder, "--out", tmp_path / "p", "--base", base, "--tracks", tracks) == 0
+    assert calibrate(folder, "--out", tmp_path / "p", "--base", base, "--tracks", tracks) == 0
     if suffix == ".csv":
         with tracks.open(encoding="utf-8") as stream:
             rows = list(csv.DictReader(stream))
@@ -113,7 +113,7 @@ def test_a_stated_pitch_gives_the_scale_and_missing_dots_are_kept(
     manifest = '[markers]\nrest = "000.png"\npitch_x_mm = 1.8\n'
     left = np.delete(moving()[0], [2 * 9 + 3, 4 * 9 + 7], axis=0)
     folder = write_captures(tmp_path / "captures", manifest, [left])
-    assert run(folder, "--out", tmp_path / "p", "--base", base) == 0
+    assert calibrate(folder, "--out", tmp_path / "p", "--base", base) == 0
     block = load_profile(tmp_path / "p").markers
     assert block is not None
     assert block.pitch_x_mm == pytest.approx(1.8, abs=1e-6)
@@ -127,11 +127,11 @@ def test_an_assumed_scale_and_a_contradiction_are_told(
 ) -> None:
     rest = '[markers]\nrest = "000.png"\n'
     folder = write_captures(tmp_path / "assumed", rest, moving()[:1])
-    assert run(folder, "--out", tmp_path / "p", "--base", base) == 0
+    assert calibrate(folder, "--out", tmp_path / "p", "--base", base) == 0
     assert "nobody measured" in " ".join(capsys.readouterr().err.split())
     both = "mm_per_px_x = 0.05\nmm_per_px_y = 0.05\n" + rest + "pitch_x_mm = 1.8\n"
     folder = write_captures(tmp_path / "both", both, moving()[:1])
-    assert run(folder, "--out", tmp_path / "q", "--base", base) == 0
+    assert calibrate(folder, "--out", tmp_path / "q", "--base", base) == 0
     assert "+20.0 and +20.0 %" in " ".join(capsys.readouterr().err.split())
 
 
@@ -139,9 +139,10 @@ def test_what_cannot_be_used_is_refused(
     tmp_path: Path, base: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refused(folder: Path, *more: object) -> str:
-        assert run(folder, "--out", tmp_path / "none", "--base", base, *more) == 2
-        assert not (tmp_path / "none").exists()
-        return " ".join(capsys.readouterr().err.split())
+        out = tmp_path / "none"
+        told = refusal(capsys, "calibrate", "markers", folder, "--out", out, "--base", base, *more)
+        assert not out.exists()
+        return told
 
     rest = '[markers]\nrest = "000.png"\n'
     nothing = write_captures(tmp_path / "nothing", rest, [np.empty((0, 2))])
@@ -165,11 +166,11 @@ def test_a_video_without_rest_is_refused_and_one_with_it_is_enough(
     manifest = "mm_per_px_x = 0.06\nmm_per_px_y = 0.06\n[markers]\n[[markers.videos]]\n"
     manifest += 'frames = ["*.png"]\n'
     folder = write_captures(tmp_path / "moving", manifest, moving(12)[2:-1])
-    assert run(folder, "--out", tmp_path / "none", "--base", base) == 2
+    assert calibrate(folder, "--out", tmp_path / "none", "--base", base) == 2
     assert "no frame at rest" in " ".join(capsys.readouterr().err.split())
     rest = moving()[0]
     folder = write_captures(tmp_path / "late", manifest, [*moving(12)[6:], *[rest] * 6])
-    assert run(folder, "--out", tmp_path / "p", "--base", base, "--json") == 0
+    assert calibrate(folder, "--out", tmp_path / "p", "--base", base, "--json") == 0
     (video,) = json.loads(capsys.readouterr().out)["markers"]["videos"]
     assert (video["frames"], video["quiet_first"], video["quiet_frames"]) == (13, 6, 7)
     assert video["largest_px"] == pytest.approx(13.0 * np.sin(np.pi * 5 / 11), abs=0.1)

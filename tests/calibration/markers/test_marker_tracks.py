@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tracks of drawn motions: far, fast, hidden, dropped, and back where they began."""
+"""Tracks of drawn motions: far, fast, hidden, dropped, back at rest; which blob is which."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.markers.association import associate
 from taccel_lab.calibration.markers.judgement import track_remarks
 from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 from taccel_lab.calibration.markers.track_figures import track_figures
@@ -188,3 +189,36 @@ def test_bad_videos_are_refused() -> None:
         track_markers([], rest)
     with pytest.raises(InputError, match="frame 1 is 100x80 px"):
         track_markers([image, image[:80, :100]], rest)
+
+
+SQUARE = np.stack(np.meshgrid(np.arange(9.0), np.arange(9.0)), axis=-1).reshape(-1, 2)
+"""A square grid of pitch 1."""
+MIDDLE = 40
+
+
+def assigned(offset: float, scatter: float, pitch_px: float) -> np.ndarray:
+    """Blobs of markers that moved by 1.3 pitches and, in turns, a little more or less than their
+    neighbours (``scatter`` [pitches], along an axis); the middle one by ``offset`` pitches more."""
+    turns = 1 - 2 * (SQUARE % 2)
+    moved = np.array([1.3, 0.4]) + scatter * turns
+    moved[MIDDLE] = (1.3 + offset, 0.4)
+    found = pitch_px * (SQUARE + moved)
+    expected = pitch_px * (SQUARE + (1.3, 0.4))
+    odd = np.zeros(len(found), dtype=bool)
+    return associate(expected, pitch_px * SQUARE, found, odd, Neighbourhood.of(pitch_px * SQUARE))
+
+
+def test_the_gate_widens_where_neighbours_scatter() -> None:
+    # Where neighbours move alike, a blob 0.42 pitches off what they say is no dot of this marker;
+    # where they scatter by half as much themselves, it is.
+    assert assigned(0.42, 0.01, 30.0)[MIDDLE] == -1
+    assert assigned(0.42, 0.18, 30.0)[MIDDLE] == MIDDLE
+    # However much they scatter, a blob beyond 0.55 pitches is nearer to another marker.
+    assert assigned(0.6, 0.18, 30.0)[MIDDLE] == -1
+
+
+@pytest.mark.parametrize("scatter", [0.01, 0.1, 0.18])
+def test_the_unit_of_length_has_no_effect(scatter: float) -> None:
+    for offset in (0.3, 0.42, 0.5):
+        fine, coarse = assigned(offset, scatter, 30.0), assigned(offset, scatter, 0.5)
+        assert (fine == coarse).all()

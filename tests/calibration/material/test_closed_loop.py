@@ -23,7 +23,7 @@ from taccel_lab.envs import (
 )
 from taccel_lab.profile import SensorProfile, load_profile, save_profile
 from taccel_lab.sensors.press_mesh import press_mesh
-from tests.calibration.material.physics import COARSE_FAST, FAST
+from tests.calibration.material.made_up import COARSE_FAST, FAST
 
 MODULUS, NOISE = 3.1e5, 0.01
 

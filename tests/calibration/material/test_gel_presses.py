@@ -15,7 +15,6 @@ from taccel_lab.calibration.material.gel_presses import (
     GelPresses,
     MaterialStep,
     Stop,
-    split_by_modulus,
 )
 from taccel_lab.calibration.material.press_plans import PressPlan, follow, prepare, simulate
 from taccel_lab.calibration.material.tangential_table import tangential_and_normal
@@ -23,7 +22,7 @@ from taccel_lab.envs import parse_indenter
 from taccel_lab.errors import SimulationError
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import Material, MaterialField, MaterialModel
-from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.solvers import SolverConfig
 
 MESH = block_mesh((5, 5, 2), (10e-3, 10e-3, 3e-3))
 BALL = parse_indenter("sphere:6")
@@ -80,34 +79,6 @@ def test_slopes_of_gels_in_one_scene_are_those_of_scenes_of_their_own() -> None:
         moved(single, [Stop(0.4)])
         np.testing.assert_allclose(single.force_slopes([step((nu,))])[0], together[i], rtol=1e-5)
     assert together[0, 0] > 2 * together[1, 0] > 0
-
-
-def test_the_split_energy_is_that_of_the_law() -> None:
-    materials = [
-        Material(1e6, nu, model=MaterialModel.MOONEY_RIVLIN, mooney_ratio=0.3) for nu in (0.49, 0.4)
-    ]
-    env = press(materials, (0.0, 0.0))
-    assert len(env.model.elastic) == 3
-    own = [press([material], (0.0,)) for material in materials]
-    rng = np.random.default_rng(3)
-    positions = env.state.positions.numpy()
-    positions += 2e-5 * rng.standard_normal(positions.shape)
-    env.state.positions.assign(positions)
-    solver = _woken(env)
-    energies = np.sum(
-        [part.energy(solver.active, env.state.positions) for part in solver.elastic], 0
-    )
-    for i, single in enumerate(own):
-        single.state.positions.assign(positions[i : i + 1])
-        solver = _woken(single)
-        expected = solver.elastic[0].energy(solver.active, single.state.positions)[0]
-        assert energies[i] == pytest.approx(expected, rel=1e-12)
-        assert expected > 0
-
-
-def _woken(env: GelPresses) -> SolverIPC:
-    env.solver.active.fill_(1)
-    return env.solver
 
 
 def test_coefficients_of_friction_and_ways_differ_by_environment() -> None:
@@ -199,18 +170,6 @@ def test_an_environment_that_fails_is_tried_again_alone(own_cache: None) -> None
     tolerated = plan(0.499, (0.02, 1.8), must=1)
     forces = simulate(bench, tolerated)["force_n"]
     assert np.isfinite(forces[0]) and np.isnan(forces[1])
-
-
-def test_volumes_carry_the_moduli() -> None:
-    env = press([Material(1e6, 0.47)], (0.0,))
-    (group,) = env.model.elastic
-    parts = split_by_modulus(group, [Material(1e6, 0.3), Material(1e6, 0.45)])
-    assert [part.mu.numpy()[0] for part in parts] == [1.0, 0.0]
-    total = group.volumes.numpy().sum()
-    for part, name in zip(parts, ("shear_modulus_pa", "lame_lambda_pa"), strict=True):
-        for i, nu in enumerate((0.3, 0.45)):
-            modulus = getattr(Material(1e6, nu), name)
-            assert part.volumes.numpy()[i].sum() == pytest.approx(total * modulus)
 
 
 def test_presses_need_no_reader_of_files() -> None:

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -27,8 +28,7 @@ from taccel_lab.calibration.result import Estimate, Severity
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
-from tests.calibration.material.physics import COARSE, COARSER, DEFAULT, FAST
-from tests.calibration.material.tables import layer_table
+from tests.calibration.material.made_up import COARSE, COARSER, DEFAULT, FAST, layer_table, points
 
 DEPTH = np.linspace(0.15, 1.4, 12)
 MODULUS, POISSON = 2.4e5, 0.47
@@ -67,12 +67,6 @@ def pressed_n(
     return np.array([simulate(b, press_plan(b, own))["force_n"][0] for b in benches])
 
 
-def points(
-    tool: Tool, depth: np.ndarray, force: np.ndarray, sigma: np.ndarray | None = None
-) -> IndentationPoints:
-    return IndentationPoints("press", "press.csv", "0" * 64, tool, depth, force, sigma)
-
-
 def test_an_uncertain_zero_of_the_load_cell_widens_the_interval(
     table: ForceTable, tool: Tool, truth: np.ndarray
 ) -> None:
@@ -80,10 +74,7 @@ def test_an_uncertain_zero_of_the_load_cell_widens_the_interval(
 
     def fit(zero: Estimate | None) -> IndentationFit:
         item = replace(points(tool, DEPTH, truth + left, 0.005 * truth + 1e-3), zero=zero)
-        return fit_indentation(
-            [item], [table], start_pa=2e5, poisson_ratio=POISSON, free_nu=False,
-            touch_sigma_mm=0.0, profiled=("ln_e",),
-        )  # fmt: skip
+        return fitted([item], [table], touch_sigma_mm=0.0, profiled=("ln_e",), **KNOWN)
 
     trusted, known = fit(None), fit(Estimate(1.0, left, "N"))
     assert "zero_0" not in trusted.solution.names
@@ -198,19 +189,32 @@ def test_forces_scale_with_the_modulus(gel: Gel, tool: Tool) -> None:
     assert forces[1] == pytest.approx(forces[0], rel=2e-4)
 
 
-def test_perfect_data_come_back_exactly(tool: Tool, table: ForceTable) -> None:
-    force = table.force_n(DEPTH, MODULUS, POISSON)
-    fit = fit_indentation([points(tool, DEPTH, force)], [table], start_pa=4e5, poisson_ratio=0.45)
+def fitted(
+    sets: Sequence[IndentationPoints], tables: Sequence[ForceTable], **more: Any
+) -> IndentationFit:
+    """From a start beside the truth."""
+    return fit_indentation(sets, tables, **{"start_pa": 4e5, "poisson_ratio": 0.45} | more)
+
+
+KNOWN = {"poisson_ratio": POISSON, "free_nu": False}
+
+
+def test_perfect_data_come_back_exactly(tool: Tool, table: ForceTable, truth: np.ndarray) -> None:
+    fit = fitted([points(tool, DEPTH, truth)], [table])
     assert fit.young_modulus_pa == pytest.approx(MODULUS, rel=1e-4)
     assert fit.poisson_ratio == pytest.approx(POISSON, abs=1e-4)
     assert fit.touch_mm(0) == pytest.approx(0.0, abs=1e-4)
+    # A trusted touch is not fitted.
+    fit = fitted([points(tool, DEPTH, truth)], [table], touch_sigma_mm=0.0, **KNOWN)
+    assert fit.touch_mm(0) == 0.0 and fit.touch_interval_mm(0) == (0.0, 0.0)
+    assert np.abs(fit.relative_residuals(0)).max() < 1e-6
 
 
 def test_a_late_zero_is_found(tool: Tool, table: ForceTable) -> None:
     """But for what 0.15 mm are unlikely: 0.75 of a standard deviation of the zero, against points
     that usually scatter."""
     force = table.force_n(DEPTH + 0.15, MODULUS, POISSON)
-    fit = fit_indentation([points(tool, DEPTH, force)], [table], start_pa=4e5, poisson_ratio=0.45)
+    fit = fitted([points(tool, DEPTH, force)], [table])
     assert fit.touch_mm(0) == pytest.approx(-0.15, abs=3e-3)
     assert fit.young_modulus_pa == pytest.approx(MODULUS, rel=5e-3)
     low, high = fit.touch_interval_mm(0)
@@ -229,10 +233,8 @@ def test_the_modulus_of_a_finer_simulation_within_its_interval(
     for _ in range(100):
         touch = 0.02 * rng.standard_normal()
         force = truth * (1 + 0.01 * rng.standard_normal(len(depths)))
-        fit = fit_indentation(
-            [points(tool, depths + touch, force)], [simulated], start_pa=4e5, poisson_ratio=POISSON,
-            free_nu=False, touch_sigma_mm=0.02,
-        )  # fmt: skip
+        given = [points(tool, depths + touch, force)]
+        fit = fitted(given, [simulated], touch_sigma_mm=0.02, **KNOWN)
         low, high = fit.young_interval_pa
         hits += low <= MODULUS <= high
         errors.append(fit.young_modulus_pa / MODULUS - 1)
@@ -248,20 +250,18 @@ def test_errors_of_two_tables_that_differ_widen_poisson_ratio(gel: Gel) -> None:
     rough = [replace(t, error=TableError(0.0, np.full(7, 0.02))) for t in tables]
     force = [t.force_n(DEPTH, MODULUS, POISSON) for t in tables]
     sets = [points(t, DEPTH, f * s) for t, f, s in zip(tools, force, (1.02, 1.0), strict=True)]
-    start = {"start_pa": 4e5, "poisson_ratio": 0.45, "touch_sigma_mm": 0.0}
-    fit = fit_indentation(sets, rough, **start)
+    fit = fitted(sets, rough, touch_sigma_mm=0.0)
     low, high = fit.interval_of("nu")
     plain_low, plain_high = fit.solution.profiles["nu"].interval
     assert low <= POISSON <= high
     assert not plain_low <= POISSON <= plain_high
     # What the factor does to the fit, against a fit to forces with it.
-    other = fit_indentation(
-        [points(t, DEPTH, f) for t, f in zip(tools, force, strict=True)], rough, **start
-    )
+    exact = [points(t, DEPTH, f) for t, f in zip(tools, force, strict=True)]
+    other = fitted(exact, rough, touch_sigma_mm=0.0)
     moved = abs(fit.poisson_ratio - other.poisson_ratio)
     assert fit.model_errors["nu"] == pytest.approx(math.sqrt(2) * moved, rel=0.25)
     # One tool cannot tell them from the modulus.
-    alone = fit_indentation(sets[:1], rough[:1], free_nu=False, **start)
+    alone = fitted(sets[:1], rough[:1], free_nu=False, touch_sigma_mm=0.0)
     assert alone.model_errors["ln_e"] == pytest.approx(0.02, rel=1e-6)
 
 
@@ -282,7 +282,7 @@ def test_two_balls_tell_poisson_ratio(
             points(tool, wide, truth * (1 + 0.005 * rng.standard_normal(8))),
             points(small, depth, force * (1 + 0.005 * rng.standard_normal(8))),
         ]
-        fit = fit_indentation(sets, [simulated, second], start_pa=4e5, poisson_ratio=0.45)
+        fit = fitted(sets, [simulated, second])
         low, high = fit.interval_of("nu")
         hits[0] += low <= POISSON <= high
         low, high = fit.young_interval_pa
@@ -312,7 +312,7 @@ def test_a_narrow_and_a_wide_ball_tell_the_modulus_without_poisson_ratio(
             )
             for tool, force in zip(tools, truth, strict=True)
         ]
-        fit = fit_indentation(sets, tables, start_pa=4e5, poisson_ratio=0.46)
+        fit = fitted(sets, tables, poisson_ratio=0.46)
         low, high = fit.young_interval_pa
         hits += low <= MODULUS <= high
         errors.append(fit.young_modulus_pa / MODULUS - 1)
@@ -322,36 +322,23 @@ def test_a_narrow_and_a_wide_ball_tell_the_modulus_without_poisson_ratio(
 
 
 def test_one_ball_leaves_the_modulus_to_poisson_ratio_and_says_so(
-    tool: Tool, table: ForceTable
+    tool: Tool, table: ForceTable, truth: np.ndarray
 ) -> None:
     rng = np.random.default_rng(4)
-    force = table.force_n(DEPTH, MODULUS, POISSON) * (1 + 0.01 * rng.standard_normal(12))
-    given = [points(tool, DEPTH, force)]
-    free = fit_indentation(given, [table], start_pa=4e5, poisson_ratio=0.45)
+    given = [points(tool, DEPTH, truth * (1 + 0.01 * rng.standard_normal(12)))]
+    free = fitted(given, [table])
     (remark,) = young_with_nu(free)
     assert remark.code == "young_with_nu" and remark.severity is Severity.INFO
     assert "two tools" in remark.message and "correlation -0.9" in remark.message
-    held = fit_indentation(given, [table], start_pa=4e5, poisson_ratio=POISSON, free_nu=False)
-    assert young_with_nu(held) == []
+    assert young_with_nu(fitted(given, [table], **KNOWN)) == []
 
 
 def test_few_points_do_not_tell_poisson_ratio(
     tool: Tool, table: ForceTable, truth: np.ndarray
 ) -> None:
     some = points(tool, DEPTH[[3, 7, 11]], truth[[3, 7, 11]] * [1.01, 0.99, 1.005])
-    fit = fit_indentation([some], [table], start_pa=4e5, poisson_ratio=0.45)
-    profile = fit.solution.profiles["nu"]
+    profile = fitted([some], [table]).solution.profiles["nu"]
     assert profile.open_low and profile.open_high
-
-
-def test_a_trusted_touch_is_not_fitted(tool: Tool, table: ForceTable) -> None:
-    force = table.force_n(DEPTH, MODULUS, POISSON)
-    fit = fit_indentation(
-        [points(tool, DEPTH, force)], [table], start_pa=4e5, poisson_ratio=POISSON,
-        free_nu=False, touch_sigma_mm=0.0,
-    )  # fmt: skip
-    assert fit.touch_mm(0) == 0.0
-    assert np.abs(fit.relative_residuals(0)).max() < 1e-6
 
 
 def test_stated_noise_that_is_too_small_is_noticed(
@@ -359,10 +346,7 @@ def test_stated_noise_that_is_too_small_is_noticed(
 ) -> None:
     rng = np.random.default_rng(1)
     force = truth * (1 + 0.05 * rng.standard_normal(12))
-    fit = fit_indentation(
-        [points(tool, DEPTH, force, 0.002 * truth)], [table], start_pa=4e5, poisson_ratio=POISSON,
-        free_nu=False,
-    )  # fmt: skip
+    fit = fitted([points(tool, DEPTH, force, 0.002 * truth)], [table], **KNOWN)
     assert fit.noise == "given" and fit.solution.misfit
     low, high = fit.young_interval_pa
     assert low < MODULUS < high

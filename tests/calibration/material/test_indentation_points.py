@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from taccel_lab.calibration.material.gel import Gel
 from taccel_lab.calibration.material.indentation_points import (
@@ -16,7 +14,7 @@ from taccel_lab.calibration.material.indentation_points import (
 )
 from taccel_lab.envs.bonded_layer import layer_force_n
 from taccel_lab.errors import InputError
-from tests.calibration.material.records import record
+from tests.calibration.material.made_up import record
 
 DEPTH = np.linspace(0.1, 1.0, 10)
 FORCE = layer_force_n("sphere", DEPTH, 4.0, 4.0, 0.48, 3e5)
@@ -47,18 +45,6 @@ def test_a_wrong_unit_is_named(gel: Gel, force: float, depth: float, unit: str) 
     with pytest.raises(InputError, match=unit.strip()) as error:
         require_plausible([points], 4.0, 0.48)
     assert "1e+07" in str(error.value)
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.floats(2.1e4, 2.4e6), st.sampled_from([1e3, 1 / 9.80665e-3, 1e-3]))
-def test_wrong_units_never_pass_unsaid(gel: Gel, modulus: float, factor: float) -> None:
-    points = read(gel, DEPTH, FORCE * modulus / 3e5 * factor)
-    try:
-        found, remarks = require_plausible([points], 4.0, 0.48)
-    except InputError:
-        return
-    # Inside what a gel can be, but then a remark doubts it, or it is as usual as the truth.
-    assert remarks or 2e4 <= found <= 2.5e6
 
 
 def test_soft_gels_in_grams_are_doubted(gel: Gel) -> None:

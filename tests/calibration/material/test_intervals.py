@@ -18,8 +18,7 @@ from taccel_lab.calibration.material.indentation import (
     IndentationFit,
     fit_indentation,
 )
-from taccel_lab.calibration.material.indentation_points import IndentationPoints
-from tests.calibration.material.tables import layer_table
+from tests.calibration.material.made_up import layer_table, points
 
 MODULUS_PA, POISSON = 2.4e5, 0.47
 TOUCH_SIGMA_MM = 0.03
@@ -65,23 +64,12 @@ def fitted(
     force = scale * table.force_n(depth - late_mm, MODULUS_PA, POISSON)
     read = force * (1 + noise * rng.normal(size=count))
     sigma = noise * force if stated else None
-    record = IndentationPoints("press", "press.csv", "0" * 64, tool, depth, read, sigma)
-    fit = bare_fit(record, table, TOUCH_SIGMA_MM)
+    fit = fit_indentation(
+        [points(tool, depth, read, sigma)], [table], start_pa=1e5, poisson_ratio=POISSON,
+        free_nu=False, touch_sigma_mm=TOUCH_SIGMA_MM, profiled=(),
+    )  # fmt: skip
     assert not fit.solution.profiles
     return fit, late_mm
-
-
-def bare_fit(record: IndentationPoints, table: ForceTable, touch_sigma_mm: float) -> IndentationFit:
-    """Of the modulus and the touch point, without profiles."""
-    return fit_indentation(
-        [record],
-        [table],
-        start_pa=1e5,
-        poisson_ratio=POISSON,
-        free_nu=False,
-        touch_sigma_mm=touch_sigma_mm,
-        profiled=(),
-    )
 
 
 @pytest.mark.parametrize(
@@ -135,11 +123,3 @@ def test_it_is_about_as_wide_as_the_profile(tool: Tool, exact: ForceTable, state
         assert bare.touch_interval_mm(0) == pytest.approx(
             whole.touch_interval_mm(0), abs=0.1 * width
         )
-
-
-def test_a_touch_that_is_trusted_has_no_width(tool: Tool, exact: ForceTable) -> None:
-    depth = np.linspace(0.3, 1.3, 5)
-    force = exact.force_n(depth, MODULUS_PA, POISSON)
-    record = IndentationPoints("press", "press.csv", "0" * 64, tool, depth, force, 0.01 * force)
-    fit = bare_fit(record, exact, 0.0)
-    assert fit.touch_interval_mm(0) == (0.0, 0.0) and fit.touch_mm(0) == 0.0

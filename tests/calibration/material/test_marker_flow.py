@@ -17,7 +17,7 @@ from taccel_lab.calibration.material.press_plans import GelBench, simulate
 from taccel_lab.calibration.material.tool_path import ToolPath
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
-from tests.calibration.material.physics import COARSE, COARSER, DEFAULT
+from tests.calibration.material.made_up import COARSE, COARSER, DEFAULT
 
 FRICTION, POISSON = 0.5, 0.475
 X, Y = np.meshgrid(np.linspace(-4, 4, 7), np.linspace(-3, 3, 5))

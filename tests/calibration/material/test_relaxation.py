@@ -16,8 +16,7 @@ from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
 from taccel_lab.calibration.material.relaxation import DampingFit, fit_damping
 from taccel_lab.errors import InputError
-from tests.calibration.material.physics import COARSE, FAST
-from tests.calibration.material.records import record
+from tests.calibration.material.made_up import COARSE, FAST, record
 
 TIME = np.arange(0, 3, 0.02)
 DEPTH = np.minimum(2 * TIME, 1.0)

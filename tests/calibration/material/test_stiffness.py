@@ -19,7 +19,7 @@ from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.indentation_points import IndentationPoints
 from taccel_lab.calibration.material.stiffness import KnownLaw, Stiffness, fit_stiffness
 from taccel_lab.calibration.result import Severity, Verdict, judge
-from tests.calibration.material.tables import layer_table
+from tests.calibration.material.made_up import layer_table, points
 
 MODULUS, HELD = 3e5, 0.46
 FEW = np.array([0.4, 0.7, 1.0])
@@ -44,16 +44,10 @@ def rubbed(table: ForceTable) -> ForceTable:
     return replace(table, responses=responses, error=TableError(0.0, np.zeros(1)))
 
 
-def record(
-    tool: Tool, depth: np.ndarray, force: np.ndarray, sigma: np.ndarray | None = None
-) -> IndentationPoints:
-    return IndentationPoints("press", "press.csv", "0" * 64, tool, depth, force, sigma)
-
-
-def fitted(points: IndentationPoints, tables: dict[float, ForceTable], **law: bool) -> Stiffness:
+def fitted(given: IndentationPoints, tables: dict[float, ForceTable], **law: bool) -> Stiffness:
     known = KnownLaw(HELD, 0.0, law.get("free_nu", True), False)
     every = {mu: [table] for mu, table in tables.items()}
-    return fit_stiffness([points], every, known, start_pa=4e5)
+    return fit_stiffness([given], every, known, start_pa=4e5)
 
 
 def inside(interval: tuple[float, float], value: float) -> bool:
@@ -80,7 +74,7 @@ def test_intervals_hold_what_the_points_do_not_tell(
         zero = zero_mm * rng.standard_normal()
         true = table.force_n(np.append(depths, deeper) - zero, MODULUS, nu)
         read = true * (1 + noise * rng.standard_normal(len(true)))
-        found = fitted(record(tool, depths, read[:-1]), {0.0: table})
+        found = fitted(points(tool, depths, read[:-1]), {0.0: table})
         force = float(table.force_n(np.array([deeper]), MODULUS, nu)[0])
         hits[0] += inside(found.young.interval95, MODULUS)
         hits[1] += inside(found.force_interval_n(0, deeper), force)
@@ -95,19 +89,19 @@ def test_held_out_points_lie_in_their_intervals(tool: Tool, table: ForceTable) -
     for _ in range(4):
         nu = rng.uniform(0.42, 0.495)
         force = table.force_n(MANY - 0.05 * rng.standard_normal(), MODULUS, nu)
-        found = fitted(record(tool, MANY, force * (1 + 0.02 * rng.normal(size=10))), {0.0: table})
+        found = fitted(points(tool, MANY, force * (1 + 0.02 * rng.normal(size=10))), {0.0: table})
         assert len(found.held_out) == len(MANY)
         hits += [inside(item.interval_n, item.force_n) for item in found.held_out]
     assert sum(hits) >= 36  # of 40
 
 
 def test_few_points_that_fit_are_not_called_good(tool: Tool, table: ForceTable) -> None:
-    found = fitted(record(tool, FEW, table.force_n(FEW, MODULUS, 0.48)), {0.0: table})
+    found = fitted(points(tool, FEW, table.force_n(FEW, MODULUS, 0.48)), {0.0: table})
     assert np.abs(found.fit.relative_residuals(0)).max() < 0.01
     (said,) = [remark for remark in found.remarks if remark.code == "few_degrees_of_freedom"]
     assert said.severity is Severity.WARNING and "3 points and 2 fitted numbers" in said.message
     assert judge(found.remarks) is not Verdict.GOOD
-    many = fitted(record(tool, MANY, table.force_n(MANY, MODULUS, 0.48)), {0.0: table})
+    many = fitted(points(tool, MANY, table.force_n(MANY, MODULUS, 0.48)), {0.0: table})
     assert "few_degrees_of_freedom" not in {remark.code for remark in many.remarks}
 
 
@@ -116,20 +110,20 @@ def test_points_choose_the_friction_that_explains_them(tool: Tool, table: ForceT
     rng = np.random.default_rng(1)
     for mu, source in tables.items():
         force = source.force_n(MANY, MODULUS, HELD) * (1 + 0.005 * rng.standard_normal(10))
-        found = fitted(record(tool, MANY, force), tables, free_nu=False)
+        found = fitted(points(tool, MANY, force), tables, free_nu=False)
         assert found.friction == mu
         assert found.young.value == pytest.approx(MODULUS, rel=0.03)
         (said,) = [remark for remark in found.remarks if remark.code == "friction_assumed"]
         assert f"coefficient of {mu:g}" in said.message and said.severity is Severity.WARNING
-    alone = fitted(record(tool, MANY, force), {0.8: tables[0.8]}, free_nu=False)
+    alone = fitted(points(tool, MANY, force), {0.8: tables[0.8]}, free_nu=False)
     assert "friction_assumed" not in {remark.code for remark in alone.remarks}
 
 
 def test_friction_that_points_do_not_tell_widens_intervals(tool: Tool, table: ForceTable) -> None:
     force = table.force_n(FEW, MODULUS, HELD) * [1.01, 0.99, 1.005]
-    points = record(tool, FEW, force)
-    alone = fitted(points, {0.0: table}, free_nu=False)
-    both = fitted(points, {0.0: table, 0.8: rubbed(table)}, free_nu=False)
+    given = points(tool, FEW, force)
+    alone = fitted(given, {0.0: table}, free_nu=False)
+    both = fitted(given, {0.0: table, 0.8: rubbed(table)}, free_nu=False)
     assert len(both.open_fits) == 2
     (low, high), (narrow_low, narrow_high) = both.young.interval95, alone.young.interval95
     assert low < 0.97 * narrow_low and high == pytest.approx(narrow_high, rel=0.02)
@@ -142,7 +136,7 @@ def test_a_force_at_a_recorded_depth_allows_for_the_zero(
     """First touch shifts what a record calls a depth, and not what a press calls one."""
     used = gel.tool(ToolEntry(kind=kind, radius_mm=5.0))
     force = table.force_n(MANY - 0.1, MODULUS, HELD)
-    found = fitted(record(used, MANY, force), {0.0: table}, free_nu=False)
+    found = fitted(points(used, MANY, force), {0.0: table}, free_nu=False)
     assert found.fit.touch_mm(0) == pytest.approx(0.1, abs=5e-3)
     recorded = found.reading_interval_n(0, 0.8)
     assert inside(recorded, float(table.force_n(np.array([0.7]), MODULUS, HELD)[0]))

@@ -18,8 +18,7 @@ from taccel_lab.calibration.material.tangential import fit_tangential
 from taccel_lab.calibration.material.tangential_table import Motion, motion_plan
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
-from tests.calibration.material.physics import COARSER, FAST
-from tests.calibration.material.records import record
+from tests.calibration.material.made_up import COARSER, FAST, record
 
 FRICTION, POISSON, MODULUS, DEPTH = 0.45, 0.47, 2.4e5, 0.6
 STEPS = np.array([0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.4, 1.9, 2.4]) * DEPTH

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The +- of depths holds what the calibration itself was told wrong: circles, the scale."""
+"""The +- of depths holds what the calibration was told wrong; smaller images, the same depth."""
 
 from __future__ import annotations
 
@@ -10,22 +10,24 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import CaptureSet
+from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.skirt import layer_skirts
 from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights
 from taccel_lab.signals.rest_surface import flat_rest
-from tests.calibration.normals.test_normals import (
+from tests.calibration.normals.conftest import (
     PAD,
     QUICK,
+    Clean,
     calibrated,
     circles_of,
-    one_thread,  # noqa: F401  (a fixture of every test)
     sunk_captures,
 )
-from tests.support.synthetic_presses import GRID
+from tests.support.synthetic_presses import GRID, flat_profile
 
+pytestmark = pytest.mark.usefixtures("one_thread")
 Known = tuple[CaptureSet, list[PressSurface]]
 
 
@@ -98,3 +100,20 @@ def test_what_is_wrong_as_stated_is_held(
     # Wide enough, and not silly.
     off = np.mean([np.abs(read.rise_m.min() / rise_m.min() - 1) for read, rise_m in found])
     assert off < 2 * share_of_depth(found) < 5 * off
+
+
+def test_a_smaller_image_gives_the_same_depth_at_the_same_place(
+    clean: Clean,
+) -> None:
+    captures, _, result = clean
+    profile = result.apply_to(flat_profile(GRID))
+    image = captures.presses[captures.split(4).heldout[0]].image()
+    whole, half = SurfaceReader(profile), SurfaceReader(profile, shrink=2)
+    assert half.grid.width_px == pytest.approx(GRID.width_px / 2, abs=2)
+    fine, coarse = whole.read(image), half.read(image)
+    assert coarse.rise_m.shape == (half.grid.height_px, half.grid.width_px)
+    assert coarse.rise_m.min() == pytest.approx(fine.rise_m.min(), rel=0.03)
+    a, b = fine.figures(whole.grid), coarse.figures(half.grid)
+    assert b["deepest_gel_mm"] == pytest.approx(a["deepest_gel_mm"], abs=0.25)
+    quick = half.read_levels(half.in_own_light(image), uncertainty=False)
+    assert quick.height_sigma_m is None and (quick.rise_m == coarse.rise_m).all()

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.normals.ball_normals import ball_center_px, ball_normals
 from taccel_lab.calibration.normals.fit import fit_normals
 from taccel_lab.calibration.normals.network_fit import InverseFitOptions, fit_normal_model
@@ -20,7 +19,6 @@ from taccel_lab.calibration.normals.report import normals_page
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import SampleOptions, Scene
 from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_mm
-from taccel_lab.calibration.normals.skirt import layer_skirts
 from taccel_lab.calibration.report import write_page
 from taccel_lab.calibration.result import Verdict, judge
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
@@ -31,6 +29,15 @@ from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.signals.normals import normals_from_height, rotate_from_z
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.calibration.drawn.faults import drift as light_drift
+from tests.calibration.normals.conftest import (
+    PAD,
+    QUICK,
+    Clean,
+    calibrated,
+    circles_of,
+    sunk_captures,
+    with_images,
+)
 from tests.support.synthetic_presses import (
     BALL_RADIUS_MM,
     GRID,
@@ -41,55 +48,11 @@ from tests.support.synthetic_presses import (
     tiny_profile,
 )
 
-QUICK = InverseFitOptions(
-    samples=SampleOptions(disc_pixels=600, skirt_pixels=600, flat_pixels=200, zooms=2),
-    members=3, hidden=(24, 24), steps=350, batch_pixels=384,
-)  # fmt: skip
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> None:
-    torch.set_num_threads(1)
-
-
-def circles_of(captures: CaptureSet) -> list[ContactCircle]:
-    return [press.circle for press in captures.presses if press.circle is not None]
-
-
-def calibrated(
-    captures: CaptureSet, surfaces: list[PressSurface] | None, **changes: object
-) -> NormalCalibration:
-    settings = {"options": QUICK, "baseline": False} | changes
-    split = captures.split(4)
-    training = captures.only(split.train)
-    return fit_normals(
-        training,
-        circles_of(training),
-        None if surfaces is None else [surfaces[i] for i in split.train],
-        captures.only(split.heldout),
-        split=split,
-        **settings,  # type: ignore[arg-type]
-    )
-
-
-def with_images(captures: CaptureSet, change: object) -> CaptureSet:
-    """The captures with ``change(image, index)`` in the place of each image."""
-    presses = tuple(
-        replace(press, read=partial(change, press.image(), i))  # type: ignore[arg-type]
-        for i, press in enumerate(captures.presses)
-    )
-    return replace(captures, presses=presses)
-
-
-@pytest.fixture(scope="module")
-def clean() -> tuple[CaptureSet, list[PressSurface], NormalCalibration]:
-    torch.set_num_threads(1)
-    captures, surfaces = synthetic_captures(16, noise=0.0)
-    return captures, surfaces, calibrated(captures, surfaces)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 def test_perfect_captures_are_read_to_the_networks_precision(
-    clean: tuple[CaptureSet, list[PressSurface], NormalCalibration],
+    clean: Clean,
 ) -> None:
     captures, surfaces, result = clean
     assert tuple(item.name for item in result.heldout) == captures.split(4).heldout_names
@@ -103,14 +66,8 @@ def test_perfect_captures_are_read_to_the_networks_precision(
         assert off.mean() < 1.5  # over the whole image, skirt and all
         assert -1e3 * item.height_m.min() == pytest.approx(surface.depth_mm, rel=0.08)
     assert judge(result.remarks) is not Verdict.WEAK
-
-
-def test_the_curve_holds_degrees(
-    clean: tuple[CaptureSet, list[PressSurface], NormalCalibration],
-) -> None:
-    fit = clean[2].fit
-    left_out = float(np.mean(list(fit.left_out_deg.values())))
-    assert 0.5 * left_out < fit.curve[-1][2] < 2 * left_out
+    left_out = float(np.mean(list(result.fit.left_out_deg.values())))
+    assert 0.5 * left_out < result.fit.curve[-1][2] < 2 * left_out  # The curve is of degrees, too.
 
 
 def test_noisy_captures_err_as_expected() -> None:
@@ -254,9 +211,7 @@ def test_light_that_changes_within_the_image_asks_for_bands(tmp_path: Path) -> N
     assert found.normals == pytest.approx(results[1].heldout[0].predicted.normals, abs=1e-6)
 
 
-def test_profile_reads_what_the_calibration_read(
-    clean: tuple[CaptureSet, list[PressSurface], NormalCalibration], tmp_path: Path
-) -> None:
+def test_profile_reads_what_the_calibration_read(clean: Clean, tmp_path: Path) -> None:
     captures, surfaces, result = clean
     save_profile(result.apply_to(flat_profile(GRID)), tmp_path / "profile")
     profile = load_profile(tmp_path / "profile")
@@ -283,7 +238,7 @@ def test_profile_reads_what_the_calibration_read(
     assert (tmp_path / "report" / "errors.png").stat().st_size > 10_000
 
 
-def test_ball_normals_are_those_of_the_analytic_surface() -> None:
+def test_balls_are_those_of_the_analytic_surface() -> None:
     grid = PixelGrid(80, 60, 0.08, 0.1)
     circle = ContactCircle(41.3, 28.7, 16.0)
     surface = analytic_surface(circle, grid, 2.0)
@@ -291,6 +246,10 @@ def test_ball_normals_are_those_of_the_analytic_surface() -> None:
     found = ball_normals(circle, grid, 2.0)
     # The analytic surface is interpolated in a table of 8192 radii.
     assert angle_between_deg(found, surface.normals)[inside].max() < 0.1
+    circle = ContactCircle(80.0, 60.0, 15.0)
+    depth = ball_depth_mm(circle, Scene(flat_background(), GRID, 2.0))
+    assert depth[60, 80] == pytest.approx(2.0 - np.sqrt(4.0 - 2.25))
+    assert depth[60, 95] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_ball_on_a_tilted_face_stands_off_along_its_normal() -> None:
@@ -329,13 +288,6 @@ def test_curved_gel_is_read_relative_to_its_rest() -> None:
         assert angle_between_deg(flat, wanted)[skirt].mean() > 6
 
 
-def test_ball_depth_is_zero_on_the_circle() -> None:
-    circle = ContactCircle(80.0, 60.0, 15.0)
-    depth = ball_depth_mm(circle, Scene(flat_background(), GRID, 2.0))
-    assert depth[60, 80] == pytest.approx(2.0 - np.sqrt(4.0 - 2.25))
-    assert depth[60, 95] == pytest.approx(0.0, abs=1e-12)
-
-
 def test_grey_captures_are_called_so() -> None:
     captures, surfaces = synthetic_captures(8)
 
@@ -366,26 +318,6 @@ def test_bad_fits_are_refused() -> None:
         fit_normals(nothing, circles_of(nothing), surfaces, options=QUICK, drift="off")
     with pytest.raises(InputError, match="neither a normals nor a depth_response"):
         SurfaceReader(tiny_profile(GRID))
-
-
-PAD = BondedLayer(4.0, 0.48)
-
-
-def sunk_captures() -> tuple[CaptureSet, list[PressSurface]]:
-    """Balls whose gel sinks around them as a bonded layer does."""
-    captures, _ = synthetic_captures(16, noise=0.0)
-    surfaces = layer_skirts(captures, circles_of(captures), PAD, flat_rest(GRID))
-    images = [np.clip(flat_background() + known_change(s), 0, 255) for s in surfaces]
-    return with_images(captures, lambda _, i: images[i]), surfaces
-
-
-@pytest.fixture(scope="module")
-def practised() -> NormalCalibration:
-    """Networks that practised on other tools."""
-    torch.set_num_threads(1)
-    captures, surfaces = sunk_captures()
-    options = replace(QUICK, steps=800, practice=24)
-    return calibrated(captures, surfaces, options=options, pad=PAD)
 
 
 def test_a_pad_of_another_thickness_is_told() -> None:

@@ -5,12 +5,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
-import torch
 
 from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
+from taccel_lab.calibration.color.frames import ColorFrame
+from taccel_lab.calibration.color.network_fit import fit_color_model
+from taccel_lab.calibration.normals.practice import ImageNoise
 from taccel_lab.calibration.normals.reading_error import KnownPress, with_reading_errors
 from taccel_lab.calibration.normals.samples import (
     InverseFrame,
@@ -25,17 +29,14 @@ from taccel_lab.signals.normal_model import NormalModel, expected_shapes
 from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
 from taccel_lab.signals.rest_surface import flat_rest
+from tests.support.synthetic_presses import synthetic_captures
 
+pytestmark = pytest.mark.usefixtures("one_thread")
 GRID = PixelGrid(60, 56, 0.1, 0.1)
 BALL_MM, PAD = 3.0, BondedLayer(4.0, 0.46)
 SLOPE_PER_LEVEL = 0.02
 """Of the sensor drawn here: red tells the slope along x, green that along y."""
 SCENE = Scene(np.full((56, 60, 3), 120.0, dtype=np.float32), GRID, BALL_MM)
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> None:
-    torch.set_num_threads(1)
 
 
 def reader(members: int = 2, wrong: float = 0.0) -> NormalModel:
@@ -83,6 +84,7 @@ def presses(label_px: float, stated_px: float, count: int = 8) -> Iterator[Known
         )
 
 
+@cache
 def calibrated(label_px: float, stated_px: float) -> NormalModelConfig:
     """Practice is read without error of labels, balls with."""
     practice = [replace(press, normals_sigma_deg=None) for press in presses(0.0, 0.0)]
@@ -133,3 +135,22 @@ def test_a_stated_pixel_of_all_radii_moves_depths_as_it_does() -> None:
     assert depth_share([(here, circle)], 0.0, BALL_MM, GRID, scale_share=0.05) == pytest.approx(
         np.hypot(without, 0.1)
     )
+
+
+def test_noise_is_that_of_the_captures_where_contacts_fill_the_picture() -> None:
+    """No pixel lies beyond 2.5 radii of any of these; a level of noise was made up for them."""
+    captures, surfaces = synthetic_captures(6, noise=3.0, radii_px=(44.0, 48.0), ball_mm=6.0)
+    frames = [
+        InverseFrame(p.name, p.image().astype(np.float32), p.circle, p.sha256, surface)
+        for p, surface in zip(captures.presses, surfaces, strict=True)
+        if p.circle is not None and not p.circle.untouched(captures.grid).any()
+    ]
+    assert len(frames) > 1
+    scene = Scene(captures.background.astype(np.float32), captures.grid, 6.0, None, None)
+    shown = [
+        ColorFrame(f.name, f.image, f.circle, f.surface, f.sha256) for f in frames if f.surface
+    ]
+    options = ColorFitOptions(steps=5)
+    colors = fit_color_model(shown, scene.background, scene.grid, options).model
+    noise = ImageNoise.of(frames, scene, colors)
+    assert noise.white_levels == pytest.approx(3.0, rel=0.15)

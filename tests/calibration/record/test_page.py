@@ -13,7 +13,6 @@ import pytest
 
 from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.capture.coverage import CELLS, cell_name, cell_of
-from taccel_lab.calibration.record.facts import QUICK_LEAVES_OUT
 from taccel_lab.calibration.record.folder import open_record
 from taccel_lab.calibration.record.page import LAMP_COLORS, RecordPage
 from taccel_lab.calibration.record.pictures import BLUE
@@ -154,11 +153,6 @@ def test_the_page_shows_all_there_is_to_see_and_its_buttons_work(tmp_path: Path)
         session.join(timeout=60)
         assert not session.is_alive()
     assert len(load_capture_folder(tmp_path / "out").presses) == 1
-
-
-def test_what_is_left_out_names_scale_and_force() -> None:
-    begins = [line.split(":")[0] for line in QUICK_LEAVES_OUT]
-    assert {"scale", "force", "lens", "presses"} <= set(begins)
 
 
 @pytest.mark.parametrize("aspect", [0.5, 1.0, 2.5])

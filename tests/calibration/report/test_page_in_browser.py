@@ -44,9 +44,27 @@ def canvas_pixels(page: Any) -> np.ndarray:
         return np.asarray(file.convert("RGBA")).astype(int)
 
 
+def canvas_of(page: Any) -> Any:
+    """The mesh, once it is drawn."""
+    canvas = page.query_selector(".mesh-view canvas")
+    canvas.scroll_into_view_if_needed()
+    wait_for(page, lambda: (canvas_pixels(page)[..., 3] > 0).mean() > 0.1)
+    return canvas
+
+
 def test_nothing_runs_over_on_screen_nor_in_print(address: str) -> None:
+    closed = "() => document.querySelectorAll('details:not([open])').length"
     with chromium_page(address, (1280, 900)) as page:
         assert page.evaluate(WIDER) == []
+        sheets = len(re.findall(rb"/Type\s*/Page[^s]", page.pdf(format="A4")))
+        assert 1 < sheets <= MOST_SHEETS
+        # Every block opens with one click, and folds again with another.
+        count = page.evaluate(closed)
+        assert count > 0
+        page.click(".open-all")
+        assert page.evaluate(closed) == 0
+        page.click(".open-all")
+        assert page.evaluate(closed) == count
         for details in page.query_selector_all("details"):
             details.evaluate("e => e.open = true")
         assert page.evaluate(WIDER) == []
@@ -62,12 +80,6 @@ def test_text_of_tables_is_readable_on_a_phone(address: str) -> None:
         found = page.evaluate(widths)
         assert found and min(found) > 200
         assert page.evaluate("() => document.documentElement.scrollWidth") <= 390
-
-
-def test_it_prints_on_few_sheets(address: str) -> None:
-    with chromium_page(address) as page:
-        sheets = len(re.findall(rb"/Type\s*/Page[^s]", page.pdf(format="A4")))
-        assert 1 < sheets <= MOST_SHEETS
 
 
 def test_dark_is_dark_and_prints_light(address: str) -> None:
@@ -97,9 +109,7 @@ def test_a_click_opens_a_picture_and_another_closes_it(address: str) -> None:
 
 def test_the_gel_turns_under_mouse_and_keys_and_prints_still(address: str) -> None:
     with chromium_page(address, (1280, 900)) as page:
-        canvas = page.query_selector(".mesh-view canvas")
-        canvas.scroll_into_view_if_needed()
-        wait_for(page, lambda: (canvas_pixels(page)[..., 3] > 0).mean() > 0.1)
+        canvas = canvas_of(page)
         box = canvas.bounding_box()
         left, top, right, bottom = (
             round(v)
@@ -143,10 +153,7 @@ def test_the_gel_turns_under_mouse_and_keys_and_prints_still(address: str) -> No
 
 def test_the_bare_wheel_scrolls_the_page_and_says_what_zooms(address: str) -> None:
     with chromium_page(address, (1280, 900)) as page:
-        canvas = page.query_selector(".mesh-view canvas")
-        canvas.scroll_into_view_if_needed()
-        wait_for(page, lambda: (canvas_pixels(page)[..., 3] > 0).mean() > 0.1)
-        box = canvas.bounding_box()
+        box = canvas_of(page).bounding_box()
         page.mouse.move(box["x"] + 200, box["y"] + 150)
         # Also after a click into it: whoever turned the gel scrolls on.
         page.mouse.down()
@@ -172,9 +179,7 @@ def test_fingers_scroll_the_page_turn_and_zoom(address: str) -> None:
         )
         page = context.new_page()
         page.goto(address)
-        canvas = page.query_selector(".mesh-view canvas")
-        canvas.scroll_into_view_if_needed()
-        wait_for(page, lambda: (canvas_pixels(page)[..., 3] > 0).mean() > 0.1)
+        canvas = canvas_of(page)
         touch = context.new_cdp_session(page)
         box = canvas.bounding_box()
         x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
@@ -205,14 +210,3 @@ def test_fingers_scroll_the_page_turn_and_zoom(address: str) -> None:
         assert page.evaluate("scrollY") == at
         move(((0, -60), (0, 100)))
         wait_for(page, lambda: page.evaluate("scrollY") < at)
-
-
-def test_open_all_opens_every_block_and_folds_them_again(address: str) -> None:
-    closed = "() => document.querySelectorAll('details:not([open])').length"
-    with chromium_page(address) as page:
-        count = page.evaluate(closed)
-        assert count > 0
-        page.click(".open-all")
-        assert page.evaluate(closed) == 0
-        page.click(".open-all")
-        assert page.evaluate(closed) == count

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fits of normals to synthetic presses, made once for all tests of this folder."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.normals.fit import fit_normals
+from taccel_lab.calibration.normals.network_fit import InverseFitOptions
+from taccel_lab.calibration.normals.result import NormalCalibration
+from taccel_lab.calibration.normals.samples import SampleOptions
+from taccel_lab.calibration.normals.skirt import layer_skirts
+from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
+from taccel_lab.signals.rest_surface import flat_rest
+from tests.support.synthetic_presses import (
+    GRID,
+    flat_background,
+    known_change,
+    synthetic_captures,
+)
+
+QUICK = InverseFitOptions(
+    samples=SampleOptions(disc_pixels=600, skirt_pixels=600, flat_pixels=200, zooms=2),
+    members=3, hidden=(24, 24), steps=350, batch_pixels=384,
+)  # fmt: skip
+PAD = BondedLayer(4.0, 0.48)
+Clean = tuple[CaptureSet, list[PressSurface], NormalCalibration]
+
+
+@pytest.fixture
+def one_thread() -> None:
+    """Sums come out alike on every machine."""
+    torch.set_num_threads(1)
+
+
+def circles_of(captures: CaptureSet) -> list[ContactCircle]:
+    return [press.circle for press in captures.presses if press.circle is not None]
+
+
+def calibrated(
+    captures: CaptureSet, surfaces: list[PressSurface] | None, **changes: object
+) -> NormalCalibration:
+    settings = {"options": QUICK, "baseline": False} | changes
+    split = captures.split(4)
+    training = captures.only(split.train)
+    return fit_normals(
+        training,
+        circles_of(training),
+        None if surfaces is None else [surfaces[i] for i in split.train],
+        captures.only(split.heldout),
+        split=split,
+        **settings,  # type: ignore[arg-type]
+    )
+
+
+def with_images(captures: CaptureSet, change: object) -> CaptureSet:
+    """The captures with ``change(image, index)`` in the place of each image."""
+    presses = tuple(
+        replace(press, read=partial(change, press.image(), i))  # type: ignore[arg-type]
+        for i, press in enumerate(captures.presses)
+    )
+    return replace(captures, presses=presses)
+
+
+@pytest.fixture(scope="session")
+def clean() -> Clean:
+    torch.set_num_threads(1)
+    captures, surfaces = synthetic_captures(16, noise=0.0)
+    return captures, surfaces, calibrated(captures, surfaces)
+
+
+def sunk_captures() -> tuple[CaptureSet, list[PressSurface]]:
+    """Balls whose gel sinks around them as a bonded layer does."""
+    captures, _ = synthetic_captures(16, noise=0.0)
+    surfaces = layer_skirts(captures, circles_of(captures), PAD, flat_rest(GRID))
+    images = [np.clip(flat_background() + known_change(s), 0, 255) for s in surfaces]
+    return with_images(captures, lambda _, i: images[i]), surfaces
+
+
+@pytest.fixture(scope="session")
+def practised() -> NormalCalibration:
+    """Networks that practised on other tools."""
+    torch.set_num_threads(1)
+    captures, surfaces = sunk_captures()
+    options = replace(QUICK, steps=800, practice=24)
+    return calibrated(captures, surfaces, options=options, pad=PAD)
