@@ -23,7 +23,7 @@ from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.errors import InputError
-from taccel_lab.file_cache import CACHE_VARIABLE, cache_folder, content_key
+from taccel_lab.file_cache import CACHE_VARIABLE, content_key
 from taccel_lab.geometry import Region, TetMesh
 
 
@@ -184,37 +184,6 @@ def test_regions_of_a_known_mesh_are_recovered(rim: str) -> None:
     surface = tessellate_solid(labelled_solid(pad))
     found = transfer_regions(mesh.nodes_m * 1e3, mesh.faces, surface)
     assert (found == mesh.face_regions).mean() > 0.995
-
-
-def test_second_request_comes_from_the_cache(monkeypatch: pytest.MonkeyPatch) -> None:
-    pad = small_pad()
-    mesh = gel_mesh(pad, 1.5)
-    monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", lambda *_, **__: mesh)
-    first = tetwild_gel_mesh(pad, 1.5, epsilon=5e-3)
-    monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", None)
-    second = tetwild_gel_mesh(pad, 1.5, epsilon=5e-3)
-    assert first.nodes_m.tobytes() == second.nodes_m.tobytes()
-    assert np.array_equal(first.face_regions, second.face_regions)
-    with pytest.raises(TypeError):
-        tetwild_gel_mesh(pad, 1.4, epsilon=5e-3)
-
-
-def test_damaged_cache_is_reported_and_rebuilt() -> None:
-    pad = GelPad()
-    built = []
-
-    def build():
-        built.append(1)
-        return gel_mesh(pad, 2.0)
-
-    cached_mesh({"a": 1.0}).read_or_make(build)
-    (stored,) = (cache_folder() / "meshes").glob("*.cache")
-    stored.write_bytes(stored.read_bytes()[:1000])
-    with pytest.warns(UserWarning, match="damaged"):
-        mesh = cached_mesh({"a": 1.0}).read_or_make(build)
-    assert len(built) == 2 and mesh.node_count > 0
-    assert cached_mesh({"a": 1.0}).read_or_make(build).tets.tobytes() == mesh.tets.tobytes()
-    assert len(built) == 2
 
 
 def test_keys_follow_content() -> None:

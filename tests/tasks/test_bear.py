@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Unions of balls in tets, and the bear that is kept."""
+"""The bear that is kept is the union of the balls that it was made of, meshed by fTetWild."""
 
 from __future__ import annotations
 
@@ -7,26 +7,20 @@ import numpy as np
 import pytest
 
 from taccel_lab.bodies.mesh_checks import check_tets
-from taccel_lab.cad.mesh.balls import BEAR, balls_mesh
-from taccel_lab.geometry import Region
 from taccel_lab.geometry.tet_mesh import tet_volumes
 from taccel_lab.tasks.catalogue import named
 from taccel_lab.tasks.grasp_lift import SoftGraspParameters, SoftShape
 
-
-def test_two_balls_that_touch_in_a_lens() -> None:
-    balls = np.array([(0.0, 0.0, 0.0, 10.0), (12.0, 0.0, 0.0, 8.0)])
-    # Less the lens, of caps of 10 - 7.5 and 8 - 4.5 mm height.
-    caps = [np.pi * h**2 * (3 * r - h) / 3 for r, h in ((10.0, 2.5), (8.0, 3.5))]
-    volume = 4 / 3 * np.pi * (10.0**3 + 8.0**3) - sum(caps)
-    missing = []
-    for edge_mm in (3.0, 1.5):
-        mesh = balls_mesh(balls, edge_mm)
-        check_tets(mesh, "balls")
-        assert (mesh.face_regions == int(Region.SIDE)).all()
-        missing.append(1 - 1e9 * tet_volumes(mesh.nodes_m, mesh.tets).sum() / volume)
-    # Chords cut off some of it, a quarter as much where they are half as long.
-    assert 0 < missing[1] < 0.02 and missing[0] == pytest.approx(4 * missing[1], rel=0.4)
+BEAR = (
+    (0.0, 0.0, 14.0, 13.0),  # Belly.
+    (0.0, -1.0, 32.0, 10.0),  # Head.
+    (0.0, -10.0, 30.0, 4.5),  # Snout.
+    (8.0, 1.0, 39.5, 4.0), (-8.0, 1.0, 39.5, 4.0),  # Ears.
+    (12.0, -5.0, 19.0, 4.5), (-12.0, -5.0, 19.0, 4.5),  # Arms.
+    (8.5, -9.0, 5.5, 5.5), (-8.5, -9.0, 5.5, 5.5),  # Legs.
+    (0.0, 11.0, 5.0, 5.0),  # Tail, on which it sits.
+)  # fmt: skip
+"""Middle and radius of each ball [mm]; it sits on z = 0 and looks along -y."""
 
 
 def test_the_bear_is_the_union_of_its_balls() -> None:
