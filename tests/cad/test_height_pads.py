@@ -35,6 +35,16 @@ def test_equal_radii_give_a_sphere() -> None:
     np.testing.assert_allclose(np.linalg.norm(centered, axis=1), 50, rtol=1e-14)
 
 
+def test_crown_slope_matches_finite_differences() -> None:
+    pad = GelPad(crown_radius_x_mm=60, crown_radius_y_mm=90, thickness_mm=5)
+    xy = np.random.default_rng(2).uniform(-9, 9, (50, 2))
+    step = 1e-5
+    for axis in range(2):
+        shift = step * np.eye(2)[axis]
+        numeric = (pad.crown_mm(xy + shift) - pad.crown_mm(xy - shift)) / (2 * step)
+        np.testing.assert_allclose(pad.crown_slope(xy)[:, axis], numeric, atol=1e-9)
+
+
 def test_chamfer_is_45_degrees_on_a_flat_pad() -> None:
     pad = GelPad(rim="chamfer", rim_mm=0.8)
     x = np.array([12 - 0.8, 12 - 0.3, 12.0])

@@ -128,6 +128,27 @@ def check_sound(mesh: TetMesh, pad: HeightPad) -> None:
     assert pad.contact_error_mm(contact)[~steep].max() < 1e-6
 
 
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"core": 7}, "core = 7"),
+        ({"core": 2}, "core = 2 is not allowed"),
+        ({"core": 8.0}, "core"),
+        ({"rings": 2}, "rings = 2"),
+        ({"layers": 0}, "layers = 0"),
+        ({"layer_ratio": 0.5}, "layer_ratio"),
+        ({"at_mm": (11.5, 0)}, "at least 1.5 mm"),
+        ({"at_mm": (50, 0)}, "at least 1.5 mm"),
+        ({"at_mm": (float("nan"), 0)}, "at_mm"),
+        ({"radius_mm": -1}, "radius_mm"),
+        ({"size_mm": 5}, "size_mm"),
+    ],
+)
+def test_bad_options_say_what_is_allowed(options: dict[str, object], word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        focused_gel_mesh(CLASSIC, replace(around((0, 0)), **options))  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("name", list(PADS))
 def test_catalogue_pads_pass_the_gate_at_the_default_resolution(name: str) -> None:
     pad = PADS[name]

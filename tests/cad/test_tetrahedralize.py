@@ -186,6 +186,19 @@ def test_regions_of_a_known_mesh_are_recovered(rim: str) -> None:
     assert (found == mesh.face_regions).mean() > 0.995
 
 
+def test_second_request_comes_from_the_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    pad = small_pad()
+    mesh = gel_mesh(pad, 1.5)
+    monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", lambda *_, **__: mesh)
+    first = tetwild_gel_mesh(pad, 1.5, epsilon=5e-3)
+    monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.run_tetwild", None)
+    second = tetwild_gel_mesh(pad, 1.5, epsilon=5e-3)
+    assert first.nodes_m.tobytes() == second.nodes_m.tobytes()
+    assert np.array_equal(first.face_regions, second.face_regions)
+    with pytest.raises(TypeError):
+        tetwild_gel_mesh(pad, 1.4, epsilon=5e-3)
+
+
 def test_keys_follow_content() -> None:
     a = np.arange(6.0)
     key = content_key({"x": a, "n": 1})
