@@ -37,7 +37,6 @@ HEAVY = (
     "matplotlib",
     "nlopt",
     "optuna",
-    "pymeshlab",
     "pytetwild",
     "pyvista",
     "scipy",

@@ -32,8 +32,25 @@ class ClosestPoint:
         return np.asarray(nearest, dtype=np.float64), np.asarray(cells)
 
 
-def surface_samples(vertices: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
-    """All vertices used by ``triangles`` and ``count`` points spread by area, shape [n, 3].
+_SAMPLES = 20_000
+Triangles = tuple[np.ndarray, np.ndarray]
+"""Vertices, [n, 3], and triangles, [m, 3]."""
+
+
+def surface_distance(first: Triangles, second: Triangles) -> tuple[float, np.ndarray, float]:
+    """Hausdorff distance of two surfaces, sampled both ways, where it is, and the root mean square
+    distance of the first from the second."""
+    on_first, on_second = surface_samples(*first), surface_samples(*second)
+    there, back = ClosestPoint(*second)(on_first)[0], ClosestPoint(*first)(on_second)[0]
+    both, points = np.concatenate([there, back]), np.concatenate([on_first, on_second])
+    rms = float(np.sqrt((there[-_SAMPLES:] ** 2).mean()))
+    return float(both.max()), points[int(both.argmax())], rms
+
+
+def surface_samples(
+    vertices: np.ndarray, triangles: np.ndarray, count: int = _SAMPLES
+) -> np.ndarray:
+    """All vertices used by ``triangles``, then ``count`` points spread by area, shape [n, 3].
 
     The points are the same on every call.
     """

@@ -13,7 +13,7 @@ from taccel_lab.cad.mesh.dome_mesh import even_dome_mesh, focused_dome_mesh
 from taccel_lab.cad.mesh.focus import FocusOptions
 from taccel_lab.cad.mesh.mesh_pad import MeshPad
 from taccel_lab.cad.mesh.pad_mesh import even_pad_mesh, focused_pad_mesh
-from taccel_lab.cad.mesh.quality_gate import DEFAULT_EDGE_MM
+from taccel_lab.cad.mesh.quality import DEFAULT_EDGE_MM
 from taccel_lab.cad.parts.dome_pad import DomePad
 from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.cad.parts.pad import Pad

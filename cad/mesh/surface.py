@@ -59,7 +59,7 @@ def check_closed(triangles: np.ndarray, what: str) -> None:
     if repeated or unmatched:
         raise InputError(
             f"{what} is not a closed manifold surface: {unmatched} open and {repeated} repeated "
-            "edges; repair it first (taccel_lab.cad.mesh.repair)"
+            "edges; repair it in the program that it comes from"
         )
 
 

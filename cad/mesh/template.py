@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.cad.mesh.grid import Grid
-from taccel_lab.cad.mesh.quality_measures import six_volumes
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry.tet_mesh import tet_volumes
 
 
 class FoldedMeshError(InputError):
@@ -113,10 +113,9 @@ def growth_factor(first: float, count: int) -> float:
 
 def check_unfolded(nodes_mm: np.ndarray, tets: np.ndarray) -> None:
     """Raise FoldedMeshError with the place and the remedy where tets are flat or inside out."""
-    p = nodes_mm[tets]
-    volume = six_volumes(p)
+    volume = tet_volumes(nodes_mm, tets)
     if (volume <= 0).any():
-        x, y, z = p[int(volume.argmin())].mean(axis=0)
+        x, y, z = nodes_mm[tets[int(volume.argmin())]].mean(axis=0)
         raise FoldedMeshError(
             f"{int((volume <= 0).sum())} of {len(tets)} tets of the structured mesh fold over, the "
             f"worst at x {x:.2f}, y {y:.2f}, z {z:.2f} mm; with a focus, move it away from the "

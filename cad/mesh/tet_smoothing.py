@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg, six_volumes
+from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
+from taccel_lab.geometry.tet_mesh import tet_volumes
 
 _NEIGHBOURHOOD = 2
 _SOFTNESS = 2e-2
@@ -65,7 +66,7 @@ def improve_worst_tets(
     best, best_deg = nodes, -1.0
     for power in (*powers, 0):
         smallest = np.where(
-            six_volumes(nodes[tets]) > 0, dihedral_angles_deg(nodes, tets).min(axis=1), 0.0
+            tet_volumes(nodes, tets) > 0, dihedral_angles_deg(nodes, tets).min(axis=1), 0.0
         )
         if smallest.min() > best_deg:
             best, best_deg = nodes, float(smallest.min())
@@ -93,7 +94,7 @@ def _minimise(
     if not chosen.any():
         return nodes
     patch = tets[chosen[tets].any(axis=1)]
-    volumes = six_volumes(nodes[patch])
+    volumes = 6 * tet_volumes(nodes, patch)
     # Zero for a valid mesh: its energy is infinite where a tet is flat.
     softness = 0.0 if volumes.min() > 0 else _SOFTNESS * float(np.median(np.abs(volumes)))
     # Nodes move in units of their own shortest edge, so that fine and coarse parts move together.

@@ -26,7 +26,6 @@ from taccel_lab.cad.mesh.quality import (
     check_quality,
     measure_quality,
 )
-from taccel_lab.cad.mesh.quality_picture import write_bad_mesh
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
 from taccel_lab.cad.mesh.template import check_range
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
@@ -113,8 +112,8 @@ def tetwild_mesh(
     volume = surface.volume_mm3()
     if volume <= 0:
         raise InputError(
-            f"the surface to mesh encloses {volume:.3g} mm3: its triangles wind inward; repair it "
-            "first (taccel_lab.cad.mesh.repair)"
+            f"the surface to mesh encloses {volume:.3g} mm3: its triangles wind inward; turn them "
+            "outward (right-hand rule)"
         )
     missing = [r.name for r in Region if r != Region.SIDE and int(r) not in surface.regions]
     if missing:
@@ -220,14 +219,10 @@ def _failure(tried: list[_Try], picture_folder: Path | str | None) -> str:
     text = f"fTetWild reached the mesh gate in none of {len(tried)} runs: {runs}"
     measured = [t for t in tried if t.mesh is not None and t.result is not None]
     if picture_folder is None or not measured:
-        return (
-            text
-            + ". A smaller edge_mm may help, or repair the surface (taccel_lab.cad.mesh.repair)"
-        )
+        return text + ". A smaller edge_mm may help"
     best = min(measured, key=lambda t: len(t.result.violations) if t.result else 0)
     assert best.mesh is not None and best.result is not None  # ``measured`` holds no others
-    path = write_bad_mesh(best.mesh, best.result, picture_folder)
-    return text + f". The picture {path} shows where"
+    return text + f". The picture {best.result.draw(best.mesh, picture_folder)} shows where"
 
 
 def _inner_triangles(pad: Pad, surface: LabelledSurface) -> np.ndarray:

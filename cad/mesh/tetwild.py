@@ -16,13 +16,12 @@ import numpy as np
 
 from taccel_lab.cad.mesh.bond_planes import Projection
 from taccel_lab.cad.mesh.closest import ClosestPoint
-from taccel_lab.cad.mesh.quality_measures import six_volumes
 from taccel_lab.cad.mesh.regions import transfer_regions
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.mesh.tet_smoothing import improve_worst_tets
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
-from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.geometry.tet_mesh import boundary_faces, tet_volumes
 
 # Below 10 fTetWild often does not finish.
 _STOP_ENERGY = 10.0
@@ -54,7 +53,7 @@ def run_tetwild(
         glued = np.unique(faces[np.isin(regions, [Region.BOND, Region.WINDOW])])
         nodes[glued] = given.project(nodes[glued])
         # The glued surface comes out wavy; a tet whose corners all lie on it goes flat.
-        volumes = six_volumes(nodes[tets]) / 6
+        volumes = tet_volumes(nodes, tets)
         flat = np.isin(tets, glued).all(axis=1) & (volumes < _FLAT_MM3)
         if not flat.any():
             break
@@ -66,7 +65,7 @@ def run_tetwild(
         inner = inner[~_on_triangles(nodes[inner], given.inner_mm, 2 * _epsilon_mm(given, epsilon))]
     wanted_deg += _MARGIN_DEG
     nodes = improve_worst_tets(nodes, tets, inner, wanted_deg=wanted_deg, powers=_POWERS)
-    if not (six_volumes(nodes[tets]) > 0).all():
+    if not (tet_volumes(nodes, tets) > 0).all():
         raise InputError("putting the glued nodes on their surface turned tets inside out")
     return TetMesh(nodes_m=nodes * 1e-3, tets=tets, faces=faces, face_regions=regions)
 
@@ -100,7 +99,7 @@ def _tetrahedralize(
         )
     if not len(tets):
         raise InputError(
-            "fTetWild found no inside; repair the surface first (taccel_lab.cad.mesh.repair)"
+            "fTetWild found no inside; repair the surface in the program that it comes from"
         )
     return np.asarray(nodes, dtype=np.float64), np.asarray(tets, dtype=np.int64)
 

@@ -7,7 +7,6 @@ import math
 
 import pytest
 from build123d import Compound, Pos
-from small_sensor import CAMERA, LEDS, PAD, VIEW_MM, WINDOW, housing, small_sensor
 
 from taccel_lab.cad.assembly import Assembly, require_no_overlap
 from taccel_lab.cad.parts.pad_solid import labelled_solid
@@ -17,6 +16,7 @@ from taccel_lab.cad.parts.solids import common_volume_mm3
 from taccel_lab.cad.parts.window import window_part
 from taccel_lab.errors import InputError
 from taccel_lab.profile.optical_design import Light, Window
+from tests.cad.small_sensor import CAMERA, LEDS, PAD, VIEW_MM, WINDOW, housing, small_sensor
 
 
 def dome(thickness_mm: float, base_mm: float, radius_mm: float) -> Window:

@@ -1,22 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Structured meshes of pads with a plane back: invariants over pads and places of contact."""
+"""Structured meshes of pads with a plane back: gate, sweeps, layers; gels known by their mesh."""
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from catalogue_pads import PADS
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from pad_strategies import gel_pads
 
 from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh, gel_mesh
+from taccel_lab.cad.mesh.mesh_pad import MeshPad
+from taccel_lab.cad.mesh.quality import measure_quality
+from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
 from taccel_lab.cad.mesh.surface import check_closed
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.mesh.tet_smoothing import improve_worst_tets
+from taccel_lab.cad.parts.digit_pad import DigitPad
+from taccel_lab.cad.parts.dome_pad import ShellDomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.height_pad import HeightPad
+from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
+from tests.cad.pads import BEVELLED, DIGIT, MINI, PADS, SKINNED, gel_pads
 
 CLASSIC = PADS["gelsight"]
 FLAT_FILLET = GelPad(
@@ -30,8 +39,7 @@ def around(at_mm: tuple[float, float], radius: float = 2.0, size: float = 0.25) 
 
 
 def check_invariants(mesh: TetMesh, pad: GelPad) -> None:
-    assert (mesh.volumes_m3() > 0).all()
-    check_closed(mesh.faces, "boundary")
+    check_sound(mesh, pad)
     assert np.array_equal(np.unique(mesh.tets), np.arange(mesh.node_count))
     boundary = mesh.nodes_m[mesh.faces]
     enclosed = (boundary[:, 0] * np.cross(boundary[:, 1], boundary[:, 2])).sum() / 6
@@ -108,6 +116,18 @@ def test_same_input_gives_the_same_bytes() -> None:
     assert meshes[0].nodes_m.tobytes() == meshes[1].nodes_m.tobytes()
 
 
+def check_sound(mesh: TetMesh, pad: HeightPad) -> None:
+    assert (mesh.volumes_m3() > 0).all()
+    check_closed(mesh.faces, "boundary")
+    nodes = mesh.nodes_m * 1e3
+    bonded = nodes[mesh.bonded_nodes()]
+    assert np.linalg.norm(bonded - pad.bond_projection_mm(bonded), axis=1).max() < 1e-9
+    contact = nodes[mesh.region_nodes(Region.CONTACT)]
+    # Where a fillet meets the wall the formula is infinitely steep.
+    steep = pad.inside_distance_mm(contact[:, :2]) < 1e-3
+    assert pad.contact_error_mm(contact)[~steep].max() < 1e-6
+
+
 @pytest.mark.parametrize(
     ("options", "word"),
     [
@@ -129,6 +149,166 @@ def test_bad_options_say_what_is_allowed(options: dict[str, object], word: str) 
         focused_gel_mesh(CLASSIC, replace(around((0, 0)), **options))  # type: ignore[arg-type]
 
 
-def test_edge_out_of_bounds_is_refused() -> None:
+@pytest.mark.parametrize("name", list(PADS))
+def test_catalogue_pads_pass_the_gate_at_the_default_resolution(name: str) -> None:
+    pad = PADS[name]
+    part = labelled_solid(pad)
+    mesh = gel_mesh(pad)
+    check_sound(mesh, pad)
+    quality = measure_quality(
+        mesh, pad, cad_volume_mm3=part.volume_mm3, cad_surface=tessellate_solid(part)
+    )
+    assert quality.min_dihedral_deg >= 10
+    assert abs(quality.volume_error_percent or 0) <= 0.5
+    assert (quality.hausdorff_mm or 0) <= 0.03
+    assert quality.back_plane_error_mm < 1e-9
+    assert quality.node_count <= 12_000
+
+
+@given(st.floats(3.6, 6), st.floats(22, 28), st.floats(18, 24), st.floats(90, 300), st.floats(2, 4))
+@settings(max_examples=3, deadline=None)
+def test_minis_of_a_sweep_share_their_connectivity(
+    thickness: float, length_x: float, length_y: float, radius: float, rim: float
+) -> None:
+    pad = replace(
+        MINI, thickness_mm=thickness, length_x_mm=length_x, length_y_mm=length_y, rim_mm=rim,
+        crown_radius_x_mm=radius, wall_mm=0.6 * thickness, window_x_mm=0.75 * length_x,
+        window_y_mm=0.7 * length_y,
+    )  # fmt: skip
+    mesh = gel_mesh(pad, 1.6, counts_of=MINI)
+    check_same(mesh, gel_mesh(MINI, 1.6))
+    check_sound(mesh, pad)
+
+
+def test_digits_of_a_sweep_share_their_connectivity() -> None:
+    pad = DigitPad(mid_radius_mm=30.0, thickness_mm=5.1, length_mm=27.0)
+    mesh = gel_mesh(pad, counts_of=DIGIT)
+    check_same(mesh, gel_mesh(DIGIT))
+    check_sound(mesh, pad)
+
+
+def check_same(mesh: TetMesh, other: TetMesh) -> None:
+    for name in ("tets", "faces", "face_regions", "tet_layers"):
+        assert getattr(mesh, name).tobytes() == getattr(other, name).tobytes()
+    assert mesh.nodes_m.shape == other.nodes_m.shape
+
+
+def test_bevels_wider_than_the_margin_do_not_fold() -> None:
+    pad = GelPad(
+        length_x_mm=17, length_y_mm=24.6, corner_radius_mm=0.3, thickness_mm=5.7, rim="chamfer",
+        rim_mm=2.96, wall_mm=4.07, window_x_mm=13.4, window_y_mm=12.4,
+    )  # fmt: skip
+    check_sound(gel_mesh(pad, 1.5), pad)
+
+
+@pytest.mark.parametrize("focused", [False, True])
+def test_tets_do_not_cross_from_gel_to_skin(focused: bool) -> None:
+    options = FocusOptions((3, -2), 2.0, 0.3, core=8, rings=12)
+    mesh = focused_gel_mesh(SKINNED, options) if focused else gel_mesh(SKINNED, 1.5)
+    check_sound(mesh, SKINNED)
+    nodes = mesh.nodes_m * 1e3
+    corners = nodes[mesh.tets]
+    for weights in (np.full(4, 0.25), np.array([0.97, 0.01, 0.01, 0.01])):
+        inside = (corners * weights[:, None]).sum(axis=1)
+        # Chords of the interface's corner arcs miss them by their sagitta.
+        clear = np.abs(SKINNED.inside_distance_mm(inside[:, :2]) - 0.8) > 0.15
+        assert clear.mean() > 0.7
+        np.testing.assert_array_equal(SKINNED.layer_of(inside)[clear], mesh.tet_layers[clear])
+    skin = mesh.volumes_m3()[mesh.tet_layers == 1].sum() * 1e9
+    solid = layer_solids(SKINNED)["skin"].volume
+    assert skin == pytest.approx(solid, rel=0.05 if focused else 5e-3)
+
+
+def test_glued_walls_are_bond_faces() -> None:
+    for mesh in (
+        gel_mesh(BEVELLED, 2.5),
+        focused_gel_mesh(BEVELLED, FocusOptions((5, -3), 3.0, 0.5, core=8, rings=12)),
+    ):
+        check_sound(mesh, BEVELLED)
+        assert not (mesh.face_regions == int(Region.SIDE)).any()
+        wall = mesh.nodes_m[mesh.bonded_nodes()] * 1e3
+        assert wall[:, 2].max() == pytest.approx(-2.954, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["gelsight_mini", "gelsight_40", "9dtact", "digit"])
+def test_presses_anywhere_share_their_connectivity(name: str) -> None:
+    pad = PADS[name]
+    low, high = pad.outline.bounds_mm()
+    rng = np.random.default_rng(7)
+    reference = None
+    for _ in range(4):
+        at = rng.uniform(low, high)
+        while pad.inside_distance_mm(at) < 3:
+            at = rng.uniform(low, high)
+        options = FocusOptions((at[0], at[1]), rng.uniform(1, 4), 0.15, core=12, rings=20)
+        mesh = focused_gel_mesh(pad, options)
+        check_sound(mesh, pad)
+        reference = reference or mesh
+        check_same(mesh, reference)
+
+
+def test_counts_of_a_dome_and_no_edge_are_refused() -> None:
+    with pytest.raises(InputError, match="counts_of"):
+        gel_mesh(MINI, counts_of=ShellDomePad())
     with pytest.raises(InputError, match="edge_mm"):
-        gel_mesh(CLASSIC, 0.0)
+        gel_mesh(MINI, 0.0)
+
+
+def test_smoothing_pulls_folded_tets_open() -> None:
+    mesh = gel_mesh(MINI, 2.7)
+    nodes = mesh.nodes_m * 1e3
+    inner = np.setdiff1d(np.arange(mesh.node_count), np.unique(mesh.faces))
+    folded = nodes.copy()
+    moved = inner[:: max(1, len(inner) // 3)]
+    folded[moved] += [1.5, 0.8, 0.9]
+
+    def signed(x: np.ndarray) -> np.ndarray:
+        p = x[mesh.tets]
+        return np.linalg.det(p[:, 1:] - p[:, :1])
+
+    assert (signed(folded) < 0).any()
+    opened = improve_worst_tets(folded, mesh.tets, inner, wanted_deg=8, powers=(4, 4, 8))
+    assert (signed(opened) > 0).all()
+    assert dihedral_angles_deg(opened, mesh.tets).min() > 3
+    held = np.setdiff1d(np.arange(mesh.node_count), inner)
+    np.testing.assert_array_equal(opened[held], folded[held])
+
+
+BOX = GelPad(
+    length_x_mm=16, length_y_mm=14, corner_radius_mm=1.5, thickness_mm=4, window_x_mm=10,
+    window_y_mm=9, crown_radius_x_mm=40, crown_radius_y_mm=60,
+)  # fmt: skip
+MESHED = MeshPad(BOX.thickness_mm, mesh=gel_mesh(BOX, 0.7))
+
+
+def test_surfaces_of_the_mesh_are_those_of_the_formulas() -> None:
+    xy = np.stack(np.meshgrid(np.linspace(-7, 7, 23), np.linspace(-6, 6, 19)), axis=-1)
+    # Chords of 0.7 mm on a radius of 40 mm lie 0.7^2 / (8 * 40) = 0.0015 mm deep.
+    assert MESHED.top_mm(xy) == pytest.approx(BOX.top_mm(xy), abs=6e-3)
+    inner = (np.abs(xy) < 5).all(axis=-1)
+    cosine = (MESHED.top_normal(xy) * BOX.top_normal(xy)).sum(axis=-1)[inner]
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < 0.3
+    assert MESHED.bounds_mm() == pytest.approx(BOX.bounds_mm(), abs=1e-6)
+    assert np.isnan(MESHED.top_mm(np.array([20.0, 0.0])))
+    assert np.isnan(MESHED.top_normal(np.array([20.0, 0.0]))).all()
+
+
+def test_distance_to_the_edge_has_the_sign_of_the_side() -> None:
+    xy = np.array([[0.0, 0.0], [6.0, 0.0], [0.0, -6.5], [11.0, 0.0], [0.0, 9.0]])
+    assert MESHED.inside_distance_mm(xy) == pytest.approx(BOX.inside_distance_mm(xy), abs=0.05)
+    assert MESHED.inside_distance_mm(xy[:1]).shape == (1,)
+
+
+def test_glued_and_touched_surfaces_and_the_volume() -> None:
+    points = np.array([[1.0, 2.0, -3.5], [0.0, 0.0, -5.0]])
+    assert MESHED.bond_projection_mm(points) == pytest.approx(BOX.bond_projection_mm(points))
+    above = np.array([[0.0, 0.0, 0.2]])
+    assert MESHED.contact_error_mm(above) == pytest.approx([0.2], abs=4e-3)
+    volume = 1e9 * MESHED.mesh.volumes_m3().sum()
+    assert MESHED.figures() == {"volume_mm3": pytest.approx(volume)}
+
+
+def test_equal_gels_have_one_name_and_others_another() -> None:
+    assert repr(pickle.loads(pickle.dumps(MESHED))) == repr(MESHED)
+    assert repr(MeshPad(BOX.thickness_mm, mesh=gel_mesh(BOX, 0.9))) != repr(MESHED)
+    assert gel_mesh(MESHED) is MESHED.mesh

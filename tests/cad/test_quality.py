@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quality measures on tets whose angles are known, and the gate."""
+"""Quality measures on tets whose angles are known, the gate, and meshes made finer to pass it."""
 
 from __future__ import annotations
 
@@ -10,53 +10,46 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from taccel_lab.cad.mesh.closest import ClosestPoint
-from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh, usual_edge_mm
 from taccel_lab.cad.mesh.quality import (
     PRESS_GATE,
     QualityGate,
     check_quality,
     measure_quality,
     require_quality,
-    surface_distance_mm,
 )
-from taccel_lab.cad.mesh.quality_gate import bad_tets
 from taccel_lab.cad.mesh.quality_measures import EDGE_PAIRS, dihedral_angles_deg, mean_ratios
+from taccel_lab.cad.mesh.sound_mesh import SHORTER, sound_gel_mesh
 from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed, weld
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.mesh.tet_smoothing import improve_worst_tets, shape_energy
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.sensors.registry import sensor_family
 
 TET = np.array([[0, 1, 2, 3]])
 REGULAR = np.array([[1.0, 1, 1], [-1, 1, -1], [1, -1, -1], [-1, -1, 1]])
 CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 
 
-def test_regular_tet() -> None:
+def test_angles_and_mean_ratios_of_the_regular_tet_and_of_a_corner() -> None:
     np.testing.assert_allclose(dihedral_angles_deg(REGULAR, TET), np.rad2deg(np.arccos(1 / 3)))
-    assert dihedral_angles_deg(REGULAR, TET)[0, 0] == pytest.approx(70.5288, abs=1e-4)
     np.testing.assert_allclose(mean_ratios(REGULAR, TET), 1)
-
-
-def test_corner_tet_has_right_angles_at_its_corner() -> None:
-    angles = dihedral_angles_deg(CORNER, TET)[0]
-    at_corner = (EDGE_PAIRS == 0).any(axis=1)
-    np.testing.assert_allclose(angles[at_corner], 90)
-    np.testing.assert_allclose(angles[~at_corner], np.rad2deg(np.arccos(1 / np.sqrt(3))))
-    # V = 1/6, squared edges 3 * 1 + 3 * 2.
-    np.testing.assert_allclose(mean_ratios(CORNER, TET), 12 * 0.5 ** (2 / 3) / 9)
-
-
-def test_measures_ignore_size_position_and_rotation() -> None:
     rotation, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
     rotation *= np.sign(np.linalg.det(rotation))
-    moved = 1e-3 * CORNER @ rotation.T + 5
-    angles = dihedral_angles_deg(moved, TET), dihedral_angles_deg(CORNER, TET)
-    np.testing.assert_allclose(*angles, rtol=1e-8)
-    np.testing.assert_allclose(mean_ratios(moved, TET), mean_ratios(CORNER, TET), rtol=1e-8)
+    at_corner = (EDGE_PAIRS == 0).any(axis=1)
+    for nodes in (CORNER, 1e-3 * CORNER @ rotation.T + 5):
+        angles = dihedral_angles_deg(nodes, TET)[0]
+        np.testing.assert_allclose(angles[at_corner], 90)
+        np.testing.assert_allclose(angles[~at_corner], np.rad2deg(np.arccos(1 / np.sqrt(3))))
+        # V = 1/6, squared edges 3 * 1 + 3 * 2.
+        np.testing.assert_allclose(mean_ratios(nodes, TET), 12 * 0.5 ** (2 / 3) / 9)
 
 
 def test_flat_and_inverted_tets_show() -> None:
@@ -83,14 +76,15 @@ def test_pad_measures_agree_with_the_pad() -> None:
 
 def test_surface_distance_is_the_offset_of_two_boxes() -> None:
     pad = GelPad()
-    faces = gel_mesh(pad, 2.0).faces
-    nodes = gel_mesh(pad, 2.0).nodes_m * 1e3
-    regions = np.zeros(len(faces), dtype=np.int32)
-    low = LabelledSurface(nodes, faces, regions)
-    high = LabelledSurface(nodes + [0, 0, 0.25], faces, regions)
-    hausdorff, rms = surface_distance_mm(low, high)
-    assert hausdorff == pytest.approx(0.25, abs=1e-9)
-    assert 0 < rms < 0.25
+    mesh = gel_mesh(pad, 2.0)
+    raised = mesh.nodes_m * 1e3 + [0, 0, 0.25]
+    cad = LabelledSurface(raised, mesh.faces, mesh.face_regions)
+    found = measure_quality(mesh, None, cad_surface=cad)
+    assert found.hausdorff_mm == pytest.approx(0.25, abs=1e-9)
+    assert found.surface_rms_mm is not None and 0 < found.surface_rms_mm < 0.25
+    # Of an imported part, glued and contact nodes count from the triangles of their regions.
+    assert found.back_plane_error_mm == pytest.approx(0.25, abs=1e-9)
+    assert found.contact_error_mm == pytest.approx(0.25, abs=1e-9)
 
 
 def test_closest_point_finds_distance_and_triangle() -> None:
@@ -134,10 +128,8 @@ def test_gate_names_place_and_figure() -> None:
         assert [v.limit for v in result.violations] == [limit]
         with pytest.raises(InputError, match="unfit to be simulated"):
             require_quality(mesh, replace(good, **change))  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="no WINDOW faces"):
-        require_quality(
-            mesh, replace(good, region_areas_mm2={**good.region_areas_mm2, "window": 0})
-        )
+    # The last of them.
+    assert result.violations[0].text == "the mesh has no WINDOW faces"
 
 
 def test_planted_faults_are_all_found_and_drawn(tmp_path: Path) -> None:
@@ -169,8 +161,7 @@ def test_planted_faults_are_all_found_and_drawn(tmp_path: Path) -> None:
     np.testing.assert_allclose(places["max_bond_error_mm"], nodes[loose] * 1e3, atol=1e-9)
     np.testing.assert_allclose(places["max_hausdorff_mm"], nodes[dent] * 1e3, atol=0.8)
     np.testing.assert_allclose(places["positive volumes"], [8, 0, -2], atol=1.5)
-    bad_ones = bad_tets(bad, result.gate)
-    assert bad_ones[far] and 2 <= bad_ones.sum() < 20
+    assert result.bad[far] and 2 <= result.bad.sum() < 20
     json.dumps(result.to_json(), allow_nan=False)
     with pytest.raises(InputError, match=r"bad_mesh\.png shows where") as error:
         require_quality(bad, found, picture_folder=tmp_path)
@@ -242,3 +233,82 @@ def test_open_surfaces_are_refused_and_welding_closes_them() -> None:
     vertices, triangles = weld(corners, loose, 1e-6)
     assert len(vertices) == 4
     check_closed(triangles, "it")
+
+
+def test_a_digit_cast_flat_gets_a_sound_mesh() -> None:
+    """The usual mesh has tets of 8.4 degrees at its fillet."""
+    pad = sensor_family("digit").parameters({"mid_radius_mm": 0, "roll_off": 0}).pad()
+    usual = gel_mesh(pad)
+    assert not check_quality(usual, measure_quality(usual, pad)).passed
+    mesh, quality, edge_mm = sound_gel_mesh(pad)
+    assert check_quality(mesh, quality, QualityGate().at_edge(edge_mm)).passed
+    assert edge_mm in [pytest.approx(share * usual_edge_mm(pad)) for share in SHORTER[1:]]
+
+
+def test_a_sound_mesh_stays_the_usual_one() -> None:
+    pad = sensor_family("flat_pad").parameters().pad()
+    mesh, _, edge_mm = sound_gel_mesh(pad)
+    assert edge_mm == usual_edge_mm(pad)
+    assert (mesh.nodes_m == gel_mesh(pad).nodes_m).all()
+
+
+CELLS = 4
+
+
+def block(seed: int, noise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes, tets (six a cube) and inner nodes of a cube whose inner nodes are shaken."""
+    n = CELLS + 1
+    grid = np.stack(np.meshgrid(*[np.arange(n)] * 3, indexing="ij"), axis=-1)
+    nodes = grid.reshape(-1, 3).astype(np.float64)
+    start = np.arange(n**3).reshape(n, n, n)[:-1, :-1, :-1].ravel()
+    steps = {0: n * n, 1: n, 2: 1}
+    tets = []
+    for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 2, 1), (2, 1, 0), (1, 0, 2)):
+        path = np.cumsum([0, steps[a], steps[b], steps[c]])
+        even = (a, b, c) in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+        path = path if even else path[[0, 2, 1, 3]]
+        tets.append(start[:, None] + path)
+    inner = np.flatnonzero(((nodes > 0) & (nodes < CELLS)).all(axis=1))
+    nodes[inner] += np.random.default_rng(seed).uniform(-noise, noise, (len(inner), 3))
+    return nodes, np.concatenate(tets), inner
+
+
+def test_energy_is_the_power_of_the_inverse_mean_ratio() -> None:
+    nodes, tets, _ = block(1, 0.15)
+    value, gradient = shape_energy(nodes, tets, 4)
+    assert value == pytest.approx((mean_ratios(nodes, tets) ** -4.0).sum())
+    way = np.random.default_rng(2).normal(size=nodes.shape)
+    ahead, behind = (shape_energy(nodes + h * way, tets, 4)[0] for h in (1e-6, -1e-6))
+    assert (gradient * way).sum() == pytest.approx((ahead - behind) / 2e-6, rel=1e-6)
+    assert np.abs(gradient).max() > 1
+
+
+def test_a_tet_inside_out_has_no_finite_energy() -> None:
+    nodes, tets, _ = block(1, 0.0)
+    assert shape_energy(nodes, tets[:, [0, 2, 1, 3]], 4)[0] == np.inf
+
+
+@given(st.integers(0, 1000))
+@settings(max_examples=10, deadline=None)
+def test_worst_tets_get_rounder_and_only_free_nodes_move(seed: int) -> None:
+    nodes, tets, inner = block(seed, 0.33)
+    p = nodes[tets]
+    if (np.linalg.det(p[:, 1:] - p[:, :1]) <= 1e-3).any():
+        return
+    before = dihedral_angles_deg(nodes, tets).min()
+    moved = improve_worst_tets(nodes, tets, inner, wanted_deg=30)
+    after = dihedral_angles_deg(moved, tets).min()
+    assert after > before + 1 or before >= 30
+    fixed = np.setdiff1d(np.arange(len(nodes)), inner)
+    assert np.array_equal(moved[fixed], nodes[fixed])
+    p = moved[tets]
+    assert (np.linalg.det(p[:, 1:] - p[:, :1]) > 0).all()
+
+
+def test_good_meshes_and_bound_nodes_stay() -> None:
+    nodes, tets, inner = block(3, 0.1)
+    angle = float(dihedral_angles_deg(nodes, tets).min())
+    kept = improve_worst_tets(nodes, tets, inner, wanted_deg=angle - 1)
+    assert np.array_equal(kept, nodes)
+    bound = improve_worst_tets(nodes, tets, inner[:0], wanted_deg=60)
+    assert np.array_equal(bound, nodes)

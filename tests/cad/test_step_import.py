@@ -23,7 +23,6 @@ from OCP.TCollection import TCollection_ExtendedString
 from OCP.TDataStd import TDataStd_Name
 from OCP.TDocStd import TDocStd_Document
 from OCP.XCAFDoc import XCAFDoc_ColorType, XCAFDoc_DocumentTool, XCAFDoc_ShapeTool
-from small_sensor import PAD, small_sensor
 
 from taccel_lab.cad.export import write_assembly_step, write_step
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
@@ -40,6 +39,7 @@ from taccel_lab.cad.step_import import (
 )
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
+from tests.cad.small_sensor import PAD, small_sensor
 from tests.support.real_data import real_data
 
 

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from build123d import Mesher, Unit
 from ezdxf import bbox
-from small_sensor import PAD, small_sensor
 
 from taccel_lab.cad.assembly import Assembly
 from taccel_lab.cad.drawing.assembly_drawing import write_assembly_drawing
@@ -33,6 +32,7 @@ from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.step_import.reader import read_step
 from taccel_lab.profile.optical_design import Light
+from tests.cad.small_sensor import PAD, small_sensor
 
 
 @pytest.fixture(scope="module")

@@ -30,7 +30,7 @@ def test_this_installation_is_sound(capsys: pytest.CaptureFixture[str]) -> None:
 def test_requirements_are_those_of_the_project() -> None:
     names = dict(doctor.requirements())
     assert names["numpy>=2.1,<3"] == ""
-    assert names["pymeshlab>=2023.12"] == "repair"
+    assert names["mujoco>=4,<5"] == "peers"
 
 
 def test_requirements_of_an_installed_wheel(

@@ -72,6 +72,10 @@ def rehash(folder: Path, name: str, data: bytes) -> None:
 def test_round_trip(full_profile: SensorProfile, profile_folder: Path) -> None:
     assert_same(load_profile(profile_folder), full_profile)
     assert validate_profile(profile_folder) == []
+    again = profile_folder.with_name("again")
+    save_profile(load_profile(profile_folder), again)
+    for path in profile_folder.iterdir():
+        assert path.read_bytes() == (again / path.name).read_bytes()
 
 
 def test_round_trip_without_optional_blocks(full_profile: SensorProfile, tmp_path: Path) -> None:
@@ -79,13 +83,6 @@ def test_round_trip_without_optional_blocks(full_profile: SensorProfile, tmp_pat
     save_profile(bare, tmp_path / "p")
     assert sorted(p.name for p in (tmp_path / "p").iterdir()) == ["mesh.npz", "profile.toml"]
     assert_same(load_profile(tmp_path / "p"), bare)
-
-
-def test_equal_profiles_give_equal_files(full_profile: SensorProfile, tmp_path: Path) -> None:
-    save_profile(full_profile, tmp_path / "a")
-    save_profile(load_profile(tmp_path / "a"), tmp_path / "b")
-    for path in (tmp_path / "a").iterdir():
-        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
 
 
 printable = st.text(st.characters(exclude_categories=("C",)), min_size=1, max_size=30)
@@ -252,16 +249,6 @@ def test_arrays_of_the_wrong_kind(profile_folder: Path, tmp_path: Path) -> None:
         load_profile(profile_folder)
 
 
-def test_nan_in_the_mesh(profile_folder: Path, full_profile: SensorProfile, tmp_path: Path) -> None:
-    arrays = {key: getattr(full_profile.mesh, key) for key in ("nodes_m", "tets", "faces")}
-    arrays["nodes_m"] = arrays["nodes_m"].copy()
-    arrays["nodes_m"][2, 1] = np.nan
-    np.savez(tmp_path / "m.npz", face_regions=full_profile.mesh.face_regions, **arrays)
-    rehash(profile_folder, "mesh.npz", (tmp_path / "m.npz").read_bytes())
-    with pytest.raises(InputError, match=r"mesh\.npz: .*NaN"):
-        load_profile(profile_folder)
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -276,6 +263,7 @@ def test_nan_in_the_mesh(profile_folder: Path, full_profile: SensorProfile, tmp_
         ({"face_regions": lambda v: v + 1}, r"holds 1 to 4; allowed: 0 \(side\), 1 \(contact\)"),
         ({"nodes_m": lambda v: np.vstack([v, v[:1]])}, "1 nodes belong to no tet: nodes 5"),
         ({"nodes_m": lambda v: v * [1, 1, -1]}, "2 of 2 tets are inverted or flat"),
+        ({"nodes_m": lambda v: np.where(v == v.max(), np.nan, v)}, "NaN"),
     ],
 )
 def test_a_mesh_that_is_none_is_refused(

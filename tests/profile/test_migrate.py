@@ -13,7 +13,7 @@ import pytest
 
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.errors import InputError
-from taccel_lab.profile import load_profile, save_profile, validate_profile
+from taccel_lab.profile import SensorProfile, load_profile, save_profile, validate_profile
 from taccel_lab.profile.migrate import STEPS, migrate
 from taccel_lab.profile.schema import SCHEMA_VERSION
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
@@ -34,29 +34,24 @@ def rename_nodes(document: dict[str, Any]) -> dict[str, Any]:
     return {"schema_version": 2, "gel": gel}
 
 
-@pytest.fixture
-def version_0() -> dict[str, Any]:
-    return tomllib.loads((OLD / "v0" / "profile.toml").read_text())
+def old(version: int) -> SensorProfile:
+    """The stored profile of a version, which is sound."""
+    folder = OLD / f"v{version}"
+    assert f"schema_version = {version}\n" in (folder / "profile.toml").read_text()
+    assert validate_profile(folder) == []
+    return load_profile(folder)
 
 
-def test_steps_are_chained(version_0: dict[str, Any]) -> None:
+def test_steps_are_chained_and_checked() -> None:
+    version_0 = tomllib.loads((OLD / "v0" / "profile.toml").read_text())
     before = copy.deepcopy(version_0)
     migrated = migrate(version_0, current=2, steps={0: rename_pad, 1: rename_nodes})
     assert migrated == {"schema_version": 2, "gel": {"thickness_mm": 4.0, "node_count": 5}}
     assert version_0 == before
-
-
-def test_current_documents_pass_unchanged() -> None:
     document = {"schema_version": SCHEMA_VERSION, "x": 1}
     assert migrate(document) is document
-
-
-def test_a_step_that_forgets_the_version_is_a_bug(version_0: dict[str, Any]) -> None:
     with pytest.raises(RuntimeError, match="did not set schema_version 1"):
         migrate(version_0, current=1, steps={0: dict})
-
-
-def test_newer_and_unknown_versions_are_refused(version_0: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="written by a newer version"):
         migrate({"schema_version": SCHEMA_VERSION + 1})
     with pytest.raises(InputError, match="version 0 is not known"):
@@ -69,20 +64,14 @@ def test_every_released_version_has_a_step_and_an_example() -> None:
         assert (OLD / f"v{version}" / "profile.toml").is_file()
 
 
-def test_version_1_is_read_as_it_was() -> None:
+def test_version_1_is_read_as_it_was_and_written_as_the_current_one(tmp_path: Path) -> None:
     """The stored folder holds two tets of one layer, an image and a colour model."""
-    assert "schema_version = 1\n" in (OLD / "v1" / "profile.toml").read_text()
-    assert validate_profile(OLD / "v1") == []
-    profile = load_profile(OLD / "v1")
+    profile = old(1)
     assert list(profile.blocks()) == ["sensor", "gel", "material", "camera", "background", "color"]
     assert profile.material.poisson_ratio == 0.48 and profile.material.layers == ()
     assert profile.mesh.tet_layers.tolist() == [0, 0]
     assert profile.grid().mm_per_px_y == 0.031
     assert profile.optical_design() is None
-
-
-def test_version_1_is_written_as_the_current_one(tmp_path: Path) -> None:
-    profile = load_profile(OLD / "v1")
     save_profile(profile, tmp_path / "p")
     text = (tmp_path / "p" / "profile.toml").read_text()
     assert f"schema_version = {SCHEMA_VERSION}\n" in text
@@ -93,9 +82,7 @@ def test_version_1_is_written_as_the_current_one(tmp_path: Path) -> None:
 
 def test_version_2_is_read_as_it_was() -> None:
     """The stored folder adds markers and a window to that of version 1."""
-    assert "schema_version = 2\n" in (OLD / "v2" / "profile.toml").read_text()
-    assert validate_profile(OLD / "v2") == []
-    profile = load_profile(OLD / "v2")
+    profile = old(2)
     assert profile.markers is not None and profile.markers.pitch_y_mm == 2.1
     assert profile.material.model == "neo_hookean" and profile.material.damping_time_s == 0.0
     assert profile.normals is None and profile.depth_response is None
@@ -105,9 +92,7 @@ def test_version_2_is_read_as_it_was() -> None:
 
 def test_version_3_is_read_as_it_was() -> None:
     """The stored folder adds a normals block; its networks answer as version 3 had them answer."""
-    assert "schema_version = 3\n" in (OLD / "v3" / "profile.toml").read_text()
-    assert validate_profile(OLD / "v3") == []
-    profile = load_profile(OLD / "v3")
+    profile = old(3)
     assert profile.color is not None and profile.color_weights is not None
     config = ColorModelConfig.from_dict(profile.color.architecture)
     assert config.position_bands == 0
@@ -126,9 +111,7 @@ def test_version_3_is_read_as_it_was() -> None:
 
 def test_version_4_does_not_know_what_its_material_was_fitted_with(tmp_path: Path) -> None:
     """The stored folder has a calibrated material."""
-    assert "schema_version = 4\n" in (OLD / "v4" / "profile.toml").read_text()
-    assert validate_profile(OLD / "v4") == []
-    profile = load_profile(OLD / "v4")
+    profile = old(4)
     assert profile.material.provenance.interval["young_modulus_pa"] == (1.4e5, 1.6e5)
     assert profile.material.fitted_with is None
     save_profile(profile, tmp_path / "p")
@@ -138,9 +121,7 @@ def test_version_4_does_not_know_what_its_material_was_fitted_with(tmp_path: Pat
 
 def test_version_5_does_not_know_how_uncertain_heights_are() -> None:
     """The stored folder has networks of normals; its heights have no band."""
-    assert "schema_version = 5\n" in (OLD / "v5" / "profile.toml").read_text()
-    assert validate_profile(OLD / "v5") == []
-    profile = load_profile(OLD / "v5")
+    profile = old(5)
     config = NormalModel.from_profile(profile).config
     assert (config.height_factor, config.error_length_px, config.cone_deg) == (0.0, 0.0, 90.0)
     assert profile.background_rgb is not None
@@ -153,27 +134,21 @@ def test_version_5_does_not_know_how_uncertain_heights_are() -> None:
 
 def test_version_6_has_no_force_model() -> None:
     """The stored folder is that of version 5, whose networks say how uncertain heights are."""
-    assert "schema_version = 6\n" in (OLD / "v6" / "profile.toml").read_text()
-    assert validate_profile(OLD / "v6") == []
-    profile = load_profile(OLD / "v6")
+    profile = old(6)
     assert profile.force is None and profile.force_weights is None
     assert profile.blocks() == load_profile(OLD / "v5").blocks()
 
 
 def test_version_7_does_not_know_how_captures_were_recorded() -> None:
     """The stored folder is that of version 6, which had a force model to have."""
-    assert "schema_version = 7\n" in (OLD / "v7" / "profile.toml").read_text()
-    assert validate_profile(OLD / "v7") == []
-    profile = load_profile(OLD / "v7")
+    profile = old(7)
     assert profile.sensor.recorded == ()
     assert profile.blocks() == load_profile(OLD / "v6").blocks()
 
 
 def test_version_8_tells_the_error_of_the_reading_alone_and_says_so() -> None:
     """The stored folder has networks whose heights have a spread, and a curve of a grey sensor."""
-    assert "schema_version = 8\n" in (OLD / "v8" / "profile.toml").read_text()
-    assert validate_profile(OLD / "v8") == []
-    profile = load_profile(OLD / "v8")
+    profile = old(8)
     assert profile.background_rgb is not None
     image = profile.background_rgb.astype(float)
     by_colour = SurfaceReader(profile).read(image)

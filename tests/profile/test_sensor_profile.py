@@ -1,18 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Profiles are immutable and consistent."""
+"""Profiles are immutable and consistent; blocks refuse what they must refuse; units are exact."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
+from datetime import UTC, datetime, timedelta, timezone
 from typing import Any
 
 import numpy as np
+import pydantic
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import Region
+from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.profile import BackgroundBlock, ColorBlock, SensorProfile
+from taccel_lab.profile import (
+    BackgroundBlock,
+    CameraBlock,
+    ColorBlock,
+    MaterialBlock,
+    Provenance,
+    SensorBlock,
+    SensorProfile,
+    units,
+)
 from taccel_lab.profile.blocks import OPTIONAL_BLOCKS
 from taccel_lab.profile.optical_design import Camera, Coating, Light, MarkerGrid, Window
 from taccel_lab.profile.optics_blocks import (
@@ -47,6 +61,9 @@ def test_with_block_wants_the_arrays_it_describes(full_profile: SensorProfile) -
         full_profile.with_block(full_profile.background)
     with pytest.raises(InputError, match="takes no arrays"):
         full_profile.with_block(full_profile.material, np.zeros(3))
+    for lacking in ("background", "color_weights"):
+        with pytest.raises(InputError, match="one is missing"):
+            dataclasses.replace(full_profile, **{lacking: None})
 
 
 def test_without_removes_block_and_arrays(full_profile: SensorProfile) -> None:
@@ -75,34 +92,22 @@ def test_arrays_are_read_only_copies(full_profile: SensorProfile) -> None:
 
 
 @pytest.mark.parametrize(
-    ("image", "words"),
+    ("key", "arrays", "words"),
     [
-        (np.zeros((12, 9, 3), np.uint8), r"shape \[12, 9, 3\].*\[9, 12, 3\]"),
-        (np.zeros((9, 12), np.uint8), "shape"),
-        (np.zeros((9, 12, 3)), "uint8 or float32"),
-        (np.full((9, 12, 3), np.nan, np.float32), "NaN"),
-        (np.full((9, 12, 3), -1, np.float32), "0..255"),
-        (np.full((9, 12, 3), 256, np.float32), "0..255"),
+        ("background", np.zeros((12, 9, 3), np.uint8), r"shape \[12, 9, 3\].*\[9, 12, 3\]"),
+        ("background", np.zeros((9, 12), np.uint8), "shape"),
+        ("background", np.zeros((9, 12, 3)), "uint8 or float32"),
+        ("background", np.full((9, 12, 3), np.nan, np.float32), "NaN"),
+        ("background", np.full((9, 12, 3), -1, np.float32), "0..255"),
+        ("background", np.full((9, 12, 3), 256, np.float32), "0..255"),
+        ("color", {}, "no weights"),
+        ("color", {"w": np.array([1.0, np.inf], np.float32)}, "'w' holds NaN or infinite"),
+        ("color", {"w": np.array([1, 2])}, "'w' must be float32 or float64"),
     ],
 )
-def test_background_is_checked(full_profile: SensorProfile, image: Any, words: str) -> None:
-    assert full_profile.background is not None
+def test_arrays_are_checked(full_profile: SensorProfile, key: str, arrays: Any, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        full_profile.with_block(full_profile.background, image)
-
-
-@pytest.mark.parametrize(
-    ("weights", "words"),
-    [
-        ({}, "no weights"),
-        ({"w": np.array([1.0, np.inf], np.float32)}, "'w' holds NaN or infinite"),
-        ({"w": np.array([1, 2])}, "'w' must be float32 or float64"),
-    ],
-)
-def test_weights_are_checked(full_profile: SensorProfile, weights: Any, words: str) -> None:
-    assert full_profile.color is not None
-    with pytest.raises(InputError, match=words):
-        full_profile.with_block(full_profile.color, weights)
+        full_profile.with_block(full_profile.blocks()[key], arrays)
 
 
 @pytest.mark.parametrize(
@@ -156,18 +161,6 @@ def test_a_gel_is_touched_and_glued(flat: SensorProfile) -> None:
             dataclasses.replace(flat, mesh=mesh)
 
 
-def test_mesh_must_match_its_block(full_profile: SensorProfile) -> None:
-    with pytest.raises(InputError, match=r"gel\.node_count is 6 but the mesh has 5"):
-        full_profile.with_block(full_profile.gel.replace(node_count=6), full_profile.mesh)
-
-
-def test_block_and_array_come_together(full_profile: SensorProfile) -> None:
-    with pytest.raises(InputError, match="one is missing"):
-        dataclasses.replace(full_profile, background=None)
-    with pytest.raises(InputError, match="one is missing"):
-        dataclasses.replace(full_profile, color_weights=None)
-
-
 def test_another_camera_needs_another_background(full_profile: SensorProfile) -> None:
     wider = full_profile.camera.replace(width_px=20)
     with pytest.raises(InputError, match="camera block asks for"):
@@ -182,9 +175,7 @@ def test_another_camera_needs_another_background(full_profile: SensorProfile) ->
     assert changed.grid().width_px == 20
 
 
-def test_layers_need_their_materials(full_profile: SensorProfile) -> None:
-    with pytest.raises(InputError, match=r"layer 1, but material\.layers states 0"):
-        full_profile.with_block(full_profile.material.replace(layers=()))
+def test_another_material_keeps_its_layers(full_profile: SensorProfile) -> None:
     softer = full_profile.with_block(full_profile.material.replace(young_modulus_pa=1e4))
     assert softer.material.layers == full_profile.material.layers
 
@@ -235,3 +226,106 @@ def test_the_untouched_image_is_given_or_the_profiles(full_profile: SensorProfil
         full_profile.untouched(given[:, :-1], "rest.png")
     with pytest.raises(InputError, match="no background; give an image"):
         full_profile.without("background").untouched()
+
+
+def material(provenance: Provenance, **changes: Any) -> MaterialBlock:
+    values: dict[str, Any] = {
+        "young_modulus_pa": 1e5,
+        "poisson_ratio": 0.45,
+        "density_kg_m3": 1000.0,
+        "friction_coefficient": 0.5,
+        "provenance": provenance,
+    }
+    return MaterialBlock(**{**values, **changes})
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("poisson_ratio", 0.5, "below 0.5.*incompressible"),
+        ("poisson_ratio", 0.7, "below 0.5"),
+        ("poisson_ratio", -0.1, "at least 0"),
+        ("poisson_ratio", float("nan"), "finite"),
+        ("young_modulus_pa", 0.0, r"must lie in \[2000, 5e\+07\] Pa, got"),
+        ("young_modulus_pa", -1e5, r"must lie in \[2000, 5e\+07\] Pa, got"),
+        ("young_modulus_pa", 1e12, r"must lie in \[2000, 5e\+07\] Pa, got 1e\+12"),
+        ("young_modulus_pa", float("inf"), "finite"),
+        ("young_modulus_pa", "soft", "valid number"),
+        ("density_kg_m3", 0.0, "must lie in .* kg/m3, got 0"),
+        ("friction_coefficient", -0.1, r"must lie in \[0, 5\], got -0\.1"),
+        ("model", "linear", "neo_hookean"),
+        ("stiffness", 3.0, "unknown key; allowed: .*young_modulus_pa"),
+    ],
+)
+def test_material_refuses(provenance: Provenance, field: str, value: Any, words: str) -> None:
+    with pytest.raises(InputError, match=rf"material\.{field}: .*{words}"):
+        material(provenance, **{field: value})
+    assert material(provenance, poisson_ratio=0.4999).poisson_ratio == 0.4999
+
+
+def test_nested_keys_are_named_by_path() -> None:
+    wrong: Any = {"kind": "assumed", "method": "m", "source": "s", "inputs": {"a.png": "123"}}
+    with pytest.raises(InputError, match=r"material\.provenance\.inputs\.a\.png"):
+        material(wrong)
+
+
+def test_blocks_are_frozen_and_replace_checks(provenance: Provenance) -> None:
+    block = material(provenance)
+    with pytest.raises(pydantic.ValidationError, match="frozen"):
+        block.poisson_ratio = 0.4  # type: ignore[misc]
+    assert block.replace(poisson_ratio=0.4).poisson_ratio == 0.4
+    assert block.poisson_ratio == 0.45
+    with pytest.raises(InputError, match="poisson_ratio"):
+        block.replace(poisson_ratio=0.5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"kind": "calibrated"}, "must name its inputs"),
+        ({"valid_region": {"depth_mm": (2.0, 1.0)}}, r"depth_mm: 2.0 > 1.0"),
+        ({"created": datetime(2026, 1, 1, tzinfo=timezone(timedelta(hours=2)))}, "UTC"),
+    ],
+)
+def test_evidence_is_complete(changes: dict[str, Any], words: str) -> None:
+    values: dict[str, Any] = {"kind": "assumed", "method": "m", "source": "s"}
+    with pytest.raises(pydantic.ValidationError, match=words):
+        Provenance(**{**values, **changes})
+    stamp = Provenance(**values).created
+    assert stamp.tzinfo is UTC
+    assert abs(datetime.now(UTC) - stamp) < timedelta(minutes=1)
+
+
+def test_configuration_values_keep_their_types(provenance: Provenance) -> None:
+    values = {"count": 2, "scale": 2.0, "flag": True, "word": "2", "mixed": [1, 2.5, "x", False]}
+    block = SensorBlock(name="n", family="f", parameters=values, provenance=provenance)
+    assert [type(value) for value in block.parameters.values()] == [int, float, bool, str, list]
+    mixed = block.parameters["mixed"]
+    assert isinstance(mixed, list)
+    assert [type(value) for value in mixed] == [int, float, str, bool]
+    with pytest.raises(InputError, match=r"color\.architecture"):
+        ColorBlock(architecture={"layer": {"width": 3}}, provenance=provenance)  # type: ignore[dict-item]
+
+
+def test_camera_block_round_trips_the_grid(provenance: Provenance) -> None:
+    grid = PixelGrid(640, 480, 0.0295, 0.03, center_u_px=310.5, center_v_px=240.0)
+    assert CameraBlock.from_grid(grid, provenance).grid() == grid
+
+
+@pytest.mark.parametrize("millimetres", [2.0, 0.1, 4.23, 17.0, 0.0295])
+def test_millimetres_become_the_nearest_double(millimetres: float) -> None:
+    assert units.m_from_mm(millimetres) == float(f"{millimetres}e-3")
+
+
+@given(st.floats(-1e6, 1e6))
+def test_conversions_invert(value: float) -> None:
+    assert units.m_from_mm(value) * 1000.0 == pytest.approx(value, rel=1e-15, abs=1e-300)
+    assert units.deg_from_rad(units.rad_from_deg(value)) == pytest.approx(
+        value, rel=1e-15, abs=1e-300
+    )
+
+
+def test_known_angles_and_arrays() -> None:
+    assert units.rad_from_deg(180.0) == math.pi
+    np.testing.assert_allclose(units.deg_from_rad(np.array([math.pi / 2])), [90.0])
+    np.testing.assert_array_equal(units.m_from_mm(np.array([1.0, 2.0])), [0.001, 0.002])

@@ -39,6 +39,8 @@ from tests.support.robot_files import CHAIN, REAL, random_coordinates, write
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 PAD = block_mesh((4, 4, 2), (8e-3, 8e-3, 3e-3), jitter=0.1)
 GEL = SoftBody(PAD, Material(1e5, 0.45), friction_coefficient=0.8, element=Element.LINEAR)
+DT = 0.02
+TIME = TimeStepping(quasi_static=False, dt_s=DT)
 IDENTITY = np.array([0, 0, 0, 0, 0, 0, 1.0])
 
 
@@ -65,56 +67,59 @@ def carried(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def check_bonded_nodes(robot: Robot, model: Model, state: State, q: np.ndarray) -> None:
-    """Bonded nodes are where the links carry them, by forward kinematics alone."""
+def check_nodes(
+    robot: Robot, model: Model, state: State, q: np.ndarray, nodes: np.ndarray, atol: float = 1e-15
+) -> None:
+    """These nodes of each gel are where the links carry them, by forward kinematics alone."""
     positions = state.positions.numpy()
-    bonded = PAD.bonded_nodes()
     for mount in robot.mounts:
         frames = matrix_of(robot.link_poses(mount.link, q)) @ mount.link_from_gel
         first = model.bodies[model.body_id(mount.gel.name)].nodes[0]
         for env, frame in enumerate(frames):
-            wanted = carried(pose_of(frame), PAD.nodes_m[bonded])
-            np.testing.assert_allclose(positions[env, first + bonded], wanted, rtol=0, atol=1e-15)
+            wanted = carried(pose_of(frame), PAD.nodes_m[nodes])
+            np.testing.assert_allclose(positions[env, first + nodes], wanted, rtol=0, atol=atol)
+
+
+def pushes_of_gels(
+    robot: Robot, solver: SolverIPC, state: State, ways: list[np.ndarray], held: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Forces of the gels on a body after steps to coordinates, [env, gel, 3], and the residual.
+
+    Between two steps the body's momentum changes by what the gels do, to the residual.
+    """
+    model, outputs, before = solver.model, Outputs(solver), np.zeros(3)
+    body, gels = model.body_id(held), [model.body_id(m.gel.name) for m in robot.mounts]
+    forces = residual = np.zeros(0)
+    for q in ways:
+        report = solver.step(state, robot.targets(q))
+        assert report.converged.all(), report.summary()
+        check_nodes(robot, model, state, np.atleast_2d(q), PAD.bonded_nodes())
+        outputs.update(state)
+        parts = outputs.contact_wrenches(), outputs.friction_wrenches()
+        forces = np.sum([part.wrenches.numpy()[:, body, gels, :3] for part in parts], axis=0)
+        momentum = outputs.momentum().linear.numpy()[:, body]
+        change, residual = (momentum - before) / DT, report.residual_n
+        assert (np.abs(forces.sum(axis=1) - change) <= 2 * residual[:, None] + 1e-9).all()
+        before = momentum
+    return forces, residual
 
 
 def test_a_gripper_closes_on_a_box_with_equal_and_opposite_forces() -> None:
-    """Between two steps the box's momentum changes by what the pads do, to the residual; at rest
-    that is nothing."""
     robot = gripper_with_pads()
     middle = robot.link_poses("tcp", robot.rest_q)[0]
     middle[:3] += [2e-4, 1e-4, 3e-4]
-    dt = 0.02
     box = AffineBody(box_mesh((6e-3, 6e-3, 6e-3)), name="box", initial_pose=middle)
-    time = TimeStepping(quasi_static=False, dt_s=dt)
-    scene = Scene(robot.soft_bodies(), robot.kinematic_bodies(), 2, time, affine_bodies=box)
-    model = scene.finalize()
-    solver = SolverIPC(model, SolverConfig(dhat_m=5e-5, relative_tolerance=1e-6))
-    state = initial_state(model, robot.targets([[6.3e-3], [6.3e-3]]))
-    outputs = Outputs(solver)
-    left, right, held = (model.body_id(name) for name in ("left", "right", "box"))
-    before = np.zeros((2, 3))
-    force = np.zeros((2, 2, 3))
-    for a, b in [(6.1e-3, 6.2e-3), (5.9e-3, 6.0e-3), (5.8e-3, 5.9e-3), *[(5.8e-3, 5.9e-3)] * 4]:
-        q = np.array([[a], [b]])
-        report = solver.step(state, robot.targets(q))
-        assert report.converged.all(), report.summary()
-        np.testing.assert_array_equal(state.poses.numpy().reshape(2, -1, 7), robot.targets(q))
-        check_bonded_nodes(robot, model, state, q)
-        outputs.update(state)
-        wrenches = sum(
-            part.wrenches.numpy()[:, held, [left, right], :3]
-            for part in (outputs.contact_wrenches(), outputs.friction_wrenches())
-        )
-        force = np.asarray(wrenches)
-        momentum = outputs.momentum().linear.numpy()[:, held]
-        change = (momentum - before) / dt
-        residual = report.residual_n[:, None]
-        assert (np.abs(force.sum(axis=1) - change) <= 2 * residual + 1e-9).all()
-        before = momentum
+    scene = Scene(robot.soft_bodies(), robot.kinematic_bodies(), 2, TIME, affine_bodies=box)
+    solver = SolverIPC(scene.finalize(), SolverConfig(dhat_m=5e-5, relative_tolerance=1e-6))
+    state = initial_state(solver.model, robot.targets([[6.3e-3], [6.3e-3]]))
+    slides = [(6.1e-3, 6.2e-3), (5.9e-3, 6.0e-3), (5.8e-3, 5.9e-3), *[(5.8e-3, 5.9e-3)] * 4]
+    ways = [np.array(pair)[:, None] for pair in slides]
+    force, residual = pushes_of_gels(robot, solver, state, ways, "box")
+    np.testing.assert_array_equal(state.poses.numpy().reshape(2, -1, 7), robot.targets(ways[-1]))
     push = np.linalg.norm(force, axis=2)
     assert (push > 0.2).all() and (push[0] > 1.2 * push[1]).all()
     # At rest: equal and opposite, to the residual.
-    assert (np.linalg.norm(force.sum(axis=1), axis=1) <= 2 * report.residual_n + 1e-7).all()
+    assert (np.linalg.norm(force.sum(axis=1), axis=1) <= 2 * residual + 1e-7).all()
 
 
 def test_a_hand_of_turning_joints_holds_a_ball() -> None:
@@ -122,7 +127,7 @@ def test_a_hand_of_turning_joints_holds_a_ball() -> None:
     robot = named("three_finger_hand")
     for k in (1, 2, 3):
         robot = robot.mount(f"pad_{k}", GEL, on_seat(PAD), f"pad {k}")
-    radius, dt = 25e-3, 0.02
+    radius = 25e-3
 
     def bent(angle: float) -> np.ndarray:
         return np.tile([0.0, angle, -angle], (1, 3))
@@ -137,30 +142,17 @@ def test_a_hand_of_turning_joints_holds_a_ball() -> None:
         initial_pose=np.array([0, 0, seats[2], 0, 0, 0, 1]),
         friction_coefficient=0.8,
     )
-    time = TimeStepping(quasi_static=False, dt_s=dt)
     # Palm and fingers are far from the ball: the scene has the frames of the pads alone.
     robot = robot.touching([])
-    scene = Scene(robot.soft_bodies(), robot.kinematic_bodies(), 1, time, affine_bodies=ball)
+    scene = Scene(robot.soft_bodies(), robot.kinematic_bodies(), 1, TIME, affine_bodies=ball)
     assert len(scene.kinematic_bodies) == 3
-    model = scene.finalize()
-    solver = SolverIPC(model, SolverConfig(dhat_m=5e-5, relative_tolerance=1e-6))
-    state = initial_state(model, robot.targets(bent(touch - 0.01)))
-    outputs, held = Outputs(solver), model.body_id("ball")
-    before = np.zeros(3)
-    for angle in (*np.linspace(touch - 0.005, touch + 0.008, 4), *[touch + 0.008] * 4):
-        report = solver.step(state, robot.targets(bent(angle)))
-        assert report.converged.all(), report.summary()
-        check_bonded_nodes(robot, model, state, bent(angle))
-        outputs.update(state)
-        parts = outputs.contact_wrenches(), outputs.friction_wrenches()
-        forces = np.sum([part.wrenches.numpy()[0, held, :3, :3] for part in parts], axis=0)
-        momentum = outputs.momentum().linear.numpy()[0, held]
-        change = (momentum - before) / dt
-        assert (np.abs(forces.sum(axis=0) - change) <= 2 * report.residual_n + 1e-9).all()
-        before = momentum
-    push = np.linalg.norm(forces, axis=1)
+    solver = SolverIPC(scene.finalize(), SolverConfig(dhat_m=5e-5, relative_tolerance=1e-6))
+    state = initial_state(solver.model, robot.targets(bent(touch - 0.01)))
+    angles = (*np.linspace(touch - 0.005, touch + 0.008, 4), *[touch + 0.008] * 4)
+    forces, _ = pushes_of_gels(robot, solver, state, [bent(angle) for angle in angles], "ball")
+    push = np.linalg.norm(forces[0], axis=1)
     assert (push > 0.2).all() and push.max() < 1.5 * push.min()
-    assert np.linalg.norm(forces.sum(axis=0)) <= 1e-3 * push.max()
+    assert np.linalg.norm(forces[0].sum(axis=0)) <= 1e-3 * push.max()
 
 
 def test_links_without_shape_or_gel_cost_nothing() -> None:
@@ -302,10 +294,4 @@ def test_real_robots_carry_pads(name: str) -> None:
     model = Scene(robot.soft_bodies(), robot.kinematic_bodies(), 3).finalize()
     q = random_coordinates(robot, 3)
     state = initial_state(model, robot.targets(q))
-    for mount in robot.mounts:
-        first = model.bodies[model.body_id(mount.gel.name)].nodes[0]
-        frames = matrix_of(robot.link_poses(mount.link, q)) @ mount.link_from_gel
-        for env in range(3):
-            found = state.positions.numpy()[env, first : first + PAD.node_count]
-            wanted = carried(pose_of(frames[env]), PAD.nodes_m)
-            np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-14)
+    check_nodes(robot, model, state, q, np.arange(PAD.node_count), atol=1e-14)

@@ -13,12 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import load_profile
 from taccel_lab.sensors.design import DesignResult, design_sensor
 from taccel_lab.sensors.gelsight.family import FAMILY
 from taccel_lab.sensors.workshop import issue_of
 from tests.geometry.vtu_files import read_mesh_vtu
+from tests.support.commands import done, refusal
 
 
 @pytest.fixture(scope="module")
@@ -140,59 +143,32 @@ def test_bad_input_leaves_an_earlier_result_untouched(tmp_path: Path) -> None:
 
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    import tyro
-
-    from taccel_lab.cli.design import Design
-
     out = tmp_path / "out"
-    command = tyro.cli(
-        Design,
-        args=[
-            "gelsight",
-            "--out",
-            str(out),
-            "--set",
-            "rim=chamfer",
-            "rim_mm=0.4",
-            "--edge-mm",
-            "2",
-            "--parts",
-            "pad",
-            "drawing",
-        ],
-    )
-    command.run()
-    printed = capsys.readouterr().out
-    assert "smallest dihedral angle" in printed and "pad.step" in printed
+    words = ["--set", "rim=chamfer", "rim_mm=0.4", "--edge-mm", 2, "--parts", "pad", "drawing"]
+    found = done(capsys, "design", "gelsight", "--out", out, *words)
+    assert found.code == 0
+    assert "smallest dihedral angle" in found.out and "pad.step" in found.out
     assert json.loads((out / "parameters.json").read_text())["part"]["pad"]["rim"] == "chamfer"
     assert (out / "drawing.svg").exists() and not (out / "mould_cavity.step").exists()
 
 
-def test_command_line_refuses_unknown_sensor(tmp_path: Path) -> None:
-    from taccel_lab.cli.design import Design
-
-    with pytest.raises(InputError, match=r"known: .*gelsight"):
-        Design(sensor="digitt", out=tmp_path / "out").run()
-    with pytest.raises(InputError, match="name=value"):
-        Design(sensor="gelsight", out=tmp_path / "out", set=("thickness",)).run()
-    assert not (tmp_path / "out").exists()
+def test_command_line_refuses_unknown_sensor(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert "known: " in refusal(capsys, "design", "digitt", "--out", out)
+    assert "name=value" in refusal(capsys, "design", "gelsight", "--out", out, "--set", "thickness")
+    assert not out.exists()
 
 
 def test_a_bad_mesh_is_refused_with_a_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from taccel_lab.cad.mesh.gel_mesh import gel_mesh
-    from taccel_lab.geometry import TetMesh
-
     def squeezed(pad: Any, edge_mm: float) -> TetMesh:
         mesh = gel_mesh(pad, edge_mm)
-        nodes = mesh.nodes_m.copy()
-        inner = np.setdiff1d(np.arange(len(nodes)), np.unique(mesh.faces))
-        # One inner node nearly onto a neighbour: flat tets, but all of positive volume.
-        tet = mesh.tets[(mesh.tets == inner[0]).any(axis=1)][0]
-        neighbour = next(int(node) for node in tet if node != inner[0])
-        nodes[inner[0]] += 0.95 * (nodes[neighbour] - nodes[inner[0]])
-        return dataclasses.replace(mesh, nodes_m=nodes)
+        # Flat tets, all of positive volume.
+        flat = mesh.nodes_m * [1, 1, 0.05] - [0, 0, 0.95e-3 * pad.thickness_mm]
+        return dataclasses.replace(mesh, nodes_m=flat)
 
     monkeypatch.setattr("taccel_lab.sensors.design.gel_mesh", squeezed)
     with pytest.raises(InputError, match=r"angle under .*/out_refused/bad_mesh\.png .* tetwild"):

@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
+import importlib.util
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from taccel_lab.cad.parts.pad_solid import labelled_solid
+from taccel_lab.errors import InputError
 from taccel_lab.sensors import FamilyParameters, sensor_families, sensor_family
 from taccel_lab.sensors.derived import lens_difference, pad_volume_mm3
+from taccel_lab.sensors.gelsight.family import FAMILY
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 
 
@@ -244,3 +248,35 @@ def test_housings_have_the_stated_size() -> None:
         assert housing is not None and housing.size_mm == size
     mini = nominal("gelsight_mini").housing()
     assert mini is not None and mini.size_mm[2] - mini.front_z_mm == 28.25
+
+
+def gelmap() -> np.ndarray:
+    """Height map of the gel in the package taxim [px], shape [480, 640]."""
+    spec = importlib.util.find_spec("taxim")
+    if spec is None or not spec.submodule_search_locations:
+        pytest.skip("the package taxim is not installed")
+    folder = Path(next(iter(spec.submodule_search_locations)))
+    return np.load(folder / "calib" / "gelsight" / "gelmap.npy").astype(np.float64)
+
+
+def test_pad_matches_the_gel_map_everywhere() -> None:
+    grid, pad = FAMILY.parameters().grid(), FAMILY.parameters().pad()
+    corner = np.array([grid.x_mm()[-1], grid.y_mm()[-1]])
+    assert -pad.height_mm(corner) == pytest.approx(1.40, abs=0.01)
+    measured = gelmap() * grid.mm_per_px_x - pad.thickness_mm
+    xy = np.stack(np.meshgrid(grid.x_mm(), grid.y_mm()), axis=-1)
+    error = pad.height_mm(xy) - measured
+    assert np.sqrt((error**2).mean()) < 0.001
+    assert np.abs(error).max() < 0.012
+    # The deepest labelled press of the data: radius 1.976 mm with a 2 mm ball.
+    assert pad.thickness_mm > 2 * (2 - np.sqrt(2**2 - 1.976**2))
+
+
+def test_material_is_in_si() -> None:
+    material = FAMILY.parameters({"young_modulus_mpa": 0.3}).material()
+    assert material.young_modulus_pa == pytest.approx(3e5)
+    assert 0 <= material.poisson_ratio < 0.5
+    with pytest.raises(InputError, match=r"sensor gelsight: .*poisson_ratio = 0\.5.* 0 to 0\.499"):
+        FAMILY.parameters({"poisson_ratio": 0.5})
+    with pytest.raises(InputError, match=r"no parameter 'colour'.*thickness_mm"):
+        FAMILY.parameters({"colour": "red"})
