@@ -33,9 +33,9 @@ class Suite:
         """Measure all rows and write the result file; InputError for options that cannot be."""
         import warp as wp
 
-        from taccel_lab.warp_output import quiet_warp
+        from taccel_lab.warp_output import start_warp
 
-        quiet_warp()
+        start_warp()
         wp.config.log_level = wp.LOG_WARNING
         settings = self.settings()
         result = ResultFile(self.name, self.what, self.out, self.device, settings, self.budget_s)

@@ -21,9 +21,9 @@ from taccel_lab.calibration.contacts.labels import LabelAgreement
 from taccel_lab.calibration.contacts.remarks import CIRCLES_FOUND
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.press_options import BallPressOptions
-from taccel_lab.calibration.result import Remark
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark
 
 
 @dataclass(frozen=True)

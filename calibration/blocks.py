@@ -27,7 +27,6 @@ from taccel_lab.calibration.material.report import material_page
 from taccel_lab.calibration.normals.fit import calibrate_normals
 from taccel_lab.calibration.normals.options import NormalOptions
 from taccel_lab.calibration.normals.report import normals_page
-from taccel_lab.calibration.report.page import Page
 from taccel_lab.calibration.result import CalibrationResult
 from taccel_lab.calibration.scale.fit import calibrate_scale
 from taccel_lab.calibration.scale.report import scale_page
@@ -36,6 +35,7 @@ from taccel_lab.calibration.spread.report import spread_page
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.page import Page
 
 
 @dataclass(frozen=True)

@@ -8,88 +8,137 @@ board on the gel the other blocks see the images that the profile's camera descr
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, TypeVar
 
+from taccel_lab.calibration.background.result import BackgroundCalibration
 from taccel_lab.calibration.base_profile import base_profile, with_measured_scale
+from taccel_lab.calibration.block_outcome import BlockOutcome, State
 from taccel_lab.calibration.blocks import BLOCKS, CalibrationBlock
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.camera.rectify_captures import LEFT_OUT, rectify_captures
+from taccel_lab.calibration.camera.result import CameraCalibration
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.check.block_findings import capture_check
 from taccel_lab.calibration.check.content import Readiness
 from taccel_lab.calibration.check.run import CaptureCheck
+from taccel_lab.calibration.color.result import ColorCalibration
+from taccel_lab.calibration.depth.result import DepthCalibration
+from taccel_lab.calibration.markers.result import MarkerCalibration
+from taccel_lab.calibration.material.result import MaterialCalibration
+from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.recorded import with_session
-from taccel_lab.calibration.report.page import Page, Table, write_page
 from taccel_lab.calibration.report.profile_page import profile_page
 from taccel_lab.calibration.report.remarks import BLOCK_UNFIT
-from taccel_lab.calibration.result import Severity, judge
+from taccel_lab.calibration.result import CalibrationResult
+from taccel_lab.calibration.scale.result import ScaleCalibration
+from taccel_lab.calibration.spread.result import SpreadCalibration
+from taccel_lab.calibration.unfinished import UnfinishedCalibration, calibration_key
 from taccel_lab.errors import InputError
 from taccel_lab.output_folder import atomic_directory
-from taccel_lab.profile import SensorProfile
-from taccel_lab.progress import Progress, silent
+from taccel_lab.profile import SensorProfile, save_profile
+from taccel_lab.progress import Progress
+from taccel_lab.progress_bars import bars_if_watched
+from taccel_lab.report.page import Page, Table, write_page
+from taccel_lab.report.remark import Severity, judge
+from taccel_lab.summary import Summary
+from taccel_lab.warp_output import start_warp
 
+Result = TypeVar("Result")
 _MEASURE_SCALE = ("camera", "scale")
 
 
-class State(StrEnum):
-    """How the calibration of a block ended."""
-
-    DONE = "done"
-    SKIPPED = "skipped"
-    """There are no captures for it."""
-    BLOCKED = "blocked"
-    """The check of the captures found that they cannot be used for it."""
-    REFUSED = "refused"
-    """The calibration found that they cannot."""
-
-
-@dataclass(frozen=True)
-class BlockOutcome:
-    """How the calibration of one block ended."""
-
-    name: str
-    state: State
-    message: str
-    """The verdict, or the reason why the block is as before."""
-    seconds: float = 0.0
-    page: Page | None = None
-    """Report of a block that is done; pictures are drawn when it is written."""
-
-    @property
-    def is_unfit(self) -> bool:
-        """Whether there are captures for the block and they cannot be used."""
-        return self.state in (State.BLOCKED, State.REFUSED)
-
-    def figures(self) -> dict[str, Any]:
-        """Ready for JSON."""
-        return {
-            "name": self.name,
-            "state": str(self.state),
-            "message": self.message,
-            "seconds": self.seconds,
-        }
-
-
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, repr=False, eq=False)
+class Calibration(Summary):
     """A profile with how each of its blocks came about."""
 
     profile: SensorProfile
     blocks: tuple[BlockOutcome, ...]
     """In the order of ``taccel_lab.calibration.blocks.BLOCKS``."""
+    results: Mapping[str, CalibrationResult] = field(default_factory=dict)
+    """What each block found, by its name; without those that an earlier run had finished."""
     maps: RectificationMaps | None = None
     """From raw images to those of the profile's camera, after a board on the gel."""
     notes: tuple[str, ...] = ()
     """What rectification left out of the captures."""
     rectified: TemporaryDirectory[str] | None = None
     """Rectified captures, which pages read while they are written; they go with this object."""
+    unfinished: UnfinishedCalibration | None = None
+    """Where blocks were kept as they were finished."""
+
+    @property
+    def camera(self) -> CameraCalibration:
+        """Lens and plane; these and the following raise InputError where the block is not done."""
+        return self._result("camera", CameraCalibration)
+
+    @property
+    def scale(self) -> ScaleCalibration:
+        """Millimetres of a pixel."""
+        return self._result("scale", ScaleCalibration)
+
+    @property
+    def background(self) -> BackgroundCalibration:
+        """The untouched sensor."""
+        return self._result("background", BackgroundCalibration)
+
+    @property
+    def color(self) -> ColorCalibration:
+        """From slopes to colours; ``color.score`` is that of the held-out presses."""
+        return self._result("color", ColorCalibration)
+
+    @property
+    def normals(self) -> NormalCalibration:
+        """From colours to slopes."""
+        return self._result("normals", NormalCalibration)
+
+    @property
+    def depth(self) -> DepthCalibration:
+        """From grey to depth."""
+        return self._result("depth", DepthCalibration)
+
+    @property
+    def markers(self) -> MarkerCalibration:
+        """Dots of the gel."""
+        return self._result("markers", MarkerCalibration)
+
+    @property
+    def material(self) -> MaterialCalibration:
+        """Stiffness and friction."""
+        return self._result("material", MaterialCalibration)
+
+    @property
+    def spread(self) -> SpreadCalibration:
+        """How units and frames differ."""
+        return self._result("spread", SpreadCalibration)
+
+    def _result(self, name: str, kind: type[Result]) -> Result:
+        found = self.results.get(name)
+        if isinstance(found, kind):
+            return found
+        ended = {o.name: f"{o.state}, {o.message}" for o in self.blocks}
+        raise InputError(f"there is no result of {name}: {ended.get(name, 'it was not asked for')}")
+
+    def save(self, folder: Path | str) -> None:
+        """Write the profile; errors as of ``save_profile``."""
+        save_profile(self.profile, folder)
+
+    def figures(self) -> dict[str, Any]:
+        """Everything measured by each block, ready for JSON."""
+        return {name: result.figures() for name, result in self.results.items()}
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """How each block ended."""
+        rows = [
+            (o.name, f"{o.state}: {o.message}" + (f" ({o.seconds:.0f} s)" if o.seconds else ""))
+            for o in self.blocks
+        ]
+        return f"calibration of {self.profile.sensor.name}", rows
 
     @property
     def unfit(self) -> tuple[BlockOutcome, ...]:
@@ -125,7 +174,9 @@ class Calibration:
                 path.replace(staging / path.name)
             (staging / "index").rmdir()
             for outcome in self.blocks:
-                if outcome.page is not None:
+                if outcome.written is not None:
+                    shutil.copytree(outcome.written, staging / outcome.name)
+                elif outcome.page is not None:
                     write_page(outcome.page, staging / outcome.name)
             if self.maps is not None:
                 self.maps.save(staging / "maps.npz")
@@ -136,7 +187,8 @@ def calibrate(
     base: SensorProfile | Path | str | None = None,
     only: Sequence[str] = (),
     options: Mapping[str, Any] | None = None,
-    progress: Progress = silent,
+    progress: Progress | None = None,
+    unfinished: Path | str | None = None,
 ) -> Calibration:
     """Fit every block that the captures allow.
 
@@ -145,22 +197,44 @@ def calibrate(
         base: Profile to extend, or its folder; the catalogue's design of the sensor if None.
         only: Names of blocks; all when empty.
         options: Options of a block's fit by its name; its defaults where none are given.
-        progress: Told of the tasks of each block, as ``color: fitting the colour model``.
+        progress: Told of the tasks of each block, as ``color: fitting the colour model``. When
+            None, bars are drawn where somebody watches.
+        unfinished: Folder that keeps each block as it is finished. The same call goes on with what
+            is there; ``UnfinishedCalibration.remove`` clears it away.
 
     Raises:
         InputError: An unknown block, files that cannot be read, a base of another sensor, or
             captures that calibrate nothing, with the reason for each block.
     """
-    options = dict(options or {})
+    start_warp()
+    with bars_if_watched(progress) as told:
+        return _calibrate(folder, base, only, dict(options or {}), told, unfinished)
+
+
+def _calibrate(
+    folder: CaptureFolder | Path | str,
+    base: SensorProfile | Path | str | None,
+    only: Sequence[str],
+    options: Mapping[str, Any],
+    progress: Progress,
+    unfinished: Path | str | None,
+) -> Calibration:
     chosen = _chosen(only, options)
     if not isinstance(folder, CaptureFolder):
         folder = load_capture_folder(folder)
     raw, profile = folder, base_profile(base, folder)
     extended = None if base is None else profile
+    kept = None
+    if unfinished is not None:
+        key = calibration_key(raw, profile, only, options)
+        kept = UnfinishedCalibration.open(unfinished, key)
     ready = _readiness(capture_check(with_measured_scale(folder, profile), progress))
     outcomes: list[BlockOutcome] = []
+    results: dict[str, CalibrationResult] = {}
     maps, rectified, notes = None, None, ()
     on_gel = any(board.entry.on_gel for board in raw.boards)
+    if kept is not None and kept.profile is not None:
+        profile = kept.profile
     for block in chosen:
         state, message = ready[block.name]
         if block.name == "scale" and rectified is not None:
@@ -168,27 +242,34 @@ def calibrate(
         if state is not None:
             outcomes.append(BlockOutcome(block.name, state, message))
             continue
-        if block.name not in _MEASURE_SCALE:
-            folder = with_measured_scale(folder, profile)
-        outcome, result, profile = _fit(block, folder, profile, options, progress)
+        if kept is not None and block.name in kept.outcomes:
+            outcome, result = kept.outcomes[block.name], None
+        else:
+            if block.name not in _MEASURE_SCALE:
+                folder = with_measured_scale(folder, profile)
+            outcome, result, profile = _fit(block, folder, profile, options, progress)
         if rectified is not None:  # In a folder that goes: the user knows what it was made of.
             known = outcome.message.replace(str(folder.root), str(raw.root))
             outcome = replace(outcome, message=known)
+        if block.name == "camera" and on_gel and outcome.state is State.DONE:
+            maps = result.maps() if result is not None else kept and kept.maps
+        if result is not None:
+            results[block.name] = result
+        if kept is not None and block.name not in kept.outcomes:
+            outcome = kept.add(outcome, profile, maps)
         outcomes.append(outcome)
-        if result is not None and block.name == "camera" and on_gel:
-            maps = result.maps()
-            if raw.background is not None:
-                rectified = TemporaryDirectory(prefix="taccel_lab_")
-                place = Path(rectified.name) / "captures"
-                left_out = rectify_captures(raw, maps, place)
-                # Boards have done all they can: the maps are of them.
-                notes = tuple(note for note in left_out if note != LEFT_OUT.format("boards"))
-                folder = replace(load_capture_folder(place), source=raw.source)
+        if block.name == "camera" and maps is not None and raw.background is not None:
+            rectified = TemporaryDirectory(prefix="taccel_lab_")
+            place = Path(rectified.name) / "captures"
+            left_out = rectify_captures(raw, maps, place)
+            # Boards have done all they can: the maps are of them.
+            notes = tuple(note for note in left_out if note != LEFT_OUT.format("boards"))
+            folder = replace(load_capture_folder(place), source=raw.source)
     if not any(outcome.state is State.DONE for outcome in outcomes):
         lines = "\n".join(f"  {o.name}: {o.message}" for o in outcomes)
         raise InputError(f"{raw.source}: nothing could be calibrated\n{lines}")
     profile = with_session(extended, profile, raw)
-    return Calibration(profile, tuple(outcomes), maps, notes, rectified)
+    return Calibration(profile, tuple(outcomes), results, maps, notes, rectified, kept)
 
 
 def _chosen(only: Sequence[str], options: Mapping[str, Any]) -> list[CalibrationBlock]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from taccel_lab.calibration.result import Remark
+from taccel_lab.report.remark import Remark
 
 
 @dataclass(frozen=True)

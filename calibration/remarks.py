@@ -20,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.report.remark import Remark, Severity
 
 _LAST_STOP = re.compile(r"(?<!\.)\.$")
 _FIELD = re.compile(r"\{(\w+)[^}]*\}")

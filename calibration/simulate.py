@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from typing import Literal
 
 import numpy as np
@@ -39,13 +37,12 @@ from taccel_lab.calibration.surfaces.shared_law import (
 )
 from taccel_lab.calibration.surfaces.view import require_view_on_pad
 from taccel_lab.envs.physics import SURFACE_PHYSICS, PressPhysics
-from taccel_lab.errors import InputError
-from taccel_lab.process_pool import usable_cores
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.process_pool import Died, Finished, ProcessPool, usable_cores
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.registry import profile_parameters
 from taccel_lab.signals.rest_surface import rest_surface
-from taccel_lab.warp_output import quiet_warp
 
 BATCH = 6
 """Presses simulated together in one process."""
@@ -150,6 +147,14 @@ def simulate_presses(
     return [surface for surface in known.surfaces if surface is not None]
 
 
+def _simulated(batch: PressBatch, progress: Progress) -> BatchOutcome | Exception:
+    """A batch in a process of its own; what it refused or could not do is handed over."""
+    try:
+        return simulate_batch(batch)
+    except (InputError, SimulationError) as error:
+        return error
+
+
 @dataclass
 class _KnownSurfaces:
     """Surfaces of the presses, as far as they are known."""
@@ -203,19 +208,17 @@ class _KnownSurfaces:
             else:
                 self._place_batch(batch, kept)
         workers = min(self.processes or min(usable_cores(), 8), len(left))
-        if workers <= 1:
-            for batch in left:
-                self._keep(batch, simulate_batch(batch))
-            return
-        spawn = get_context("spawn")
-        with ProcessPoolExecutor(workers, spawn, initializer=quiet_warp) as pool:
-            futures = {pool.submit(simulate_batch, batch): batch for batch in left}
-            try:
-                for future in as_completed(futures):
-                    self._keep(futures[future], future.result())
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+        with ProcessPool(_simulated, workers if workers > 1 else 0) as pool:
+            for event in pool.run(left):
+                if isinstance(event, Died):
+                    raise SimulationError(
+                        f"presses {', '.join(map(str, event.item.presses))} were not simulated: "
+                        f"{event.cause}"
+                    )
+                if isinstance(event, Finished):
+                    if isinstance(event.result, Exception):
+                        raise event.result
+                    self._keep(event.item, event.result)
 
     def _keep(self, batch: PressBatch, outcome: BatchOutcome) -> None:
         if self.cache:

@@ -61,15 +61,15 @@ class DatasetMake:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes, working
-        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.datasets.plan import Plan
         from taccel_lab.datasets.spec import load_spec
         from taccel_lab.inner_path import real_path
         from taccel_lab.model.devices import require_device
+        from taccel_lab.progress_bars import stage_progress
         from taccel_lab.reading.shard import Shard
-        from taccel_lab.warp_output import quiet_warp
+        from taccel_lab.warp_output import start_warp
 
-        quiet_warp()
+        start_warp()
         console = notes()
         shard = Shard.parse(self.shard)
         for name in ("limit", "processes"):
@@ -100,8 +100,8 @@ class DatasetMake:
         self._conclude(console, outcome, root)
 
     def _make(self, plan: Plan, root: Path | None, shard: Shard, console: Console) -> Outcome:
-        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.datasets.runner import make_dataset
+        from taccel_lab.progress_bars import stage_progress
         from taccel_lab.reading.text_file import read_text
         from taccel_lab.reading.toml_file import TOML_LIMIT_BYTES
 
@@ -170,8 +170,8 @@ class DatasetCheck:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.datasets.check import check_dataset
+        from taccel_lab.progress_bars import stage_progress
 
         console = notes()
         with stage_progress(console) as progress:
@@ -260,11 +260,14 @@ class DatasetPage:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.datasets.page import write_page
+        from taccel_lab.datasets.page import dataset_page
+        from taccel_lab.datasets.reading import Dataset
+        from taccel_lab.report.page import write_page_file
 
         if not 1 <= self.touches <= 200:
             raise InputError(f"touches must lie in 1..200, got {self.touches}")
-        write_page(_some(self.folders), self.out, self.touches)
+        page = dataset_page(Dataset(_some(self.folders)), self.touches)
+        write_page_file(page, self.out)
         if self.json:
             print_json({"out": self.out})
         notes().print(f"wrote {self.out}", soft_wrap=True)

@@ -57,9 +57,9 @@ class Depth:
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
         from taccel_lab.reading.images import image_size, read_image
-        from taccel_lab.warp_output import quiet_warp
+        from taccel_lab.warp_output import start_warp
 
-        quiet_warp()
+        start_warp()
         require_replaceable(self.out)
         require_images(self.images)
         profile = load_profile(self.profile)

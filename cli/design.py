@@ -74,7 +74,7 @@ class Design:
     def run(self) -> None:
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cli.console import notes, print_json, results, say_first_look
-        from taccel_lab.cli.progress import stage_words
+        from taccel_lab.progress_bars import stage_words
         from taccel_lab.sensors.design import design_sensor
         from taccel_lab.sensors.registry import sensor_family
         from taccel_lab.studies.sensor_picture import write_sections
@@ -118,9 +118,9 @@ class Design:
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.report.live_page import serve_until_stopped, viser_module
         from taccel_lab.viewer.design_page import design_page
-        from taccel_lab.warp_output import quiet_warp
+        from taccel_lab.warp_output import start_warp
 
-        quiet_warp()
+        start_warp()
         viser_module()
         # Each kind of file gets a folder of its own there: what else is in it stays.
         require_replaceable(self.out / "everything")

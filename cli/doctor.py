@@ -162,9 +162,9 @@ def check_warp() -> dict[str, Any]:
     import numpy as np
     import warp as wp
 
-    from taccel_lab.warp_output import quiet_warp
+    from taccel_lab.warp_output import start_warp
 
-    quiet_warp()
+    start_warp()
 
     @wp.kernel
     def _square_and_shift_kernel(x: wp.array(dtype=wp.float64), y: wp.array(dtype=wp.float64)):  # type: ignore[valid-type]

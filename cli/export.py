@@ -53,14 +53,14 @@ class Export:
         from taccel_lab.cli.console import notes, print_json, results, working
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
-        from taccel_lab.warp_output import quiet_warp
+        from taccel_lab.warp_output import start_warp
 
         require_replaceable(self.out)
         profile = load_profile(self.profile)
 
         from taccel_lab.interop.export import export_profile
 
-        quiet_warp()
+        start_warp()
         with working(notes(), f"exporting {profile.sensor.name} to {self.to}"):
             document = export_profile(profile, self.to, self.out, table=self.table)
         if self.json:

@@ -45,9 +45,9 @@ class Force:
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
         from taccel_lab.reading.images import read_image
-        from taccel_lab.warp_output import quiet_warp
+        from taccel_lab.warp_output import start_warp
 
-        quiet_warp()
+        start_warp()
         if self.out is not None:
             require_replaceable(self.out)
         require_images(self.images)

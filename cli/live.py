@@ -65,9 +65,9 @@ class Live(CameraOptions):
         from taccel_lab.cli.console import notes
         from taccel_lab.profile import load_profile
         from taccel_lab.report.live_page import PageOptions, live_page
-        from taccel_lab.warp_output import quiet_warp
+        from taccel_lab.warp_output import start_warp
 
-        quiet_warp()
+        start_warp()
         if self.frames is not None and self.frames < 1:
             raise InputError(f"--frames is {self.frames}; at least 1 is allowed")
         if not 0.1 <= self.pictures_hz <= 100:

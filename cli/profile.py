@@ -110,10 +110,10 @@ class ProfileCompare:
 
     def run(self) -> None:
         from taccel_lab.calibration.comparison import compare_profiles
-        from taccel_lab.calibration.report import write_page
         from taccel_lab.cli.console import notes, print_json
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
+        from taccel_lab.report.page import write_page
 
         if self.out is not None:
             require_replaceable(self.out)
@@ -144,11 +144,11 @@ class ProfileReport:
     def run(self) -> None:
         from json import loads
 
-        from taccel_lab.calibration.report import write_page
         from taccel_lab.calibration.report.profile_page import profile_page
         from taccel_lab.cli.console import notes, print_json, working
         from taccel_lab.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
+        from taccel_lab.report.page import write_page
 
         require_replaceable(self.out)
         page = profile_page(load_profile(self.profile))
@@ -165,7 +165,7 @@ def _print_comparison(found: ProfileComparison) -> None:
     from rich.text import Text
 
     from taccel_lab.cli.console import results
-    from taccel_lab.report.build import format_number
+    from taccel_lab.report.html import format_number
 
     console = results()
     for remark in found.remarks:

@@ -108,15 +108,13 @@ class Study:
         )
 
     def _run(self, file: Path) -> None:
+        from taccel_lab.api.study import plan_study
         from taccel_lab.cli.console import notes, print_json, working
         from taccel_lab.studies.report import write_study_report
         from taccel_lab.studies.runner import read_outcome
-        from taccel_lab.studies.study import default_kit, read_study
-        from taccel_lab.warp_output import quiet_warp
 
-        quiet_warp()
         console = notes()
-        study = read_study(file, default_kit(), self.accuracy)
+        study = plan_study(file, self.accuracy)
         root = self.out or Path("out") / file.stem
         try:
             if self.report_only:
@@ -151,14 +149,10 @@ class Study:
         return shlex.join(words)
 
     def _evaluate(self, study: StudyToRun, root: Path, file: Path, console: Console) -> Outcome:
+        from taccel_lab.api.study import evaluate_study
         from taccel_lab.cli.study_progress import StudyProgress
-        from taccel_lab.model.devices import require_device
         from taccel_lab.reading.shard import Shard
-        from taccel_lab.reading.text_file import read_text
-        from taccel_lab.reading.toml_file import TOML_LIMIT_BYTES
-        from taccel_lab.studies.runner import run_study
 
-        require_device(self.device or study.spec.run.device)
         presses = ", ".join(study.presses) or "none"
         console.print(
             f"{study.spec.study.name}: {study.family.name}, presses {presses}, "
@@ -166,14 +160,14 @@ class Study:
             soft_wrap=True,
         )
         with StudyProgress(console, study) as progress:
-            return run_study(
+            return evaluate_study(
                 study,
+                file,
                 root,
-                device=self.device,
                 processes=self.processes,
+                device=self.device,
                 limit=self.limit,
                 shard=None if self.shard is None else Shard.parse(self.shard),
-                source=read_text(file, TOML_LIMIT_BYTES, "a study file"),
                 listener=progress,
             )
 

@@ -72,8 +72,8 @@ class TaskRun:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.output_folder import atomic_directory
+        from taccel_lab.progress_bars import stage_progress
         from taccel_lab.tasks.run import run_task
 
         if self.seeds is not None and not 1 <= self.seeds <= MOST_SEEDS:
@@ -123,9 +123,9 @@ class TaskRecord:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes, print_json, working
-        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.output import write_json
         from taccel_lab.output_folder import atomic_directory
+        from taccel_lab.progress_bars import stage_progress
         from taccel_lab.tasks.film import film_seed, write_film_files
         from taccel_lab.tasks.replay import write_replay
 
@@ -155,9 +155,9 @@ def _begin(name: str, device: str, output: Path) -> Task:
     from taccel_lab.model.devices import require_device
     from taccel_lab.output_folder import require_replaceable
     from taccel_lab.tasks.catalogue import named, read_task
-    from taccel_lab.warp_output import quiet_warp
+    from taccel_lab.warp_output import start_warp
 
-    quiet_warp()
+    start_warp()
     task = read_task(Path(name)) if name.endswith(".toml") else named(name)
     require_device(device)
     require_replaceable(output)

@@ -39,9 +39,9 @@ class View:
         from taccel_lab.report.live_page import viser_module
         from taccel_lab.viewer.pages import serve_source
         from taccel_lab.viewer.sources import find_source
-        from taccel_lab.warp_output import quiet_warp
+        from taccel_lab.warp_output import start_warp
 
-        quiet_warp()
+        start_warp()
         viser_module()
         require_device(self.device)
         require_seed(self.seed)

@@ -27,9 +27,9 @@ def common_words(words: Sequence[str]) -> tuple[list[str], bool]:
 def _best_device() -> str:
     import warp as wp
 
-    from taccel_lab.warp_output import quiet_warp
+    from taccel_lab.warp_output import start_warp
 
-    quiet_warp()
+    start_warp()
     return "cuda:0" if wp.is_cuda_available() else "cpu"
 
 

@@ -24,7 +24,7 @@ from taccel_lab.datasets.sensor import profile_digest
 from taccel_lab.errors import InputError
 from taccel_lab.file_cache import content_key
 from taccel_lab.inner_path import inner_files
-from taccel_lab.output_folder import OUTPUT_MARKER
+from taccel_lab.output_marker import OUTPUT_MARKER
 from taccel_lab.profile import Finding, load_profile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.reading.json_file import read_json

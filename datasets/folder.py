@@ -30,12 +30,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.file_lock import hold
 from taccel_lab.inner_path import inner_path, require_inner_files
 from taccel_lab.output import atomic_file, write_json
-from taccel_lab.output_folder import (
-    may_hold,
-    remove_damaged,
-    require_growable,
-    visible_faults,
-)
+from taccel_lab.output_folder import may_hold, remove_damaged, require_growable
+from taccel_lab.output_marker import visible_faults
 from taccel_lab.reading.json_file import read_json
 from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.reading.text_file import shown

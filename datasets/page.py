@@ -1,68 +1,76 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One page that shows a data set: sampled touches with their images and forces, and what is in it.
-
-The page embeds its pictures and the one script that turns its gels, and loads nothing.
-"""
+"""A data set as a page: sampled touches with their images and forces, and what is in it."""
 
 from __future__ import annotations
 
-import base64
-import io
-from collections.abc import Sequence
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
-from taccel_lab.output import atomic_file
-from taccel_lab.report.build import report_environment
-from taccel_lab.report.mesh_view import MeshView, mesh_view
+from taccel_lab.report.figures_mesh import draw_mesh
+from taccel_lab.report.mesh_view import mesh_view
+from taccel_lab.report.page import Page, Picture, Table
 from taccel_lab.report.style import BLUE, GREEN, GREY, ORANGE, in_report_style, new_figure
 
 STRIP = 7
 """Images of a touch."""
-THUMB_PX = 150
-"""Width of one."""
+_GROUP_COLUMNS = (
+    "sensor", "object", "motion", "touches", "steps", "largest depth [mm]", "largest force [N]",
+    "stopped or failed",
+)  # fmt: skip
 
 
-def write_page(folders: Sequence[Path | str], out: Path | str, touches: int = 12) -> None:
-    """Write the page. Raises InputError for no data set, or one without a step."""
-    data = Dataset(folders)
+def dataset_page(data: Dataset, touches: int = 12) -> Page:
+    """The page of a data set, with some touches of it; InputError for one without a step."""
     if not len(data):
         raise InputError("the data set has no step to show")
-    chosen = _sampled(data, touches)
-    page = (
-        report_environment("taccel_lab.datasets")
-        .get_template("page.html.j2")
-        .render(
-            name=data.about[0]["name"],
-            folders=[folder.root.name for folder in data.folders],
-            figures=_figures(data),
-            counts=_counts(data),
-            groups=_groups(data),
-            channels=data.channels,
-            sensors=data.about[0]["sensors"],
-            overview=_png(_overview(data)),
-            touches=[_touch(data, episode) for episode in chosen],
-            gels=_gels(data),
-        )
+    counts, about = _counts(data), data.about[0]
+    sensors = "; ".join(
+        f"{sensor['name']} ({sensor['grid']['width_px']} x {sensor['grid']['height_px']} px, "
+        f"{len(sensor['units'])} units, images by its {sensor['image_from']})"
+        for sensor in about["sensors"]
     )
-    with atomic_file(out) as staging:
-        staging.write_text(page, encoding="utf-8", errors="backslashreplace")
+    folders = ", ".join(folder.root.name for folder in data.folders)
+    return Page(
+        title=str(about["name"]),
+        summary=f"{counts['touches']:,} touches, {counts['steps']:,} steps: {counts['train']:,} to "
+        f"train, {counts['test']:,} to test; {counts['done']:,} whole, {counts['stopped']:,} "
+        f"stopped early, {counts['failed']:,} failed. Sensors: {sensors}. Folders: {folders}.",
+        headline="What is in it",
+        tables=(
+            Table("Labels", ("figure", "value"), _figures(data)),
+            Table("Sensors, objects and motions", _GROUP_COLUMNS, _groups(data)),
+            Table("Channels", ("channel", "of a step", "unit", "what"), _channels(data)),
+        ),
+        pictures=(
+            Picture("labels", lambda: _overview(data), "All steps but those of the untouched gel."),
+            *(_touch(data, episode) for episode in _sampled(data, touches)),
+            *_gels(data),
+        ),
+    )
 
 
-def _gels(data: Dataset) -> list[tuple[str, MeshView]]:
-    """Name and gel of every sensor, untouched, as in its profile."""
+def _gels(data: Dataset) -> list[Picture]:
+    """The gel of every sensor, untouched, as in its profile."""
     first = {row["sensor"]: place for place, row in reversed(list(enumerate(data.episodes)))}
     found = []
     for name, place in sorted(first.items()):
         mesh = data.profile(place).mesh
-        view = mesh_view(mesh.nodes_m, mesh.faces, mesh.face_regions)
-        if view is not None:
-            found.append((str(name), view))
+        parts = mesh.nodes_m, mesh.faces, mesh.face_regions
+        caption = f"The untouched gel of {name}, faces by region."
+        draw = partial(draw_mesh, *parts)
+        found.append(Picture(f"gel_{len(found)}", draw, caption, view=mesh_view(*parts)))
     return found
+
+
+def _channels(data: Dataset) -> list[tuple[str, str, str, str]]:
+    return [
+        (name, c["dtype"] + (f" [{c['row']}]" if c["row"] else ""), c["unit"], c["what"])
+        for name, c in data.channels.items()
+    ]
 
 
 def _sampled(data: Dataset, count: int) -> list[int]:
@@ -94,7 +102,7 @@ def _counts(data: Dataset) -> dict[str, int]:
     }
 
 
-def _groups(data: Dataset) -> list[dict[str, Any]]:
+def _groups(data: Dataset) -> list[tuple[Any, ...]]:
     """A row for each sensor, object and motion."""
     table, steps = data.episode_table, data.steps
     force = np.zeros(len(table["episode"]))
@@ -105,16 +113,14 @@ def _groups(data: Dataset) -> list[dict[str, Any]]:
     ):
         found.setdefault(key, []).append(place)
     return [
-        {
-            "sensor": key[0],
-            "object": key[1],
-            "motion": key[2],
-            "touches": len(places),
-            "steps": int(table["rows"][places].sum()),
-            "force": float(force[places].max()),
-            "depth": float(table["depth_mm"][places].max()),
-            "lost": int((table["status"][places] != "done").sum()),
-        }
+        (
+            *key,
+            len(places),
+            int(table["rows"][places].sum()),
+            float(table["depth_mm"][places].max()),
+            float(force[places].max()),
+            int((table["status"][places] != "done").sum()),
+        )
         for key, places in sorted(found.items())
     ]
 
@@ -170,69 +176,60 @@ def _overview(data: Dataset) -> Any:
     return figure
 
 
-def _touch(data: Dataset, episode: int) -> dict[str, Any]:
-    """What the page shows of one touch."""
-    row, rows = data.episodes[episode], data.rows_of(episode)
-    picked = rows[np.unique(np.linspace(0, len(rows) - 1, STRIP).round().astype(int))]
-    strip = [
-        {
-            "caption": f"step {data.steps['step'][k]}, {data.steps['depth_mm'][k]:.2f} mm, "
-            f"{data.steps['press_force_z_n'][k]:.2f} N",
-            "image": _image(data.read("rgb", [k])[0]) if "rgb" in data.channels else None,
-            "depth": _depth(data, int(k)),
-        }
-        for k in picked.tolist()
-    ]
-    return {"row": row, "strip": strip, "forces": _png(_forces(data, rows))}
+def _touch(data: Dataset, episode: int) -> Picture:
+    """One touch: images, depths and forces over its steps."""
+    row = data.episodes[episode]
+    moved = "".join(
+        f", {name} {row[key]:.2g} {unit}"
+        for name, key, unit in (
+            ("shear", "shear_mm", "mm"), ("twist", "twist_deg", "deg"), ("roll", "roll_deg", "deg"),
+        )
+        if row[key]
+    )  # fmt: skip
+    caption = (
+        f"{row['motion']} of {row['object']} on {row['sensor']}: episode {row['episode']}, unit "
+        f"{row['unit']}, {row['split']}; at ({row['x_mm']:.2f}, {row['y_mm']:.2f}) mm, yaw "
+        f"{row['yaw_deg']:.0f} deg, tilt {row['tilt_deg']:.1f} deg; depth {row['depth_mm']:.2f} mm"
+        f"{moved}; friction {row['friction']:.2f}, modulus x {row['young_modulus_factor']:.2f}. "
+        f"{row['cause'] or ''}"
+    )
+    return Picture(f"touch_{episode}", partial(_draw_touch, data, episode), caption.strip())
 
 
 @in_report_style
-def _forces(data: Dataset, rows: np.ndarray) -> Any:
+def _draw_touch(data: Dataset, episode: int) -> Any:
+    """Images above how far the face sank, dark for nothing, at ``STRIP`` steps; forces beside them
+    with the band of the estimated error."""
+    rows, steps = data.rows_of(episode), data.steps
+    picked = rows[np.unique(np.linspace(0, len(rows) - 1, STRIP).round().astype(int))]
+    figure, axes = new_figure(13, 3.1, 2, STRIP + 2)
+    grid = axes[0, 0].get_gridspec()
+    for axis in axes.ravel():
+        axis.set_axis_off()
+    for column, k in enumerate(picked.tolist()):
+        if "rgb" in data.channels:
+            axes[0, column].imshow(data.read("rgb", [k])[0])
+        axes[0, column].set_title(
+            f"{steps['depth_mm'][k]:.2f} mm\n{steps['press_force_z_n'][k]:.2f} N", fontsize=8
+        )
+        if "depth_mm" in data.channels:
+            deepest = max(float(steps["depth_mm"][k]), 0.05)
+            axes[1, column].imshow(data.read("depth_mm", [k])[0], vmin=0, vmax=deepest)
+    for axis in axes[:, STRIP:].ravel():
+        axis.remove()
+    _draw_forces(figure.add_subplot(grid[:, STRIP:]), data, rows)
+    return figure
+
+
+def _draw_forces(axes: Any, data: Dataset, rows: np.ndarray) -> None:
     steps = data.steps
-    figure, axes = new_figure(4.4, 2.5)
-    number = steps["step"][rows]
-    normal = steps["press_force_z_n"][rows]
+    number, normal = steps["step"][rows], steps["press_force_z_n"][rows]
+    error = steps["force_error_n"][rows]
     axes.plot(number, normal, color=BLUE, marker=".", label="normal")
-    axes.fill_between(
-        number,
-        normal - steps["force_error_n"][rows],
-        normal + steps["force_error_n"][rows],
-        color=BLUE,
-        alpha=0.2,
-        linewidth=0,
-    )
+    axes.fill_between(number, normal - error, normal + error, color=BLUE, alpha=0.2, linewidth=0)
     axes.plot(number, _tangential(steps)[rows], color=ORANGE, marker=".", label="tangential")
     axes.set_xlabel("step")
     axes.set_ylabel("force [N]")
     axes.set_ylim(top=1.3 * axes.get_ylim()[1])
     axes.xaxis.get_major_locator().set_params(integer=True)
     axes.legend(loc="upper center", ncols=2)
-    return figure
-
-
-def _image(rgb: np.ndarray) -> str:
-    """A thumbnail as text that a page embeds."""
-    import cv2
-
-    height = round(THUMB_PX * rgb.shape[0] / rgb.shape[1])
-    small = cv2.resize(rgb, (THUMB_PX, height), interpolation=cv2.INTER_AREA)
-    data = cv2.imencode(".png", small[..., ::-1])[1].tobytes()
-    return "data:image/png;base64," + base64.b64encode(data).decode()
-
-
-def _depth(data: Dataset, step: int) -> str | None:
-    """Depth in false colours, dark where nothing sank."""
-    if "depth_mm" not in data.channels:
-        return None
-    import matplotlib as mpl
-
-    depth = data.read("depth_mm", [step])[0]
-    scale = max(float(data.steps["depth_mm"][step]), 0.05)
-    colors = mpl.colormaps["viridis"](np.clip(depth / scale, 0, 1))[..., :3]
-    return _image(np.ascontiguousarray((255 * colors).astype(np.uint8)))
-
-
-def _png(figure: Any) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=100, format="png", facecolor="white")
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,12 +20,13 @@ from taccel_lab.datasets.folder import PARTS, DatasetFolder, read_parquet
 from taccel_lab.datasets.part import ARRAYS, EPISODES, STEPS
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_files, inner_path
+from taccel_lab.summary import Summary
 
 FORMATS = (1,)
 """Formats of folders that this reads."""
 
 
-class Dataset:
+class Dataset(Summary):
     """Episodes and steps of one or several folders.
 
     Steps are numbered through all of them, ``0 .. len(data) - 1``; episodes too, by their place in
@@ -100,6 +101,20 @@ class Dataset:
 
     def __len__(self) -> int:
         return len(self.steps["row"])
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """Touches, steps and channels."""
+        table = self.episode_table
+        kinds = {
+            name: ", ".join(sorted({str(value) for value in table[name]}))
+            for name in ("sensor", "object", "motion")
+        }
+        return f"data set {self.about[0]['name']}", [
+            ("folders", ", ".join(str(folder.root) for folder in self.folders)),
+            ("touches", f"{len(table['episode'])}, {len(self)} steps"),
+            *kinds.items(),
+            ("channels", ", ".join(self.channels)),
+        ]
 
     def rows_of(self, episode: int) -> np.ndarray:
         """Steps of an episode by its place in ``episodes``."""
@@ -208,6 +223,13 @@ class Dataset:
         return load_profile(
             self.folders[row["folder"]].root / "profiles" / str(row["sensor_index"])
         )
+
+
+def open_dataset(
+    folders: str | Path | Sequence[str | Path], split: Literal["train", "test"] | None = None
+) -> Dataset:
+    """The data set of one folder or of several, all of it or a split; errors as of ``Dataset``."""
+    return Dataset(folders, split=split)
 
 
 _WHOLE, _NUMBER, _TEXT = "iu", "iuf", "OUT"

@@ -25,9 +25,9 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from taccel_lab.warp_output import quiet_warp
+from taccel_lab.warp_output import start_warp
 
-quiet_warp()
+start_warp()
 plt.rcParams["figure.dpi"] = 60
 
 from taccel_lab.calibration.capture import find_taxim_pack, load_captures

@@ -27,9 +27,9 @@ import numpy as np
 from IPython.display import SVG, display
 
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.warp_output import quiet_warp
+from taccel_lab.warp_output import start_warp
 
-quiet_warp()
+start_warp()
 warnings.filterwarnings("ignore", message="IProgress")  # of widgets that are not needed
 plt.rcParams["figure.dpi"] = 60
 

@@ -37,9 +37,9 @@ from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.simulate import simulate_presses
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.warp_output import quiet_warp
+from taccel_lab.warp_output import start_warp
 
-quiet_warp()
+start_warp()
 plt.rcParams["figure.dpi"] = 60
 
 captures = load_captures(find_taxim_pack())

@@ -27,9 +27,9 @@ import numpy as np
 from taccel_lab import Outputs, PressEnv, SignalTactile, parse_indenter, profile_material
 from taccel_lab.sensors.press_mesh import profile_press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.warp_output import quiet_warp
+from taccel_lab.warp_output import start_warp
 
-quiet_warp()
+start_warp()
 plt.rcParams["figure.dpi"] = 60
 
 profile = catalogue_profile("flat_pad")

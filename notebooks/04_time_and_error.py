@@ -34,9 +34,9 @@ from taccel_lab.envs import PHYSICS, Accuracy, PressMeshOptions
 from taccel_lab.envs.bonded_layer import layer_force_n
 from taccel_lab.sensors.press_mesh import profile_press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.warp_output import quiet_warp
+from taccel_lab.warp_output import start_warp
 
-quiet_warp()
+start_warp()
 plt.rcParams["figure.dpi"] = 60
 print(f"{platform.machine()}, {os.cpu_count()} cores, one of them used; others may be at work too")
 

@@ -27,9 +27,9 @@ import numpy as np
 
 from taccel_lab import MarkerLayout, PixelGrid, SignalTactile
 from taccel_lab.tasks.catalogue import named
-from taccel_lab.warp_output import quiet_warp
+from taccel_lab.warp_output import start_warp
 
-quiet_warp()
+start_warp()
 plt.rcParams["figure.dpi"] = 60
 
 task = named("touch-insertion")

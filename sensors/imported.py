@@ -62,9 +62,7 @@ def import_design(
     selected and how the file's frame became the gel frame, and a profile with camera, lights and
     material of the family ``like``, ``overrides`` in place of some of its parameters.
     """
-    family = sensor_family(like)
-    require_no_shape(family, overrides or {})
-    family.parameters(overrides)
+    _require_like(like, overrides or {})
     check_parts(parts)
     if "assembly" in parts:
         raise InputError(
@@ -73,21 +71,10 @@ def import_design(
     require_replaceable(out_dir)
     seconds: dict[str, float] = {}
     tell = StageClock(seconds, progress)
-    tell("import")
     from taccel_lab.cad.export import dimensions
-    from taccel_lab.cad.mesh.tetrahedralize import tetwild_mesh
-    from taccel_lab.cad.step_import import import_gel
 
-    gel = import_gel(path, selection)
-    tell("mesh")
     refused = refused_folder(out_dir)
-    mesh = tetwild_mesh(gel.surface, edge_mm, picture_folder=refused)
-    tell("quality")
-    quality = measure_quality(
-        mesh, None, cad_volume_mm3=gel.part.volume_mm3, cad_surface=gel.surface
-    )
-    gate = QualityGate().at_edge(edge_mm)
-    passed = require_quality(mesh, quality, gate, picture_folder=refused)
+    gel, mesh, quality, passed = _meshed(path, selection, edge_mm, refused, tell)
     tell("files")
     out_dir = Path(out_dir)
     with atomic_directory(out_dir) as folder:
@@ -115,6 +102,51 @@ def import_design(
         files={kind: out_dir / name for kind, name in workshop.files.items()},
         seconds=seconds,
     )
+
+
+def imported_sensor(
+    path: Path | str,
+    selection: FaceSelection,
+    edge_mm: float = 2.0,
+    *,
+    like: str = LIKE,
+    overrides: Mapping[str, Any] | None = None,
+) -> SensorProfile:
+    """The profile that ``import_design`` writes, without files."""
+    _require_like(like, overrides or {})
+    gel, mesh, quality, _ = _meshed(path, selection, edge_mm, None, lambda stage: None)
+    return imported_profile(Path(path), gel, mesh, quality, like, overrides or {})
+
+
+def _require_like(like: str, overrides: Mapping[str, Any]) -> None:
+    """Raises InputError for a family or a parameter that an imported gel cannot take."""
+    family = sensor_family(like)
+    require_no_shape(family, overrides)
+    family.parameters(overrides)
+
+
+def _meshed(
+    path: Path | str,
+    selection: FaceSelection,
+    edge_mm: float,
+    refused: Path | None,
+    tell: Callable[[str], None],
+) -> tuple[ImportedGel, TetMesh, MeshQuality, Any]:
+    """The gel, its mesh with its quality, and the limits that it passed; a mesh that is refused is
+    drawn in the folder ``refused``."""
+    tell("import")
+    from taccel_lab.cad.mesh.tetrahedralize import tetwild_mesh
+    from taccel_lab.cad.step_import import import_gel
+
+    gel = import_gel(path, selection)
+    tell("mesh")
+    mesh = tetwild_mesh(gel.surface, edge_mm, picture_folder=refused)
+    tell("quality")
+    quality = measure_quality(
+        mesh, None, cad_volume_mm3=gel.part.volume_mm3, cad_surface=gel.surface
+    )
+    gate = QualityGate().at_edge(edge_mm)
+    return gel, mesh, quality, require_quality(mesh, quality, gate, picture_folder=refused)
 
 
 def _description(

@@ -18,9 +18,11 @@ from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.evaluate_batch import broken_row, evaluate_batch
 from taccel_lab.studies.optimise import OptimiserState, optimise
 from taccel_lab.studies.optimise_optuna import JOURNAL, METHODS, optimise_with_optuna
+from taccel_lab.studies.ranking import directed, ranked
 from taccel_lab.studies.study import Study
 from taccel_lab.studies.study_folder import StudyFolder
 from taccel_lab.studies.table import write_table
+from taccel_lab.summary import Summary
 
 TABLE_EVERY_S = 2.0
 """The table is rewritten at most this often while designs come in, and at the end."""
@@ -39,8 +41,8 @@ class Listener:
         """What one process is doing."""
 
 
-@dataclass
-class Outcome:
+@dataclass(repr=False)
+class Outcome(Summary):
     """Where a study stands after a run."""
 
     study: Study
@@ -64,6 +66,19 @@ class Outcome:
     def done(self) -> list[DesignRow]:
         """Designs that have figures."""
         return [row for row in self.rows if row.status == "done"]
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """How many designs have figures, and the first goal's best."""
+        spec = self.study.spec
+        rows = [
+            ("designs", f"{len(self.done)} of {self.total} with figures, {self.new} new"),
+            ("folder", str(self.folder.root)),
+        ]
+        for goal in directed(spec.goals, self.study.metrics)[:1]:
+            for row in ranked(self.rows, goal, spec.constraints)[:1]:
+                name = self.study.name_of(row.parameters)
+                rows.append((goal.text(), f"{row.figures[goal.metric]:.4g}: {name}"))
+        return f"study {spec.study.name} of {self.study.family.name}", rows
 
     def require_whole(self) -> None:
         """Raise SimulationError where designs were lost, to a process that died or to a fault."""

@@ -1,13 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The public names and their modules; read by type checkers and by ``lazy_names``."""
 
+from taccel_lab.api.press import press as press
+from taccel_lab.api.press_options import PressOptions as PressOptions
+from taccel_lab.api.press_result import Press as Press
+from taccel_lab.api.read import read as read
+from taccel_lab.api.sensor import load_sensor as load_sensor
+from taccel_lab.api.study import study as study
+from taccel_lab.calibration.calibrate import Calibration as Calibration
+from taccel_lab.calibration.calibrate import calibrate as calibrate
+from taccel_lab.datasets.reading import Dataset as Dataset
+from taccel_lab.datasets.reading import open_dataset as open_dataset
 from taccel_lab.envs import Accuracy as Accuracy
 from taccel_lab.envs import PressEnv as PressEnv
 from taccel_lab.envs import PressOutcome as PressOutcome
 from taccel_lab.envs import PressPath as PressPath
 from taccel_lab.envs import parse_indenter as parse_indenter
 from taccel_lab.envs import profile_material as profile_material
-from taccel_lab.envs import simulate_press as simulate_press
 from taccel_lab.errors import InputError as InputError
 from taccel_lab.errors import SimulationError as SimulationError
 from taccel_lab.geometry import PixelGrid as PixelGrid

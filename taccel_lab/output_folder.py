@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import hashlib
-import json
 import os
 import shutil
 import stat
@@ -24,21 +22,19 @@ from pathlib import Path
 from taccel_lab.errors import InputError
 from taccel_lab.exchange import exchange
 from taccel_lab.inner_path import (
-    entries_below,
     real_path,
-    require_inner_name,
     require_outside,
 )
 from taccel_lab.output import named_error
-from taccel_lab.reading.json_file import read_json
+from taccel_lab.output_marker import (
+    DESKTOP_FILES,
+    MOST_SHOWN,
+    foreign_files,
+    marked_files,
+    read_marker,
+    write_marker,
+)
 
-OUTPUT_MARKER = ".taccel_lab_output"
-"""In every folder that a command wrote: SHA-256 and size of each of its files, by name, as JSON."""
-_DESKTOP_FILES = {".DS_Store", "Thumbs.db", "desktop.ini"}
-"""What file browsers leave behind in folders that are looked at."""
-_EMPTY = hashlib.sha256(b"").hexdigest()
-_SHOWN = 3
-"""Files that a refusal names."""
 _TRIES = 100
 """How often others may come first before a folder is given up."""
 _OVERTAKEN = {errno.ENOENT, errno.ENOTEMPTY, errno.EEXIST}
@@ -65,7 +61,7 @@ def require_growable(target: Path | str) -> None:
     """Refuse a folder that grows file by file where nothing can be written; commands call this
     first, before any long work. What is in it is theirs to judge."""
     target = Path(os.path.abspath(target))
-    _refuse_files(target)
+    _refusefiles(target)
     require_outside(target)
     _require_writable(target, beside=False)
 
@@ -101,7 +97,7 @@ def atomic_directory(target: Path | str, check: Check | None = None) -> Iterator
             try:
                 yield staging
                 if check is None:
-                    _write_marker(staging)
+                    write_marker(staging)
                 _put(staging, target, may_replace)
             except OSError as error:
                 raise named_error(error, target) from None
@@ -122,13 +118,13 @@ def _folder_path(target: Path | str) -> Path:
         target = real_path(target)
         if target.is_symlink():
             raise InputError(f"{target} is a link that leads back to itself")
-    _refuse_files(target)
+    _refusefiles(target)
     if os.path.ismount(target):
         raise InputError(f"{target} is a mounted drive; name a folder inside it")
     return target
 
 
-def _refuse_files(target: Path) -> None:
+def _refusefiles(target: Path) -> None:
     for path in (target, *target.parents):
         # One look: between two, another process may put a folder away and back.
         with suppress(OSError):
@@ -139,97 +135,19 @@ def _refuse_files(target: Path) -> None:
 # What may be replaced -------------------------------------------------------------------------
 
 
-def _digest(path: Path) -> str:
-    if path.is_symlink():
-        return "link to " + os.readlink(path)
-    if path.is_dir():
-        return "empty folder"
-    if not path.is_file():  # To open a pipe would wait for ever.
-        return "no regular file"
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _files(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Every file, link and empty folder below ``folder`` but the marker, with its name from
-    there."""
-    return (entry for entry in entries_below(folder) if entry[0] != OUTPUT_MARKER)
-
-
-def _write_marker(folder: Path) -> None:
-    files = sorted(_files(folder))
-    digests = {name: _digest(path) for name, path in files}
-    sizes = {name: path.stat().st_size for name, path in files if path.is_file()}
-    text = json.dumps({"files": digests, "bytes": sizes}, indent=1)
-    (folder / OUTPUT_MARKER).write_text(text + "\n", encoding="utf-8")
-
-
-def _read_marker(folder: Path) -> dict[str, str]:
-    """Digest of each file that was written; empty where there is no sound marker: one that names
-    files outside the folder is not of our making."""
-    try:
-        files = read_json(folder / OUTPUT_MARKER).get("files")
-        for name in files if isinstance(files, dict) else ():
-            require_inner_name(name)
-    # ValueError: such a name. FileNotFoundError: it vanished while it was read.
-    except (InputError, ValueError, FileNotFoundError):
-        return {}
-    return files if isinstance(files, dict) else {}
-
-
-def _foreign(folder: Path) -> list[str]:
-    """Files that no command wrote, or that were changed since: the first ones found."""
-    written = _read_marker(folder)
-    foreign = []
-    for name, path in _files(folder):
-        if path.name in _DESKTOP_FILES:
-            continue
-        # What vanishes meanwhile was an earlier output that another process clears away.
-        with suppress(FileNotFoundError):
-            if name not in written or written[name] != _digest(path):
-                foreign.append(name)
-        if len(foreign) > _SHOWN:
-            break
-    return foreign
-
-
-def visible_faults(folder: Path) -> list[str]:
-    """What one look at an output tells of its files, none of which is read: those that are missing,
-    or have another size than when they were written. Earlier versions kept no sizes; of theirs,
-    files that are empty now.
-
-    Raises InputError where the folder has no sound marker; OSError for what cannot be looked at.
-    """
-    written = _read_marker(folder)
-    if not written:
-        raise InputError(f"{folder} has no list of its files, or a damaged one ({OUTPUT_MARKER})")
-    sizes = read_json(folder / OUTPUT_MARKER).get("bytes")
-    faults = []
-    for name in written:
-        kept = sizes.get(name) if isinstance(sizes, dict) else None
-        try:
-            status = (folder / name).lstat()
-        except (FileNotFoundError, NotADirectoryError):
-            faults.append(f"{name} is missing")
-            continue
-        if kept is not None and status.st_size != kept:
-            faults.append(f"{name} has {status.st_size} bytes of {kept}")
-        elif stat.S_ISREG(status.st_mode) and status.st_size == 0 and written[name] != _EMPTY:
-            faults.append(f"{name} is empty")
-    return faults
-
-
 def remove_damaged(folder: Path) -> None:
     """Remove an output with ``visible_faults``; InputError where somebody put other files in it.
 
     What goes is what lies there, never what the list of files names; the list goes last: what a
     kill leaves is known as damaged."""
-    written = _read_marker(folder)
+    written = read_marker(folder)
     found = [
-        (name, path) for name, path in _files(folder) if path.is_symlink() or not path.is_dir()
+        (name, path)
+        for name, path in marked_files(folder)
+        if path.is_symlink() or not path.is_dir()
     ]
     for name, path in found:
-        if name not in written and path.name not in _DESKTOP_FILES:
+        if name not in written and path.name not in DESKTOP_FILES:
             raise InputError(
                 f"{folder} is damaged and holds {name}, which taccel-lab did not write"
             )
@@ -238,15 +156,31 @@ def remove_damaged(folder: Path) -> None:
     shutil.rmtree(folder)
 
 
+def remove_output(target: Path | str) -> None:
+    """Remove a folder that a command wrote; nothing where there is none.
+
+    Raises:
+        InputError: It holds files that taccel-lab did not write, or that were changed since.
+    """
+    target = _folder_path(target)
+    _recover(target)
+    if _identity(target) is None:
+        return
+    _require_own(target)
+    with _staging(target) as staging:
+        _swap(staging, target)
+        _discard(target)
+
+
 def _require_own(target: Path) -> None:
     for _ in range(_TRIES):
         with _held(target) as before:
-            foreign = [] if before is None else _foreign(target)
+            foreign = [] if before is None else foreign_files(target)
             if not foreign:
                 return
             if _identity(target) == before:
                 break
-    names = [*foreign[:_SHOWN], *(["..."] if len(foreign) > _SHOWN else [])]
+    names = [*foreign[:MOST_SHOWN], *(["..."] if len(foreign) > MOST_SHOWN else [])]
     raise InputError(
         f"{target} holds files that taccel-lab did not write, or that were changed since: "
         f"{', '.join(names)}; move them away, or name a new or empty folder"
@@ -436,5 +370,5 @@ def _restore(earlier: Path, target: Path) -> None:
 
 def _discard(folder: Path) -> None:
     """Remove a hidden folder, unless it was an output into which somebody put other files."""
-    if folder.exists() and not (_read_marker(folder) and _foreign(folder)):
+    if folder.exists() and not (read_marker(folder) and foreign_files(folder)):
         shutil.rmtree(folder, ignore_errors=True)

@@ -156,10 +156,10 @@ def _serve(pipe: Connection, packed: bytes) -> None:
 
     ``packed``: the work; what it imports may start Warp.
     """
-    from taccel_lab.warp_output import quiet_warp
+    from taccel_lab.warp_output import start_warp
 
     # Warnings about the device were the parent's already.
-    quiet_warp()
+    start_warp()
     work: Work = pickle.loads(packed)
 
     def tell(what: str, done: int, total: int) -> None:

@@ -14,14 +14,37 @@ from taccel_lab.cache_place import CACHE_VARIABLE, place_kernels
 from taccel_lab.errors import InputError
 
 _DRIVERS = ("libcuda.so", "libcuda.so.1")
+_started: list[bool] = []
+"""Whether this process has called Warp's initialisation."""
 
 
 def start_warp() -> None:
-    """Initialise Warp, unless it is.
+    """Initialise Warp, unless it is, without its lines on modules loaded and, where there is no
+    GPU, on a missing driver, which its library writes to the standard error of the process itself.
+
+    ``wp.config.log_level`` set afterwards brings its lines back.
 
     Raises:
         InputError: There is no folder for its kernels that can be written.
     """
+    if _started:
+        return
+    wp.config.log_level = wp.LOG_ERROR
+    if sys.platform != "linux" or any(map(_loads, _DRIVERS)):
+        _initialise()
+        return
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        _initialise()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _initialise() -> None:
     if wp.config.kernel_cache_dir is None:
         place_kernels()
     try:
@@ -31,25 +54,7 @@ def start_warp() -> None:
             f"Warp cannot keep its kernels in {error.filename} ({error.strerror}); set "
             f"{CACHE_VARIABLE} to a folder that can be written"
         ) from None
-
-
-def quiet_warp() -> None:
-    """Initialise Warp without its lines on modules loaded and, where there is no GPU, on a missing
-    driver, which its library writes to the standard error of the process itself; errors as of
-    ``start_warp``."""
-    wp.config.log_level = wp.LOG_ERROR
-    if sys.platform != "linux" or any(map(_loads, _DRIVERS)):
-        start_warp()
-        return
-    sys.stderr.flush()
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        start_warp()
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
+    _started.append(True)
 
 
 def first_step() -> str:

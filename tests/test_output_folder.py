@@ -19,7 +19,8 @@ import pytest
 
 from taccel_lab import output_folder
 from taccel_lab.errors import InputError
-from taccel_lab.output_folder import OUTPUT_MARKER, atomic_directory, require_replaceable
+from taccel_lab.output_folder import atomic_directory, require_replaceable
+from taccel_lab.output_marker import OUTPUT_MARKER
 
 
 def tree(folder: Path) -> dict[str, str]:

@@ -81,9 +81,9 @@ class PressBeside:
 
 def _serve(pipe: Connection) -> None:
     """Presses, for as long as the page lives."""
-    from taccel_lab.warp_output import quiet_warp
+    from taccel_lab.warp_output import start_warp
 
-    quiet_warp()
+    start_warp()
     while True:
         wish = pipe.recv()
         while pipe.poll():

@@ -23,10 +23,10 @@ from taccel_lab.calibration.light.untouched import (
     steady_pixels,
     untouched_pixels,
 )
-from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark, Severity
 
 CLIPPED_SHARE = 0.01
 MIN_SEEN_SHARE = 0.15

@@ -12,10 +12,10 @@ from taccel_lab.calibration.background.dust import speck_count
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.light.drift import DriftSpread
 from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
+from taccel_lab.report.remark import Remark, judge
 
 
 @dataclass(frozen=True)

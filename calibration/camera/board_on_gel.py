@@ -22,10 +22,11 @@ from taccel_lab.calibration.camera.plane_fit import (
     plane_rotation,
 )
 from taccel_lab.calibration.camera.plane_models import BentHomography, CameraPose, PlaneModel
-from taccel_lab.calibration.result import Estimate, Remark
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.report.remark import Remark
 
 MIN_POINTS = 8
 DISTORTED = 0.02

@@ -20,9 +20,9 @@ from taccel_lab.calibration.camera.bundle import BundleFit
 from taccel_lab.calibration.camera.heldout import LensScore, compare_lenses, score_lenses
 from taccel_lab.calibration.camera.lens import LENSES, Lens, chosen_lenses
 from taccel_lab.calibration.camera.lens_fits import MIN_VIEWS, fit_lenses
-from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark
 
 MIN_COVERAGE = 0.35
 MIN_TILT_DEG = 10.0

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 
 from taccel_lab.calibration.camera.remarks import STATED_SCALE_DIFFERS
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.result import Estimate, Remark
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.profile import CameraBlock, SensorProfile
+from taccel_lab.report.remark import Remark
 
 STATED_SIGMAS, STATED_SHARE = 3.0, 0.02
 """A stated scale differs when it is off by this many standard deviations and by this share."""

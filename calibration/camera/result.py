@@ -14,8 +14,8 @@ from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.calibration.camera.pixel_grid import with_camera_block
 from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_maps, lens_maps
 from taccel_lab.calibration.capture.folder import source_of
-from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.profile import CameraBlock, OpticsBlock, Provenance, SensorProfile
+from taccel_lab.report.remark import Remark, judge
 
 _CALIBRATED = (
     "model", "width_px", "height_px", "fx_px", "fy_px", "cx_px", "cy_px", "distortion",

@@ -25,9 +25,9 @@ from taccel_lab.calibration.check.pressed_background import (
     find_pressed_background,
 )
 from taccel_lab.calibration.contacts.working_size import WorkingSize
-from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.report.remark import Remark
 
 MIN_MEDIAN_PRESSES = 7
 DARK_LEVELS = 8.0

@@ -32,11 +32,11 @@ from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.ball_radius import check_ball
 from taccel_lab.calibration.contacts.fit import find_contacts
-from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.calibration.surfaces.design import fitted_parameters
 from taccel_lab.calibration.surfaces.view import view_remarks
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.report.remark import Remark, Severity
 
 SURE = 2.0
 """Standard deviations by which a contact has to be wider than its ball."""

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check.run import CaptureCheck, check_captures
-from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark, Severity
 
 RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
 

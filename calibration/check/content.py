@@ -10,8 +10,8 @@ from enum import StrEnum
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import COMMANDS
-from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.printable import counted
+from taccel_lab.report.remark import Remark, Severity
 from taccel_lab.sensors.registry import known_sensor
 
 

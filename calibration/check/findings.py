@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.report.remark import Remark, Severity
 
 COMMANDS = (
     "camera",

@@ -16,7 +16,7 @@ from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.light.drift import drift_remark
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.report.remark import Remark, Severity
 
 SATURATED_SHARE, VERY_SATURATED_SHARE = 0.05, 0.3
 SWAP_MIN_LEVELS, SWAP_RATIO = 6.0, 1.6

@@ -16,7 +16,7 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import Press
 from taccel_lab.calibration.capture.framing import in_light_of, thumb
 from taccel_lab.calibration.check.remarks import BACKGROUND_PRESSED
-from taccel_lab.calibration.result import Remark
+from taccel_lab.report.remark import Remark
 
 MIN_PRESSES = 5
 MIN_GHOST_LEVELS = 12.0

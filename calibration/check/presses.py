@@ -14,10 +14,10 @@ from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.usable import too_many_lost
-from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.printable import counted
+from taccel_lab.report.remark import Remark
 
 LABEL_OFF_SHARE, LABEL_RADIUS_SHARE = 0.18, 0.3
 """A label is off when its centre lies this part of its radius (and ``LABEL_OFF_PX``) from the

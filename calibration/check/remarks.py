@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from taccel_lab.calibration.remarks import RemarkKind
-from taccel_lab.calibration.result import Severity
+from taccel_lab.report.remark import Severity
 
 BY_COLOR = ("color", "normals")
 """Blocks that learn from the colours of ball presses."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 from taccel_lab.calibration.check import drawings
 from taccel_lab.calibration.check.presses import label_gaps
 from taccel_lab.calibration.check.run import CaptureCheck
-from taccel_lab.calibration.report import Page, Picture, Table
+from taccel_lab.report.page import Page, Picture, Table
 
 MAX_ROWS = 40
 

@@ -26,11 +26,11 @@ from taccel_lab.calibration.check.presses import (
 )
 from taccel_lab.calibration.check.targets import check_targets
 from taccel_lab.calibration.error_rates import quoted
-from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.calibration.surfaces.design import design_remarks
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark, Severity
 
 ANY_SCALE_MM_PER_PX = 0.05
 """Where no scale is stated: pixels are then square and lengths are only told in pixels."""

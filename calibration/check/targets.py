@@ -25,8 +25,8 @@ from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers.rest import find_rest
-from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
+from taccel_lab.report.remark import Remark
 
 GOOD_VIEWS, FEW_VIEWS = 15, 6
 BOARD_COVERAGE = 0.5

@@ -41,6 +41,11 @@ class ImageScore:
     crop_ssim: float
     """Structural similarity in the crop."""
 
+    @property
+    def psnr_db(self) -> float:
+        """The figure that is quoted: that of the crop [dB]."""
+        return self.crop_psnr_db
+
 
 def score_image(
     rendered: np.ndarray,

@@ -41,7 +41,6 @@ from taccel_lab.calibration.color.result import ColorCalibration, PressScore, Sp
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode
-from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.simulate import PressSurfaces
 from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
@@ -50,6 +49,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark
 from taccel_lab.signals.color_model import STEEPEST, ColorModel
 from taccel_lab.signals.tactile_image import tactile_image
 

@@ -10,7 +10,7 @@ import numpy as np
 from taccel_lab.calibration.color.heldout import mean_bare
 from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.remarks import RemarkKind
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.report.remark import Remark, Severity
 
 LEAST_PRESSES = 4
 """With fewer presses a model knows a few places and depths, and nothing tells of the others."""

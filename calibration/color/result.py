@@ -25,9 +25,11 @@ from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.color.registration import Registration
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice
-from taccel_lab.calibration.result import Remark, judge, mean_figures
+from taccel_lab.calibration.result import mean_figures
+from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
+from taccel_lab.report.remark import Remark, judge
 
 
 @dataclass(frozen=True)
@@ -123,6 +125,14 @@ class ColorCalibration:
     def heldout_means(self, placement: Placement | None = None) -> dict[str, float]:
         """Mean figures of the held-out presses, failures as the bare background."""
         return mean_heldout(self.heldout, self.failures, placement or self.placement)
+
+    @property
+    def score(self) -> ImageScore:
+        """Mean score of the held-out presses, failures as the bare background; InputError where
+        none was held out."""
+        if not self.has_scores:
+            raise InputError("no press was held out: there is no score")
+        return ImageScore(**self.heldout_means())
 
     def heldout_l1(self) -> dict[str, float]:
         """L1 in the disc of each held-out press, as quoted [levels]."""

@@ -10,9 +10,9 @@ from taccel_lab.calibration.comparison import remarks
 from taccel_lab.calibration.comparison.fields import FieldDifference, compare_fields
 from taccel_lab.calibration.comparison.figures import draw_backgrounds, draw_color_responses
 from taccel_lab.calibration.comparison.responses import ResponseDifference, compare_responses
-from taccel_lab.calibration.report import Page, Picture, Table
-from taccel_lab.calibration.result import Remark
 from taccel_lab.profile import SensorProfile
+from taccel_lab.report.page import Page, Picture, Table
+from taccel_lab.report.remark import Remark
 
 COLOR_SHARE = 0.15
 """Colour responses that differ by more than this part of their size are called different."""

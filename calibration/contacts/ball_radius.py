@@ -19,7 +19,7 @@ from taccel_lab.calibration.contacts.photometric import fit_contacts
 from taccel_lab.calibration.contacts.remarks import BALL_RADIUS_FITS, WRONG_BALL_RADIUS
 from taccel_lab.calibration.contacts.result import FoundContacts
 from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO
-from taccel_lab.calibration.result import Remark
+from taccel_lab.report.remark import Remark
 
 FACTORS = (0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2)
 """Ball radii that are tried, over the stated one."""

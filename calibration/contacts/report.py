@@ -3,19 +3,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_text
 from taccel_lab.calibration.contacts.review import Review, ReviewedPress
-from taccel_lab.calibration.result import judge
-from taccel_lab.output import write_image, write_json
-from taccel_lab.output_folder import atomic_directory
-from taccel_lab.report.build import data_url, report_environment
+from taccel_lab.report.page import Page, Picture, Table
 
 PICTURE_PX = 480
 FOUND_RGB = (255, 255, 255)
@@ -23,35 +20,78 @@ LABEL_RGB = (255, 190, 40)
 CHANGE_GAIN = 1.5
 
 
-def write_review(review: Review, folder: Path | str) -> None:
-    """Write ``review.html``, ``review.json``, ``contacts.toml`` and a picture a press.
-
-    Raises:
-        InputError: The folder holds files that taccel-lab did not write.
-    """
-    by_name = {press.name: press for press in review.captures.presses}
-    with atomic_directory(folder) as staging:
-        images = {}
-        for k, press in enumerate(review.presses):
-            path = staging / f"{k:03d}.jpg"
-            image = press_picture(by_name[press.name].image(), review.captures, press)
-            write_image(path, image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
-            images[press.name] = data_url(path).replace("image/png", "image/jpeg")
-        html = (
-            report_environment("taccel_lab.calibration.report")
-            .get_template("review.html.j2")
-            .render(review=review, verdict=judge(review.remarks), images=images)
+def review_page(review: Review) -> Page:
+    """All presses, worst first, with the file to correct beside them."""
+    count, lost = len(review.presses), len(review.found.refusals)
+    agreement = review.agreement
+    tables = ()
+    if agreement is not None:
+        tables = (
+            Table(
+                "Found against given circles",
+                ("", "median [px]", "90th percentile [px]"),
+                (
+                    ("centre", agreement.center_median_px, agreement.center_p90_px),
+                    ("radius", agreement.radius_median_px, agreement.radius_p90_px),
+                ),
+                f"{agreement.count} circles; radii found minus given: "
+                f"{agreement.radius_bias_px:+.1f} px.",
+            ),
         )
-        (staging / "review.html").write_text(html, encoding="utf-8", errors="backslashreplace")
-        write_json(staging / "review.json", _with_remarks(review))
-        (staging / CONTACTS_NAME).write_text(_contacts_file(review), encoding="utf-8")
+    by_name = {press.name: press for press in review.captures.presses}
+    pictures = tuple(
+        Picture(
+            f"{k:03d}",
+            partial(_jpeg, by_name[press.name], review.captures, press),
+            _caption(press),
+        )
+        for k, press in enumerate(review.presses)
+    )
+    return Page(
+        title="Contacts, worst first",
+        summary=f"{review.captures.source}: {count} presses, {count - lost} with a contact. Left "
+        "the frame, right its difference from the background. White: the circle found; amber: the "
+        f"circle given, or corrected. To correct one, edit {CONTACTS_NAME} beside this page and "
+        "put it into the capture folder.",
+        remarks=review.remarks,
+        tables=tables,
+        pictures=pictures,
+        figures=review.figures(),
+        files={CONTACTS_NAME: lambda path: _write_contacts(review, path)},
+    )
 
 
-def _with_remarks(review: Review) -> dict[str, Any]:
-    remarks = [
-        {"severity": r.severity, "code": r.code, "message": r.message} for r in review.remarks
-    ]
-    return {"verdict": judge(review.remarks), "remarks": remarks, **review.figures()}
+def _caption(press: ReviewedPress) -> str:
+    """Name, how sure the circle is, where it lies, and why to look at it."""
+    said = [press.name]
+    if press.checked:
+        said.append("corrected")
+    elif press.found is None:
+        said.append("no contact")
+    else:
+        found, circle = press.found, press.found.circle
+        said += [
+            f"confidence {press.confidence:.2f}",
+            f"centre ({circle.u_px:.1f}, {circle.v_px:.1f}) +- {found.center_sigma_px:.1f} px, "
+            f"radius {circle.radius_px:.1f} +- {found.radius_sigma_px:.1f} px",
+            f"{found.explained:.0%} explained",
+        ]
+        if press.given is not None:
+            given = press.given
+            said.append(f"given ({given.u_px:.1f}, {given.v_px:.1f}), {given.radius_px:.1f} px")
+    if press.reason:
+        said.append(press.reason)
+    return "; ".join(said)
+
+
+def _jpeg(press: Press, captures: CaptureSet, reviewed: ReviewedPress) -> bytes:
+    image = press_picture(press.image(), captures, reviewed)
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 90]
+    return cv2.imencode(".jpg", image[..., ::-1], quality)[1].tobytes()
+
+
+def _write_contacts(review: Review, path: Path) -> None:
+    path.write_text(_contacts_file(review), encoding="utf-8")
 
 
 def _contacts_file(review: Review) -> str:

@@ -16,8 +16,8 @@ from taccel_lab.calibration.contacts.labels import LabelAgreement, compare_with_
 from taccel_lab.calibration.contacts.remarks import LABELS_SHIFTED, PRESSES_REFUSED
 from taccel_lab.calibration.contacts.result import DetectedContact, FoundContacts
 from taccel_lab.calibration.light.drift import drift_remark
-from taccel_lab.calibration.result import Remark
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark
 
 LOW_CONFIDENCE = 0.6
 SHIFT_PX = 1.5

@@ -15,9 +15,9 @@ from taccel_lab.calibration.contacts.labels import LabelAgreement, compare_with_
 from taccel_lab.calibration.contacts.remarks import PRESSES_LEFT_OUT
 from taccel_lab.calibration.contacts.result import DetectedContact, Refusal
 from taccel_lab.calibration.error_rates import RATES
-from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark
 
 MAX_LOST_SHARE = 0.1
 """Part of the presses that may show no contact; beyond, something is wrong with the whole set."""

@@ -13,9 +13,9 @@ from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture.captures import CaptureSet, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.depth.remarks import SCALE_OF_PROFILE
-from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.report.remark import Remark
 
 
 def grey_captures(

@@ -49,12 +49,12 @@ from taccel_lab.calibration.depth.remarks import (
     place_remarks,
 )
 from taccel_lab.calibration.depth.result import DepthCalibration, PressFigures
-from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.simulate import PressSurfaces, SurfaceMaker
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark
 from taccel_lab.signals.depth_response import DepthResponse, channel_of
 
 BOOTSTRAPS = 40

@@ -11,7 +11,7 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, widest_gap_px
 from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.remarks import RemarkKind
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.report.remark import Remark, Severity
 
 LABEL_OFF_SHARE, LABEL_OFF_PX = 0.18, 6.0
 """A label is off when its centre lies this part of its radius, and this far, from the dark patch:

@@ -14,8 +14,8 @@ from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.depth.curve import ContactPixels
-from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.profile import DepthResponseBlock, Provenance, SensorProfile
+from taccel_lab.report.remark import Remark, judge
 from taccel_lab.signals.depth_response import DepthResponse
 
 

@@ -45,7 +45,6 @@ from taccel_lab.calibration.force.train import (
     train_force_model,
 )
 from taccel_lab.calibration.force.training_file import TrainingFile
-from taccel_lab.calibration.result import Remark
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.sensor import profile_digest
 from taccel_lab.envs.measured_ranges import measured_ranges
@@ -53,6 +52,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.reading.regular_file import file_sha256
+from taccel_lab.report.remark import Remark
 from taccel_lab.signals.force_network import (
     patch_centers_mm,
 )

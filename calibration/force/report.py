@@ -11,8 +11,8 @@ import numpy as np
 
 from taccel_lab.calibration.force.result import ForceCalibration
 from taccel_lab.calibration.force.score import Errors, outside_rows
-from taccel_lab.calibration.report import Page, Picture, Table
 from taccel_lab.calibration.result import NORMAL_95
+from taccel_lab.report.page import Page, Picture, Table
 from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:

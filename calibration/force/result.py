@@ -12,8 +12,8 @@ from taccel_lab.calibration.force.options import ForceOptions
 from taccel_lab.calibration.force.samples import Samples, Split
 from taccel_lab.calibration.force.score import Errors, Imposters, as_json
 from taccel_lab.calibration.force.train import COMPARED, Told, Trained
-from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.profile import ForceBlock, Provenance, SensorProfile
+from taccel_lab.report.remark import Remark, judge
 from taccel_lab.signals.force_settings import (
     ForceModelConfig,
 )

@@ -10,7 +10,7 @@ import numpy as np
 
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.light.remarks import CHANNELS_DRIFT, LIGHT_DRIFTS, LIGHT_STEADY
-from taccel_lab.calibration.result import Remark
+from taccel_lab.report.remark import Remark
 
 NOTABLE_LEVELS = 2.0
 """Spread of the light over the frames above which a correction pays."""

@@ -17,10 +17,10 @@ from taccel_lab.calibration.markers.gel_view import (
     pixel_jacobian,
 )
 from taccel_lab.calibration.markers.remarks import MARKER_SCALE_DISAGREES, SCALE_ASSUMED
-from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
+from taccel_lab.report.remark import Remark
 
 _MEASURED = ("calibrated", "measured")
 _CAMERA_AGREES = 0.05

@@ -10,7 +10,7 @@ from taccel_lab.calibration.dots.layout import LayoutFit
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.markers import remarks
 from taccel_lab.calibration.markers.track_figures import TrackFigures
-from taccel_lab.calibration.result import Remark
+from taccel_lab.report.remark import Remark
 
 _FEW_DOTS = 16
 _BENT = 0.05

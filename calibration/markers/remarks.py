@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from taccel_lab.calibration.remarks import RemarkKind
-from taccel_lab.calibration.result import Severity
+from taccel_lab.report.remark import Severity
 
 # The picture at rest.
 REST_FOUND = RemarkKind(

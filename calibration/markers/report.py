@@ -14,7 +14,7 @@ from taccel_lab.calibration.markers.pictures import (
     draw_tracks,
 )
 from taccel_lab.calibration.markers.result import MarkerCalibration
-from taccel_lab.calibration.report import Page, Picture, Table
+from taccel_lab.report.page import Page, Picture, Table
 
 
 def marker_page(result: MarkerCalibration) -> Page:

@@ -23,8 +23,8 @@ from taccel_lab.calibration.dots.dots import DotFlag
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
 from taccel_lab.calibration.markers.remarks import REST_AMBIGUOUS, REST_DISAGREES, REST_FOUND
 from taccel_lab.calibration.markers.still_frames import Stillness, Stretch, still_stretches
-from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
+from taccel_lab.report.remark import Remark
 
 _LOOKED_AT = 6
 """Longest still stretches of a video whose dots are looked at."""

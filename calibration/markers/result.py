@@ -23,8 +23,9 @@ from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
 from taccel_lab.calibration.markers.gel_view import GelView
 from taccel_lab.calibration.markers.track_figures import TrackFigures
 from taccel_lab.calibration.markers.tracks import MarkerTracks
-from taccel_lab.calibration.result import Estimate, Remark, judge
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.profile import MarkersBlock, Provenance, SensorProfile
+from taccel_lab.report.remark import Remark, judge
 
 
 @dataclass(frozen=True)

@@ -35,10 +35,11 @@ from taccel_lab.calibration.material.robust_statistics import combined
 from taccel_lab.calibration.material.sliding import SlideFit, fit_slide
 from taccel_lab.calibration.material.stiffness import KnownLaw, Stiffness, fit_stiffness
 from taccel_lab.calibration.material.tangential import TangentialFit, fit_tangential
-from taccel_lab.calibration.result import Estimate, Remark
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark
 
 _DEFAULTS = MaterialOptions()
 _KINDS = ("indentation", "slide", "shear", "twist", "relaxation")

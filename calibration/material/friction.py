@@ -19,8 +19,9 @@ from taccel_lab.calibration.material.remarks import (
 )
 from taccel_lab.calibration.material.robust_statistics import combined, scatter
 from taccel_lab.calibration.material.sliding import SlideFit, friction_of_slides
-from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark
+from taccel_lab.calibration.result import NORMAL_95, Estimate
 from taccel_lab.progress import Progress
+from taccel_lab.report.remark import Remark
 
 LEANING_ERROR = 0.02
 """Relative error of the correction of a ball's leaning: steady state and mesh."""

@@ -16,9 +16,10 @@ from taccel_lab.calibration.capture.record_checks import FORCE_UNITS
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.remarks import UNUSUAL_MODULUS
-from taccel_lab.calibration.result import Estimate, Remark
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.envs.bonded_layer import layer_young_modulus_pa
 from taccel_lab.errors import InputError
+from taccel_lab.report.remark import Remark
 
 PLAUSIBLE_PA = (1e4, 1e7)
 """Young's moduli of gels; a fit outside is a fault of units."""

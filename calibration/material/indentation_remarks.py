@@ -22,7 +22,8 @@ from taccel_lab.calibration.material.remarks import (
     YOUNG_UNCERTAIN,
     YOUNG_WITH_NU,
 )
-from taccel_lab.calibration.result import Estimate, Remark
+from taccel_lab.calibration.result import Estimate
+from taccel_lab.report.remark import Remark
 
 MISFIT = 0.05
 """Root mean square residual, as a part of the force, that calls for a remark."""

@@ -29,9 +29,10 @@ from taccel_lab.calibration.material.remarks import (
     FLOW_NU_UNDETERMINED,
 )
 from taccel_lab.calibration.material.tool_path import ToolPath
-from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark
+from taccel_lab.calibration.result import NORMAL_95, Estimate
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark
 
 MIN_MARKERS = 6
 

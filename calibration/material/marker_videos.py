@@ -10,9 +10,9 @@ from taccel_lab.calibration.capture.folder import Video
 from taccel_lab.calibration.markers.fit import calibrate_markers
 from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
 from taccel_lab.calibration.material.tool_path import ToolPath
-from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.report.remark import Remark, Severity
 
 
 @dataclass(frozen=True)

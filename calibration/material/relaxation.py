@@ -24,8 +24,9 @@ from taccel_lab.calibration.material.force_table import ForceTable
 from taccel_lab.calibration.material.gel import Tool
 from taccel_lab.calibration.material.remarks import DAMPING_UNDETERMINED, RELAXES
 from taccel_lab.calibration.material.robust_statistics import robust_regression
-from taccel_lab.calibration.result import Estimate, Remark
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
+from taccel_lab.report.remark import Remark
 
 MIN_ROWS = 12
 HOLD_RATE = 0.03

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from taccel_lab.calibration.remarks import RemarkKind
-from taccel_lab.calibration.result import Severity
+from taccel_lab.report.remark import Severity
 
 _SECOND_TOOL = (
     "records of two tools in the same folder, a ball with a radius of at most half of the gel's "

@@ -17,7 +17,7 @@ from taccel_lab.calibration.material.pictures import (
     draw_tangential,
 )
 from taccel_lab.calibration.material.result import MaterialCalibration
-from taccel_lab.calibration.report import Page, Picture, Table
+from taccel_lab.report.page import Page, Picture, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

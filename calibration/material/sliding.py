@@ -26,9 +26,10 @@ from taccel_lab.calibration.material.remarks import (
     STICK_SLIP,
 )
 from taccel_lab.calibration.material.robust_statistics import combined, robust_regression
-from taccel_lab.calibration.result import Estimate, Remark
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError
+from taccel_lab.report.remark import Remark
 
 MIN_STROKE = 8
 """Rows that a stroke needs."""

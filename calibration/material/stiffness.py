@@ -40,7 +40,8 @@ from taccel_lab.calibration.material.remarks import (
     YOUNG_GIVEN_NU,
 )
 from taccel_lab.calibration.remarks import RemarkKind
-from taccel_lab.calibration.result import NORMAL_95, Estimate, Remark
+from taccel_lab.calibration.result import NORMAL_95, Estimate
+from taccel_lab.report.remark import Remark
 
 USUAL_NU = (0.45, 0.495)
 """Poisson's ratios of most gels, over which an unknown one is varied to say what it does to E."""

@@ -22,9 +22,9 @@ from taccel_lab.calibration.material.tangential_table import (
     TangentialTable,
     tangential_table,
 )
-from taccel_lab.calibration.result import Remark
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark
 
 FLAT = 0.3
 """A curve whose last slope is below this part of its first one has slipped: friction is near."""

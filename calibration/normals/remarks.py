@@ -11,7 +11,7 @@ from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import InverseFrame, Scene
 from taccel_lab.calibration.normals.told_thickness import THICKEST_MM, ToldThickness
 from taccel_lab.calibration.remarks import RemarkKind
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.report.remark import Remark, Severity
 
 ENOUGH_PRESSES, LEAST_PRESSES = 8, 4
 """Fitted presses below which a model is only usable, or weak: it knows a few places and slopes."""

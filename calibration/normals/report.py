@@ -7,7 +7,7 @@ from functools import partial
 
 from taccel_lab.calibration.normals.pictures import draw_errors, draw_reliability, draw_training
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.report import Page, Picture, Table
+from taccel_lab.report.page import Page, Picture, Table
 
 WORST_SHOWN = 10
 """Training presses in the table of those that are read worst."""

@@ -16,8 +16,9 @@ from taccel_lab.calibration.normals.reading_error import PracticeScore
 from taccel_lab.calibration.normals.samples import Scene
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
 from taccel_lab.calibration.normals.told_thickness import ToldThickness
-from taccel_lab.calibration.result import Remark, judge, mean_figures
+from taccel_lab.calibration.result import mean_figures
 from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
+from taccel_lab.report.remark import Remark, judge
 
 
 @dataclass(frozen=True)

@@ -30,13 +30,13 @@ from taccel_lab.calibration.refit.light_change import (
     fit_light_change,
 )
 from taccel_lab.calibration.refit.result import CHANNELS, FrameError, RefitCalibration
-from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.simulate import simulate_presses
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.view import require_view_on_pad
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark
 from taccel_lab.sensors.registry import is_of_sensor
 
 MIN_FRAMES = 3

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.calibration.refit.result import CHANNELS, FrameError, RefitCalibration
-from taccel_lab.calibration.report import Page, Picture, Table
 from taccel_lab.profile import SensorProfile
+from taccel_lab.report.page import Page, Picture, Table
 from taccel_lab.report.style import BLUE, GREY, in_report_style, new_figure
 
 if TYPE_CHECKING:

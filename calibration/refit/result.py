@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.refit.light_change import LightChangeFit
-from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, Block, Provenance, SensorProfile
+from taccel_lab.report.remark import Remark, judge
 from taccel_lab.signals.color_model import ColorModelConfig
 
 CHANNELS = ("red", "green", "blue")

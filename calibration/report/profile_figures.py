@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.report.color_discs import profile_discs
+from taccel_lab.calibration.report.color_discs import draw_color_discs, profile_discs
 from taccel_lab.profile import SensorProfile
-from taccel_lab.report.figures_color import draw_color_discs
 from taccel_lab.report.figures_mesh import draw_mesh
-from taccel_lab.report.model import MeshSection
 from taccel_lab.report.style import BLUE, ORANGE, in_report_style, new_figure
 from taccel_lab.signals.perturbation import draw_perturbation
 
@@ -24,17 +22,7 @@ DRAWS = 6
 def draw_profile_mesh(profile: SensorProfile) -> Figure:
     """The contact face and a side view."""
     mesh = profile.mesh
-    return draw_mesh(
-        MeshSection(
-            node_count=len(mesh.nodes_m),
-            tet_count=len(mesh.tets),
-            min_dihedral_deg=profile.gel.min_dihedral_deg,
-            nodes_m=mesh.nodes_m,
-            faces=mesh.faces,
-            face_regions=mesh.face_regions,
-            dihedral_deg=np.empty(0),
-        )
-    )
+    return draw_mesh(mesh.nodes_m, mesh.faces, mesh.face_regions)
 
 
 def draw_profile_discs(profile: SensorProfile) -> Figure:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from taccel_lab.calibration.report import remarks
-from taccel_lab.calibration.report.page import Page, Picture, Table
 from taccel_lab.calibration.report.profile_figures import (
     draw_depth_response,
     draw_image_at_rest,
@@ -15,9 +14,11 @@ from taccel_lab.calibration.report.profile_figures import (
     draw_profile_discs,
     draw_profile_mesh,
 )
-from taccel_lab.calibration.result import NORMAL_95, Remark, Severity
+from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.profile import Block, SensorProfile
 from taccel_lab.report.mesh_view import mesh_view
+from taccel_lab.report.page import Page, Picture, Table
+from taccel_lab.report.remark import Remark, Severity
 
 CORE = ("gel", "material", "camera", "background", "color")
 """Blocks without which a sensor cannot be simulated with pictures."""

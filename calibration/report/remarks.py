@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from taccel_lab.calibration.remarks import RemarkKind
-from taccel_lab.calibration.result import Severity
+from taccel_lab.report.remark import Severity
 
 BLOCK_UNFIT = RemarkKind("block_unfit", Severity.ERROR, "{block} {state}: {reason}")
 WEAK_BLOCK = RemarkKind("weak_block", Severity.ERROR, "{block}: calibrated, but weak")

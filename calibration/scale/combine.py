@@ -15,9 +15,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import chi2
 
-from taccel_lab.calibration.result import Estimate, Remark
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.calibration.scale.remarks import CONTACTS_EXCEED_BALL, SCALE_DISAGREES
+from taccel_lab.report.remark import Remark
 
 DISAGREES = 0.01
 """Probability of so large a chi-square by chance below which estimates contradict each other."""

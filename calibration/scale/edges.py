@@ -13,12 +13,13 @@ from scipy.optimize import least_squares
 from taccel_lab.calibration.camera.board import hashes_by_name
 from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
 from taccel_lab.calibration.capture.schema import LineEntry
-from taccel_lab.calibration.result import Estimate, Remark
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.calibration.scale import remarks
 from taccel_lab.calibration.scale.edge_line import EdgeLine, find_edge
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.errors import InputError
+from taccel_lab.report.remark import Remark
 
 SQUARE_SIGMA = 0.03
 """How far pixels are from square, as a share, where the edges do not tell: cameras have square

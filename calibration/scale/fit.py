@@ -9,7 +9,7 @@ from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.camera.pixel_grid import stated_scale_remarks
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.markers.rest import find_rest
-from taccel_lab.calibration.result import Estimate, Remark
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.scale import remarks
 from taccel_lab.calibration.scale.combine import CombinedAxis, agreement_remarks, combine_axis
 from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
@@ -21,6 +21,7 @@ from taccel_lab.calibration.scale.spheres import measure_contacts, scale_from_sp
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
+from taccel_lab.report.remark import Remark
 
 STATED_ERROR = 0.05
 """Standard deviation of a scale that is stated and not measured, as a share."""

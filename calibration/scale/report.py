@@ -7,10 +7,10 @@ from functools import partial
 from typing import Any
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.report import Page, Picture, Table
 from taccel_lab.calibration.scale.edges import measure_edges
 from taccel_lab.calibration.scale.pictures import draw_edge_lengths, draw_edges, draw_estimates
 from taccel_lab.calibration.scale.result import ScaleCalibration
+from taccel_lab.report.page import Page, Picture, Table
 
 
 def scale_page(result: ScaleCalibration, folder: CaptureFolder) -> Page:

@@ -8,12 +8,12 @@ from typing import Any
 
 from taccel_lab.calibration.camera.pixel_grid import tactile_size, with_camera_block
 from taccel_lab.calibration.capture.folder import source_of
-from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.calibration.scale.combine import CombinedAxis
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile
+from taccel_lab.report.remark import Remark, judge
 
 STATED = "stated"
 """Method of a scale that is not measured: the captures say it."""

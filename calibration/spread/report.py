@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from taccel_lab.calibration.report.page import Page, Picture, Table
 from taccel_lab.calibration.spread.pictures import draw_lights
 from taccel_lab.calibration.spread.result import SpreadCalibration
+from taccel_lab.report.page import Page, Picture, Table
 
 
 def spread_page(result: SpreadCalibration) -> Page:

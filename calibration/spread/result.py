@@ -16,11 +16,11 @@ import numpy as np
 
 from taccel_lab.calibration.light.drift import drift_spread
 from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.result import Remark, judge
 from taccel_lab.calibration.spread import remarks
 from taccel_lab.calibration.spread.units import UnitSpread
 from taccel_lab.errors import InputError
 from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
+from taccel_lab.report.remark import Remark, judge
 
 FEW = 5
 """Below this many frames or units a standard deviation is off by a third or more."""

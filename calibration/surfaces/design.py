@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.result import Remark
 from taccel_lab.calibration.surfaces import remarks
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.profile.quarter_turn import quarter_turned
+from taccel_lab.report.remark import Remark
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.calibration.surfaces import remarks
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
+from taccel_lab.report.remark import Remark, Severity
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.registry import profile_parameters
 

@@ -23,7 +23,8 @@ class CalibrateAll(CalibrationFiles):
     color, normals, depth, markers, material and spread are fitted in this order. Blocks without
     captures are skipped, and the report says what would have to be captured. After a board on the
     gel the images are rectified to what the profile's camera sees; the maps are in the report.
-    Exits with 1 when the captures of a block cannot be used.
+    Each block is kept as it is finished, with its report, in <report>_unfinished: the same command
+    goes on there after a kill. Exits with 1 when the captures of a block cannot be used.
     """
 
     report: Path | None = None
@@ -35,19 +36,21 @@ class CalibrateAll(CalibrationFiles):
     def run(self) -> None:
         from taccel_lab.calibration.calibrate import calibrate
         from taccel_lab.cli.console import notes, print_json, results, working
-        from taccel_lab.cli.progress import stage_progress
-        from taccel_lab.profile import save_profile
-        from taccel_lab.warp_output import quiet_warp
+        from taccel_lab.progress_bars import stage_progress
 
-        quiet_warp()
         console = notes()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
+        unfinished = report.with_name(f"{report.name}_unfinished")
         with stage_progress(console) as progress:
-            found = calibrate(self.captures, self.base, self.only, progress=progress)
+            found = calibrate(
+                self.captures, self.base, self.only, progress=progress, unfinished=unfinished
+            )
         with working(console, "writing the reports"):
             found.write_report(report)
-        save_profile(found.profile, self.out)
+        found.save(self.out)
+        if found.unfinished is not None:
+            found.unfinished.remove()
         _print_remarks(console, found)
         if self.json:
             outcomes = [outcome.figures() for outcome in found.blocks]

@@ -16,9 +16,9 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.calibration.report import Page
     from taccel_lab.calibration.result import CalibrationResult
     from taccel_lab.profile import SensorProfile
+    from taccel_lab.report.page import Page
 
 _MOST_ROWS = 24
 """Of the table that is printed."""
@@ -97,10 +97,10 @@ class BlockCommand(CalibrationFiles):
         from taccel_lab.calibration.capture.load import load_capture_folder
         from taccel_lab.calibration.recorded import with_session
         from taccel_lab.cli.console import notes
-        from taccel_lab.cli.progress import stage_progress
-        from taccel_lab.warp_output import quiet_warp
+        from taccel_lab.progress_bars import stage_progress
+        from taccel_lab.warp_output import start_warp
 
-        quiet_warp()
+        start_warp()
         self.check()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
@@ -139,10 +139,10 @@ def write_results(
 ) -> None:
     """Save the extended profile and the report, say the verdict with its remarks, and give the
     figures on standard output: as JSON, or the page's summary and first table."""
-    from taccel_lab.calibration.report import write_page
-    from taccel_lab.calibration.result import judge
     from taccel_lab.cli.console import print_json, results
     from taccel_lab.profile import save_profile
+    from taccel_lab.report.page import write_page
+    from taccel_lab.report.remark import judge
 
     files = files or {}
     save_profile(profile, out)
@@ -163,7 +163,7 @@ def write_results(
 def _print_page(page: Page, console: Console) -> None:
     from rich.table import Table as Grid
 
-    from taccel_lab.report.build import format_number
+    from taccel_lab.report.html import format_number
 
     console.print(page.summary)
     if not page.tables or page.tables[0].folded:

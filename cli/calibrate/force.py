@@ -41,13 +41,13 @@ class CalibrateForce(ForceOptions):
         from taccel_lab.calibration.force.report import force_page
         from taccel_lab.calibration.force.training_file import TrainingFile
         from taccel_lab.cli.console import notes
-        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.datasets.reading import Dataset
         from taccel_lab.errors import InputError
         from taccel_lab.profile import load_profile
-        from taccel_lab.warp_output import quiet_warp
+        from taccel_lab.progress_bars import stage_progress
+        from taccel_lab.warp_output import start_warp
 
-        quiet_warp()
+        start_warp()
         if not self.datasets:
             raise InputError("name at least one folder of a data set")
         report = report_folder(self.out, self.report)

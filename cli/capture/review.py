@@ -22,7 +22,7 @@ class CaptureReview:
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
     out: Path | None = None
-    """Folder to write: review.html, review.json, contacts.toml and one picture for each press;
+    """Folder to write: report.html, report.json, contacts.toml and one picture for each press;
     <captures>_review when left out."""
     contacts: Path | None = None
     """A contacts.toml to take into account; that of the capture folder when left out."""
@@ -32,13 +32,14 @@ class CaptureReview:
     def run(self) -> None:
         from taccel_lab.calibration.capture import load_captures
         from taccel_lab.calibration.capture.overrides import with_overrides
-        from taccel_lab.calibration.contacts.report import write_review
+        from taccel_lab.calibration.contacts.report import review_page
         from taccel_lab.calibration.contacts.review import review_contacts
-        from taccel_lab.calibration.result import Severity, judge
         from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.cli.progress import stage_progress
         from taccel_lab.inner_path import real_path
         from taccel_lab.output_folder import require_replaceable
+        from taccel_lab.progress_bars import stage_progress
+        from taccel_lab.report.page import write_page
+        from taccel_lab.report.remark import Severity, judge
 
         console = notes()
         source = real_path(self.captures)
@@ -50,13 +51,13 @@ class CaptureReview:
             captures = with_overrides(captures, self.contacts)
         with stage_progress(console) as progress:
             review = review_contacts(captures, progress)
-        write_review(review, out)
+        write_page(review_page(review), out)
         if self.json:
             print_json(review.figures())
         for remark in review.remarks:
             console.print(str(remark))
         console.print(f"verdict: {judge(review.remarks)}")
-        console.print(f"wrote {out / 'review.html'}")
+        console.print(f"wrote {out / 'report.html'}")
         stopped = any(remark.severity == Severity.ERROR for remark in review.remarks)
         if stopped or review.found.refusals:
             raise SystemExit(1)

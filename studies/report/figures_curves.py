@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.report.build import format_number
+from taccel_lab.report.html import format_number
 from taccel_lab.report.style import BLUE, GREY, ORANGE, in_report_style, new_figure
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.report.figures import color_norm, parameter_label, plain_log_ticks

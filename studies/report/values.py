@@ -47,6 +47,8 @@ def report_values(outcome: Outcome) -> dict[str, Any]:
         "sweep": spec.sweep.model_dump(),
         "seed": spec.study.seed,
         "accuracy": spec.study.accuracy.value,
+        "presses": list(study.presses),
+        "fixed": dict(spec.fixed),
         "unit_spread_percent": spec.study.unit_spread_percent,
         "goal": goal.text() if goal else None,
         "goal_metric": goal.metric if goal else None,

@@ -3,36 +3,65 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
-from taccel_lab.report.build import format_number
-from taccel_lab.report.verdict import Verdict
+from taccel_lab.report.html import format_number
+from taccel_lab.report.remark import Remark, Severity
 from taccel_lab.studies.runner import Outcome
 
 
-def study_verdict(outcome: Outcome, values: dict[str, Any]) -> Verdict:
+@dataclass(frozen=True)
+class StudyVerdict:
+    """How a study ended."""
+
+    good: bool
+    """Whether it is through and some design keeps the bounds."""
+    headline: str
+    sentences: tuple[str, ...]
+    """What was found."""
+    remarks: tuple[Remark, ...]
+    """What is wrong or missing."""
+
+
+def study_verdict(outcome: Outcome, values: dict[str, Any]) -> StudyVerdict:
     """Headline and sentences; good when the study is through and some design keeps the bounds."""
     counts, spec = values["counts"], outcome.study.spec
-    sentences = []
+    remarks = []
+
+    def remark(severity: Severity, code: str, message: str) -> None:
+        remarks.append(Remark(severity, code, message))
+
+    good = False
     if not counts["done"]:
         headline = "No design has figures"
-        good = False
+        remark(Severity.ERROR, "no_figures", "No design has a figure; causes below.")
     elif spec.constraints and not counts["feasible"]:
         headline = "No design keeps the constraints"
-        good = False
-        sentences.append(_nearest_sentence(outcome, values))
+        remark(Severity.ERROR, "no_feasible_design", _nearest_sentence(outcome, values))
     elif not outcome.complete:
         headline = f"{counts['rows']} of {counts['designs']} designs are done"
-        good = False
     else:
         headline = f"{counts['done']} designs compared"
         if spec.constraints:
             headline += f", {counts['feasible']} keep the constraints"
         good = True
     if not outcome.complete:
-        sentences.append("The study is not finished; the same command goes on with it.")
-    if values["best"]:
-        sentences.append(_best_sentence(outcome, values))
+        text = "The study is not finished; the same command goes on with it."
+        remark(Severity.WARNING, "not_finished", text)
+    if counts["failed"]:
+        lost = f"{counts['failed']} design{'s' if counts['failed'] > 1 else ''}"
+        text = f"{lost} cannot be built or pressed; causes below."
+        remark(Severity.WARNING, "failed_designs", text)
+    if counts["broken"]:
+        text = f"{counts['broken']} designs were lost to faults; the next run tries them again."
+        remark(Severity.WARNING, "lost_designs", text)
+    for text in _holes(outcome, values):
+        remark(Severity.WARNING, "designs_without_figures", text)
+    if values["gaps"]:
+        text = "Some figures are missing; causes below."
+        remark(Severity.WARNING, "missing_figures", text)
+    sentences = [_best_sentence(outcome, values)] if values["best"] else []
     if values["optimiser"]:
         sentences.append(
             f"The optimiser {spec.sweep.method} tried {counts['designs']} designs and stopped: "
@@ -40,17 +69,7 @@ def study_verdict(outcome: Outcome, values: dict[str, Any]) -> Verdict:
         )
     sentences += _strongest(values)
     sentences += [_measured_sentence(gel) for gel in values["measured"]]
-    if counts["failed"]:
-        lost = f"{counts['failed']} design{'s' if counts['failed'] > 1 else ''}"
-        sentences.append(f"{lost} cannot be built or pressed; causes below.")
-    if counts["broken"]:
-        sentences.append(
-            f"{counts['broken']} designs were lost to faults; the next run tries them again."
-        )
-    sentences += _holes(outcome, values)
-    if values["gaps"]:
-        sentences.append("Some figures are missing; causes below.")
-    return Verdict(good, headline, tuple(sentences))
+    return StudyVerdict(good, headline, tuple(sentences), tuple(remarks))
 
 
 def _best_sentence(outcome: Outcome, values: dict[str, Any]) -> str:

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.camera.gel_camera import GelCamera, camera_of
+from taccel_lab.envs.press_image import PREDICTED_PX, predicted_images
 from taccel_lab.envs.press_markers import MARKERS, PressMarkers
 from taccel_lab.envs.press_outcome import PressOutcome
 from taccel_lab.envs.press_states import STATES, PressStates, write_states
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.interop.image_files import eight_bit, write_rgb
-from taccel_lab.optics.render import OpticalModel
 from taccel_lab.output import write_json
 from taccel_lab.report import (
     draw_contact_forces,
@@ -27,17 +26,14 @@ from taccel_lab.report import (
     draw_normals,
     save_figure,
 )
-from taccel_lab.report.model import ForceDepth
 from taccel_lab.version import __version__
 
 if TYPE_CHECKING:
     from taccel_lab.envs.indenter import Indenter
     from taccel_lab.profile import SensorProfile
 
-PREDICTED_PX = 640
-"""Longest side of the picture that the optical model predicts."""
 STATES_PX = 320
-"""The same of the pictures of all steps."""
+"""Longest side of the pictures that the optical model predicts of all steps."""
 
 
 def write_press(
@@ -80,9 +76,9 @@ def write_press(
         save_figure(draw_image(rgb, grid), folder / "image.png")
         write_rgb(folder / "image_raw.png", rgb)
     else:
-        model = _optical_model(profile, outcome, PREDICTED_PX)
-        if model is not None:
-            seen = model.render(outcome.positions_m).rgb
+        predicted = predicted_images(profile, outcome, outcome.positions_m[None], PREDICTED_PX)
+        if predicted is not None:
+            seen = predicted[0]
             write_rgb(folder / "predicted.png", seen)
     markers = PressMarkers.of(profile, outcome.mesh, outcome.positions_m[None])
     if markers is not None:
@@ -114,12 +110,9 @@ def write_press(
         folder / "contact_pressure.png",
     )
     down = [s for s in outcome.steps if s.shear_mm == (0.0, 0.0) and s.twist_deg == 0.0]
-    curve = ForceDepth(
-        label=about["indenter"],
-        depth_mm=np.array([0.0] + [s.depth_mm for s in down]),
-        force_n=np.array([0.0] + [s.wrench[2] for s in down]),
-    )
-    save_figure(draw_force_depth(curve), folder / "force_depth.png")
+    depth_mm = np.array([0.0] + [s.depth_mm for s in down])
+    force_n = np.array([0.0] + [s.wrench[2] for s in down])
+    save_figure(draw_force_depth(depth_mm, force_n, about["indenter"]), folder / "force_depth.png")
     write_json(
         folder / "press.json",
         {
@@ -142,20 +135,6 @@ def write_press(
     )
 
 
-def _optical_model(
-    profile: SensorProfile, outcome: PressOutcome, longest_px: int
-) -> OpticalModel | None:
-    """What predicts the pictures of an uncalibrated sensor, through its one camera; None where it
-    has no optics."""
-    design, camera = profile.optical_design(), camera_of(profile)
-    if design is None or not isinstance(camera, GelCamera):
-        return None
-    seen = camera.resized(*camera.camera.size_within(longest_px))
-    markers = None if profile.markers is None else profile.markers.grid()
-    options = {"markers": markers, "designed": profile.mesh}
-    return OpticalModel.through(seen, design, outcome.mesh, **options)
-
-
 def _write_states(
     path: Path,
     outcome: PressOutcome,
@@ -164,14 +143,12 @@ def _write_states(
     indenter: Indenter,
     frames: Sequence[np.ndarray] | None,
 ) -> None:
-    images = None
     if frames is not None:
         images = np.stack([eight_bit(frame) for frame in frames])
     else:
-        model = _optical_model(profile, outcome, STATES_PX)
-        if model is not None:
-            places = states.positions_m(outcome.mesh)
-            images = np.stack([model.render(positions).rgb for positions in places])
+        places = states.positions_m(outcome.mesh)
+        predicted = predicted_images(profile, outcome, places, STATES_PX)
+        images = None if predicted is None else np.stack(predicted)
     write_states(
         path,
         states,

@@ -14,6 +14,7 @@ from taccel_lab.camera.gel_camera import View, camera_of
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.output import atomic_file
 from taccel_lab.signals.markers import MarkerLayout
+from taccel_lab.summary import Summary
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
@@ -26,8 +27,8 @@ COLUMNS = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class PressMarkers:
+@dataclass(frozen=True, repr=False)
+class PressMarkers(Summary):
     """Dots that the image shows at rest, at rest and in each of some states."""
 
     image_px: tuple[int, int]
@@ -55,6 +56,14 @@ class PressMarkers:
         rest, places = layout.places_mm(mesh.nodes_m), layout.places_mm(positions_m)
         size = view.width_px, view.height_px
         return cls(size, rest, places, view.pixel_from_gel(rest), view.pixel_from_gel(places))
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """How many there are and how far they moved."""
+        moved = np.linalg.norm(self.places_px[-1] - self.rest_px, axis=1)
+        return f"{len(self.rest_px)} markers", [
+            ("image", f"{self.image_px[0]} x {self.image_px[1]} px"),
+            ("largest motion", f"{np.nanmax(moved, initial=0.0):.3g} px"),
+        ]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The last state, for ``signals.npz``."""

@@ -24,6 +24,7 @@ from taccel_lab.scene import Material, MaterialField
 from taccel_lab.signals.rest_surface import RestSurface
 from taccel_lab.signals.tactile_image import tactile_image
 from taccel_lab.solvers import SolverConfig, StepReport
+from taccel_lab.summary import Summary
 
 if TYPE_CHECKING:
     from taccel_lab.signals.color_model import ColorModel
@@ -51,8 +52,8 @@ class PressStop:
     why: str
 
 
-@dataclass(frozen=True)
-class PressOutcome:
+@dataclass(frozen=True, repr=False)
+class PressOutcome(Summary):
     """The steps of a press and the signals at its end, or at the last step that it finished."""
 
     mesh: TetMesh | QuadraticMesh
@@ -95,6 +96,15 @@ class PressOutcome:
     """All steps, where they were to be kept."""
     stopped: PressStop | None = None
     """Where and why the press ended before its path did."""
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """Depth, force with its estimated error, and what the last step ended with."""
+        final = self.steps[-1]
+        return f"press to {final.depth_mm:.4g} mm", [
+            ("force", f"{final.wrench[2]:.4g} +- {self.force_error_n:.2g} N"),
+            ("gel", f"{self.mesh.node_count} nodes, {self.mesh.tet_count} tets"),
+            ("last step", final.report.summary()),
+        ]
 
     @property
     def last(self) -> StepReport:
@@ -153,7 +163,7 @@ def simulate_press(
     path: PressPath,
     grid: View,
     *,
-    friction_coefficient: float = 0.0,
+    friction_coefficient: float,
     physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     designed_rest: RestSurface | None = None,
     config: SolverConfig | None = None,

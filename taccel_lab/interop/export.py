@@ -24,7 +24,8 @@ from taccel_lab.interop import (
 from taccel_lab.interop.formats import FORMATS
 from taccel_lab.interop.record import ExportRecord
 from taccel_lab.output import write_json
-from taccel_lab.output_folder import OUTPUT_MARKER, atomic_directory, require_replaceable
+from taccel_lab.output_folder import atomic_directory, require_replaceable
+from taccel_lab.output_marker import OUTPUT_MARKER
 from taccel_lab.profile import SensorProfile
 from taccel_lab.version import __version__
 

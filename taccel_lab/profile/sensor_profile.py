@@ -39,6 +39,7 @@ from taccel_lab.profile.schema import (
     MaterialBlock,
     SensorBlock,
 )
+from taccel_lab.summary import Summary
 
 # Block key -> field of SensorProfile that holds the array(s) the block describes.
 ARRAY_FIELDS = {
@@ -50,8 +51,8 @@ ARRAY_FIELDS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class SensorProfile:
+@dataclass(frozen=True, eq=False, repr=False)
+class SensorProfile(Summary):
     """Everything that is known of one sensor. Pure data: no device arrays, no handles.
 
     Profiles never change; ``with_block`` and ``without`` return new ones. Image and weights are
@@ -119,6 +120,33 @@ class SensorProfile:
         """The blocks that are present, by key, in the order of the file."""
         found = {block.key: getattr(self, block.key) for block in BLOCK_TYPES}
         return {key: block for key, block in found.items() if block is not None}
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """Size, stiffness and pixels, then each block with where it comes from."""
+        gel, camera, material = self.gel, self.camera, self.material
+        rows = [
+            ("gel", f"{gel.thickness_mm:.4g} mm thick, {gel.node_count} nodes"),
+            (
+                "material",
+                f"E {1e-3 * material.young_modulus_pa:.4g} kPa, nu {material.poisson_ratio:.4g}, "
+                f"friction {material.friction_coefficient:.3g}",
+            ),
+            (
+                "pixels",
+                f"{camera.width_px} x {camera.height_px} px of {camera.mm_per_px_x:.4g} x "
+                f"{camera.mm_per_px_y:.4g} mm",
+            ),
+        ]
+        for key, block in self.blocks().items():
+            if key == "sensor":
+                continue
+            told = block.provenance
+            residuals = ", ".join(
+                f"{name} {value:.4g}" for name, value in list(told.residuals.items())[:2]
+            )
+            rows.append((f"[{key}]", told.kind + (f": {residuals}" if residuals else "")))
+        family = "" if self.sensor.family == self.sensor.name else f" ({self.sensor.family})"
+        return f"profile of {self.sensor.name}{family}", rows
 
     def optical_design(self) -> OpticalDesign | None:
         """Camera, lights, coating and window; None without the blocks ``optics``, ``lights`` and

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reports and pictures: one self-contained HTML page, a JSON and PNG files."""
 
-from taccel_lab.report.build import write_report
 from taccel_lab.report.figures import (
     draw_contact_forces,
     draw_force_depth,
@@ -20,5 +19,4 @@ __all__ = [
     "draw_markers",
     "draw_normals",
     "save_figure",
-    "write_report",
 ]

@@ -13,7 +13,6 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.report.model import ForceDepth
 from taccel_lab.report.style import (
     BLUE,
     INK,
@@ -71,6 +70,36 @@ def draw_image(rgb: np.ndarray, grid: PixelGrid, title: str = "Tactile image") -
     _check_image("rgb", rgb, grid, 3)
     figure, axes = _map_axes(grid, title)
     axes.imshow(as_uint8(rgb), extent=_extent_mm(grid))
+    return figure
+
+
+@in_report_style
+def draw_press(
+    rgb: np.ndarray | None,
+    depth_mm: np.ndarray,
+    contact: np.ndarray,
+    grid: PixelGrid,
+    title: str,
+) -> Figure:
+    """Image (of any size, or none), depth [mm] and contact of a press, over the gel."""
+    aspect = (grid.height_px * grid.mm_per_px_y) / (grid.width_px * grid.mm_per_px_x)
+    figure, axes = new_figure(11, 1.2 + 3.4 * aspect, 1, 3)
+    figure.suptitle(title)
+    extent = _extent_mm(grid)
+    if rgb is not None:
+        axes[0].imshow(as_uint8(rgb), extent=extent)
+    axes[0].set_title("tactile image" if rgb is not None else "no colour model")
+    shown = axes[1].imshow(depth_mm, extent=extent, cmap="viridis")
+    axes[1].set_title("depth")
+    figure.colorbar(shown, ax=axes[1], label="depth [mm]", shrink=0.8)
+    axes[2].imshow(contact, extent=extent, cmap="Greys", vmin=0, vmax=1)
+    axes[2].set_title("contact")
+    for axis in axes:
+        axis.set_xlabel("x [mm]")
+        axis.set_aspect("equal")
+        axis.set_xlim(extent[0], extent[1])
+        axis.set_ylim(extent[2], extent[3])
+    axes[0].set_ylabel("y [mm]")
     return figure
 
 
@@ -180,17 +209,19 @@ def draw_contact_forces(
 
 
 @in_report_style
-def draw_force_depth(curve: ForceDepth, title: str = "Force over depth") -> Figure:
-    """Normal force over indentation depth."""
+def draw_force_depth(
+    depth_mm: np.ndarray, force_n: np.ndarray, label: str, title: str = "Force over depth"
+) -> Figure:
+    """Normal force [N] over indentation depth [mm], both of shape [step]."""
     figure, axes = new_figure(6.4, 4.0)
     axes.grid(True)
     axes.set_axisbelow(True)
-    axes.plot(curve.depth_mm, curve.force_n, "o-", color=BLUE, label=curve.label, zorder=3)
+    axes.plot(depth_mm, force_n, "o-", color=BLUE, label=label, zorder=3)
     axes.set_title(title)
     axes.set_xlabel("indentation depth [mm]")
     axes.set_ylabel("normal force [N]")
     axes.set_xlim(left=0)
-    axes.set_ylim(0, 1.15 * max(float(np.nanmax(curve.force_n)), 1e-9))
+    axes.set_ylim(0, 1.15 * max(float(np.nanmax(force_n)), 1e-9))
     axes.legend(loc="upper left", labelcolor=INK)
     return figure
 

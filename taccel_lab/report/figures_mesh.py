@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the gel mesh: its surface by region and the histogram of dihedral angles."""
+"""A gel mesh: its surface by region."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.geometry import Region
-from taccel_lab.report.model import MeshSection
-from taccel_lab.report.style import BLUE, INK, ORANGE, in_report_style, new_figure
+from taccel_lab.report.style import INK, in_report_style, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,17 +22,23 @@ REGION_COLORS = {
 
 
 @in_report_style
-def draw_mesh(mesh: MeshSection) -> Figure:
-    """The contact face from above and a cut through the pad's surface along x."""
+def draw_mesh(nodes_m: np.ndarray, faces: np.ndarray, regions: np.ndarray) -> Figure:
+    """The contact face from above and the surface from the front.
+
+    Args:
+        nodes_m: Of the gel [m], shape [node, 3].
+        faces: Outward triangles, shape [face, 3].
+        regions: ``Region`` of each, shape [face].
+    """
     from matplotlib.collections import PolyCollection
     from matplotlib.patches import Patch
 
-    corners = mesh.nodes_m[mesh.faces] * 1e3
-    span = np.ptp(mesh.nodes_m, axis=0) * 1e3
+    corners = nodes_m[faces] * 1e3
+    span = np.ptp(nodes_m, axis=0) * 1e3
     height = min(0.9 + 6.0 * span[1] / span[0], 5.0)
     figure, axes = new_figure(8.6, height + 2.0, 2, 1, height_ratios=[height, 1.6])
     top, side = axes
-    contact = mesh.face_regions == int(Region.CONTACT)
+    contact = regions == int(Region.CONTACT)
     top.add_collection(
         PolyCollection(
             corners[contact][:, :, :2].tolist(),
@@ -50,7 +55,7 @@ def draw_mesh(mesh: MeshSection) -> Figure:
     top.set_ylabel("y [mm]")
     # Seen from the front: faces nearest to the viewer (largest y) hide the others.
     order = np.argsort(corners[:, :, 1].mean(axis=1))
-    colors = [REGION_COLORS[Region(int(mesh.face_regions[face]))] for face in order]
+    colors = [REGION_COLORS[Region(int(regions[face]))] for face in order]
     side.add_collection(
         PolyCollection(
             corners[order][:, :, [0, 2]].tolist(), facecolor=colors, edgecolor=INK, linewidth=0.25
@@ -61,29 +66,10 @@ def draw_mesh(mesh: MeshSection) -> Figure:
     side.set_title("from the front")
     side.set_xlabel("x [mm]")
     side.set_ylabel("z [mm]")
-    used = [region for region in Region if (mesh.face_regions == int(region)).any()]
+    used = [region for region in Region if (regions == int(region)).any()]
     figure.legend(
         handles=[Patch(color=REGION_COLORS[r], label=r.name.lower()) for r in used],
         loc="outside lower center",
         ncols=len(used),
     )
-    return figure
-
-
-@in_report_style
-def draw_dihedral_histogram(mesh: MeshSection) -> Figure:
-    """Histogram of all dihedral angles with the smallest one marked."""
-    figure, axes = new_figure(6.4, 3.2)
-    axes.grid(True, axis="y")
-    axes.set_axisbelow(True)
-    axes.hist(np.ravel(mesh.dihedral_deg), bins=np.arange(0, 181, 5), color=BLUE, alpha=0.85)
-    axes.axvline(
-        mesh.min_dihedral_deg, color=ORANGE, label=f"smallest {mesh.min_dihedral_deg:.1f}°"
-    )
-    axes.set_xlim(0, 180)
-    axes.set_xticks(range(0, 181, 30))
-    axes.set_title("Dihedral angles of the tets")
-    axes.set_xlabel("angle [°]")
-    axes.set_ylabel("count")
-    axes.legend()
     return figure

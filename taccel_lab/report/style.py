@@ -6,7 +6,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, BinaryIO, ParamSpec, TypeVar
 
 from taccel_lab.output import atomic_file
 
@@ -76,9 +76,15 @@ def new_figure(
 @in_report_style
 def save_figure(figure: Figure, path: Path | str, dpi: int = _DPI) -> None:
     """Write a figure as PNG, whole or not at all, its texts as they are."""
-    _take_no_formulas(figure)
     with atomic_file(path) as staging:
-        figure.savefig(staging, dpi=dpi, format="png", facecolor="white")
+        save_figure_to(figure, staging, dpi)
+
+
+@in_report_style
+def save_figure_to(figure: Figure, file: Path | BinaryIO, dpi: int = _DPI) -> None:
+    """Write a figure as PNG, its texts as they are."""
+    _take_no_formulas(figure)
+    figure.savefig(file, dpi=dpi, format="png", facecolor="white")
 
 
 def _take_no_formulas(figure: Figure) -> None:

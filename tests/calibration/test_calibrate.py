@@ -9,11 +9,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import taccel_lab.calibration.calibrate as whole
+from taccel_lab.calibration.block_outcome import State
 from taccel_lab.calibration.blocks import BLOCKS
-from taccel_lab.calibration.calibrate import State, calibrate
+from taccel_lab.calibration.calibrate import calibrate
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.check import block_findings
@@ -21,7 +23,7 @@ from taccel_lab.calibration.check.findings import COMMANDS
 from taccel_lab.calibration.check.run import CaptureCheck
 from taccel_lab.calibration.spread.fit import SpreadOptions
 from taccel_lab.errors import InputError
-from taccel_lab.profile import CameraBlock, Provenance, SensorProfile
+from taccel_lab.profile import CameraBlock, Provenance, SensorProfile, load_profile
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.support.small_captures import write_captures
 
@@ -97,6 +99,56 @@ def test_a_block_that_refuses_leaves_the_others_alone(
     found.write_report(tmp_path / "report")
     data = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     assert data["verdict"] == "weak" and data["blocks"][0]["state"] == "refused"
+
+
+def test_the_same_call_goes_on_after_a_kill(
+    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    only, kept = ("background", "spread"), tmp_path / "kept"
+
+    def kill(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        replace_fit(patch, "spread", kill)
+        with pytest.raises(KeyboardInterrupt):
+            calibrate(captures, only=only, unfinished=kept)
+    # What is finished is a whole profile with its report.
+    assert load_profile(kept / "profile").background is not None
+    assert (kept / "report" / "background" / "report.html").is_file()
+    with monkeypatch.context() as patch:
+        replace_fit(patch, "background", kill)
+        found = calibrate(captures, only=only, unfinished=kept)
+    assert [o.state for o in found.blocks] == [State.DONE, State.DONE]
+    whole_run = calibrate(captures, only=only)
+    assert found.profile.perturbation is not None and whole_run.profile.perturbation is not None
+    made = [
+        profile.perturbation.model_dump(exclude={"provenance"})
+        for profile in (found.profile, whole_run.profile)
+    ]
+    assert made[0] == made[1]
+    np.testing.assert_array_equal(found.profile.background_rgb, whole_run.profile.background_rgb)
+    found.write_report(tmp_path / "report")
+    assert (tmp_path / "report" / "background" / "report.html").is_file()
+    with pytest.raises(InputError, match="no result of background: done, "):
+        _ = found.background
+    # Other captures begin anew.
+    (captures / "p0.png").touch()
+    with monkeypatch.context() as patch:
+        replace_fit(patch, "background", kill)
+        with pytest.raises(KeyboardInterrupt):
+            calibrate(captures, only=only, unfinished=kept)
+    assert found.unfinished is not None
+    found.unfinished.remove()
+    assert not kept.exists()
+
+
+def test_files_of_somebody_else_stop_a_kept_calibration(captures: Path, tmp_path: Path) -> None:
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "mine.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"taccel-lab did not write.*mine\.txt"):
+        calibrate(captures, only=("background",), unfinished=tmp_path / "kept")
+    assert (tmp_path / "kept" / "mine.txt").read_text() == "mine"
 
 
 def test_a_block_is_fitted_with_its_options(

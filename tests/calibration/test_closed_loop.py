@@ -135,7 +135,7 @@ def test_an_object_that_is_no_ball_is_rendered(loop: Any) -> None:
     predicted = simulate_press(
         press_mesh(FAMILY, profile.sensor.parameters, OBJECT_AT_MM, section),
         Material(profile.material.young_modulus_pa, profile.material.poisson_ratio),
-        tool, OBJECT_AT_MM, PressPath(OBJECT_DEPTH_MM), profile.grid(),
+        tool, OBJECT_AT_MM, PressPath(OBJECT_DEPTH_MM), profile.grid(), friction_coefficient=0.0,
     )  # fmt: skip
     model = ColorModel(
         ColorModelConfig.from_dict(profile.color.architecture), profile.color_weights

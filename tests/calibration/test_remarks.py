@@ -14,7 +14,7 @@ from taccel_lab.benchmarks.results import FOLDER, read_result
 from taccel_lab.calibration.check.findings import COMMANDS
 from taccel_lab.calibration.error_rates import RATES, quoted
 from taccel_lab.calibration.remarks import RemarkKind, remark_kinds, remark_table
-from taccel_lab.calibration.result import Remark, Severity
+from taccel_lab.report.remark import Remark, Severity
 
 KINDS = [kind for _, kind in remark_kinds()]
 DOCS = Path(__file__).parents[2] / "docs"

@@ -19,7 +19,7 @@ from taccel_lab.cli.app import main
 from taccel_lab.envs import PHYSICS, Accuracy
 from taccel_lab.envs.press import PressEnv
 from taccel_lab.errors import SimulationError
-from taccel_lab.output_folder import OUTPUT_MARKER
+from taccel_lab.output_marker import OUTPUT_MARKER
 from taccel_lab.profile import load_profile
 from taccel_lab.scene import Element
 from taccel_lab.solvers import StepReport

@@ -21,9 +21,9 @@ from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.check.block_findings import joined, refusing_with
 from taccel_lab.calibration.normals import fit
-from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, load_profile, save_profile
+from taccel_lab.report.remark import Remark, Severity
 from tests.cli.conftest import Cli
 from tests.support.synthetic_presses import (
     GRID,

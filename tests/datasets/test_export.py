@@ -16,12 +16,18 @@ import pytest
 
 from taccel_lab.datasets.lerobot import export_lerobot
 from taccel_lab.datasets.lite import make_lite
-from taccel_lab.datasets.page import write_page
+from taccel_lab.datasets.page import dataset_page
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.univtac import export_univtac
 from taccel_lab.errors import InputError
+from taccel_lab.report.page import write_page_file
 from tests.support.small_data_sets import parts_of
 from tests.support.strangers import LURES, REFUSED, lure
+
+
+def show(folders: list[Path], out: Path) -> None:
+    """The page of a data set as a file."""
+    write_page_file(dataset_page(Dataset(folders)), out)
 
 
 def test_lerobot(made: Path, tmp_path: Path) -> None:
@@ -119,7 +125,7 @@ def test_what_links_name_is_not_published(
     shutil.copytree(made, data)
     for kind in kinds:
         lure(data / place, kind, tmp_path / "outside")
-        for write in (make_lite, export_lerobot, export_univtac, write_page):
+        for write in (make_lite, export_lerobot, export_univtac, show):
             with pytest.raises(InputError, match=REFUSED):
                 write([data], tmp_path / "out")
             assert not (tmp_path / "out").exists()

@@ -19,10 +19,11 @@ import pytest
 from taccel_lab.datasets.channels import OPTIONAL
 from taccel_lab.datasets.check import check_dataset
 from taccel_lab.datasets.lite import make_lite
-from taccel_lab.datasets.page import write_page
+from taccel_lab.datasets.page import dataset_page
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.torch_dataset import TouchDataset
 from taccel_lab.errors import InputError
+from taccel_lab.report.page import write_page_file
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
 from tests.support.small_data_sets import SIZE, make
 from tests.support.strangers import Payload, lure
@@ -240,7 +241,7 @@ def test_a_description_without_its_keys_is_refused(made: Path, tmp_path: Path) -
 def test_check_finds_empty_constant_and_nan_columns(made: Path, tmp_path: Path) -> None:
     import zarr
 
-    from taccel_lab.output_folder import OUTPUT_MARKER, _write_marker
+    from taccel_lab.output_marker import OUTPUT_MARKER, write_marker
 
     for name, values, message in (
         ("wrench", np.nan, "error: wrench: NaN or infinite"),
@@ -251,7 +252,7 @@ def test_check_finds_empty_constant_and_nan_columns(made: Path, tmp_path: Path) 
         for part in (broken / "parts").iterdir():
             zarr.open_group(part / "data.zarr", mode="r+")[name][:] = values
             (part / OUTPUT_MARKER).unlink()
-            _write_marker(part)
+            write_marker(part)
         told = [f"{f.severity}: {f}" for f in check_dataset([broken])]
         assert any(line.startswith(message) for line in told), told
 
@@ -277,13 +278,13 @@ def test_lite_keeps_every_object(made: Path, tmp_path: Path) -> None:
 
 
 def test_the_page_shows_all_motions(made: Path, tmp_path: Path) -> None:
-    write_page([made], tmp_path / "page.html", 4)
+    write_page_file(dataset_page(Dataset(made), 4), tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text("utf-8")
     assert "<script src" not in page and "http" not in page.replace("http-equiv", "")
     gel = Dataset(made).profile(0).gel
     assert page.count('class="mesh-view"') == 1 and "The untouched gel of flat_pad" in page
     assert f"x {gel.thickness_mm:.3g} mm. Drag" in page
-    assert page.count('<article class="touch">') == 4
+    assert page.count("<figcaption>") == 1 + 4 + 1
     for row in Dataset(made).episodes[:1]:
         assert f"{row['motion']} of {row['object']} on flat_pad" in page
     assert "patch_forces_n" in page

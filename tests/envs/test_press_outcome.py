@@ -92,6 +92,7 @@ def test_smallest_volume_ratio_is_that_of_curved_tets() -> None:
         (0.0, 0.0),
         PressPath(0.6, step_mm=0.2),
         GRID,
+        friction_coefficient=0.0,
     )
     mesh = outcome.mesh
     assert isinstance(mesh, QuadraticMesh)
@@ -207,7 +208,15 @@ def test_a_flange_far_above_the_gel_does_not_show() -> None:
             faces += [[a, b, b + 4], [a, b + 4, a + 4]]
     plate = Indenter("plate", TriangleMesh(np.concatenate(rings), np.array(faces)))
     found = [
-        simulate_press(pad(AT_MM, 1.5, COARSE), GEL, tool, AT_MM, PressPath(0.2), GRID)
+        simulate_press(
+            pad(AT_MM, 1.5, COARSE),
+            GEL,
+            tool,
+            AT_MM,
+            PressPath(0.2),
+            GRID,
+            friction_coefficient=0.0,
+        )
         for tool in (plate, parse_indenter("box:3x3"))
     ]
     # Pixels at the rim are in contact by a pressure above zero after ten iterations: two of 890
@@ -228,6 +237,7 @@ def test_quadratic_gel(tmp_path: Path) -> None:
         AT_MM,
         PressPath(0.4, step_mm=0.4),
         GRID,
+        friction_coefficient=0.0,
     )
     assert isinstance(outcome.mesh, QuadraticMesh)
     assert len(outcome.positions_m) == outcome.mesh.node_count > base.node_count

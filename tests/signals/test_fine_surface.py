@@ -177,6 +177,7 @@ def test_a_press_with_a_texture() -> None:
             (0.0, 0.0),
             PressPath(0.3, step_mm=0.3),
             GRID,
+            friction_coefficient=0.0,
         )
         for found in (texture, None)
     ]
@@ -199,6 +200,7 @@ def test_a_press_with_a_texture() -> None:
             (0.0, 0.0),
             PressPath(0.009),
             GRID,
+            friction_coefficient=0.0,
         )
 
 

@@ -127,7 +127,10 @@ def test_a_file_lands_where_its_coordinates_say(tmp_path: Path) -> None:
     for name, y_mm in ((f"mesh:{path}", -1.0), (f"mesh:{path}@+z", 2.0)):
         indenter = parse_indenter(name)
         mesh = press_mesh("flat_pad", {}, at_mm, indenter.contact(0.3))
-        press = simulate_press(mesh, Material(1.5e5, 0.48), indenter, at_mm, PressPath(0.3), grid)
+        press = simulate_press(
+            mesh, Material(1.5e5, 0.48), indenter, at_mm, PressPath(0.3), grid,
+            friction_coefficient=0.0,
+        )  # fmt: skip
         rows, columns = np.nonzero(press.contact_mask)
         assert grid.x_mm()[columns].mean() == pytest.approx(1.0, abs=0.06)
         assert grid.y_mm()[rows].mean() == pytest.approx(y_mm, abs=0.06)
@@ -264,9 +267,11 @@ def test_a_press_on_a_crowned_pad_is_right_far_from_the_contact() -> None:
     tool, physics = parse_indenter("sphere:2"), PHYSICS[Accuracy.FAST]
     mesh = press_mesh("gelsight_mini", {}, (0.0, 0.0), tool.contact(0.1), physics.mesh)
     arguments = (mesh, Material(1e5, 0.46), tool, (0.0, 0.0), PressPath(0.1), grid)
-    plain = simulate_press(*arguments, physics=physics)
+    plain = simulate_press(*arguments, friction_coefficient=0.0, physics=physics)
     designed = rest_surface(profile.mesh, grid)
-    corrected = simulate_press(*arguments, physics=physics, designed_rest=designed)
+    corrected = simulate_press(
+        *arguments, friction_coefficient=0.0, physics=physics, designed_rest=designed
+    )
     columns, rows = np.meshgrid(np.arange(grid.width_px), np.arange(grid.height_px))
     xy = grid.gel_from_pixel(np.stack([columns, rows], axis=-1).astype(float))
     truth = family.parameters({}).pad().height_mm(xy) * 1e-3

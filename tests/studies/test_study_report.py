@@ -108,10 +108,10 @@ def test_the_row_of_another_design_is_no_row(tmp_path: Path) -> None:
 def test_a_grid_of_two_parameters_has_everything(tmp_path: Path) -> None:
     outcome, values = report(tmp_path, parameters=SQUARE)
     assert drawn(tmp_path) == {
-        "pareto", "pairs", "parallel", "sensitivities", "effects", "maps", "curves",
+        "pareto", "pairs", "parallel", "sensitivities", "effects", "maps", "curves", "gel",
     }  # fmt: skip
     page, text = page_of(tmp_path)
-    assert len(page.pictures) == 7
+    assert len(page.pictures) == 8
     written = json.loads((tmp_path / "report.json").read_text())
     assert all(written[name] == values[name] for name in ("best", "counts", "pareto", "metrics"))
     assert values["verdict"]["good"] and values["verdict"]["headline"] == "9 designs compared"
@@ -180,10 +180,10 @@ def test_designs_are_called_by_their_values(tmp_path: Path) -> None:
     assert best == "thickness 6 mm, young modulus 0.1 MPa"
     assert f"has {best}." in values["verdict"]["sentences"][0]
     _, text = page_of(tmp_path)
-    assert f"</span> {best}</h3>" in text
+    assert f"The untouched gel of {best} (best 1)" in text
     # A hash stands once, in the last column of the table of all designs: the design's folder.
     for row in outcome.rows:
-        assert text.count(row.id) == 1 and f"<td><code>{row.id}</code></td></tr>" in text
+        assert text.count(row.id) == 1 and f"{row.id}</td></tr>" in text
 
 
 def test_constraints_that_no_design_keeps_name_the_nearest(tmp_path: Path) -> None:
@@ -216,7 +216,7 @@ def test_random_sweeps_and_single_designs_have_reports(tmp_path: Path) -> None:
     assert abs(effects["width_px"]["elasticity"]) < 1e-6
     assert "maps" not in drawn(tmp_path / "random")
     _, values = report(tmp_path / "one", parameters={"thickness_mm": {"values": [4]}})
-    assert drawn(tmp_path / "one") == set() and values["verdict"]["good"]
+    assert drawn(tmp_path / "one") == {"gel"} and values["verdict"]["good"]
     for name in ("random", "one"):
         page_of(tmp_path / name)
 
@@ -237,7 +237,7 @@ def test_texts_of_the_study_are_escaped(tmp_path: Path) -> None:
 def test_figures_of_an_earlier_report_go(tmp_path: Path) -> None:
     report(tmp_path, parameters=SQUARE)
     report(tmp_path, parameters={"thickness_mm": {"values": [4]}})
-    assert drawn(tmp_path) == set()
+    assert drawn(tmp_path) == {"gel"}
 
 
 # Rankings -----------------------------------------------------------------------------------------

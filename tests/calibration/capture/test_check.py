@@ -15,8 +15,8 @@ import pytest
 from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
 from taccel_lab.calibration.check import CaptureCheck, check_captures, check_page
 from taccel_lab.calibration.check.balls import check_balls
-from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.report.remark import Remark, Severity
 from tests.calibration.drawn.faults import blur, drift
 from tests.support.capture_sets import (
     HEIGHT,

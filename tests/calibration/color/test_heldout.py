@@ -28,10 +28,10 @@ from taccel_lab.calibration.color.report import color_page
 from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.color.tiles import even_tiles, filled_from
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.report import write_page
-from taccel_lab.calibration.result import Severity, Verdict, judge
 from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.errors import SimulationError
+from taccel_lab.report.page import write_page
+from taccel_lab.report.remark import Severity, Verdict, judge
 from tests.calibration.drawn.faults import add_noise, blur, drift, quantise, vignette
 from tests.calibration.judged_once import detect_once, judge_slopes_once
 from tests.support.synthetic_presses import (

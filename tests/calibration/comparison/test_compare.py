@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.comparison import compare_profiles
-from taccel_lab.calibration.report import write_page
 from taccel_lab.profile import (
     BackgroundBlock,
     ColorBlock,
@@ -18,6 +17,7 @@ from taccel_lab.profile import (
     Provenance,
     SensorProfile,
 )
+from taccel_lab.report.page import write_page
 from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 from tests.support.synthetic_presses import GRID, tiny_profile
 

@@ -13,10 +13,11 @@ import pytest
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, load_captures
 from taccel_lab.calibration.capture.overrides import read_overrides, with_overrides
 from taccel_lab.calibration.contacts.fusion import choose_circles
-from taccel_lab.calibration.contacts.report import write_review
+from taccel_lab.calibration.contacts.report import review_page
 from taccel_lab.calibration.contacts.review import review_contacts
 from taccel_lab.cli.capture.review import CaptureReview
 from taccel_lab.errors import InputError
+from taccel_lab.report.page import write_page
 from tests.calibration.contacts.presses import (
     BALL_MM,
     GRID,
@@ -49,8 +50,8 @@ def test_review_then_correct(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as stopped:
         CaptureReview(folder, out).run()
     assert stopped.value.code == 1
-    html = (out / "review.html").read_text(encoding="utf-8")
-    figures = json.loads((out / "review.json").read_text())
+    html = (out / "report.html").read_text(encoding="utf-8")
+    figures = json.loads((out / "report.json").read_text())
     rows = figures["presses"]
     assert rows[0]["name"] == "p2" and rows[0]["confidence"] == 0
     assert "no contact found" in html and "lies 12 px from the found one" in html
@@ -108,7 +109,7 @@ def test_names_with_odd_characters_survive(tmp_path: Path) -> None:
         for press, name in zip(captures.presses, ('a "b" \\ c', "ü#[]"), strict=True)
     )
     captures = dataclasses.replace(captures, presses=odd)
-    write_review(review_contacts(captures), tmp_path / "out")
+    write_page(review_page(review_contacts(captures)), tmp_path / "out")
     text = (tmp_path / "out" / "contacts.toml").read_text(encoding="utf-8")
     edited = tmp_path / "contacts.toml"
     # The user takes away the # of every line with a value.

@@ -20,10 +20,10 @@ from taccel_lab.calibration.force.result import ForceCalibration
 from taccel_lab.calibration.force.samples import read_samples, split_touches
 from taccel_lab.calibration.force.score import outside_rows
 from taccel_lab.calibration.force.train import LightDraw, LightSpread, tell, whitening
-from taccel_lab.calibration.report import write_page
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
 from taccel_lab.profile import CameraBlock, load_profile, save_profile
+from taccel_lab.report.page import write_page
 from taccel_lab.signals.force_network import patch_centers_mm
 from tests.calibration.force.conftest import QUICK
 from tests.calibration.force.small_touches import TEST, planned, write_touches

@@ -15,8 +15,8 @@ from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
 from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
-from taccel_lab.calibration.result import Severity
 from taccel_lab.errors import InputError
+from taccel_lab.report.remark import Severity
 from tests.calibration.drawn.dot_grids import HEIGHT, WIDTH, grid_points, picture
 
 PITCH = 30.0

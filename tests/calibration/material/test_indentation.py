@@ -24,10 +24,11 @@ from taccel_lab.calibration.material.indentation import IndentationFit, fit_inde
 from taccel_lab.calibration.material.indentation_points import IndentationPoints
 from taccel_lab.calibration.material.indentation_remarks import young_with_nu
 from taccel_lab.calibration.material.press_plans import GelBench, PressPlan, simulate
-from taccel_lab.calibration.result import Estimate, Severity
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.report.remark import Severity
 from tests.calibration.material.made_up import COARSE, COARSER, DEFAULT, FAST, layer_table, points
 
 DEPTH = np.linspace(0.15, 1.4, 12)

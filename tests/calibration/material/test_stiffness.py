@@ -18,7 +18,7 @@ from taccel_lab.calibration.material.force_table import ForceTable, TableError
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.indentation_points import IndentationPoints
 from taccel_lab.calibration.material.stiffness import KnownLaw, Stiffness, fit_stiffness
-from taccel_lab.calibration.result import Severity, Verdict, judge
+from taccel_lab.report.remark import Severity, Verdict, judge
 from tests.calibration.material.made_up import layer_table, points
 
 MODULUS, HELD = 3e5, 0.46

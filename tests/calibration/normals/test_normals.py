@@ -19,13 +19,13 @@ from taccel_lab.calibration.normals.report import normals_page
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import SampleOptions, Scene
 from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_mm
-from taccel_lab.calibration.report import write_page
-from taccel_lab.calibration.result import Verdict, judge
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, press_layer
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
+from taccel_lab.report.page import write_page
+from taccel_lab.report.remark import Verdict, judge
 from taccel_lab.signals.normals import normals_from_height, rotate_from_z
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.calibration.drawn.faults import drift as light_drift

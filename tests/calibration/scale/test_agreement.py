@@ -16,7 +16,7 @@ from taccel_lab.calibration.capture.captures import ContactCircle, Press
 from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import EdgeEntry, LineEntry
-from taccel_lab.calibration.result import Estimate, judge
+from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.scale.combine import combine_axis
 from taccel_lab.calibration.scale.edge_line import find_edge
 from taccel_lab.calibration.scale.edges import measure_edges, scale_from_edges
@@ -26,6 +26,7 @@ from taccel_lab.calibration.scale.result import ScaleCalibration
 from taccel_lab.calibration.scale.spheres import BETA, BallContact, scale_from_spheres
 from taccel_lab.errors import InputError
 from taccel_lab.reading.images import read_image
+from taccel_lab.report.remark import judge
 from tests.calibration.drawn.faults import add_dust, add_noise, blur, poison, quantise
 from tests.support.real_data import real_data
 from tests.support.synthetic_presses import GRID, tiny_profile

@@ -19,7 +19,6 @@ from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
 from taccel_lab.calibration.color.fit import calibrate_color
 from taccel_lab.calibration.depth import fit as depth_fit
 from taccel_lab.calibration.normals.fit import calibrate_normals
-from taccel_lab.calibration.result import Severity
 from taccel_lab.calibration.simulate import simulate_presses
 from taccel_lab.calibration.surfaces.design import (
     MARGIN_MM,
@@ -40,6 +39,7 @@ from taccel_lab.envs.physics import SURFACE_PHYSICS
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
+from taccel_lab.report.remark import Severity
 from taccel_lab.scene import Element
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import profile_parameters, sensor_families, sensor_family

@@ -9,12 +9,11 @@ from typing import Any
 
 import pytest
 
-from taccel_lab.calibration.report import Page, Picture, Table, write_page
-from taccel_lab.calibration.report.page import to_do_first
 from taccel_lab.calibration.report.profile_page import profile_page
-from taccel_lab.calibration.result import Remark, Severity
 from taccel_lab.errors import InputError
 from taccel_lab.profile import DepthResponseBlock, Provenance
+from taccel_lab.report.page import Page, Picture, Table, to_do_first, write_page
+from taccel_lab.report.remark import Remark, Severity
 from taccel_lab.report.style import new_figure
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.support.synthetic_presses import GRID, tiny_profile

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress bars of long commands; lines now and then where no terminal draws bars."""
+"""Progress bars of long work, in terminals and notebooks; lines now and then in logs."""
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -82,12 +83,50 @@ def stage_progress(console: Console) -> Iterator[Progress]:
     )
     with _beats(console, "reading") as said, Bars(*columns, console=console) as bars:
         tasks: dict[str, Any] = {}
+        after: list[Any] = []
 
         def update(task: str, done: int, total: int) -> None:
             said.pop(task, None)
             said[task] = f"{done}/{total}"
+            while after:
+                bars.remove_task(after.pop())
             if task not in tasks:
                 tasks[task] = bars.add_task(task, total=None)
             bars.update(tasks[task], completed=done, total=total)
+            if total and done >= total:
+                # A full bar is no end of the work: what follows it has a clock of its own.
+                block = task.rpartition(": ")[0]
+                words = f"{block}: what follows" if block else "what follows"
+                after.append(bars.add_task(words, total=None))
+                said[words] = ""
 
-        yield update
+        try:
+            yield update
+        finally:
+            while after:
+                bars.remove_task(after.pop())
+
+
+@contextmanager
+def bars_if_watched(progress: Progress | None) -> Iterator[Progress]:
+    """Yield ``progress``; where it is None, bars on a terminal or in a notebook, else nothing."""
+    from taccel_lab.progress import silent
+
+    if progress is not None:
+        yield progress
+        return
+    console = watching_console()
+    if console is None:
+        yield silent
+        return
+    with stage_progress(console) as bars:
+        yield bars
+
+
+def watching_console() -> Console | None:
+    """Where somebody sees how far a call of a script or a notebook is; None for nobody."""
+    from rich.console import Console
+
+    in_notebook = "ipykernel" in sys.modules
+    console = Console(stderr=not in_notebook, markup=False, highlight=False)
+    return console if console.is_terminal or console.is_jupyter else None

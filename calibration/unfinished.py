@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a calibration of several blocks has finished: kept until all of it is, so that the same call
+goes on after a kill.
+
+The folder holds ``profile`` (usable as it is), the report of each finished block and the maps of a
+rectification. It is written anew, whole, after each block.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from taccel_lab.calibration.block_outcome import BlockOutcome, State
+from taccel_lab.calibration.camera.rectification import RectificationMaps
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.errors import InputError
+from taccel_lab.file_cache import content_key
+from taccel_lab.output import write_json
+from taccel_lab.output_folder import atomic_directory, remove_output, require_replaceable
+from taccel_lab.profile import SensorProfile, load_profile, save_profile
+from taccel_lab.reading.json_file import read_json
+from taccel_lab.report.page import write_page
+from taccel_lab.version import __version__
+
+_STATE, _PROFILE, _REPORT, _MAPS = "calibration.json", "profile", "report", "maps.npz"
+
+
+def calibration_key(
+    captures: CaptureFolder,
+    base: SensorProfile,
+    only: Sequence[str],
+    options: Mapping[str, Any],
+) -> str:
+    """Stands for all that a calibration depends on: files of the captures by size and time, the
+    base, what is asked for, and this version."""
+    files = {
+        str(path.relative_to(captures.root)): [path.stat().st_size, path.stat().st_mtime_ns]
+        for path in sorted(captures.root.rglob("*"))
+        if path.is_file()
+    }
+    # A design of the catalogue is made anew by each call: when is no part of it.
+    blocks = {
+        name: block.model_dump(mode="json", exclude={"provenance": {"created"}})
+        for name, block in base.blocks().items()
+    }
+    return content_key(
+        {
+            "files": files,
+            "base": blocks,
+            "nodes": base.mesh.nodes_m,
+            "only": list(only),
+            "options": repr(sorted(options.items())),
+            "version": __version__,
+        }
+    )
+
+
+@dataclass
+class UnfinishedCalibration:
+    """Blocks that earlier calls and this one have finished."""
+
+    folder: Path
+    key: str
+    outcomes: dict[str, BlockOutcome] = field(default_factory=dict)
+    """By name of the block, in order."""
+    profile: SensorProfile | None = None
+    """After the last of them that gave one."""
+    maps: RectificationMaps | None = None
+
+    @classmethod
+    def open(cls, folder: Path | str, key: str) -> UnfinishedCalibration:
+        """What is kept of a calibration with this key; nothing of another one.
+
+        Raises:
+            InputError: The folder holds files that taccel-lab did not write.
+        """
+        folder = Path(folder)
+        require_replaceable(folder)
+        kept = cls(folder, key)
+        try:
+            state = read_json(folder / _STATE)
+        except (InputError, FileNotFoundError):
+            return kept
+        if state.get("key") != key:
+            return kept
+        for name, item in state["blocks"].items():
+            page = folder / _REPORT / name
+            kept.outcomes[name] = BlockOutcome(
+                name,
+                State(item["state"]),
+                item["message"],
+                item["seconds"],
+                written=page if page.is_dir() else None,
+            )
+        if (folder / _PROFILE).is_dir():
+            kept.profile = load_profile(folder / _PROFILE)
+        if (folder / _MAPS).is_file():
+            kept.maps = RectificationMaps.load(folder / _MAPS)
+        return kept
+
+    def add(
+        self, outcome: BlockOutcome, profile: SensorProfile, maps: RectificationMaps | None
+    ) -> BlockOutcome:
+        """Keep how a block ended, with its page, the profile after it and the maps so far; returns
+        the outcome with the place of its page."""
+        kept = BlockOutcome(
+            outcome.name,
+            outcome.state,
+            outcome.message,
+            outcome.seconds,
+            outcome.page,
+            None if outcome.page is None else self.folder / _REPORT / outcome.name,
+        )
+        self.outcomes[outcome.name], self.profile, self.maps = kept, profile, maps
+        with atomic_directory(self.folder) as staging:
+            for earlier in self.outcomes.values():
+                place = staging / _REPORT / earlier.name
+                if earlier is kept and outcome.page is not None:
+                    write_page(outcome.page, place)
+                elif earlier.written is not None:
+                    shutil.copytree(earlier.written, place)
+            save_profile(profile, staging / _PROFILE)
+            if maps is not None:
+                maps.save(staging / _MAPS)
+            blocks = {name: item.figures() for name, item in self.outcomes.items()}
+            write_json(staging / _STATE, {"key": self.key, "blocks": blocks})
+        return kept
+
+    def remove(self) -> None:
+        """Remove the folder: everything stands where it was asked for."""
+        remove_output(self.folder)

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Everything that a press may be told, with its defaults: ``press`` and ``taccel-lab press``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, TypedDict
+
+from taccel_lab.errors import InputError, naming
+
+if TYPE_CHECKING:
+    from taccel_lab.envs import PressPath, PressPhysics
+    from taccel_lab.signals.texture import Texture
+
+
+@dataclass(frozen=True)
+class PressOptions:
+    """How an indenter is pressed into a gel."""
+
+    depth_mm: float | None = None
+    """Depth past first touch [mm]; or give the force."""
+    force_n: float | None = None
+    """In place of a depth: press until the normal force is this, within 1 per cent [N]. The depth
+    is found by presses of their own, two to four; shear and twist follow at that depth, where the
+    force changes again."""
+    indenter: str = "sphere:2.0"
+    """sphere:RADIUS, cylinder:RADIUS, box:XxY, roller:RADIUSxLENGTH, edge:ANGLExLENGTH[xRADIUS],
+    grating:PITCHxRIDGESxLENGTH, pair:RADIUSxGAP or mesh:FILE[@AXIS] (STL, PLY, OBJ), in mm and
+    degrees. A file is placed by its own origin and axes, in mm: its origin comes to --at-mm, its x
+    points right and its y down in the image, and its -z side goes into the gel first, or what
+    @AXIS says, such as mesh:part.stl@+z. Its height above its origin does not matter."""
+    texture: Path | None = None
+    """Image whose grey is the height of the indenter's surface, white standing out most: laid over
+    it along z, columns along x and rows along y, and repeated. It shows in the signals; the solver
+    presses the indenter's own shape as the mean of it. Depth counts from its highest points."""
+    texture_mm: tuple[float, float] = (0.05, 2.0)
+    """Height from black to white, and width of the image on the indenter [mm]."""
+    at_mm: tuple[float, float] = (0.0, 0.0)
+    """Gel x and y of the indenter's axis, of a file's origin [mm]."""
+    shear_mm: tuple[float, float] = (0.0, 0.0)
+    """Sideways motion at full depth [mm]."""
+    twist_deg: float = 0.0
+    """Turn about +z at full depth [deg]."""
+    friction: float | None = None
+    """Friction coefficient; the profile's when left out."""
+    step_mm: float = 0.2
+    """Largest motion of a step [mm]."""
+    step_deg: float = 2.0
+    """Largest turn of a step [deg]."""
+    accuracy: Literal["fast", "default", "reference"] = "default"
+    """fast: errors of a few per cent in less time. default: force within 3 per cent, heights within
+    5 um. reference: to check the others, ten times as long. Each estimates its own error."""
+    tolerance: float | None = None
+    """Force residual over the sum of the contact forces at which a step has converged; that of the
+    accuracy when left out."""
+    dhat_mm: float | None = None
+    """Gap at which contact begins [mm]; that of the accuracy when left out."""
+    element: Literal["linear", "quadratic"] | None = None
+    """linear: only to see what it costs: forces tens of per cent too large near nu 0.5."""
+    mesh: Literal["focused", "profile"] = "focused"
+    """focused: fine around the contact. profile: the stored mesh as it is."""
+    states: bool = False
+    """Keep every step in states.npz, for taccel-lab view: gel, pressure, stress, forces, image."""
+    device: str = "cpu"
+    """Device of the solver: cpu, cuda:0 or auto."""
+
+    def require_aim(self) -> None:
+        """Raises InputError unless either a depth or a force is given."""
+        from taccel_lab.envs.press_force import check_force
+
+        if (self.depth_mm is None) == (self.force_n is None):
+            raise InputError("say how far to press: either --depth-mm or --force-n, not both")
+        if self.force_n is not None:
+            check_force(self.force_n)
+
+    def aim(self) -> str:
+        """How far the press goes, in words."""
+        return f"{self.depth_mm:g} mm" if self.force_n is None else f"to {self.force_n:g} N"
+
+    def path(self, depth_mm: float, aside: bool = True) -> PressPath:
+        """The way to a depth [mm], and then aside and about as asked for."""
+        from taccel_lab.envs import PressPath
+
+        shear_mm, twist_deg = (self.shear_mm, self.twist_deg) if aside else ((0.0, 0.0), 0.0)
+        return PressPath(depth_mm, shear_mm, twist_deg, self.step_mm, self.step_deg)
+
+    def read_texture(self) -> Texture | None:
+        """The texture of the indenter's surface; InputError for an image that is none."""
+        from taccel_lab.signals.texture import Texture
+
+        if self.texture is None:
+            return None
+        return Texture.from_image(self.texture, *self.texture_mm)
+
+    def physics(self) -> PressPhysics:
+        """That of the accuracy, but for what is set here; what the solver does not take is refused
+        by the option's name."""
+        from taccel_lab.bodies.bodies import check_friction
+        from taccel_lab.envs import PHYSICS, Accuracy
+        from taccel_lab.scene import Element
+
+        if self.accuracy not in {*Accuracy}:
+            raise InputError(
+                f"accuracy {self.accuracy!r} is not known; allowed: {', '.join(Accuracy)}"
+            )
+        physics = PHYSICS[Accuracy(self.accuracy)]
+        if self.tolerance is not None:
+            physics = replace(physics, relative_tolerance=self.tolerance)
+            with naming("--tolerance"):
+                physics.solver()
+        if self.dhat_mm is not None:
+            physics = replace(physics, dhat_m=self.dhat_mm * 1e-3)
+            with naming("--dhat-mm"):
+                physics.solver()
+        if self.element is not None:
+            if self.element not in {*Element}:
+                raise InputError(f"element {self.element!r} is not known: {', '.join(Element)}")
+            physics = replace(physics, element=Element(self.element))
+        with naming("--friction"):
+            check_friction(self.friction, self.indenter)
+        return physics
+
+
+class PressWords(TypedDict, total=False):
+    """Keywords of ``press``: the fields of ``PressOptions``, which has their defaults."""
+
+    depth_mm: float | None
+    force_n: float | None
+    texture: Path | None
+    texture_mm: tuple[float, float]
+    at_mm: tuple[float, float]
+    shear_mm: tuple[float, float]
+    twist_deg: float
+    friction: float | None
+    step_mm: float
+    step_deg: float
+    accuracy: Literal["fast", "default", "reference"]
+    tolerance: float | None
+    dhat_mm: float | None
+    element: Literal["linear", "quadratic"] | None
+    mesh: Literal["focused", "profile"]
+    states: bool
+    device: str

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A press that has been checked and not yet simulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from taccel_lab.api.press_options import PressOptions
+from taccel_lab.api.sensor import AnySensor, profile_of
+from taccel_lab.envs import parse_indenter
+from taccel_lab.envs.fitted_physics import physics_difference
+from taccel_lab.envs.press import check_depth
+from taccel_lab.envs.press_force import FIRST_SHARE
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.length_units import size_words
+from taccel_lab.model.devices import require_device
+from taccel_lab.scene import TriangleMesh
+from taccel_lab.sensors.press_mesh import profile_press_mesh
+from taccel_lab.sensors.registry import profile_sensor
+from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.warp_output import start_warp
+
+if TYPE_CHECKING:
+    from taccel_lab.envs import Indenter, PressPhysics
+    from taccel_lab.profile import SensorProfile
+
+
+@dataclass(frozen=True)
+class PressPlan:
+    """A press that has been checked and not yet simulated."""
+
+    sensor: str
+    """Name of what is pressed, as it was given."""
+    profile: SensorProfile
+    indenter: Indenter
+    options: PressOptions
+    physics: PressPhysics
+    friction: float
+    """Coefficient between indenter and gel."""
+
+    @classmethod
+    def of(cls, sensor: AnySensor, options: PressOptions) -> PressPlan:
+        """Refuse, before a mesh is made, all that can be refused. Errors as of ``press``."""
+        start_warp()
+        require_device(options.device)
+        options.require_aim()
+        indenter = parse_indenter(options.indenter, options.read_texture())
+        physics, profile = options.physics(), profile_of(sensor)
+        stated = profile.material.friction_coefficient
+        friction = stated if options.friction is None else options.friction
+        name = str(sensor) if isinstance(sensor, (str, Path)) else profile.sensor.name
+        plan = cls(name, profile, indenter, options, physics, friction)
+        options.path(plan.first_mm)
+        check_depth(plan.first_mm, profile)
+        indenter.require_size(plan.first_mm)
+        ColorModel.from_profile(profile)
+        return plan
+
+    @property
+    def first_mm(self) -> float:
+        """Depth of the first press [mm]: the one asked for, or where the search begins."""
+        if self.options.depth_mm is not None:
+            return self.options.depth_mm
+        return FIRST_SHARE * self.profile.gel.thickness_mm
+
+    @property
+    def differs(self) -> str | None:
+        """How the press differs from those that the material was fitted with, in a sentence."""
+        return physics_difference(self.profile.material, self.physics, self.friction)
+
+    def notes(self) -> list[str]:
+        """What a person should know before the press, a sentence each."""
+        found = [] if self.differs is None else [self.differs]
+        if self.indenter.name.startswith("mesh:") and isinstance(self.indenter.shape, TriangleMesh):
+            words = size_words(self.indenter.shape.vertices_m)
+            found.append(f"{self.options.indenter} is {words}")
+        return found
+
+    @cached_property
+    def gel(self) -> TetMesh:
+        """Mesh of the first press, in the gel frame [m]."""
+        return self._meshed(self.physics, self.first_mm)
+
+    def write_scene(self, folder: Path) -> Path:
+        """Draw what is about to be pressed, which compiles nothing; returns the picture."""
+        from taccel_lab.studies.press_picture import write_scene
+
+        family, at_mm = profile_sensor(self.profile), self.options.at_mm
+        aim = self.options.aim()
+        return write_scene(folder, family, self.gel, self.indenter, at_mm, self.first_mm, aim)
+
+    def mesh_for(self, physics: PressPhysics, depth_mm: float) -> TetMesh:
+        """Mesh of a press to a depth [mm], in the gel frame [m]."""
+        first = physics is self.physics and depth_mm == self.first_mm
+        return self.gel if first else self._meshed(physics, depth_mm)
+
+    def _meshed(self, physics: PressPhysics, depth_mm: float) -> TetMesh:
+        if self.options.mesh == "profile":
+            return self.profile.mesh
+        try:
+            contact = self.indenter.contact(depth_mm)
+            return profile_press_mesh(self.profile, self.options.at_mm, contact, physics.mesh)
+        except InputError as error:
+            x, y = self.options.at_mm
+            raise InputError(
+                f"{self.sensor} cannot be meshed for a press at ({x:g}, {y:g}) mm: {error}"
+            ) from error

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bar over the steps of a press, with the figures of the latest step beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from taccel_lab.progress_bars import watching_console
+from taccel_lab.warp_output import first_step
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from taccel_lab.envs.press_force import Told
+    from taccel_lab.envs.press_outcome import PressStep
+
+
+@contextmanager
+def step_progress(console: Console, title: str) -> Iterator[Told]:
+    """Yield what is told of each step, and draws it."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}", markup=False),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task(title, total=None, note=first_step())
+
+        def update(done: int, total: int, step: PressStep) -> None:
+            report = step.report
+            note = (
+                f"depth {step.depth_mm:.2f} mm, force {step.wrench[2]:.3g} N, residual "
+                f"{report.residual_n[0]:.1e} N, {report.newton_iterations[0]} Newton, "
+                f"{report.seconds:.2f} s"
+            )
+            progress.update(task, completed=done, total=total, note=note)
+
+        yield update
+
+
+@contextmanager
+def steps_if_watched(told: Told | None, title: str) -> Iterator[Told | None]:
+    """Yield ``told``; where it is None, a bar on a terminal or in a notebook, else nothing."""
+    console = None if told is not None else watching_console()
+    if console is None:
+        yield told
+        return
+    with step_progress(console, title) as bar:
+        yield bar

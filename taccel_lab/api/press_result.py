@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a press gave: force, image, heights, dots; written as files, drawn, or shown in a line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.envs.press_files import write_press
+from taccel_lab.envs.press_image import PREDICTED_PX, painted_images, predicted_images
+from taccel_lab.envs.press_markers import PressMarkers
+from taccel_lab.interop.image_files import eight_bit
+from taccel_lab.output_folder import atomic_directory
+from taccel_lab.summary import Summary
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from taccel_lab.api.press_plan import PressPlan
+    from taccel_lab.envs import PressOutcome
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Press(Summary):
+    """A press and everything that the sensor reads at its end."""
+
+    plan: PressPlan
+    """What was pressed into what, and how."""
+    outcome: PressOutcome
+    """The steps, and the state at their end in metres and newtons."""
+    seconds: float
+    """Time of the whole."""
+    failure: str | None = None
+    """Why the press ended before its path did."""
+
+    @property
+    def force_n(self) -> float:
+        """Normal force of the gel on the indenter [N]."""
+        return float(self.wrench[2])
+
+    @property
+    def force_error_n(self) -> float:
+        """Estimated discretisation error of the force [N]."""
+        return self.outcome.force_error_n
+
+    @property
+    def wrench(self) -> np.ndarray:
+        """Force [N] and moment about the gel's origin [N m] of the gel on the indenter, [6]."""
+        return self.outcome.steps[-1].wrench
+
+    @property
+    def height_mm(self) -> np.ndarray:
+        """z of the contact face [mm], gel frame, NaN outside the pad, [height_px, width_px]."""
+        return 1e3 * self.outcome.height_m
+
+    @property
+    def depth_mm(self) -> np.ndarray:
+        """How far the face lies below where it rests [mm], [height_px, width_px]."""
+        return 1e3 * (self.outcome.rest_height_m - self.outcome.height_m)
+
+    @property
+    def height_error_mm(self) -> float:
+        """Estimated discretisation error of the heights, root mean square [mm]."""
+        return 1e3 * self.outcome.height_error_m
+
+    @property
+    def normals(self) -> np.ndarray:
+        """Outward unit normals, [height_px, width_px, 3]."""
+        return self.outcome.normals
+
+    @property
+    def contact_mask(self) -> np.ndarray:
+        """Pixels in contact, bool, [height_px, width_px]."""
+        return self.outcome.contact_mask
+
+    @cached_property
+    def image(self) -> np.ndarray | None:
+        """Tactile image, RGB, uint8: in the profile's colours, [height_px, width_px, 3], or, before
+        a calibration, as the optical design predicts it, of its own size. None without either."""
+        if self._painted[0] is not None:
+            return eight_bit(self._painted[0])
+        outcome = self.outcome
+        predicted = predicted_images(
+            self.plan.profile, outcome, outcome.positions_m[None], PREDICTED_PX
+        )
+        return None if predicted is None else predicted[0]
+
+    @cached_property
+    def markers(self) -> PressMarkers | None:
+        """Dots of the gel at rest and now, [mm] and [px]; None for a gel without."""
+        places = self.outcome.positions_m[None]
+        return PressMarkers.of(self.plan.profile, self.outcome.mesh, places)
+
+    def figures(self) -> dict[str, Any]:
+        """Every number of the press, as in ``press.json``."""
+        return self.outcome.figures()
+
+    def save(self, folder: Path | str) -> None:
+        """Write pictures, arrays, mesh and ``press.json`` as the folder, whole or not at all.
+
+        Raises:
+            InputError: The folder holds files that taccel-lab did not write.
+        """
+        with atomic_directory(folder) as staging:
+            self.plan.write_scene(staging)
+            self.write_into(staging)
+
+    def write_into(self, folder: Path) -> None:
+        """Write all but the scene into a folder that is there."""
+        plan, options = self.plan, self.plan.options
+        about = {
+            "sensor": plan.sensor,
+            "indenter": options.indenter,
+            "texture": None if options.texture is None else str(options.texture),
+            "texture_mm": None if options.texture is None else options.texture_mm,
+            "at_mm": options.at_mm,
+            "asked_force_n": options.force_n,
+            "friction_coefficient": plan.friction,
+            "differs_from_calibration": plan.differs,
+            "failure": self.failure,
+            "seconds": self.seconds,
+        }
+        rgb, frames = self._painted
+        write_press(folder, self.outcome, plan.profile, rgb, about, plan.indenter, frames)
+
+    def plot(self) -> Figure:
+        """Image, depth and contact side by side."""
+        from taccel_lab.report.figures import draw_press
+
+        grid = self.plan.profile.grid()
+        return draw_press(self.image, self.depth_mm, self.contact_mask, grid, self.summary()[0])
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """What was pressed how far, and what came of it."""
+        options, last = self.plan.options, self.outcome.last
+        height, width = self.outcome.height_m.shape
+        rows = [
+            ("force", f"{self.force_n:.4g} +- {self.force_error_n:.2g} N"),
+            ("deepest", f"{np.nanmax(self.depth_mm):.4g} +- {self.height_error_mm:.2g} mm"),
+            ("contact radius", f"{1e3 * self.outcome.contact_radius_m:.3g} mm (equal area)"),
+            ("image", f"{width} x {height} px, {self._colours()}"),
+            ("residual", f"{last.residual_n[0]:.1e} N after {len(self.outcome.steps)} steps"),
+            ("time", f"{self.seconds:.1f} s on {options.device}"),
+        ]
+        if self.failure is not None:
+            rows.append(("stopped", self.failure))
+        depth = self.outcome.steps[-1].depth_mm
+        return f"{options.indenter} pressed {depth:.4g} mm into {self.plan.sensor}", rows
+
+    def _colours(self) -> str:
+        if self.plan.profile.color is not None:
+            return "calibrated colours"
+        return "no colours" if self.plan.profile.optics is None else "predicted by the design"
+
+    @cached_property
+    def _painted(self) -> tuple[np.ndarray | None, list[np.ndarray] | None]:
+        return painted_images(self.plan.profile, self.outcome)

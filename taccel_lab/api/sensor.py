@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What counts as a sensor wherever one is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+from taccel_lab.errors import InputError
+from taccel_lab.profile import SensorProfile
+
+
+class HasProfile(Protocol):
+    """What a profile came out of, such as a calibration."""
+
+    @property
+    def profile(self) -> SensorProfile: ...
+
+
+AnySensor = SensorProfile | HasProfile | Path | str
+"""A profile, what has one, the folder of one, or a sensor of the catalogue."""
+
+
+def load_sensor(
+    name: Path | str, parameters: Mapping[str, Any] | None = None, **step: Any
+) -> SensorProfile:
+    """The profile of a sensor.
+
+    Args:
+        name: A sensor of the catalogue, such as ``"gelsight_mini"``; the folder of a profile; or
+            a STEP file of a gel.
+        parameters: Design parameters other than the catalogue's, such as
+            ``{"thickness_mm": 3}``; with a STEP file those of the sensor that it is ``like``.
+        step: With a STEP file, as of ``taccel-lab import-step``: ``contact``, ``bond``, ``window``
+            and the other fields of ``FaceSelection``, ``edge_mm`` and ``like``.
+
+    Raises:
+        InputError: No such sensor, a damaged profile, or options that cannot be used.
+    """
+    from taccel_lab.sensors.profile import catalogue_profile
+    from taccel_lab.sensors.profile import load_sensor as load
+    from taccel_lab.sensors.registry import sensor_families
+
+    if Path(name).suffix.lower() in (".step", ".stp"):
+        return _of_step(Path(name), parameters, **step)
+    if step:
+        raise InputError(f"{', '.join(step)} select faces of a STEP file; {name} is none")
+    if not parameters:
+        return load(str(name))
+    if str(name) not in sensor_families():
+        raise InputError(
+            f"parameters change a sensor of the catalogue; {name} is none "
+            f"({', '.join(sorted(sensor_families()))})"
+        )
+    return catalogue_profile(str(name), parameters)
+
+
+def _of_step(
+    path: Path,
+    parameters: Mapping[str, Any] | None,
+    edge_mm: float = 2.0,
+    like: str = "flat_pad",
+    **faces: Any,
+) -> SensorProfile:
+    from taccel_lab.cad.step_import import FaceSelection
+    from taccel_lab.sensors.imported import imported_sensor
+
+    unknown = sorted(set(faces) - set(FaceSelection.model_fields))
+    if unknown:
+        raise InputError(
+            f"{', '.join(unknown)}: no option of a STEP file; there are "
+            f"{', '.join([*FaceSelection.model_fields, 'edge_mm', 'like'])}"
+        )
+    selection = FaceSelection(**faces)
+    return imported_sensor(path, selection, edge_mm, like=like, overrides=parameters)
+
+
+def profile_of(sensor: AnySensor) -> SensorProfile:
+    """The profile of whatever stands for a sensor; errors as of ``load_sensor``."""
+    if isinstance(sensor, SensorProfile):
+        return sensor
+    if isinstance(sensor, (Path, str)):
+        return load_sensor(sensor)
+    return sensor.profile

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many designs of a sensor through the same presses, with figures of merit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from taccel_lab.model.devices import require_device
+from taccel_lab.reading.text_file import read_text
+from taccel_lab.reading.toml_file import TOML_LIMIT_BYTES
+from taccel_lab.studies.report import write_study_report
+from taccel_lab.studies.runner import Listener, Outcome, run_study
+from taccel_lab.studies.study import default_kit, read_study
+from taccel_lab.warp_output import start_warp
+
+if TYPE_CHECKING:
+    from taccel_lab.reading.shard import Shard
+    from taccel_lab.studies.study import Study
+
+Accuracy = Literal["fast", "default", "reference"]
+
+
+def study(
+    file: Path | str,
+    out: Path | str | None = None,
+    *,
+    processes: int | None = None,
+    device: str | None = None,
+    accuracy: Accuracy | None = None,
+    limit: int | None = None,
+    listener: Listener | None = None,
+) -> Outcome:
+    """Evaluate the designs of a study file; write their rows as they come, table and report.
+
+    The same call goes on with a study that was stopped.
+
+    Args:
+        file: TOML, see docs/studies.md.
+        out: Folder of the study, new or begun; ``out/NAME-OF-THE-FILE`` when None.
+        processes: How many; the file's, or one a core, when None. 0 works in this process.
+        device: Of the solver; the file's when None.
+        accuracy: Of the presses; the file's when None.
+        limit: New designs at most.
+        listener: Told how it goes.
+
+    Raises:
+        InputError: A file or a folder that cannot be used.
+    """
+    root = Path("out") / Path(file).stem if out is None else Path(out)
+    outcome = evaluate_study(
+        plan_study(file, accuracy), file, root,
+        processes=processes, device=device, limit=limit, listener=listener,
+    )  # fmt: skip
+    write_study_report(outcome)
+    return outcome
+
+
+def plan_study(file: Path | str, accuracy: Accuracy | None = None) -> Study:
+    """The study of a file, checked; see ``study``."""
+    start_warp()
+    return read_study(Path(file), default_kit(), accuracy)
+
+
+def evaluate_study(
+    planned: Study,
+    file: Path | str,
+    root: Path,
+    *,
+    processes: int | None = None,
+    device: str | None = None,
+    limit: int | None = None,
+    shard: Shard | None = None,
+    listener: Listener | None = None,
+) -> Outcome:
+    """Evaluate the designs of a planned study, or a shard of them, without a report."""
+    require_device(device or planned.spec.run.device)
+    return run_study(
+        planned,
+        root,
+        device=device,
+        processes=processes,
+        limit=limit,
+        shard=shard,
+        source=read_text(Path(file), TOML_LIMIT_BYTES, "a study file"),
+        listener=listener,
+    )

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One page for any result: verdict, remarks, tables, pictures; self-contained HTML and JSON.
+
+Whoever has a result describes its page in these terms and draws its own figures; nothing here knows
+what was found. The page embeds every figure and its one script, and loads nothing, so it can be
+mailed as one file.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from taccel_lab.output import atomic_file, write_json
+from taccel_lab.output_folder import atomic_directory
+from taccel_lab.report.html import data_url, image_suffix, report_environment
+from taccel_lab.report.remark import Remark, Severity, Verdict, judge
+from taccel_lab.report.style import save_figure_to
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from taccel_lab.report.mesh_view import MeshView
+
+MOST_TO_DO = 3
+VERDICT_CODES = ("weak_block", "usable_block")
+"""Of remarks that only repeat a block's verdict."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells; numbers are formatted with four significant digits."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    caption: str = ""
+    folded: bool = False
+    """Whether it comes after the pictures, under its title until somebody opens it."""
+
+    def shown(self) -> Table:
+        """Without columns that hold nothing."""
+        keep = [
+            i
+            for i, name in enumerate(self.columns)
+            if not name or i == 0 or any(row[i] not in (None, "", "–") for row in self.rows)
+        ]
+        columns = [self.columns[i] for i in keep]
+        return replace(self, columns=columns, rows=[[row[i] for i in keep] for row in self.rows])
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure that is drawn when the page is written, and stored by its name."""
+
+    name: str
+    draw: Callable[[], Figure | bytes]
+    """The figure, or the PNG or JPEG file that it has become already."""
+    caption: str
+    view: MeshView | None = None
+    """What the reader can turn in its place; print and pages without scripts show the picture."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """What a report says."""
+
+    title: str
+    summary: str
+    """One paragraph: what was fitted to what, and how well."""
+    remarks: Sequence[Remark] = ()
+    tables: Sequence[Table] = ()
+    pictures: Sequence[Picture] = ()
+    figures: dict[str, Any] = field(default_factory=dict)
+    """Everything measured, written as JSON beside the page."""
+    files: dict[str, Callable[[Path], None]] = field(default_factory=dict)
+    """Other files beside the page: name, and what writes it."""
+    headline: str = ""
+    """In place of "Verdict: good"."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the remarks leave."""
+        return judge(self.remarks)
+
+
+def to_do_first(remarks: Sequence[Remark]) -> tuple[list[Remark], list[Remark]]:
+    """What to do first, at most ``MOST_TO_DO`` remarks, the gravest first; and the others.
+
+    A block's own verdict is nothing to do: what it rests on is.
+    """
+    asked = [r for r in remarks if r.severity != Severity.INFO and r.code not in VERDICT_CODES]
+    first = sorted(asked, key=lambda remark: remark.severity != Severity.ERROR)[:MOST_TO_DO]
+    return first, [remark for remark in remarks if remark not in first]
+
+
+def page_html(page: Page, images: Mapping[str, str]) -> str:
+    """The page as HTML; ``images``: each picture as text that a page embeds, by its name."""
+    to_do, others = to_do_first(page.remarks)
+    return (
+        report_environment()
+        .get_template("page.html.j2")
+        .render(
+            page=page,
+            verdict=page.verdict,
+            to_do=to_do,
+            others=others,
+            tables=[table.shown() for table in page.tables],
+            images=images,
+        )
+    )
+
+
+def page_figures(page: Page) -> dict[str, Any]:
+    """What stands in ``report.json``."""
+    remarks = [{"severity": r.severity, "code": r.code, "message": r.message} for r in page.remarks]
+    return {"title": page.title, "verdict": page.verdict, "remarks": remarks, **page.figures}
+
+
+def write_page_into(page: Page, folder: Path) -> None:
+    """Write ``report.html``, ``report.json``, pictures and files into a folder that is there."""
+    images = {}
+    for picture in page.pictures:
+        drawn = _drawn(picture)
+        (folder / f"{picture.name}{image_suffix(drawn)}").write_bytes(drawn)
+        images[picture.name] = data_url(drawn)
+    for name, write in page.files.items():
+        write(folder / name)
+    with atomic_file(folder / "report.html") as staging:
+        html = page_html(page, images)
+        staging.write_text(html, encoding="utf-8", errors="backslashreplace")
+    write_json(folder / "report.json", page_figures(page))
+
+
+def write_page(page: Page, folder: Path | str) -> None:
+    """Write the page as the folder, whole or not at all, see ``write_page_into``.
+
+    Raises:
+        InputError: The folder holds files that taccel-lab did not write.
+    """
+    with atomic_directory(folder) as staging:
+        write_page_into(page, staging)
+
+
+def write_page_file(page: Page, path: Path | str) -> None:
+    """Write the page alone, as one file."""
+    images = {picture.name: data_url(_drawn(picture)) for picture in page.pictures}
+    with atomic_file(path) as staging:
+        html = page_html(page, images)
+        staging.write_text(html, encoding="utf-8", errors="backslashreplace")
+
+
+def _drawn(picture: Picture) -> bytes:
+    drawn = picture.draw()
+    if isinstance(drawn, bytes):
+        return drawn
+    file = io.BytesIO()
+    save_figure_to(drawn, file)
+    return file.getvalue()
