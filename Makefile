@@ -26,7 +26,7 @@ PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile
 .PHONY: help demo test style lint check slow explore mutants notebook docs wheel doctor clean
 
 help:
-	@echo "make demo      run the main job on real captures: $(OUT)/report.html"
+	@echo "make demo      run the main job on real captures: $(OUT)/report/report.html"
 	@echo "make test      linters, type checker, import contracts, fast tests"
 	@echo "               FOLDER=calibration/color: ruff and the tests of one folder"
 	@echo "make slow      the tests that take minutes"
