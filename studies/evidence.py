@@ -16,11 +16,7 @@ from taccel_lab.camera.media import glued_back_mm, media_between
 from taccel_lab.envs.press_force import by_power_law
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.sensors.base import FamilyParameters
-from taccel_lab.signals import (
-    MarkerLayout,
-    SignalTactile,
-    SurfaceMode,
-)
+from taccel_lab.signals import MarkerLayout, SignalTactile
 from taccel_lab.studies.camera_view import photometry, picture_change, view_model
 from taccel_lab.studies.design_point import LOAD_N, NoFigure
 from taccel_lab.studies.press_record import PressRecord
@@ -193,19 +189,13 @@ def section_mm(
     """Sections of the gel's own surface across a press, along the press frame's x.
 
     Returns x [mm], shape [``_PROFILE_PX``], and heights along the press [mm] at rest and at the end
-    of each of the steps, shape [1 + step, ``_PROFILE_PX``], NaN beside the face. The finite-element
-    surface, without the indenter's.
+    of each of the steps, shape [1 + step, ``_PROFILE_PX``], NaN beside the face. The smooth
+    surface through its nodes, without the indenter's.
     """
     grid = PixelGrid(_PROFILE_PX, 3, 2 * half_mm / (_PROFILE_PX - 1), 0.02)
     shapes = [record.rest_m, *(record.positions_m(step) for step in steps)]
     points = np.stack([record.in_press(points) for points in shapes])
-    signal = SignalTactile(
-        record.mesh,
-        grid,
-        env_count=len(points),
-        mode=SurfaceMode.FACET,
-        device=record.device,
-    )
+    signal = SignalTactile(record.mesh, grid, env_count=len(points), device=record.device)
     signal.update(wp.array(points, dtype=wp.vec3d, device=record.device))
     return grid.x_mm(), signal.height_m.numpy()[:, 1].astype(np.float64) * 1e3
 
