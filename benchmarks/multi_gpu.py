@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The suite ``multi_gpu``: the peg scene from one process (``ShardedSolver``), and one a GPU.
+"""The suite ``multi_gpu``: the peg scene over several GPUs, a process each.
 
 Strong scaling keeps the number of environments, weak scaling the number on each
 GPU. Timed are whole motions: targets set, stepped, forces of all environments on the host. In the
@@ -13,7 +13,7 @@ from __future__ import annotations
 import multiprocessing
 import time
 from collections.abc import Sequence
-from contextlib import contextmanager
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
@@ -28,15 +28,18 @@ from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.errors import InputError
 from taccel_lab.scene.shards import shard_of, shard_slice
-from taccel_lab.solvers import ShardedSolver
+from taccel_lab.solvers import SolverIPC
+from taccel_lab.state import initial_state
 
+MODE = "processes"
+"""Of all rows, for comparison with results that have rows of threads, too."""
 WORKER_LIMIT_S = 300.0
 """Longest silence of a worker: one that hangs ends the run with an error."""
 
 
 @dataclass(frozen=True)
 class MultiGpu(Suite):
-    """The peg scene on several GPUs: from one process, and one process a GPU."""
+    """The peg scene on several GPUs, a process each."""
 
     name: ClassVar[str] = "multi_gpu"
     what: ClassVar[str] = (
@@ -54,8 +57,6 @@ class MultiGpu(Suite):
     """Steps before the first repeat."""
     repeats: int = 3
     """Runs of each row; the median counts. A budget that is spent ends them, too."""
-    modes: tuple[str, ...] = ("threads", "processes")
-    """One process for all GPUs (threads), one each (processes), or both."""
     source: str = "auto"
     """Meshes: published, generated, or auto for the published ones where they are."""
 
@@ -67,9 +68,6 @@ class MultiGpu(Suite):
         for name in devices:
             if name not in known:
                 raise InputError(f"device {name!r} is not here; devices are {', '.join(known)}")
-        for mode in self.modes:
-            if mode not in ("threads", "processes"):
-                raise InputError(f"--modes must be of threads, processes, got {mode!r}")
         if min(self.steps, self.repeats, self.envs, *self.counts) < 1:
             raise InputError("--steps, --repeats, --envs and --counts must be at least 1")
         return Suite.measure(replace(self, device=devices[0], devices=devices))
@@ -89,21 +87,21 @@ class MultiGpu(Suite):
         counts = [count for count in self.counts if count <= min(len(self.devices), self.envs)]
         base: dict[str, Any] | None = None
 
-        def row(mode: str, scaling: str, count: int, envs: int) -> dict[str, Any]:
+        def row(scaling: str, count: int, envs: int) -> dict[str, Any]:
             nonlocal base
             alike = None if base is None else base["newton_by_step"]
-            found = measure(crew(mode), count, envs, settings, self.repeats, result.deadline, alike)
+            found = measure(workers, count, envs, settings, self.repeats, result.deadline, alike)
             base = base or found
             # FPS counts all environments, so that ideal is the same for both kinds of scaling.
             efficiency = found["fps"]["median"] / (count * base["fps"]["median"])
-            return found | {"mode": mode, "scaling": scaling, "efficiency": efficiency}
+            return found | {"mode": MODE, "scaling": scaling, "efficiency": efficiency}
 
         result.put("device_names", [wp.get_device(name).name for name in self.devices])
         note(HEAD)
-        with crews(self.devices, self.modes) as crew:
-            for planned in plan_rows(counts, self.envs, self.modes):
-                mode, _, count, envs = planned
-                label = f"{mode}, {count} GPUs, {envs:,} environments"
+        with closing(Workers(self.devices[: max(counts)])) as workers:
+            for planned in plan_rows(counts, self.envs):
+                _, count, envs = planned
+                label = f"{count} GPUs, {envs:,} environments"
                 result.measure(label, partial(row, *planned), describe)
 
 
@@ -128,10 +126,10 @@ class Run:
 
 
 class Party:
-    """The part of the scene that one process has, on one or several devices."""
+    """The part of the scene that one process has, on its device."""
 
     def __init__(
-        self, devices: Sequence[str], env_count: int, settings: Settings, rank: int, world: int
+        self, device: str, env_count: int, settings: Settings, rank: int, world: int
     ) -> None:
         """``rank``, ``world``: which of how many processes this is; ``env_count``: of all."""
         self._bench = build_scene("peg", SceneOptions(env_count, settings.source))
@@ -140,8 +138,10 @@ class Party:
         scene = shard_of(self._bench.scene, rank, world)
         # Every environment starts alike, with a gap that is known: no need to search them all.
         config = replace(self._bench.config, check_start=False)
-        self._solver = ShardedSolver(scene, devices, config, self._targets(0))
-        self._forces = [ForceReader(shard.solver) for shard in self._solver.shards]
+        model = scene.finalize(device)
+        self._solver = SolverIPC(model, config)
+        self._state = initial_state(model, self._targets(0))
+        self._forces = ForceReader(self._solver)
         self.run(settings.warm_up)
 
     def _targets(self, step: int) -> np.ndarray:
@@ -149,22 +149,18 @@ class Party:
 
     def reset(self) -> None:
         """All environments back to the start."""
-        everyone = np.ones(self._solver.env_count, dtype=bool)
-        self._solver.reset(everyone, self._targets(0))
-        for shard in self._solver.shards:
-            wp.synchronize_device(shard.model.device)
+        model = self._solver.model
+        self._solver.reset(self._state, np.ones(model.env_count, dtype=bool), self._targets(0))
+        wp.synchronize_device(model.device)
 
     def run(self, steps: int) -> Run:
         """The first steps of the motion, from where the environments are."""
         motion, newton = Motion(), []
-        forces = np.zeros((self._solver.env_count, 0, 3))
+        forces = np.zeros((self._solver.model.env_count, 0, 3))
         for step in range(1, steps + 1):
             started = time.perf_counter()
-            targets = self._targets(step)
-            report = self._solver.step(targets)
-            states = self._solver.states
-            parts = zip(self._forces, states, strict=True)
-            forces = np.concatenate([reader.read(state) for reader, state in parts])
+            report = self._solver.step(self._state, self._targets(step))
+            forces = self._forces.read(self._state)
             motion.add(report, time.perf_counter() - started, report.seconds)
             newton.append(report.newton_iterations)
         return Run(motion, np.array(newton), forces)
@@ -183,7 +179,7 @@ def _work(pipe: Connection, device: str) -> None:
             return
         if what == "build":
             party = None
-            party = Party([device], *values)
+            party = Party(device, *values)
             pipe.send(party.source)
         elif party is not None:
             pipe.send(party.reset() if what == "reset" else party.run(*values))
@@ -218,7 +214,7 @@ class Workers:
                 raise RuntimeError(f"worker {rank} ended; its error is above") from None
         return answers
 
-    def stop(self) -> None:
+    def close(self) -> None:
         """End all processes."""
         for pipe, process in zip(self._pipes, self._processes, strict=True):
             if process.is_alive():
@@ -232,31 +228,8 @@ class Workers:
 # Rows --------------------------------------------------------------------------------------------
 
 
-class Threads:
-    """One process for all devices: the same words as ``Workers``."""
-
-    def __init__(self, devices: Sequence[str]) -> None:
-        self._devices = list(devices)
-        self._party: Party | None = None
-
-    def ask(self, count: int, what: str, *values: Any, ranked: bool = False) -> list[Any]:
-        """The answer of the only process there is."""
-        if what == "build":
-            self._party = None
-            env_count, settings = values
-            self._party = Party(self._devices[:count], env_count, settings, 0, 1)
-            return [self._party.source]
-        if self._party is None:
-            raise RuntimeError("nothing was built")
-        return [self._party.reset() if what == "reset" else self._party.run(*values)]
-
-    def stop(self) -> None:
-        """Free the devices."""
-        self._party = None
-
-
 def measure(
-    crew: Threads | Workers,
+    workers: Workers,
     count: int,
     env_count: int,
     settings: Settings,
@@ -270,14 +243,14 @@ def measure(
     first environment when None.
     """
     started = time.perf_counter()
-    sources = crew.ask(count, "build", env_count, settings, ranked=True)
+    sources = workers.ask(count, "build", env_count, settings, ranked=True)
     setup_s = time.perf_counter() - started
     seconds: list[float] = []
     runs: list[Run] = []
     while len(seconds) < repeats and not (seconds and end.passed):
-        crew.ask(count, "reset")
+        workers.ask(count, "reset")
         started = time.perf_counter()
-        runs = crew.ask(count, "run", settings.steps)
+        runs = workers.ask(count, "run", settings.steps)
         seconds.append(time.perf_counter() - started)
     newton = np.concatenate([run.newton for run in runs], axis=1)
     forces = np.concatenate([run.forces_n for run in runs])
@@ -306,21 +279,18 @@ def measure(
     }
 
 
-def plan_rows(
-    counts: Sequence[int], envs: int, modes: Sequence[str]
-) -> list[tuple[str, str, int, int]]:
-    """(mode, scaling, devices, environments of all), what matters most first."""
-    rows = [("threads", "one GPU", 1, envs)]
+def plan_rows(counts: Sequence[int], envs: int) -> list[tuple[str, int, int]]:
+    """(scaling, devices, environments of all), what matters most first."""
+    rows = [("one GPU", 1, envs)]
     several = sorted({count for count in counts if count > 1}, reverse=True)
     for scaling in ("strong", "weak"):
-        for mode in modes:
-            for count in several:
-                rows.append((mode, scaling, count, envs * (count if scaling == "weak" else 1)))
+        for count in several:
+            rows.append((scaling, count, envs * (count if scaling == "weak" else 1)))
     return rows
 
 
 HEAD = (
-    "scaling  mode       GPUs    envs          FPS  spread  ideal  ms/step  Newton  differ  "
+    "scaling   GPUs    envs          FPS  spread  ideal  ms/step  Newton  differ  "
     "force spread [N]  residual/contact  unconverged"
 )
 
@@ -330,29 +300,9 @@ def describe(row: dict[str, Any]) -> str:
     fps = row["fps"]
     width = (fps["max"] - fps["min"]) / fps["median"]
     return (
-        f"{row['scaling']:<8} {row['mode']:<10} {row['gpus']:>4} {row['envs']:>7,} "
+        f"{row['scaling']:<8} {row['gpus']:>4} {row['envs']:>7,} "
         f"{fps['median']:>12,.0f} {width:>6.1%}  {row['efficiency']:>5.0%} "
         f"{row['ms_per_step']['median']:>8.2f} {row['newton_mean']:>7.2f} "
         f"{row['newton_differ']:>7,} {row['force_spread_n']:>17.1e} "
         f"{row['worst_over_contact_force']:>17.1e} {row['unconverged']:>12,}"
     )
-
-
-@contextmanager
-def crews(devices: Sequence[str], modes: Sequence[str]) -> Any:
-    """What runs each mode; processes are started at their first row and ended here."""
-    made: dict[str, Threads | Workers] = {}
-
-    def crew(mode: str) -> Threads | Workers:
-        if mode not in made:
-            for other in made.values():
-                if isinstance(other, Threads):
-                    other.stop()
-            made[mode] = Threads(devices) if mode == "threads" else Workers(devices)
-        return made[mode]
-
-    try:
-        yield crew
-    finally:
-        for one in made.values():
-            one.stop()

@@ -9,21 +9,17 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
 from taccel_lab.camera.gel_camera import GelCamera, View
 from taccel_lab.camera.media import glued_back_mm, media_between
 from taccel_lab.envs.press_force import by_power_law
-from taccel_lab.geometry import PixelGrid
+from taccel_lab.geometry import Region
 from taccel_lab.sensors.base import FamilyParameters
-from taccel_lab.signals import (
-    MarkerLayout,
-    SignalTactile,
-    SurfaceMode,
-)
+from taccel_lab.signals import MarkerLayout
 from taccel_lab.studies.camera_view import photometry, picture_change, view_model
 from taccel_lab.studies.design_point import LOAD_N, NoFigure
 from taccel_lab.studies.press_record import PressRecord
+from taccel_lab.studies.surface_section import section_heights
 
 if TYPE_CHECKING:
     from taccel_lab.optics.photometry import Photometry
@@ -196,18 +192,11 @@ def section_mm(
     of each of the steps, shape [1 + step, ``_PROFILE_PX``], NaN beside the face. The finite-element
     surface, without the indenter's.
     """
-    grid = PixelGrid(_PROFILE_PX, 3, 2 * half_mm / (_PROFILE_PX - 1), 0.02)
+    x_mm = np.linspace(-half_mm, half_mm, _PROFILE_PX)
+    faces = record.mesh.region_faces(Region.CONTACT)
     shapes = [record.rest_m, *(record.positions_m(step) for step in steps)]
-    points = np.stack([record.in_press(points) for points in shapes])
-    signal = SignalTactile(
-        record.mesh,
-        grid,
-        env_count=len(points),
-        mode=SurfaceMode.FACET,
-        device=record.device,
-    )
-    signal.update(wp.array(points, dtype=wp.vec3d, device=record.device))
-    return grid.x_mm(), signal.height_m.numpy()[:, 1].astype(np.float64) * 1e3
+    heights = [section_heights(record.in_press(shape), faces, 1e-3 * x_mm) for shape in shapes]
+    return x_mm, 1e3 * np.array(heights)
 
 
 def profile_mm(record: PressRecord, half_mm: float) -> tuple[np.ndarray, np.ndarray]:

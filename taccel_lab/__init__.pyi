@@ -58,11 +58,9 @@ from taccel_lab.scene import sphere_mesh as sphere_mesh
 from taccel_lab.signals import FineSurface as FineSurface
 from taccel_lab.signals import MarkerLayout as MarkerLayout
 from taccel_lab.signals import SignalTactile as SignalTactile
-from taccel_lab.signals import SurfaceMode as SurfaceMode
 from taccel_lab.solvers import Control as Control
 from taccel_lab.solvers import EnvStatus as EnvStatus
 from taccel_lab.solvers import ReadySteps as ReadySteps
-from taccel_lab.solvers import ShardedSolver as ShardedSolver
 from taccel_lab.solvers import SolverConfig as SolverConfig
 from taccel_lab.solvers import SolverIPC as SolverIPC
 from taccel_lab.solvers import StepReport as StepReport

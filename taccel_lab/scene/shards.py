@@ -2,8 +2,7 @@
 """Cutting a scene into parts that hold some of its environments each.
 
 Environments do not influence one another, so parts can be stepped anywhere without a word between
-them: on several devices of one process (``solvers.sharded``), or in several processes, each of
-which takes the part of its rank.
+them: in several processes, each of which takes the part of its rank and a device of its own.
 """
 
 from __future__ import annotations

@@ -11,7 +11,6 @@ from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.normals import normals_from_height, normals_from_slopes
-from taccel_lab.signals.surface_sampler import SurfaceMode
 from taccel_lab.signals.tactile import SignalTactile
 
 __all__ = [
@@ -19,7 +18,6 @@ __all__ = [
     "FineSurface",
     "MarkerLayout",
     "SignalTactile",
-    "SurfaceMode",
     "normals_from_height",
     "normals_from_slopes",
     "resultant_wrench",

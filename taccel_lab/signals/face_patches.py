@@ -78,10 +78,7 @@ def build_patches_kernel(
     patches: wp.array(dtype=wp.vec4f),
     folded: wp.array(dtype=wp.int32),
 ):
-    """Records of all faces; marks environments with a folded face (or NaN).
-
-    Without gradients (an array of shape [0, 0]) the patches are flat.
-    """
+    """Records of all faces; marks environments with a folded face (or NaN)."""
     env, face = wp.tid()
     i0 = faces[face, 0]
     i1 = faces[face, 1]
@@ -94,16 +91,11 @@ def build_patches_kernel(
     v1 = xy_of(positions[env, i1])
     v2 = xy_of(positions[env, i2])
     f = wp.vec3d(values[env, i0], values[env, i1], values[env, i2])
-    slope0 = barycentric_slopes(v0, v1, v2, 0)
     slope1 = barycentric_slopes(v0, v1, v2, 1)
     slope2 = barycentric_slopes(v0, v1, v2, 2)
-    g0 = f[0] * slope0 + f[1] * slope1 + f[2] * slope2
-    g1 = g0
-    g2 = g0
-    if gradients.shape[0] > 0:
-        g0 = gradients[env, i0]
-        g1 = gradients[env, i1]
-        g2 = gradients[env, i2]
+    g0 = gradients[env, i0]
+    g1 = gradients[env, i1]
+    g2 = gradients[env, i2]
     u = int(wp.round(v0[0] * grid.px_per_m[0] + grid.center_px[0]))
     v = int(wp.round(v0[1] * grid.px_per_m[1] + grid.center_px[1]))
     bary = barycentric(pixel_xy(grid, u, v), v0, v1, v2)

@@ -19,7 +19,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.looking import Looking
-from taccel_lab.signals.surface_sampler import SurfaceMode, SurfaceSampler
+from taccel_lab.signals.surface_sampler import SurfaceSampler
 from taccel_lab.state import State
 
 FINE = ("contact", "pressure_pa")
@@ -36,7 +36,6 @@ class SeenSurface:
         *,
         rows: int,
         first_node: int,
-        mode: SurfaceMode,
         device: Any,
         fine: FineSurface | None,
     ) -> None:
@@ -46,7 +45,6 @@ class SeenSurface:
             view: Pixels of the image.
             rows: Most environments of a chunk.
             first_node: Of the gel in the arrays of positions.
-            mode: How the surface between the nodes is rebuilt.
             device: Warp device.
             fine: Shows an object's surface where it touches.
         """
@@ -54,7 +52,7 @@ class SeenSurface:
         """Pixels over the gel that it is computed on."""
         self.fine = fine
         self._options: dict[str, Any] = {
-            "env_count": rows, "first_node": first_node, "mode": mode, "device": device
+            "env_count": rows, "first_node": first_node, "device": device
         }  # fmt: skip
         self._mesh, self._made = mesh, None
         self.looking: Looking | None = None

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Slopes and height of the contact surface at every pixel, from and to device arrays.
 
-The gel's elements are larger than a pixel, so its piecewise-linear surface (``FACET``) would show
-as facets under grazing light. ``SMOOTH`` rebuilds a C1 surface from the same nodes: gradients of
-least bending (``gradient_recovery``), then Clough-Tocher cubics (``clough_tocher``), whose slopes
-are the interpolant's, not pixel differences. Patches are built in FP64 and evaluated in FP32, which
-leaves 1e-10 m of the height.
+The gel's elements are larger than a pixel, so its piecewise-linear surface would show as facets
+under grazing light. A C1 surface is rebuilt from the same nodes: gradients of least bending
+(``gradient_recovery``), then Clough-Tocher cubics (``clough_tocher``), whose slopes are the
+interpolant's, not pixel differences. Patches are built in FP64 and evaluated in FP32, which leaves
+1e-10 m of the height.
 """
 
 # Warp compiles the kernels from their source; its type stubs describe neither vectors' operators
@@ -15,7 +15,6 @@ leaves 1e-10 m of the height.
 
 from __future__ import annotations
 
-import enum
 from typing import Any
 
 import numpy as np
@@ -31,13 +30,6 @@ from taccel_lab.signals.pixel_walk import PixelWalk
 from taccel_lab.signals.raster import grid_map, smallest_area2
 
 wp.set_module_options({"enable_backward": False})
-
-
-class SurfaceMode(enum.Enum):
-    """How the surface between the nodes is rebuilt."""
-
-    FACET = "facet"
-    SMOOTH = "smooth"
 
 
 @wp.kernel
@@ -67,7 +59,6 @@ class SurfaceSampler:
         *,
         env_count: int,
         first_node: int = 0,
-        mode: SurfaceMode = SurfaceMode.SMOOTH,
         device: Any = "cpu",
     ) -> None:
         """
@@ -76,7 +67,6 @@ class SurfaceSampler:
             grid: Pixels of the image.
             env_count: Most environments of one call.
             first_node: Of this gel in the arrays of positions.
-            mode: How the surface between the nodes is rebuilt.
             device: Warp device.
         """
         self.surface = surface = ContactSurface.from_mesh(mesh)
@@ -90,11 +80,8 @@ class SurfaceSampler:
         self._ring_nodes = wp.array(surface.ring_nodes, dtype=wp.int32, device=device)
         self._points = wp.empty((env_count, node_count), dtype=wp.vec3d, device=device)
         self._height = wp.empty((env_count, node_count), dtype=wp.float64, device=device)
-        self._network: NetworkScratch | None = None
-        if mode is SurfaceMode.SMOOTH:
-            entry_count = len(surface.ring_nodes)
-            self._network = NetworkScratch.empty(env_count, node_count, entry_count, device)
-        self._no_gradients = wp.empty((0, 0), dtype=wp.vec2d, device=device)
+        entry_count = len(surface.ring_nodes)
+        self._network = NetworkScratch.empty(env_count, node_count, entry_count, device)
         rest = mesh.nodes_m[surface.node_idx]
         self._walk = PixelWalk(surface, rest, grid, env_count=env_count, device=device)
         record_count = env_count * face_count * RECORD
@@ -162,9 +149,7 @@ class SurfaceSampler:
     def _interpolate(self, count: int) -> wp.array:
         """Samples of what ``_height`` holds, in the first ``count`` environments."""
         points, height = self._points[:count], self._height[:count]
-        faces, gradients = self._walk.faces, self._no_gradients
-        if self._network is not None:
-            gradients = self.gradients(count)
+        faces, gradients = self._walk.faces, self.gradients(count)
         self._folded.zero_()
         folded = self._folded[:count]
         wp.launch(

@@ -33,7 +33,6 @@ from taccel_lab.signals.pixel_maps import depth_kernel, height_kernel, normals_k
 from taccel_lab.signals.profile_options import profile_options, profile_view
 from taccel_lab.signals.raster import grid_map
 from taccel_lab.signals.seen_surface import FINE, SeenSurface
-from taccel_lab.signals.surface_sampler import SurfaceMode
 from taccel_lab.signals.tactile_image import DeviceColorModel
 from taccel_lab.state import State, check_state
 
@@ -79,7 +78,6 @@ class SignalTactile:
         background_rgb: np.ndarray | None = None,
         markers: MarkerLayout | None = None,
         dots: PaintedDots | None = None,
-        mode: SurfaceMode = SurfaceMode.SMOOTH,
         first_node: int = 0,
         device: Any = "cpu",
         still_levels: float = 0.0,
@@ -99,7 +97,6 @@ class SignalTactile:
             markers: For ``markers_px``; in each gel's rest shape where these differ.
             dots: Of the markers, to be seen in ``rgb`` and ``rgb_levels``; the background is then
                 their ``clean_rgb``.
-            mode: How the surface between the nodes is rebuilt.
             first_node: Of this gel in the arrays of positions.
             device: Warp device.
             still_levels: Pixels whose colour would change by less [levels of 255], to first order,
@@ -141,7 +138,7 @@ class SignalTactile:
             rest = None if solver is None else solver.model.scene.soft_body(gel).nodal_rest_m
             options = {"rest_positions_m": rest, "first_node": first_node, "device": self.device}
             self._dots = DotPainter(dots, markers, mesh, grid, **options)
-        options = {"first_node": first_node, "mode": mode, "device": self.device, "fine": fine}
+        options = {"first_node": first_node, "device": self.device, "fine": fine}
         self._surface = SeenSurface(mesh, grid, rows=self.chunk_envs, **options)
         self._painter: DeviceColorModel | None = None
         self._projection: MarkerProjection | None = None

@@ -6,7 +6,6 @@ from taccel_lab.solvers.control import Control
 from taccel_lab.solvers.plan import Plan, PlanEntry
 from taccel_lab.solvers.ready_steps import ReadySteps
 from taccel_lab.solvers.report import EnvStatus, StepReport
-from taccel_lab.solvers.sharded import Shard, ShardedSolver
 from taccel_lab.solvers.solver_ipc import SolverIPC
 
 __all__ = [
@@ -15,8 +14,6 @@ __all__ = [
     "Plan",
     "PlanEntry",
     "ReadySteps",
-    "Shard",
-    "ShardedSolver",
     "SolverConfig",
     "SolverIPC",
     "StepReport",

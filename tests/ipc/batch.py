@@ -30,16 +30,10 @@ from taccel_lab.ipc.mollified_edge_edge import (
     mollifier_terms,
 )
 from taccel_lab.ipc.pair_hessian import (
+    PairHessian,
     pair_gradient,
     pair_hessian,
-)
-from tests.ipc.whole_derivatives import (
-    distance_gradient,
-    distance_sq_gradient,
-    distance_sq_hessian,
-    edge_edge_mollifier_gradient,
-    edge_edge_mollifier_hessian,
-    hessian_matrix,
+    pair_hessian_block,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -81,9 +75,6 @@ def _query_pairs_kernel(
     weights: wp.array(dtype=wp.vec4d),
     distance_sq: wp.array(dtype=wp.float64),
     distance_sq_only: wp.array(dtype=wp.float64),
-    gradient: wp.array(dtype=mat43d),
-    gradient_sq: wp.array(dtype=mat43d),
-    hessian_sq: wp.array(dtype=mat1212d),
 ):
     i = wp.tid()
     pair = _closest(kind, x[i, 0], x[i, 1], x[i, 2], x[i, 3])
@@ -92,9 +83,19 @@ def _query_pairs_kernel(
     weights[i] = pair.weights
     distance_sq[i] = pair.distance_sq
     distance_sq_only[i] = _distance_sq(kind, x[i, 0], x[i, 1], x[i, 2], x[i, 3])
-    gradient[i] = distance_gradient(pair)
-    gradient_sq[i] = distance_sq_gradient(pair)
-    hessian_sq[i] = distance_sq_hessian(pair, x[i, 0], x[i, 1], x[i, 2], x[i, 3])
+
+
+@wp.func
+def hessian_matrix(h: PairHessian) -> mat1212d:
+    """All 16 blocks [N/m], which the solver never forms as a whole."""
+    matrix = mat1212d()
+    block_count = int(16)  # a variable, so that Warp does not unroll the loop
+    for k in range(block_count):
+        block = pair_hessian_block(h, k // 4, k % 4)
+        for a in range(3):
+            for b in range(3):
+                matrix[3 * (k // 4) + a, 3 * (k % 4) + b] = block[a, b]
+    return matrix
 
 
 @wp.kernel
@@ -120,15 +121,11 @@ def _mollifier_kernel(
     rest: wp.array2d(dtype=wp.vec3d),
     threshold: wp.array(dtype=wp.float64),
     value: wp.array(dtype=wp.float64),
-    gradient: wp.array(dtype=mat43d),
-    hessian: wp.array(dtype=mat1212d),
 ):
     i = wp.tid()
     e = edge_edge_mollifier_threshold(rest[i, 0], rest[i, 1], rest[i, 2], rest[i, 3])
     threshold[i] = e
     value[i] = edge_edge_mollifier(edge_edge_cross_sq(x[i, 0], x[i, 1], x[i, 2], x[i, 3]), e)
-    gradient[i] = edge_edge_mollifier_gradient(x[i, 0], x[i, 1], x[i, 2], x[i, 3], e)
-    hessian[i] = edge_edge_mollifier_hessian(x[i, 0], x[i, 1], x[i, 2], x[i, 3], e)
 
 
 @wp.kernel
@@ -261,9 +258,6 @@ class Pairs(NamedTuple):
     weights: Array
     distance_sq: Array
     distance_sq_only: Array
-    gradient: Array
-    gradient_sq: Array
-    hessian_sq: Array
 
 
 def _device(values: Any, dtype: Any) -> wp.array:
@@ -282,7 +276,7 @@ def _filled(values: Any, count: int) -> wp.array:
 
 def query_pairs(kind: int, x: Array) -> Pairs:
     """Closest pairs of stencils x, shape [count, 4, 3]."""
-    dtypes = [wp.int32, wp.int32, wp.vec4d, wp.float64, wp.float64, mat43d, mat43d, mat1212d]
+    dtypes = [wp.int32, wp.int32, wp.vec4d, wp.float64, wp.float64]
     return Pairs(*_launch(_query_pairs_kernel, len(x), [kind, _device(x, wp.vec3d)], dtypes))
 
 
@@ -294,9 +288,9 @@ def pair_energy(kind: int, mode: int, x: Array, e1: Any, e2: Any) -> tuple[Array
 
 
 def mollifier(x: Array, rest: Array) -> list[Array]:
-    """Threshold, value, gradient and Hessian of the edge-edge mollifier."""
+    """Threshold and value of the edge-edge mollifier."""
     inputs = [_device(x, wp.vec3d), _device(rest, wp.vec3d)]
-    return _launch(_mollifier_kernel, len(x), inputs, [wp.float64, wp.float64, mat43d, mat1212d])
+    return _launch(_mollifier_kernel, len(x), inputs, [wp.float64, wp.float64])
 
 
 def mollified_energy(

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Degenerate queries after those of Wang et al. (2021), A Large-scale Benchmark and an Inclusion-
 based Algorithm for Continuous Collision Detection, and Erleben (2018): never late, against exact
-rational arithmetic and Tight-Inclusion."""
+rational arithmetic."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-import ipctk
 import numpy as np
 import pytest
 
@@ -205,23 +204,6 @@ def test_never_late_in_exact_arithmetic(family: Callable[[np.random.Generator], 
     # Isolating intervals are wide: the start of each is a collision-free time all the same.
     before = np.array([found[0] if found else np.inf for found in truth])
     assert np.all(toi[hits & (before == latest)] <= before[hits & (before == latest)])
-
-
-@pytest.mark.parametrize("family", [wedge_on_wedge, short_edges])
-def test_not_later_than_tight_inclusion(family: Callable[[np.random.Generator], Queries]) -> None:
-    """The families for which the referee does not take minutes."""
-    kind, x, dx = family(np.random.default_rng(12))
-    size = np.abs(x - x[:, :1]).max(axis=(1, 2), keepdims=True)
-    x, dx = (x - x[:, :1]) / size, dx / size
-    toi, *_ = batch.collide(kind, x, dx)
-    referee = ipctk.TightInclusionCCD(tolerance=1e-6, conservative_rescaling=1.0 - 1e-6)
-    found = [referee.edge_edge_ccd(*a, *(a + b)) for a, b in zip(x, dx, strict=True)]
-    hits = np.array([hit for hit, _ in found])
-    expected = np.array([time for _, time in found])
-    # What the referee calls a touch, within its tolerance, may be earlier than the first one.
-    tolerance = 1e-5 / np.maximum(np.abs(dx).max(axis=(1, 2)), 1e-5)
-    assert hits.sum() > 20
-    assert np.all(toi[hits] <= (expected + tolerance)[hits])
 
 
 @pytest.mark.parametrize("family", FAMILIES)

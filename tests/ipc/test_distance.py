@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Distances, regions and derivatives against ipctk, exact arithmetic and finite differences."""
+"""Distances and regions against ipctk and exact arithmetic."""
 
 from __future__ import annotations
 
@@ -29,19 +29,6 @@ KINDS = {
     "point_edge": (batch.POINT_EDGE, 3, 3),
     "point_point": (batch.POINT_POINT, 2, 1),
 }
-
-
-def reference(name: str, x: Array, node_count: int) -> Array:
-    function: Callable[..., Any] = getattr(ipctk, name)
-    return np.array([function(*nodes[:node_count]) for nodes in x])
-
-
-def padded(hessian: Array) -> Array:
-    """ipctk's Hessian of fewer than four nodes in the 12x12 layout."""
-    full = np.zeros((len(hessian), 12, 12))
-    size = hessian.shape[1]
-    full[:, :size, :size] = hessian
-    return full
 
 
 @pytest.mark.parametrize(
@@ -79,24 +66,15 @@ def test_edge_edge_golden_values(other: tuple[tuple[float, ...], ...], expected:
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_distance_and_derivatives_equal_ipctk(name: str) -> None:
+def test_distances_equal_ipctk(name: str) -> None:
     kind, node_count, region_count = KINDS[name]
     x = random_stencils(1, 3000)
     pairs = batch.query_pairs(kind, x)
     assert np.all(np.bincount(pairs.region, minlength=region_count) > 20), "a region is not covered"
-    distance_sq = reference(f"{name}_distance", x, node_count)
-    np.testing.assert_allclose(pairs.distance_sq, distance_sq, rtol=1e-10, atol=1e-15)
+    function: Callable[..., Any] = getattr(ipctk, f"{name}_distance")
+    expected = [function(*nodes[:node_count]) for nodes in x]
+    np.testing.assert_allclose(pairs.distance_sq, expected, rtol=1e-10, atol=1e-15)
     np.testing.assert_array_equal(pairs.distance_sq, pairs.distance_sq_only)
-
-    gradient = reference(f"{name}_distance_gradient", x, node_count)
-    ours = pairs.gradient_sq.reshape(-1, 12)[:, : 3 * node_count]
-    np.testing.assert_allclose(ours, gradient, atol=1e-12)
-    assert np.abs(gradient).max() > 1.0
-
-    hessian = padded(reference(f"{name}_distance_hessian", x, node_count))
-    scale = np.abs(hessian).max(axis=(1, 2), keepdims=True)
-    assert np.abs((pairs.hessian_sq - hessian) / scale).max() < 1e-11
-    assert scale.min() > 0.1
 
 
 def test_regions_equal_ipctk() -> None:
@@ -111,41 +89,12 @@ def test_regions_equal_ipctk() -> None:
     assert [EdgeEdgeRegion(int(region)).name for region in edge_edge.region] == names
 
 
-@pytest.mark.parametrize("name", ["point_triangle", "edge_edge", "point_edge", "point_point"])
-def test_derivatives_equal_finite_differences(name: str) -> None:
-    kind, _, region_count = KINDS[name]
-    x = random_stencils(3, 400)
-    pairs = batch.query_pairs(kind, x)
-    step = 1e-6
-    moved = x[:, None, None] + step * np.stack([np.eye(12), -np.eye(12)]).reshape(2, 12, 4, 3)
-    near = batch.query_pairs(kind, moved.reshape(-1, 4, 3))
-    steady = np.all(near.region.reshape(-1, 24) == pairs.region[:, None], axis=1)
-    assert steady.mean() > 0.99
-    assert np.all(np.bincount(pairs.region[steady], minlength=region_count) > 3)
-
-    values = near.distance_sq.reshape(-1, 2, 12)
-    slope = (values[:, 0] - values[:, 1]) / (2 * step)
-    np.testing.assert_allclose(pairs.gradient_sq.reshape(-1, 12)[steady], slope[steady], atol=1e-7)
-    distances = np.sqrt(values)
-    slope = (distances[:, 0] - distances[:, 1]) / (2 * step)
-    far = steady & (pairs.distance_sq > 1e-2)
-    np.testing.assert_allclose(pairs.gradient.reshape(-1, 12)[far], slope[far], atol=1e-7)
-
-    gradients = near.gradient_sq.reshape(-1, 2, 12, 12)
-    curvature = (gradients[:, 0] - gradients[:, 1]) / (2 * step)
-    scale = np.abs(curvature).max(axis=(1, 2), keepdims=True)
-    error = np.abs(pairs.hessian_sq - curvature) / scale
-    assert error[steady].max() < 1e-5
-    assert np.median(error[steady]) < 1e-8
-
-
 def test_nearly_parallel_edges_keep_their_digits() -> None:
     x = nearly_parallel_edges(4, 500)
     pairs = batch.query_pairs(batch.EDGE_EDGE, x)
     exact = np.array([exact_edge_edge_sq(nodes) for nodes in x])
     np.testing.assert_allclose(pairs.distance_sq, exact, rtol=1e-10, atol=1e-30)
     assert np.sum(pairs.region == EdgeEdgeRegion.EA_EB) > 100
-    assert np.all(np.isfinite(pairs.hessian_sq))
 
 
 @pytest.mark.parametrize(
@@ -178,12 +127,3 @@ def test_degenerate_stencils(kind: int, exact: Callable[[Array], float]) -> None
         )
 
     check()
-
-
-def test_shift_does_not_change_derivatives() -> None:
-    # Exact for a power of two well above the coordinates, which are rounded to its spacing first.
-    x = np.round(random_stencils(5, 200) * 2**20) / 2**20
-    for kind in (batch.POINT_TRIANGLE, batch.EDGE_EDGE):
-        here = batch.query_pairs(kind, x)
-        there = batch.query_pairs(kind, x + 1024.0)
-        np.testing.assert_array_equal(here.hessian_sq, there.hessian_sq)

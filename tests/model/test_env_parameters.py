@@ -30,7 +30,7 @@ from taccel_lab.scene import (
     box_mesh,
     sphere_mesh,
 )
-from taccel_lab.solvers import Control, ShardedSolver, SolverConfig, SolverIPC
+from taccel_lab.solvers import Control, SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
 
 PAD = block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3))
@@ -295,19 +295,6 @@ def test_mechanisms_take_masses_whatever_their_penalties() -> None:
     for env, (_, _, its_state) in enumerate(alone):
         np.testing.assert_allclose(found[env], its_state.positions.numpy()[0], rtol=0, atol=1e-8)
     assert np.abs(found[0] - found[1]).max() > 1e-4, "the links were meant to swing otherwise"
-
-
-def test_shards_take_the_values_of_their_environments() -> None:
-    scene = pressed_pad(3, Material(1e5, 0.4))
-    model = scene.finalize()
-    model.set_body("pad", young_modulus_pa=YOUNG)
-    expected = result(*press(model))[0]
-    sharded = ShardedSolver(scene, ["cpu", "cpu"], poses=tool_at(3, 0, START_Z))
-    for shard in sharded.shards:
-        shard.model.set_body("pad", young_modulus_pa=YOUNG[shard.environments])
-    for x in (0, 1e-4):
-        assert sharded.step(tool_at(3, x, START_Z - 2.5e-4)).converged.all()
-    np.testing.assert_array_equal(sharded.positions(), expected)
 
 
 def test_mass_of_a_soft_body_keeps_how_it_is_spread() -> None:

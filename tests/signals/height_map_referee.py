@@ -16,7 +16,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
-from taccel_lab.signals import ContactSurface, SurfaceMode, normals_from_slopes
+from taccel_lab.signals import ContactSurface, normals_from_slopes
 from taccel_lab.signals.gradient_recovery import recover_gradients
 from taccel_lab.signals.raster import FaceRaster
 
@@ -24,15 +24,8 @@ from taccel_lab.signals.raster import FaceRaster
 class HeightMapReferee:
     """Height and normals of the gel's contact surface, NaN outside the pad, in numpy."""
 
-    def __init__(
-        self,
-        mesh: TetMesh | QuadraticMesh,
-        grid: PixelGrid,
-        *,
-        mode: SurfaceMode = SurfaceMode.SMOOTH,
-    ) -> None:
-        self.surface = ContactSurface.from_mesh(mesh)
-        self.grid, self.mode = grid, mode
+    def __init__(self, mesh: TetMesh | QuadraticMesh, grid: PixelGrid) -> None:
+        self.surface, self.grid = ContactSurface.from_mesh(mesh), grid
 
     def update(self, positions: Any) -> None:
         """Read node positions [m], shape [env, node, 3], numpy or Warp."""
@@ -43,14 +36,12 @@ class HeightMapReferee:
         raster = FaceRaster(self.surface.faces, self.grid)
         raster.update(on_device)
         height = np.ascontiguousarray(points[..., 2])
-        gradients = [None] * len(points)
-        if self.mode is SurfaceMode.SMOOTH:
-            gradients = recover_gradients(
-                on_device,
-                wp.array(height, dtype=wp.float64, device="cpu"),
-                wp.array(self.surface.ring_start, dtype=wp.int32, device="cpu"),
-                wp.array(self.surface.ring_nodes, dtype=wp.int32, device="cpu"),
-            ).numpy()
+        gradients = recover_gradients(
+            on_device,
+            wp.array(height, dtype=wp.float64, device="cpu"),
+            wp.array(self.surface.ring_start, dtype=wp.int32, device="cpu"),
+            wp.array(self.surface.ring_nodes, dtype=wp.int32, device="cpu"),
+        ).numpy()
         pixels = raster.face_at_pixel.numpy()
         covered = (pixels >= 0).any(axis=(1, 2))
         if not covered.all():
@@ -64,7 +55,7 @@ class HeightMapReferee:
         """Outward unit normals, shape [env, height_px, width_px, 3]."""
 
     def _on_pixels(
-        self, points: np.ndarray, gradients: np.ndarray | None, face_at_pixel: np.ndarray
+        self, points: np.ndarray, gradients: np.ndarray, face_at_pixel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         height = np.full(face_at_pixel.shape, np.nan)
         slope = np.full((*face_at_pixel.shape, 2), np.nan)
@@ -77,13 +68,9 @@ class HeightMapReferee:
         first = np.einsum("nij,nj->ni", inverse, here - xy[:, 0])
         barycentric = np.concatenate([1 - first.sum(axis=1, keepdims=True), first], axis=1)
         rates = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
-        if gradients is None:
-            height[row, column] = (barycentric * z).sum(axis=1)
-            slope[row, column] = np.einsum("nc,ncx->nx", z, rates)
-        else:
-            value, derivative = _clough_tocher(xy, z, gradients[corners], barycentric)
-            height[row, column] = value
-            slope[row, column] = np.einsum("nc,ncx->nx", derivative, rates)
+        value, derivative = _clough_tocher(xy, z, gradients[corners], barycentric)
+        height[row, column] = value
+        slope[row, column] = np.einsum("nc,ncx->nx", derivative, rates)
         return height, slope
 
 

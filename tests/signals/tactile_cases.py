@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals import MarkerLayout, SignalTactile, SurfaceMode
+from taccel_lab.signals import MarkerLayout, SignalTactile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
 from tests.signals.height_map_referee import HeightMapReferee
 from tests.signals.host_colors import host_image
@@ -82,9 +82,9 @@ def make(mesh: Any, device: str = "cpu", grid: PixelGrid = GRID, **changes: Any)
     return SignalTactile(mesh, grid, **arguments)
 
 
-def reference(mesh: Any, positions: np.ndarray, grid: PixelGrid, mode: SurfaceMode) -> dict:
+def reference(mesh: Any, positions: np.ndarray, grid: PixelGrid) -> dict:
     """What the referee of the surface and the colour model on the host make of it."""
-    signal = HeightMapReferee(mesh, grid, mode=mode)
+    signal = HeightMapReferee(mesh, grid)
     signal.update(np.concatenate([mesh.nodes_m[None], positions]))
     height, normals = signal.height_m, signal.normals
     seen = np.isfinite(height[1:]) & np.isfinite(height[0])

@@ -14,7 +14,7 @@ from taccel_lab.profile import (
     BackgroundBlock,
     ColorBlock,
 )
-from taccel_lab.signals import MarkerLayout, SignalTactile, SurfaceMode
+from taccel_lab.signals import MarkerLayout, SignalTactile
 from tests.signals.pressed_surface import extrude, flat_pad
 from tests.signals.tactile_cases import (
     ALL,
@@ -44,15 +44,13 @@ def fold(mesh: TetMesh, positions: np.ndarray, env: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("mode", SurfaceMode)
-def test_every_environment_equals_the_reference(device, mode):
-    # A quarter pixel off the nodes: on an edge of facets both their slopes are right.
+def test_every_environment_equals_the_reference(device):
     grid = PixelGrid(96, 72, 0.05, 0.05, 47.37, 35.81)
     mesh = flat_pad(0.3, PAD_HALF_MM, seed=2)
     positions = presses(mesh)
-    signal = make(mesh, device, grid, mode=mode)
+    signal = make(mesh, device, grid)
     signal.update(on_device(positions, device))
-    expected = reference(mesh, positions, grid, mode)
+    expected = reference(mesh, positions, grid)
     assert np.abs(expected["rgb_levels"][1] - background(grid)).max() > 20
     assert_agrees(signal, expected, device)
     assert signal.rasterized_count() == 0
@@ -65,7 +63,7 @@ def test_folded_faces_and_pixels_beside_the_pad_are_rasterized(device):
     positions = fold(mesh, presses(mesh), 4)
     signal = make(mesh, device)
     signal.update(on_device(positions, device))
-    expected = reference(mesh, positions, GRID, SurfaceMode.SMOOTH)
+    expected = reference(mesh, positions, GRID)
     beside = np.isnan(expected["height_m"])
     assert beside.any(axis=(1, 2)).all() and not beside.all(axis=(1, 2)).any()
     # Faces squeezed to slivers by the fold.
@@ -88,7 +86,7 @@ def test_outlines_may_be_concave_and_have_holes(device):
     positions[4, :, :2] += [0.31e-3, -0.17e-3]
     signal = make(mesh, device, markers=None)
     signal.update(on_device(positions, device))
-    expected = reference(mesh, positions, GRID, SurfaceMode.SMOOTH)
+    expected = reference(mesh, positions, GRID)
     assert 0.2 < np.isnan(expected["height_m"]).mean() < 0.8
     assert_agrees(signal, expected, device, normal_bound=1e-4)
 
@@ -101,7 +99,7 @@ def test_pixels_beside_a_pad_need_no_rasterizer(device, shift_mm):
     positions[:, :, :2] += np.array(shift_mm) * 1e-3
     signal = make(mesh, device)
     signal.update(on_device(positions, device))
-    expected = reference(mesh, positions, GRID, SurfaceMode.SMOOTH)
+    expected = reference(mesh, positions, GRID)
     assert np.isnan(expected["height_m"]).any(axis=(1, 2)).all()
     assert_agrees(signal, expected, device, normal_bound=1e-4)
     # Straight rims; the sheared one is dented, and a walk may end at the dent.
@@ -115,7 +113,7 @@ def test_only_folded_environments_are_rasterized(device):
     fold(mesh, positions, 2)
     signal = make(mesh, device)
     signal.update(on_device(positions, device))
-    expected = reference(mesh, positions, GRID, SurfaceMode.SMOOTH)
+    expected = reference(mesh, positions, GRID)
     assert_agrees(signal, expected, device, normal_bound=1e-4)
     assert signal._surface.made.rasterized.tolist() == [False, False, True, False, False]
 

@@ -157,6 +157,11 @@ def test_forces_are_those_of_the_state() -> None:
         ({"joint_targets": torch.zeros(2, 1)}, r"joint_targets on the device are float32 .*"),
         ({"wrenches": torch.zeros(2, 2, 3).double()}, r"expected float64 of shape \[2, 2, 2, 3\]"),
         ({"target_poses": np.zeros((2, 1, 7))}, "must have unit length"),
+        (
+            {"target_poses": wp.zeros((2, 2), dtype=wp.transformd, device="cpu")},
+            r"of shape \[2, 2\]",
+        ),
+        ({"target_poses": torch.zeros(2, 1, 7)}, "expected float64 of shape"),
         ({"forces": np.zeros((2, 3))}, "forces have shape"),
     ],
 )

@@ -14,75 +14,39 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.branches import Branches
 from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.potentials.contact import ContactPotential
 from taccel_lab.ipc.potentials.friction import FrictionPotential
-from taccel_lab.scene import (
-    AffineBody,
-    Element,
-    KinematicBody,
-    Material,
-    Plane,
-    Scene,
-    SoftBody,
-    TimeStepping,
-    box_mesh,
-)
+from taccel_lab.scene import Element, KinematicBody, Plane, Scene, TimeStepping
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
 from tests.solvers.driven_grasp import base_poses, driven_grasp
+from tests.support.blocks import cube, soft_block
+from tests.support.grasps import FALLING, mount_poses, mounted_gels
 
 ENVS = 2
-SIDES = ("left", "right")
-HALF = float(np.sqrt(0.5))
 
 
 def grasp() -> Scene:
     """A cube between two gels on mounts, above a plane: contact of gels with an affine body has
     blocks outside of the pattern on the CPU."""
-    gels = [
-        SoftBody(
-            block_mesh((3, 3, 1), (6e-3, 6e-3, 3e-3)),
-            Material(1e5, 0.4),
-            name=side,
-            mount=f"{side} mount",
-            element=element,
-            friction_coefficient=1.0,
-        )
-        for side, element in zip(SIDES, (Element.LINEAR, Element.QUADRATIC), strict=True)
-    ]
-    cube = AffineBody(box_mesh((8e-3, 8e-3, 8e-3)), name="cube", friction_coefficient=1.0)
-    return Scene(
-        gels,
-        [KinematicBody(None, name=f"{side} mount") for side in SIDES],
-        ENVS,
-        TimeStepping(quasi_static=False, dt_s=4e-3, gravity_m_s2=(0.0, 0.0, -9.81)),
-        affine_bodies=[cube],
-        planes=[Plane((0, 0, -4.05e-3), (0, 0, 1), friction_coefficient=0.5)],
-    )
+    gels, mounts = mounted_gels((3, 3, 1), (Element.LINEAR, Element.QUADRATIC))
+    held = cube(8e-3, friction_coefficient=1.0)
+    floor = Plane((0, 0, -4.05e-3), (0, 0, 1), friction_coefficient=0.5)
+    return Scene(gels, mounts, ENVS, FALLING, affine_bodies=[held], planes=[floor])
 
 
 def grasp_poses(step: int) -> np.ndarray:
-    gap = np.array([4.05e-3, 4.06e-3]) - 4e-5 * min(step, 6)
-    lift = 1e-4 * max(step - 6, 0)
-    return np.array(
-        [[[-x, 0, lift, 0, HALF, 0, HALF], [x, 0, lift, 0, -HALF, 0, HALF]] for x in gap]
-    )
+    return mount_poses(np.array([4.05e-3, 4.06e-3]) - 4e-5 * min(step, 6), 1e-4 * max(step - 6, 0))
 
 
 def pads() -> Scene:
     """One gel rubs another."""
     sizes = {"lower": (3, 3, 1), "upper": (2, 2, 1)}
     gels = [
-        SoftBody(
-            block_mesh(cells, (4e-3, 4e-3, 2e-3)),
-            Material(1e5, 0.4),
-            name=name,
-            mount=f"{name} mount",
-            element=Element.LINEAR,
-            friction_coefficient=0.5,
+        soft_block(
+            cells, (4e-3, 4e-3, 2e-3), name=name, mount=f"{name} mount", friction_coefficient=0.5
         )
         for name, cells in sizes.items()
     ]

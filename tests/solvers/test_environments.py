@@ -77,12 +77,6 @@ def test_results_do_not_depend_on_number_and_order(shape: str, friction: float) 
     )
 
 
-def test_a_run_repeats_bitwise() -> None:
-    first, _, _ = press([1, 2], SHAPES["mesh"], 0.8)
-    second, _, _ = press([1, 2], SHAPES["mesh"], 0.8)
-    np.testing.assert_array_equal(first, second)
-
-
 def _snapshot(state: State) -> list[np.ndarray]:
     return [a.numpy().copy() for a in (state.positions, state.velocities, state.poses)]
 
@@ -129,45 +123,6 @@ def test_a_failing_environment_is_rolled_back_and_the_others_go_on(quasi_static:
 
     # It is not lost: with enough iterations it arrives.
     assert solver.step(state, target).converged.all()
-
-
-def test_one_iteration_is_not_enough_and_nothing_moves() -> None:
-    model = scene(MESH, KinematicBody(SHAPES["mesh"], 0.5), env_count=2).finalize()
-    state = initial_state(model, np.tile(pose(0, 0, START_Z), (2, 1, 1)))
-    before = _snapshot(state)
-    report = SolverIPC(model, SolverConfig(max_newton_iterations=1)).step(
-        state, np.tile(pose(0, 0, 1.3e-3), (2, 1, 1))
-    )
-    assert (report.status == EnvStatus.NO_CONVERGENCE).all()
-    assert not report.converged.any()
-    for value, old in zip(_snapshot(state), before, strict=True):
-        np.testing.assert_array_equal(value, old)
-    assert "0/2 converged" in report.summary()
-
-
-def test_a_fresh_state_gives_the_same_press_again() -> None:
-    """A solver keeps nothing from one press to the next."""
-    model = scene(MESH, KinematicBody(SHAPES["ball"], 0.5)).finalize()
-    solver = SolverIPC(model, SolverConfig())
-    results = []
-    for _ in range(2):
-        state = initial_state(model, pose(0, 0, START_Z)[None, None])
-        for target in targets(2):
-            assert solver.step(state, target[None, None]).converged.all()
-        results.append(state.positions.numpy())
-    np.testing.assert_array_equal(results[0], results[1])
-
-
-def test_an_inverted_start_is_reported_not_hidden() -> None:
-    model = scene(MESH, env_count=2).finalize()
-    state = initial_state(model, np.zeros((2, 0, 7)))
-    x = state.positions.numpy()
-    x[1, -1] -= [0, 0, 1.9e-3]
-    state.positions.assign(x)
-    report = SolverIPC(model, SolverConfig()).step(state)
-    assert report.status[0] == EnvStatus.CONVERGED
-    assert report.status[1] == EnvStatus.INVERSION
-    np.testing.assert_array_equal(state.positions.numpy()[1], x[1])
 
 
 @pytest.mark.parametrize(

@@ -17,66 +17,33 @@ import torch
 import warp as wp
 
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
-from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.ipc.linear.system import METHODS
-from taccel_lab.scene import (
-    AffineBody,
-    Element,
-    KinematicBody,
-    Material,
-    Plane,
-    RevoluteJoint,
-    Scene,
-    SoftBody,
-    TimeStepping,
-    box_mesh,
-)
+from taccel_lab.scene import AffineBody, Element, Plane, RevoluteJoint, Scene, box_mesh
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
 from tests.solvers.driven_grasp import base_poses, driven_grasp
+from tests.support.blocks import cube
+from tests.support.grasps import FALLING, mount_poses, mounted_gels
 
 pytestmark = [
     pytest.mark.gpu,
     pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device"),
 ]
-DYNAMIC = TimeStepping(quasi_static=False, dt_s=4e-3, gravity_m_s2=(0.0, 0.0, -9.81))
 GPU_METHODS = [name for name in METHODS if name != "ssor"]
 
 
 def grasp(env_count: int = 3, element: Element = Element.LINEAR) -> Scene:
     """A cube between two gels on mounts, above a plane."""
-    gels = [
-        SoftBody(
-            block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3)),
-            Material(1e5, 0.4),
-            name=name,
-            mount=f"{name} mount",
-            element=element,
-            friction_coefficient=1.0,
-        )
-        for name in ("left", "right")
-    ]
-    frames = [KinematicBody(None, name=f"{name} mount") for name in ("left", "right")]
-    cube = AffineBody(box_mesh((8e-3, 8e-3, 8e-3)), name="cube", friction_coefficient=1.0)
-    return Scene(
-        gels,
-        frames,
-        env_count,
-        DYNAMIC,
-        affine_bodies=[cube],
-        planes=[Plane((0, 0, -5e-3), (0, 0, 1))],
-    )
+    gels, mounts = mounted_gels((3, 3, 2), (element, element))
+    held = cube(8e-3, friction_coefficient=1.0)
+    planes = [Plane((0, 0, -5e-3), (0, 0, 1))]
+    return Scene(gels, mounts, env_count, FALLING, affine_bodies=[held], planes=planes)
 
 
 def grasp_poses(step: int, env_count: int = 3) -> np.ndarray:
     """Closing, then lifting."""
-    half = np.sqrt(0.5)
-    gap = 4.05e-3 - 5e-5 * min(step, 12)
-    lift = 1e-4 * max(step - 12, 0)
-    left = [-gap, 0, lift, 0, half, 0, half]
-    right = [gap, 0, lift, 0, -half, 0, half]
-    return np.tile(np.array([left, right]), (env_count, 1, 1))
+    return mount_poses([4.05e-3 - 5e-5 * min(step, 12)] * env_count, 1e-4 * max(step - 12, 0))
 
 
 def lift_cube(scene: Scene, **options: object) -> tuple[SolverIPC, State]:
@@ -183,7 +150,7 @@ def test_joints() -> None:
     scene = Scene(
         affine_bodies=[rod],
         joints=[RevoluteJoint("rod", None, (20e-3, 0, 0), (0, 1, 0))],
-        time=DYNAMIC,
+        time=FALLING,
     )
     model = scene.finalize("cuda:0")
     solver = SolverIPC(model)

@@ -9,50 +9,39 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import (
     AffineBody,
-    Element,
     KinematicBody,
     Material,
     PositionDrive,
     PrismaticJoint,
     RevoluteJoint,
     Scene,
-    SoftBody,
     TimeScheme,
     TimeStepping,
     box_mesh,
 )
 from taccel_lab.solvers import Control, EnvStatus, ReadySteps, SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
+from tests.support.blocks import soft_block
+from tests.support.grasps import gel_above_a_table, hand_poses
 
 ENVS, STEPS = 3, 5
 
 
 def poses(steps: np.ndarray | list[int]) -> np.ndarray:
     """Of the hand that presses the gel on the table and drags it, each environment its own way."""
-    rows = []
-    for env, step in enumerate(steps):
-        x, z = 4e-5 * env * step, 1.3e-4 - (3e-5 + 2e-5 * env) * step
-        rows.append([[x, 0, z, 1, 0, 0, 0], [0, 0, -2e-3, 0, 0, 0, 1]])
-    return np.array(rows)
+    return hand_poses(
+        (4e-5 * env * step, 1.3e-4 - (3e-5 + 2e-5 * env) * step) for env, step in enumerate(steps)
+    )
 
 
 def make(
     quasi_static: bool, scheme: TimeScheme = TimeScheme.EULER, **settings: object
 ) -> tuple[SolverIPC, State]:
-    gel = SoftBody(
-        block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3)),
-        Material(1e5, 0.4, damping_time_s=0.0 if quasi_static else 1e-3),
-        mount="hand",
-        friction_coefficient=0.3,
-        element=Element.LINEAR,
-    )
-    table = KinematicBody(box_mesh((60e-3, 60e-3, 4e-3)), 0.3, name="table")
     time = TimeStepping(quasi_static=quasi_static, dt_s=5e-3, scheme=scheme)
-    scene = Scene([gel], [KinematicBody(None, name="hand"), table], ENVS, time)
-    solver = SolverIPC(scene.finalize(), SolverConfig(dhat_m=1e-4, **settings))
+    scene = gel_above_a_table(time, ENVS, damping_time_s=0.0 if quasi_static else 1e-3)
+    solver = SolverIPC(scene.finalize(), SolverConfig(dhat_m=1e-4, **settings))  # type: ignore[arg-type]
     return solver, initial_state(solver.model, poses([0] * ENVS))
 
 
@@ -86,19 +75,13 @@ def test_the_pace_of_an_environment_changes_no_bit(
     np.testing.assert_array_equal(solver.contact_gradient.numpy(), forces)
 
 
-def test_a_call_ends_after_its_iterations() -> None:
+def test_a_call_ends_after_its_iterations_and_leaves_alone_what_is_underway() -> None:
     solver, state = make(quasi_static=False)
     ready = ReadySteps(solver, state, 2)
-    report = ready.step_ready(poses([3] * ENVS))
-    assert (report.status == EnvStatus.RUNNING).all()
-    np.testing.assert_array_equal(report.newton_iterations, 2)
-    assert ready.underway.all()
-
-
-def test_what_is_underway_is_left_alone() -> None:
-    solver, state = make(quasi_static=False)
-    ready = ReadySteps(solver, state, 1)
-    ready.step_ready(poses([3] * ENVS), np.array([True, False, False]))
+    report = ready.step_ready(poses([3] * ENVS), np.array([True, True, False]))
+    assert (report.status[:2] == EnvStatus.RUNNING).all()
+    np.testing.assert_array_equal(report.newton_iterations[:2], 2)
+    np.testing.assert_array_equal(ready.underway, [True, True, False])
     with pytest.raises(InputError, match="environment 0 has not finished its last step"):
         ready.step_ready(poses([3] * ENVS), np.array([True, False, False]))
     with pytest.raises(InputError, match="in a step of their own"):
@@ -129,24 +112,6 @@ def test_a_step_may_be_given_up(by_reset: bool) -> None:
     np.testing.assert_array_equal(state.positions.numpy(), expected.positions.numpy())
 
 
-def test_lists_that_are_too_short_grow_and_the_step_begins_anew() -> None:
-    solver, state = make(quasi_static=False)
-    for step in range(1, STEPS + 1):
-        solver.step(state, poses([step] * ENVS))
-    expected = state.positions.numpy()
-
-    solver, state = make(quasi_static=False)
-    for part in solver.lists:
-        part._allocate(2)
-    ready = ReadySteps(solver, state)
-    taken = np.zeros(ENVS, dtype=int)
-    for _ in range(300):
-        report = ready.step_ready(poses(taken + 1), ~ready.underway & (taken < STEPS))
-        taken += report.converged
-    assert (taken == STEPS).all()
-    np.testing.assert_allclose(state.positions.numpy(), expected, atol=1e-12)
-
-
 def test_what_fails_is_where_it_began() -> None:
     solver, state = make(quasi_static=False, max_newton_iterations=2)
     before = state.positions.numpy().copy()
@@ -157,28 +122,16 @@ def test_what_fails_is_where_it_began() -> None:
     np.testing.assert_array_equal(state.positions.numpy(), before)
 
 
-def test_settings_are_checked() -> None:
-    solver, state = make(quasi_static=False)
-    with pytest.raises(InputError, match="iterations must be at least 1, got 0"):
-        ReadySteps(solver, state, 0)
-    ready = ReadySteps(solver, state)
-    with pytest.raises(InputError, match="the scene has no joints"):
-        ready.step_ready(Control(joint_targets=np.zeros((ENVS, 1))))
-    assert not ready.underway.any()
-
-
 # Joints, and all that a step may be asked for ----------------------------------------------------
 
 
 def finger(scheme: TimeScheme = TimeScheme.EULER, **settings: object) -> tuple[SolverIPC, State]:
     """A driven finger on a hinge at a hand presses a gel; a bolt on a slide at the finger runs
     against its limits, so that joints open and close."""
-    gel = SoftBody(
-        block_mesh((3, 3, 2), (6e-3, 6e-3, 3e-3)),
-        Material(1e5, 0.4, damping_time_s=1e-3),
+    gel = soft_block(
+        (3, 3, 2), (6e-3, 6e-3, 3e-3), Material(1e5, 0.4, damping_time_s=1e-3),
         friction_coefficient=0.3,
-        element=Element.LINEAR,
-    )
+    )  # fmt: skip
     at = np.array([-2e-3, 0, 1.1e-3, 0, 0, 0, 1.0])
     above = np.array([-2e-3, 0, 3.5e-3, 0, 0, 0, 1.0])
     scene = Scene(
@@ -192,23 +145,15 @@ def finger(scheme: TimeScheme = TimeScheme.EULER, **settings: object) -> tuple[S
         ],
         joints=[
             RevoluteJoint(
-                "finger",
-                "hand",
-                (-6e-3, 0, 1.1e-3),
-                (0, 1, 0),
-                name="hinge",
+                "finger", "hand", (-6e-3, 0, 1.1e-3), (0, 1, 0), name="hinge",
                 drive=PositionDrive(2e-3, 1e-5),
             ),
             PrismaticJoint(
-                "bolt",
-                "finger",
-                (-2e-3, 0, 3.5e-3),
-                (1, 0, 0),
-                name="slide",
+                "bolt", "finger", (-2e-3, 0, 3.5e-3), (1, 0, 0), name="slide",
                 limits_mm=(-0.2, 0.2),
             ),
         ],
-    )
+    )  # fmt: skip
     solver = SolverIPC(scene.finalize(), SolverConfig(dhat_m=1e-4, **settings))
     return solver, initial_state(solver.model, HAND)
 
@@ -356,6 +301,8 @@ def test_a_mechanism_that_fails_is_where_it_began() -> None:
 
 def test_a_bad_control_begins_nothing() -> None:
     solver, state = finger()
+    with pytest.raises(InputError, match="iterations must be at least 1, got 0"):
+        ReadySteps(solver, state, 0)
     ready = ReadySteps(solver, state)
     good = asked(solver, np.full(ENVS, 1))
     for changes, message in (

@@ -175,25 +175,6 @@ def test_too_many_contacts_are_flagged_in_their_environment() -> None:
     assert plenty.step(state, target).converged.all()
 
 
-def test_environments_in_another_order_are_bitwise_the_same() -> None:
-    """Gel, cube and ball in contact, four environments; then in reverse order."""
-
-    def positions(order: list[int]) -> np.ndarray:
-        places = np.stack([pose(1e-4 * e, 0, 0.52e-3, (0, 0, 1), 7.0 * e) for e in order])
-        scene = Scene(
-            SoftBody(MESH, GEL, friction_coefficient=0.5, element=Element.LINEAR),
-            KinematicBody(Ball(0.8e-3), 0.3),
-            len(order),
-            dynamic(),
-            affine_bodies=cube("cube", places, friction_coefficient=0.4),
-        )
-        poses = np.stack([pose(1.95e-3, 1e-4 * e, 0.85e-3)[None] for e in order])
-        _, state = run(scene, 3, poses)
-        return state.positions.numpy()
-
-    np.testing.assert_array_equal(positions([0, 1, 2, 3])[::-1], positions([3, 2, 1, 0]))
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

@@ -9,34 +9,20 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.geometry.block import block_mesh
-from taccel_lab.scene import (
-    AffineBody,
-    Element,
-    KinematicBody,
-    Material,
-    Plane,
-    Scene,
-    SoftBody,
-    TimeStepping,
-    box_mesh,
-)
+from taccel_lab.scene import Element, KinematicBody, Plane, Scene, TimeStepping
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
+from tests.support.blocks import cube, soft_block
 
 ENVS = 3
 
 
 def make(device: str, element: Element, **options: bool) -> tuple[SolverIPC, State]:
     """A gel on a hand lowers itself on a box that lies on the floor, and rubs."""
-    gel = SoftBody(
-        block_mesh((2, 2, 2), (4e-3, 4e-3, 3e-3)),
-        Material(1e5, 0.4),
-        mount="hand",
-        friction_coefficient=0.4,
-        element=element,
+    gel = soft_block(
+        (2, 2, 2), (4e-3, 4e-3, 3e-3), element=element, mount="hand", friction_coefficient=0.4
     )
-    box = AffineBody(box_mesh((2e-3, 2e-3, 2e-3)), friction_coefficient=0.4, name="box")
+    box = cube(2e-3, friction_coefficient=0.4, name="box")
     scene = Scene(
         [gel],
         [KinematicBody(None, name="hand")],

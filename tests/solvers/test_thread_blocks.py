@@ -10,61 +10,31 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.scene import (
-    AffineBody,
-    Element,
-    KinematicBody,
-    Material,
-    Plane,
-    RevoluteJoint,
-    Scene,
-    SoftBody,
-    TimeStepping,
-    box_mesh,
-)
+from taccel_lab.scene import AffineBody, Element, Material, Plane, RevoluteJoint, Scene, box_mesh
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
-from tests.support.blocks import block_mesh
+from tests.support.blocks import pose
+from tests.support.grasps import FALLING, mount_poses, mounted_gels
 
 
 def grasp() -> Scene:
     """Two gels of either element on mounts, damped, a jointed pair between them, above a plane."""
-    gels = [
-        SoftBody(
-            block_mesh((2, 2, 1), (6e-3, 6e-3, 3e-3)),
-            Material(1e5, 0.4, damping_time_s=1e-3),
-            name=name,
-            mount=f"{name} mount",
-            element=element,
-            friction_coefficient=1.0,
-        )
-        for name, element in (("left", Element.LINEAR), ("right", Element.QUADRATIC))
-    ]
-    frames = [KinematicBody(None, name=f"{name} mount") for name in ("left", "right")]
-    cubes = [
+    material = Material(1e5, 0.4, damping_time_s=1e-3)
+    gels, mounts = mounted_gels((2, 2, 1), (Element.LINEAR, Element.QUADRATIC), material)
+    halves = [
         AffineBody(
-            box_mesh((8e-3, 8e-3, 4e-3)),
-            name=name,
-            friction_coefficient=1.0,
-            initial_pose=np.array([0, 0, z, 0, 0, 0, 1]),
+            box_mesh((8e-3, 8e-3, 4e-3)), name=name, friction_coefficient=1.0,
+            initial_pose=pose(0, 0, z),
         )
         for name, z in (("lower", -2.2e-3), ("upper", 2.2e-3))
-    ]
+    ]  # fmt: skip
+    planes = [Plane((0, 0, -5e-3), (0, 0, 1))]
     hinge = RevoluteJoint("lower", "upper", (0, 0, 0), (0, 1, 0))
-    return Scene(
-        gels,
-        frames,
-        time=TimeStepping(quasi_static=False, dt_s=4e-3, gravity_m_s2=(0.0, 0.0, -9.81)),
-        affine_bodies=cubes,
-        planes=[Plane((0, 0, -5e-3), (0, 0, 1))],
-        joints=[hinge],
-    )
+    return Scene(gels, mounts, 1, FALLING, affine_bodies=halves, planes=planes, joints=[hinge])
 
 
 def grasp_poses(step: int) -> np.ndarray:
-    half = np.sqrt(0.5)
-    gap = 4.05e-3 - 5e-5 * step
-    return np.array([[[-gap, 0, 0, 0, half, 0, half], [gap, 0, 0, 0, -half, 0, half]]])
+    return mount_poses([4.05e-3 - 5e-5 * step])
 
 
 @pytest.mark.parametrize("method", ["ssor", "cg", "pipelined"])

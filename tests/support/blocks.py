@@ -3,22 +3,34 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from taccel_lab.bodies.primitives import TriangleMesh, sphere_mesh
+from taccel_lab.bodies.primitives import TriangleMesh, box_mesh, sphere_mesh
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, free_block, grid_tets, labelled
-from taccel_lab.scene import Element, KinematicBody, Material, Scene, SoftBody, TimeStepping
+from taccel_lab.scene import (
+    AffineBody,
+    Element,
+    KinematicBody,
+    Material,
+    Scene,
+    SoftBody,
+    TimeStepping,
+)
 
 __all__ = [
     "block_mesh",
     "bumpy_body",
+    "cube",
     "everywhere",
     "free_block",
     "grid_tets",
     "labelled",
     "pose",
     "scene",
+    "soft_block",
 ]
 
 
@@ -59,3 +71,26 @@ def scene(
         mesh, Material(young_pa, poisson, density), bonded, rest_m, element=Element.LINEAR
     )
     return Scene(soft, tuple(bodies), env_count, time or TimeStepping())
+
+
+def soft_block(
+    cells: tuple[int, int, int],
+    size_m: tuple[float, float, float],
+    material: Material | None = None,
+    element: Element = Element.LINEAR,
+    **options: Any,
+) -> SoftBody:
+    """A block of the usual gel whose back is glued; ``options``: of ``SoftBody``."""
+    mesh = block_mesh(cells, size_m)
+    return SoftBody(mesh, material or Material(1e5, 0.4), element=element, **options)
+
+
+def cube(
+    side_m: float, at: np.ndarray | None = None, name: str = "cube", **options: Any
+) -> AffineBody:
+    """A stiff cube; ``at``: its initial pose, the origin when None; ``options``: of
+    ``AffineBody``."""
+    shape = box_mesh((side_m, side_m, side_m))
+    if at is not None:
+        options["initial_pose"] = at
+    return AffineBody(shape, name=name, **options)

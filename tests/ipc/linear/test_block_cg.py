@@ -8,18 +8,17 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import warp as wp
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.ipc.linear.block_cg import BlockCG
-from taccel_lab.ipc.linear.extra_rows import CROWD, ExtraRowLists
 from taccel_lab.ipc.linear.packed_rows import PackedRows
 from taccel_lab.ipc.linear.pipelined_cg import PipelinedCG
 from taccel_lab.ipc.linear.preconditioner import DiagonalInverses
-from taccel_lab.ipc.linear.row_lists import cut_segments, scalars
-from taccel_lab.ipc.linear.row_plan import neighbour_clusters, plan_rows
+from taccel_lab.ipc.linear.row_lists import scalars
+from taccel_lab.ipc.linear.row_plan import plan_rows
 from taccel_lab.ipc.linear.system import LinearSystem, Solver
-from tests.ipc.linear.systems import contact_system, delaunay_pattern, random_spd
+from tests.ipc.linear.systems import contact_system
 
 CPU = wp.get_device("cpu")
 LANES = 32
@@ -69,23 +68,6 @@ def test_the_cluster_of_a_stiff_body_saves_most_iterations() -> None:
 
 
 @pytest.mark.parametrize("make", SOLVERS)
-def test_gel_that_touches_nothing(many_lanes: None, make: Callable[[LinearSystem], Solver]) -> None:
-    rng = np.random.default_rng(1)
-    pattern = delaunay_pattern(rng, 80, 10)
-    values = random_spd(rng, pattern, 100.0)[None]
-    system = LinearSystem(pattern, 1, CPU, method="cg")
-    system._solver = make(system)
-    system.values.assign(values)
-    system.rhs.assign(rng.normal(size=(1, pattern.free_count, 3)))
-    system.tolerances.fill_(1e-10)
-    system.solve(wp.full(1, 1, dtype=wp.int32, device=CPU), 1000)
-    expected = np.linalg.solve(pattern.dense(values)[0], system.rhs.numpy().ravel())
-    found = system.solution.numpy().ravel()
-    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
-    assert system.report().relative_residual[0] <= 1.001e-10
-
-
-@pytest.mark.parametrize("make", SOLVERS)
 def test_neighbours_do_not_matter(many_lanes: None, make: Callable[[LinearSystem], Solver]) -> None:
     system, _ = contact_system(4)
     system.tolerances.fill_(1e-8)
@@ -118,58 +100,6 @@ def test_more_extra_blocks_than_the_list_holds(many_lanes: None) -> None:
     system.extra.counts.fill_(10 * system.extra.capacity)
     system.solve(active, 1000)
     np.testing.assert_allclose(system.solution.numpy(), expected, rtol=1e-6, atol=1e-9)
-
-
-@pytest.mark.parametrize("env", [0, 1])
-@pytest.mark.parametrize("contacts", [40, 700])
-def test_extra_blocks_are_summed_by_place(many_lanes: None, contacts: int, env: int) -> None:
-    system, _ = contact_system(2, contacts)
-    extra = system.extra
-    places, values = extra.of(env, extra.places), extra.of(env, extra.values)
-    assert (np.bincount(places[:, 1]).max() > CROWD) == (contacts == 700)
-    lists = ExtraRowLists(system, lanes=LANES)
-    lists.update(wp.array(np.arange(2) == env, dtype=wp.int32, device=CPU))
-    rows = lists.rows
-    idle = 1 - env
-    assert not rows.totals.numpy()[idle].any() and not rows.row_segments.numpy()[idle].any()
-    entries, segments, room = rows.totals.numpy()[env]
-    summed = extra.of(env, extra.values)
-    unique = np.unique(places, axis=0)
-    assert entries == 2 * len(unique) < len(places)
-    n = system.pattern.free_count
-    found, expected = np.zeros((2, n, n, 3, 3))
-    np.add.at(expected, tuple(places.T), values)
-    expected += expected.transpose(1, 0, 3, 2)
-    (block, segment, slot), (_, _, slot_end) = rows.starts.numpy()[env : env + 2]
-    columns, codes = rows.columns.numpy()[2 * block :], rows.codes.numpy()[2 * block :]
-    all_segments, slices = rows.segments.numpy()[segment:], rows.slices.numpy()[3 * segment // 32 :]
-    covered = 0
-    for row, (first, count) in enumerate(rows.row_segments.numpy()[env]):
-        for s in range(first, first + count):
-            owner, begin, end = all_segments[s]
-            assert owner == row and s < segments
-            covered += end - begin
-            for e in range(begin, end):
-                block = summed[codes[e] // 2]
-                found[row, columns[e]] += block.T if codes[e] % 2 else block
-    assert covered == entries
-    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
-
-    # The same from the slices, one scalar row of a segment a lane.
-    assert 3 * entries <= room <= slot_end - slot
-    sliced = np.zeros((3 * n, n, 3))
-    packed_columns = rows.packed_columns.numpy()[slot:]
-    packed = rows.packed.numpy()[3 * slot :]
-    for task in range(3 * segments):
-        first, length = slices[task // 32]
-        row = 3 * all_segments[task // 3, 0] + task % 3
-        for k in range(length):
-            at = first + 32 * k
-            entry = packed[3 * at + task % 32 + 32 * np.arange(3)]
-            sliced[row, packed_columns[at + task % 32]] += entry
-    np.testing.assert_allclose(
-        sliced.reshape(3 * n, 3 * n), found.transpose(0, 2, 1, 3).reshape(3 * n, 3 * n)
-    )
 
 
 def test_extra_blocks_without_room_in_slices(many_lanes: None) -> None:
@@ -221,21 +151,6 @@ def test_clusters_that_are_too_large_are_refused() -> None:
     plan = plan_rows(system.pattern.free_count, [np.arange(49)])
     with pytest.raises(ValueError, match="at most 144 rows are inverted, got 147"):
         DiagonalInverses(system, plan)
-
-
-@given(st.lists(st.integers(0, 50), min_size=1, max_size=20), st.integers(1, 13))
-def test_segments_cover_rows_evenly(sizes: list[int], length: int) -> None:
-    starts = np.concatenate([[0], np.cumsum(sizes)])
-    segments, row_segments = cut_segments(starts, length)
-    lengths = segments[:, 2] - segments[:, 1]
-    assert lengths.max(initial=0) <= length and lengths.min(initial=1) >= 1
-    for row, size in enumerate(sizes):
-        own = segments[row_segments[row] : row_segments[row + 1]]
-        assert (own[:, 0] == row).all() and (own[:, 2] - own[:, 1]).sum() == size
-        assert len(own) == -(-size // length)
-        if size:
-            assert own[0, 1] == starts[row] and own[-1, 2] == starts[row + 1]
-            assert (own[1:, 1] == own[:-1, 2]).all()
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(2, 40), st.integers(0, 20), st.integers(1, 6))
@@ -294,21 +209,3 @@ def test_slices_hold_both_triangles(many_lanes: None, blocks: int) -> None:
     # Filling up is no large part of it.
     assert packed.size < 1.5 * (dense != 0).sum()
     assert layout.segment_count == row_segments[-1]
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(6, 90))
-@settings(max_examples=20)
-def test_clusters_of_neighbours_are_a_partition(seed: int, size: int, nodes: int) -> None:
-    rng = np.random.default_rng(seed)
-    pattern = delaunay_pattern(rng, nodes, 1)
-    rows = np.flatnonzero(rng.random(pattern.free_count) < 0.8)
-    clusters = neighbour_clusters(pattern, rows, size)
-    assert all(len(cluster) <= size for cluster in clusters)
-    np.testing.assert_array_equal(np.sort(np.concatenate([[], *clusters])), rows)
-    # Halving makes them about equally large.
-    assert len(clusters) <= 2 * -(-len(rows) // size)
-
-
-def test_description_says_what_runs() -> None:
-    system, _ = contact_system(1)
-    assert "CG" in system.describe() and "1 of bodies" in system.describe()

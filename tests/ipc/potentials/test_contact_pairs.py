@@ -17,7 +17,10 @@ from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.collisions import (
     EDGE_EDGE,
     GUARD_FRACTION,
+    POINT_EDGE,
     POINT_PLANE,
+    POINT_POINT,
+    POINT_TRIANGLE,
     Collisions,
 )
 from taccel_lab.ipc.contact_roles import body_ranks, self_ranges
@@ -27,6 +30,7 @@ from taccel_lab.model import Model
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.scene import (
     AffineBody,
+    Ball,
     Element,
     KinematicBody,
     Material,
@@ -34,12 +38,13 @@ from taccel_lab.scene import (
     Scene,
     SoftBody,
     TimeStepping,
+    TriangleMesh,
     box_mesh,
 )
 from taccel_lab.state import initial_state
 from tests.ipc.contact_sums import edge_pair_sum, log_barrier, node_face_sum
-from tests.ipc.dense_system import Dense, dense, differences, empty_system
-from tests.support.blocks import block_mesh, pose
+from tests.ipc.dense_system import Dense, differences, empty_system
+from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose
 
 DHAT, KAPPA, STEP = 2e-4, 1e5, 1e-8
 FREE = TimeStepping(quasi_static=False)
@@ -116,16 +121,44 @@ SCENES: dict[str, Scene] = {
     ),
 }
 
+GEL = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3), jitter=0.2, seed=4)
+SPIKE = TriangleMesh(
+    np.array([[0, 0, 0], [2e-4, 0, 1e-3], [-1e-4, 2e-4, 1e-3], [-1e-4, -2e-4, 1e-3]]),
+    np.array([[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]]),
+)
+# A shallow roof over the gel, concave from below: the gel sees four faces at once.
+ROOF = TriangleMesh(
+    np.array(
+        [
+            [0, 0, 1.4e-4],
+            *([7e-4 * x, 7e-4 * y, 0] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))),
+        ]
+    ),
+    np.array([[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4]]),
+)
+# The node in the middle of the contact face: its nearest feature of the spike is the tip.
+MIDDLE = GEL.nodes_m[GEL.region_nodes(Region.CONTACT)][4]
+TOOLS: dict[str, tuple[TriangleMesh | Ball, np.ndarray]] = {
+    "concave": (bumpy_body(1, 0.8e-3), pose(1e-4, -2e-4, 0, (1, 2, 3), 40)),
+    "dented": (bumpy_body(6, 1e-3, 0.6), pose(-2e-4, 1e-4, 0, (3, 1, -1), 75)),
+    "corner": (box_mesh((1e-3, 1e-3, 1e-3)), pose(1e-4, 5e-5, 0, (1, 1.1, 0.1), 50)),
+    "parallel edges": (box_mesh((1e-3, 0.8e-3, 1e-3)), pose(1e-4, 6.2e-4, 0, (1, 0.3, 0.5), 0.7)),
+    "spike": (SPIKE, pose(MIDDLE[0] + 3e-5, MIDDLE[1] - 2e-5, 0)),
+    "roof": (ROOF, pose(MIDDLE[0] - 4e-6, MIDDLE[1] + 5e-6, 0, (1, 0.2, 0), 1)),
+    "ball": (Ball(1.5e-3), pose(2e-4, -1e-4, 0)),
+}
+"""On a gel with a glued back; each is set down with a gap of a twentieth of dhat."""
+
 
 class Contact:
     """The potential with its collisions found anew at each position."""
 
-    def __init__(self, model: Model, x: np.ndarray) -> None:
+    def __init__(self, model: Model, x: np.ndarray, poses: np.ndarray | None = None) -> None:
         self.model = model
         self.collisions = Collisions(model, KAPPA, DHAT)
         self.potential = ContactPotential(model, self.collisions)
         self.candidates = Candidates(model)
-        self.poses = initial_state(model).poses
+        self.poses = initial_state(model, poses).poses
         self.gaps = wp.zeros(model.env_count, dtype=wp.float64)
 
     def _collide(self, active: wp.array, x: wp.array) -> None:
@@ -163,6 +196,8 @@ class Contact:
 @lru_cache
 def made(name: str) -> tuple[Dense, np.ndarray]:
     """The scene in 48 environments, and positions with some noise, all in reach of contact."""
+    if name in TOOLS:
+        return set_down(*TOOLS[name])
     model = replace(SCENES[name], env_count=48).finalize()
     x = initial_state(model).positions.numpy()[0]
     if name == "itself":
@@ -174,7 +209,24 @@ def made(name: str) -> tuple[Dense, np.ndarray]:
     return Dense(model, Contact(model, x), x), x
 
 
-@pytest.mark.parametrize("name", SCENES)
+def set_down(shape: TriangleMesh | Ball, placed: np.ndarray) -> tuple[Dense, np.ndarray]:
+    """The same of a tool on a gel."""
+    gel = SoftBody(GEL, SOFT, element=Element.LINEAR)
+    model = Scene(gel, KinematicBody(shape), env_count=48).finalize()
+    lowest = -1.5e-3
+    if isinstance(shape, TriangleMesh):
+        turned = initial_state(model, everywhere(48, placed)).positions.numpy()
+        lowest = turned[0, GEL.node_count :, 2].min()
+    poses = everywhere(48, placed + [0, 0, 0.05 * DHAT - lowest, 0, 0, 0, 0])
+    x = initial_state(model, poses).positions.numpy()[0]
+    x[: GEL.node_count] += np.random.default_rng(0).uniform(-2e-5, 1e-5, (GEL.node_count, 3))
+    return Dense(model, Contact(model, x, poses), x), x
+
+
+ALL = [*SCENES, *TOOLS]
+
+
+@pytest.mark.parametrize("name", ALL)
 def test_gradient_and_matrix_are_derivatives(name: str) -> None:
     problem, x = made(name)
     free = x[problem.free]
@@ -189,9 +241,11 @@ def test_gradient_and_matrix_are_derivatives(name: str) -> None:
     projected = problem.hessian(free, 1)
     values = np.linalg.eigvalsh(projected)
     assert values[0] > -1e-12 * values[-1]
+    if name in TOOLS:
+        assert np.linalg.eigvalsh(matrix)[0] < -1e-6 * scale, "nothing to project"
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", ALL)
 def test_action_is_reaction(name: str) -> None:
     problem, x = made(name)
     gradient = problem.potential.nodal_gradient(
@@ -252,6 +306,17 @@ def test_each_case_touches_as_it_should() -> None:
         assert EDGE_EDGE in found["kinds"] and (found["kinds"] != EDGE_EDGE).any(), name
     for name in ("plane", "affine on plane"):
         assert set(collisions(name)["kinds"]) == {POINT_PLANE}
+    seen: set[tuple[int, bool]] = set()
+    lowest = 0.0
+    for name in TOOLS:
+        found, x = collisions(name), made(name)[1]
+        a, b, c, d = (x[found["stencils"][:, k]] for k in range(4))
+        mollified = (np.cross(b - a, d - c) ** 2).sum(axis=1) < found["thresholds"]
+        seen |= set(zip(found["kinds"].tolist(), mollified.tolist(), strict=True))
+        lowest = min(lowest, found["stiffnesses"].min())
+    points = {(kind, False) for kind in (POINT_TRIANGLE, POINT_EDGE, POINT_POINT)}
+    assert seen == points | {(EDGE_EDGE, False), (EDGE_EDGE, True)}
+    assert lowest < 0, "no subtracted duplicate of a concave surface among the cases"
 
 
 def test_the_soft_and_then_the_finer_surface_measures() -> None:
@@ -311,28 +376,23 @@ def test_neighbours_at_rest_exert_nothing() -> None:
     assert 0 < ranges[np.unique(mesh.faces)].min() < 0.25 * 5e-5
 
 
-def test_prescribed_motion_reaches_the_right_hand_side() -> None:
-    """A kinematic plate that moves pulls on the gel through the matrix of the pair."""
-    gel = block((2, 2, 1), 1, pose(0, 0, 0))
-    model = Scene(gel, KinematicBody(CUBE), time=FREE).finalize()
-    x = initial_state(model).positions.numpy()[0]
-    body = model.bodies[1].node_slice
-    x[body, 2] += 0.3e-3 + 0.4 * DHAT
-    contact = Contact(model, x)
-    # Poses stay at the origin: candidates are searched with a wide margin instead.
+@pytest.mark.parametrize("name", TOOLS)
+def test_prescribed_motion_reaches_the_right_hand_side(name: str) -> None:
+    """The force that a motion of the tool's nodes adds, to first order."""
+    problem, x = made(name)
+    model, contact, free = problem.model, problem.potential, problem.free
+    motion = np.zeros((1, model.node_count, 3))
+    motion[0, GEL.node_count :] = np.random.default_rng(1).normal(size=(len(x) - GEL.node_count, 3))
     system = empty_system(model)
-    moved = np.zeros((1, model.node_count, 3))
-    moved[0, body, 2] = 1.0
-    system.displacements.assign(moved)
-    positions = wp.array(x[None], dtype=wp.vec3d)
-    active = wp.full(1, 1, dtype=wp.int32)
-    contact.candidates.update(
-        active, positions, wp.zeros_like(positions), contact.poses, contact.poses, 1e-3
-    )
-    contact.collisions.update(active, positions, contact.candidates)
-    contact.potential.add_hessian(active, positions, system, wp.zeros(1, dtype=wp.int32))
-    matrix, rhs = dense(model, system)[0], system.rhs.numpy()[0]
-    assert rhs[:, 2].max() > 1
-    # A flat contact: the plate's motion is worth that of all gel nodes together.
-    lift = np.tile([0.0, 0.0, 1.0], model.free_count)
-    np.testing.assert_allclose(rhs.ravel(), matrix @ lift, atol=1e-9 * np.abs(rhs).max())
+    system.displacements.assign(np.repeat(motion, model.env_count, axis=0))
+    modes = wp.zeros(model.env_count, dtype=wp.int32)
+    contact.add_hessian(problem.active, problem.positions(x[free][None]), system, modes)
+    sides = []
+    for side in (-1, 1):
+        moved = np.repeat(x[None] + side * STEP * motion, model.env_count, axis=0)
+        positions = wp.array(moved, dtype=wp.vec3d)
+        sides.append(contact.nodal_gradient(problem.active, positions)[0, free])
+    expected = -(sides[1] - sides[0]) / (2 * STEP)
+    assert np.abs(expected).max() > 1
+    found = system.rhs.numpy()[0]
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())

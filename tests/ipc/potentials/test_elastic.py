@@ -18,13 +18,19 @@ from taccel_lab.scene import (
     SoftBody,
     TimeStepping,
 )
+from tests.ipc.derivatives import assert_derivatives
 from tests.support.blocks import block_mesh
-from tests.verification.assembly import central_difference, coordinate_probe
 from tests.verification.elements import ElementForces
 
 STEP = 1e-8
 SIZE = (2e-3, 2e-3, 1e-3)
 MESH = block_mesh((1, 1, 1), SIZE)
+TET = TetMesh(
+    np.array([[0, 0, 0], [1e-3, 0, 0], [2e-4, 1e-3, 0], [3e-4, 2e-4, 1e-3]]),
+    np.array([[0, 1, 2, 3]]),
+    np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]),
+    np.zeros(4),
+)
 KINDS = list(Element)
 LAWS = list(MaterialModel)
 
@@ -72,34 +78,15 @@ def test_gradient_and_hessian_are_the_derivatives(
         gel(MESH, element, law, poisson, np.repeat(rest[None], count, axis=0)), env_count=count
     )
     x = deformed(rest_of(made), 2, 2e-5)
-    same = np.repeat(x[None], count, axis=0)
-    probes = coordinate_probe(x, np.arange(len(x)), STEP)
-
-    gradient = made.gradient(same)[0]
-    slope = central_difference(made.energy(probes), STEP).reshape(-1, 3)
-    assert np.abs(gradient).max() > 1e-3
-    np.testing.assert_allclose(gradient, slope, atol=1e-6 * np.abs(gradient).max())
-
-    free = made.free
-    hessian = made.hessian(same, PSD_NONE)[0]
-    change = central_difference(made.gradient(probes), STEP)
-    change = change.reshape(len(x), 3, len(x), 3)[free][:, :, free].reshape(hessian.shape)
-    scale = np.abs(hessian).max()
-    assert scale > 1
-    np.testing.assert_allclose(hessian, change, atol=1e-6 * scale)
-    np.testing.assert_allclose(hessian, hessian.T, atol=1e-12 * scale)
+    hessian = made.hessian(np.repeat(x[None], count, axis=0), PSD_NONE)[0]
+    assert_derivatives(x, made.free, STEP, made.energy, made.gradient, hessian, (1e-3, 1))
+    np.testing.assert_allclose(hessian, hessian.T, atol=1e-12 * np.abs(hessian).max())
 
 
 @pytest.mark.parametrize("element", KINDS)
 def test_one_element_has_no_spurious_modes(element: Element) -> None:
     """Six rigid motions cost nothing, all other motions do."""
-    tet = TetMesh(
-        np.array([[0, 0, 0], [1e-3, 0, 0], [2e-4, 1e-3, 0], [3e-4, 2e-4, 1e-3]]),
-        np.array([[0, 1, 2, 3]]),
-        np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]),
-        np.zeros(4),
-    )
-    body = gel(tet, element, poisson=0.3, bonded=np.zeros(0, dtype=int))
+    body = gel(TET, element, poisson=0.3, bonded=np.zeros(0, dtype=int))
     made = ElementForces(Scene(body, time=TimeStepping(quasi_static=False)).finalize())
     values = np.linalg.eigvalsh(made.hessian(rest_of(made)[None], PSD_NONE)[0])
     assert np.abs(values[:6]).max() < 1e-12 * values[-1]
@@ -240,13 +227,7 @@ def test_motion_of_the_mount_pulls_on_the_free_nodes(element: Element) -> None:
 
 def squeezed_corner(law: MaterialModel, ratio: float, count: int = 1) -> tuple:
     """One tet whose middle nodes are moved so that J at corner 0 is ``ratio``, and its forces."""
-    tet = TetMesh(
-        np.array([[0, 0, 0], [1e-3, 0, 0], [2e-4, 1e-3, 0], [3e-4, 2e-4, 1e-3]]),
-        np.array([[0, 1, 2, 3]]),
-        np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]),
-        np.zeros(4),
-    )
-    body = gel(tet, Element.QUADRATIC, law, bonded=np.zeros(0, dtype=int))
+    body = gel(TET, Element.QUADRATIC, law, bonded=np.zeros(0, dtype=int))
     made = ElementForces(Scene(body, (), count, TimeStepping(quasi_static=False)).finalize())
     x = rest_of(made).copy()
     middle = body.nodal_mesh.tets[0, 7]
@@ -270,12 +251,8 @@ def test_guard_of_the_corners_and_its_derivatives() -> None:
 
     made, x = squeezed_corner(law, 0.08, 60)
     same = np.repeat(x[None], 60, axis=0)
-    probes = coordinate_probe(x, np.arange(10), STEP)
-    gradient = made.gradient(same)[0]
-    slope = central_difference(made.energy(probes), STEP).reshape(-1, 3)
-    np.testing.assert_allclose(gradient, slope, atol=2e-6 * np.abs(gradient).max())
     hessian = made.hessian(same, PSD_NONE)[0]
-    change = central_difference(made.gradient(probes), STEP).reshape(30, 30)
-    np.testing.assert_allclose(hessian, change, atol=2e-6 * np.abs(hessian).max())
+    off = (2e-6, 2e-6)
+    assert_derivatives(x, made.free, STEP, made.energy, made.gradient, hessian, within=off)
     lifted = made.hessian(same, PSD_CLAMP)[0]
     assert np.linalg.eigvalsh(lifted)[0] > -1e-12 * np.abs(lifted).max()

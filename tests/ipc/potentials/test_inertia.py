@@ -15,8 +15,9 @@ from taccel_lab.model import Model
 from taccel_lab.scene import TimeStepping
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.state import StepHistory
+from tests.ipc.derivatives import assert_derivatives
 from tests.support.blocks import scene
-from tests.verification.assembly import Assembly, central_difference, coordinate_probe
+from tests.verification.assembly import Assembly
 
 DT, GRAVITY = 0.01, (0.0, 1.0, -9.81)
 SIZE = (2e-3, 3e-3, 1e-3)
@@ -85,19 +86,18 @@ def test_inertia_matches_its_formula_and_differences(order: int) -> None:
     at_x = assembly.nodal(np.tile(x, past.many))
     assert inertia.energy(assembly.active, at_x)[0] == pytest.approx(expected, rel=1e-12)
 
-    step = 1e-7
-    probes = coordinate_probe(x, np.arange(n), step)
-    slope = central_difference(inertia.energy(assembly.active, assembly.nodal(probes)), step)
-    out = assembly.nodal()
-    inertia.add_gradient(assembly.active, at_x, out)
-    gradient = out.numpy()[0]
-    assert np.abs(gradient).max() > 1e-6
-    np.testing.assert_allclose(gradient, slope.reshape(-1, 3), atol=1e-7 * np.abs(gradient).max())
+    def energy(batch: np.ndarray) -> np.ndarray:
+        return inertia.energy(assembly.active, assembly.nodal(batch))
+
+    def gradient(batch: np.ndarray) -> np.ndarray:
+        inertia.add_gradient(assembly.active, assembly.nodal(batch), out := assembly.nodal())
+        return out.numpy()
 
     system = assembly.system()
     inertia.add_hessian(assembly.active, at_x, system)
     matrix = assembly.dense(system.values)[0]
     np.testing.assert_allclose(matrix, np.diag(np.repeat(masses[free] / span**2, 3)), rtol=1e-13)
+    assert_derivatives(x, free, 1e-7, energy, gradient, matrix, (1e-6, 0), (1e-7, 1e-7))
 
 
 def test_steps_differ_by_environment() -> None:
