@@ -195,7 +195,8 @@ def layer_press(element: Element, layers: int, poisson_ratio: float) -> tuple[in
     return env.model.soft_count, forces
 
 
-@pytest.mark.parametrize("poisson", [pytest.param(0.45, marks=pytest.mark.slow), 0.499])
+@pytest.mark.slow
+@pytest.mark.parametrize("poisson", [0.45, 0.499])
 def test_force_of_a_bonded_layer(poisson: float) -> None:
     """Force over depth of a ball on a bonded layer: within 3 % on the coarsest quadratic mesh."""
     (count, coarse), (_, fine) = (layer_press(Element.QUADRATIC, n, poisson) for n in (2, 3))
