@@ -14,12 +14,12 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.outputs import Outputs
-from taccel_lab.profile import BackgroundBlock, ColorBlock, LayerMaterial, MaterialBlock, Provenance
+from taccel_lab.profile import LayerMaterial, MaterialBlock, Provenance
 from taccel_lab.scene import Ball, Element, Material, MaterialField, SoftBody
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.signals.markers import MarkerLayout
-from tests.signals.tactile_cases import color_model
+from tests.support.dotted_profiles import LIGHT, with_painted_dots
 
 RADIUS_M, DEPTH_M = 4e-3, 3e-4
 
@@ -87,19 +87,11 @@ def test_images_show_the_profiles_dots_where_they_are(pressed) -> None:
     """Of a colour model that changes nothing: what moves in the image are the dots."""
     profile, _, solver, state = pressed
     grid, block = profile.grid(), profile.markers
-    v, u = np.mgrid[: grid.height_px, : grid.width_px]
-    background = np.full((grid.height_px, grid.width_px, 3), 140, np.uint8)
     points = block.grid().points_mm()
-    for place in grid.pixel_from_gel(points[grid.contains(points)]):
-        dark = np.hypot(u - place[0], v - place[1]) <= block.radius_mm / grid.mm_per_px_x
-        background[dark] = 40
-    model = color_model(grid)
-    model.weights.update({name: 0.0 * value for name, value in model.weights.items()})
-    said = Provenance(kind="assumed", method="made up for a test", source="none")
-    profile = profile.with_block(BackgroundBlock(provenance=said), background)
-    profile = profile.with_block(
-        ColorBlock(architecture=model.config.to_dict(), provenance=said), model.weights
-    )
+    places = grid.pixel_from_gel(points[grid.contains(points)])
+    profile = with_painted_dots(profile, places, block.radius_mm / grid.mm_per_px_x)
+    background = profile.background_rgb
+    v, u = np.mgrid[: grid.height_px, : grid.width_px]
     sensor = SignalTactile.from_profile(profile, solver=solver)
     sensor.update(state)
     rgb, levels, markers = (
@@ -114,7 +106,7 @@ def test_images_show_the_profiles_dots_where_they_are(pressed) -> None:
     for env in (0, 1):
         at = np.rint(markers[env, farthest]).astype(int)
         part = np.s_[at[1] - reach : at[1] + reach + 1, at[0] - reach : at[0] + reach + 1]
-        dark = (140.0 - levels[env][part])[..., 0]
+        dark = (LIGHT - levels[env][part])[..., 0]
         middle = np.array([(dark * u[part]).sum(), (dark * v[part]).sum()]) / dark.sum()
         assert middle == pytest.approx(markers[env, farthest], abs=0.15)
     assert moved[farthest] > 0.5

@@ -16,14 +16,14 @@ from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, quadratic_mesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.profile import BackgroundBlock, ColorBlock, MarkersBlock, SensorProfile
+from taccel_lab.profile import MarkersBlock, SensorProfile
 from taccel_lab.reading.images import read_image
 from taccel_lab.scene import Element, Material, Scene, SoftBody
 from taccel_lab.signals import MarkerLayout, SignalTactile
-from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 from taccel_lab.signals.dots import DotPainter, PaintedDots
 from taccel_lab.solvers import SolverIPC
 from tests.signals.pressed_surface import extrude, flat_pad
+from tests.support.dotted_profiles import with_painted_dots
 from tests.support.real_data import real_data
 from tests.support.sample_blocks import ASSUMED, bare_profile
 
@@ -40,22 +40,13 @@ def markers_px(mesh, positions: np.ndarray, points_mm: np.ndarray = POINTS_MM) -
 
 
 def dotted_profile() -> SensorProfile:
-    """``MESH`` with 5 x 4 dark dots and colours that no press changes."""
+    """``MESH`` with 5 x 4 dark dots."""
     markers = MarkersBlock(
         rows=4, columns=5, pitch_x_mm=0.8, pitch_y_mm=0.7, radius_mm=0.15, provenance=ASSUMED
     )
-    v, u = np.mgrid[: GRID.height_px, : GRID.width_px]
-    image = np.full((*u.shape, 3), 150.0, np.float32)
-    for place in GRID.pixel_from_gel(markers.grid().points_mm()):
-        image[np.hypot(u - place[0], v - place[1]) <= 3.0] = 30.0
-    config = ColorModelConfig(GRID.width_px, GRID.height_px, hidden=(8, 8))
-    still = {name: np.zeros(shape, np.float32) for name, shape in expected_shapes(config).items()}
     profile = bare_profile(MESH, GRID, "dotted")
-    profile = profile.with_block(BackgroundBlock(provenance=ASSUMED), image)
-    profile = profile.with_block(
-        ColorBlock(architecture=config.to_dict(), provenance=ASSUMED), still
-    )
-    return profile.with_block(markers)
+    places = GRID.pixel_from_gel(markers.grid().points_mm())
+    return with_painted_dots(profile, places, 3.0).with_block(markers)
 
 
 @settings(max_examples=20)
