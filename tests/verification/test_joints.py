@@ -332,3 +332,44 @@ def test_a_heavy_chain_of_steel_converges() -> None:
         report = run.step()
         assert report.newton_iterations[0] <= 12
         assert report.residual_n[0] < 1e-6 * float(run.masses[:, 0].sum()) * G
+
+
+def test_a_servo_turns_many_times() -> None:
+    target = 3 * 2 * np.pi + 1
+    drive = PositionDrive(stiffness=1.0, damping=0.1, target=target)
+    joint = RevoluteJoint("rod", None, (0, 0, 0), (0, 1, 0), drive=drive)
+    run = Run(affine_scene([box("rod", ROD, (0.05, 0, 0))], [joint], gravity=NONE, dt=0.02))
+    for _ in range(80):
+        run.step()
+    assert coordinate(run) == pytest.approx(target, abs=1e-3)
+
+
+def test_a_gripper_lifts_a_cube() -> None:
+    """Two sliding fingers on a hand that moves; the cube hangs on friction between them."""
+    edge, wall, gap, squeeze = 0.03, 0.01, 1e-4, 3.0
+    out = edge / 2 + wall / 2 + gap
+    bodies = [box("cube", (edge,) * 3, friction_coefficient=0.8)]
+    joints = []
+    for side, name in ((1, "left"), (-1, "right")):
+        center = (0, side * out, 0)
+        bodies.append(box(name, (0.02, wall, 0.02), center, friction_coefficient=0.8))
+        drive = PositionDrive(stiffness=squeeze / 0.01, damping=1.0, target=0.01)
+        joints.append(PrismaticJoint(name, "hand", center, (0, -side, 0), name=name, drive=drive))
+    hand = np.array([[[0, 0, 0, 0, 0, 0, 1.0]]])
+    run = Run(
+        affine_scene(bodies, joints, kinematic=[KinematicBody(None, name="hand")]), poses=hand
+    )
+    for i in range(30):
+        lift = 2e-3 * max(i - 10, 0)
+        hand[0, 0, :3] = 0, 0, lift
+        run.step(hand)
+        assert run.overlaps() == []
+    # It follows the hand, but for what it fell before the fingers had closed.
+    fallen = lift - run.y[0, 0, 2]
+    assert 0 < fallen < 2e-3
+    assert run.solver.joints is not None
+    efforts = run.solver.joints.efforts.numpy()[0]
+    np.testing.assert_allclose(efforts, squeeze * (1 - gap / 0.01), rtol=1e-2)
+    forces = run.solver.joints.forces.numpy()[0]
+    carried = 1000 * (edge**3 + 2 * 0.02**2 * wall) * G
+    assert forces[:, 2].sum() == pytest.approx(carried, rel=2e-2)

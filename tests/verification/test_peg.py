@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.benchmarks.scenes.peg import peg_config
+from taccel_lab.interop.published_meshes import mesh_folder
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.outputs import Outputs
 from taccel_lab.solvers import SolverIPC
@@ -20,6 +21,7 @@ from taccel_lab.tasks.peg_scene import (
     PegPath,
     generated_parts,
     peg_scene,
+    published_parts,
     targets,
 )
 
@@ -31,6 +33,14 @@ CENTRED = PegPath(
     first=1,
 )
 """A quick insertion that meets nothing: gripped in the first step, then straight down."""
+
+
+def parts_of(source: str) -> PegParts:
+    if source == "generated":
+        return generated_parts()
+    if not (mesh_folder() / "peg").is_dir():
+        pytest.skip(f"the published meshes are not at {mesh_folder()}")
+    return published_parts(mesh_folder())
 
 
 class Insertion:
@@ -45,7 +55,7 @@ class Insertion:
         self.state = initial_state(self.model, targets(self.scene, 0, path))
         self.outputs = Outputs(self.solver)
         self.peg = self.model.body_id("peg")
-        self.taken = 0
+        self.taken = self.newton = 0
 
     def run(self, steps: int) -> None:
         center = self.model.affine.first_control
@@ -56,6 +66,7 @@ class Insertion:
             report = self.solver.step(self.state, poses)
             assert report.converged.all(), report.summary()
             assert find_intersections(self.model, self.state) == [[]]
+            self.newton += report.newton_iterations[0]
             self.outputs.update(self.state)
             total = self.force("contact") + self.force("friction")
             gained = (self.state.velocities.numpy()[0, center] - before) / DT_S
@@ -98,3 +109,23 @@ def test_friction_carries_the_peg_into_the_hole(hole_is_affine: bool) -> None:
     if hole_is_affine:
         place = run.state.positions.numpy()[0, run.model.bodies[run.model.body_id("hole")].nodes[0]]
         np.testing.assert_allclose(place, run.scene.affine_bodies[1].shape.vertices_m[0], atol=1e-8)
+
+
+@pytest.mark.parametrize("source", ["generated", "published"])
+def test_the_first_steps_of_the_published_insertion(source: str) -> None:
+    run = Insertion(parts_of(source), PUBLISHED)
+    run.run(12)
+    # It has fallen onto the rim, on one side; the gels press it down and drag it along.
+    assert run.lowest < RIM_M - 1e-3
+    assert run.force("contact", "hole")[2] > 2 * PEG_MASS_KG * -GRAVITY[2]
+    assert run.force("contact", "left")[0] > 3
+    assert run.newton < 400
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", ["generated", "published"])
+def test_the_whole_published_insertion(source: str) -> None:
+    run = Insertion(parts_of(source), PUBLISHED)
+    run.run(200)
+    assert run.lowest < RIM_M - 8e-3
+    assert run.newton < 5000
