@@ -22,13 +22,8 @@ from taccel_lab.benchmarks.peers import parse_results, read_field
 from taccel_lab.benchmarks.report.pages import PAGES, read_results, render
 from taccel_lab.benchmarks.report.sections import HEADLINE, SECTIONS, ratios
 from taccel_lab.benchmarks.results import REQUIRED, Deadline, ResultFile, read_result
-from taccel_lab.benchmarks.speed import Speed, parse_settings
+from taccel_lab.benchmarks.speed import Speed
 from taccel_lab.errors import InputError, SimulationError
-
-
-def tyro_help(options: type, field: str) -> str | None:
-    """The text below a field, as the command line finds it."""
-    return get_field_docstring(options, field, ())
 
 
 @pytest.fixture(scope="module")
@@ -108,14 +103,6 @@ def test_a_result_that_cannot_be_written_is_refused_before_anything_is_measured(
     assert "is a file" in capsys.readouterr().err
 
 
-def test_settings_are_read() -> None:
-    assert parse_settings(("dhat_m=1e-5", "max_newton_iterations=7", "precision=mixed")) == {
-        "dhat_m": 1e-5,
-        "max_newton_iterations": 7,
-        "precision": "mixed",
-    }
-
-
 def test_both_command_lines_are_one() -> None:
     from taccel_lab.cli.app import parse as parse_all
 
@@ -135,7 +122,7 @@ def test_results_of_the_repository_are_written_on_request_only() -> None:
 def test_every_option_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     options = options_of(command)
     for item in dataclasses.fields(options):
-        assert tyro_help(options, item.name), item.name
+        assert get_field_docstring(options, item.name, ()), item.name
     with pytest.raises(SystemExit) as done:
         main([command, "--help"])
     assert done.value.code == 0

@@ -10,15 +10,14 @@ import pytest
 
 from taccel_lab.camera.gel_camera import GelCamera
 from taccel_lab.datasets.reading import Dataset
-from taccel_lab.profile import BackgroundBlock, CameraBlock, ColorBlock, MarkersBlock, save_profile
+from taccel_lab.profile import CameraBlock, MarkersBlock, save_profile
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 from taccel_lab.viewer.dataset_touches import read_touch
 from tests.signals.find_dots import distances_px, find_dots
+from tests.support.dotted_profiles import LIGHT, with_painted_dots
 from tests.support.small_data_sets import ASSUMED, make, small_profile
 
 WIDTH, HEIGHT, RADIUS_PX = 96, 72, 3.0
-LIGHT, DARK = 150, 30
 
 
 def dotted_profile(folder: Path) -> Path:
@@ -30,20 +29,11 @@ def dotted_profile(folder: Path) -> Path:
         rows=3, columns=4, pitch_x_mm=pitch_mm, pitch_y_mm=pitch_mm,
         radius_mm=RADIUS_PX * view.mm_per_px_x, provenance=ASSUMED,
     )  # fmt: skip
-    image = np.full((HEIGHT, WIDTH, 3), LIGHT, np.float32)
-    v, u = np.mgrid[:HEIGHT, :WIDTH]
-    for place in view.pixel_from_gel(markers.grid().points_mm()):
-        image[np.hypot(u - place[0], v - place[1]) <= RADIUS_PX] = DARK
-    config = ColorModelConfig(WIDTH, HEIGHT, hidden=(8, 8))
-    still = {name: np.zeros(shape, np.float32) for name, shape in expected_shapes(config).items()}
     for name in ("perturbation", "color", "background"):
         profile = profile.without(name)
     profile = profile.with_block(CameraBlock.from_grid(view, ASSUMED))
-    profile = profile.with_block(BackgroundBlock(provenance=ASSUMED), image)
-    profile = profile.with_block(
-        ColorBlock(architecture=config.to_dict(), provenance=ASSUMED), still
-    )
-    save_profile(profile.with_block(markers), folder)
+    places = view.pixel_from_gel(markers.grid().points_mm())
+    save_profile(with_painted_dots(profile, places, RADIUS_PX).with_block(markers), folder)
     return folder
 
 
@@ -71,7 +61,9 @@ def test_dots_go_with_the_markers(tmp_path: Path) -> None:
             assert np.hypot(*(np.array(middle) - [u_px, v_px])) < 0.25
 
 
-@pytest.mark.parametrize("sensor", ["gelsight_mini", "gelsight_40"])
+@pytest.mark.parametrize(
+    "sensor", ["gelsight_mini", pytest.param("gelsight_40", marks=pytest.mark.slow)]
+)
 def test_all_channels_of_a_predicted_picture_are_of_its_camera(sensor: str, tmp_path: Path) -> None:
     designed = catalogue_profile(sensor)
     assert designed.markers is not None

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -119,26 +118,22 @@ def test_nothing_is_written_into_the_data_set_itself(made: Path) -> None:
     ],
 )
 def test_what_links_name_is_not_published(
-    made: Path, tmp_path: Path, place: str, kinds: Sequence[str]
+    tmp_path: Path, place: str, kinds: Sequence[str], copied: Path
 ) -> None:
-    data = tmp_path / "data"
-    shutil.copytree(made, data)
     for kind in kinds:
-        lure(data / place, kind, tmp_path / "outside")
+        lure(copied / place, kind, tmp_path / "outside")
         for write in (make_lite, export_lerobot, export_univtac, show):
             with pytest.raises(InputError, match=REFUSED):
-                write([data], tmp_path / "out")
+                write([copied], tmp_path / "out")
             assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("kind", LURES)
 @pytest.mark.parametrize("place", ["profiles/0/x", "objects/x", "spec.toml"])
 def test_a_small_data_set_has_no_files_from_elsewhere(
-    made: Path, tmp_path: Path, place: str, kind: str
+    tmp_path: Path, place: str, kind: str, copied: Path
 ) -> None:
-    data = tmp_path / "data"
-    shutil.copytree(made, data)
-    lure(data / place, kind, tmp_path / "outside")
+    lure(copied / place, kind, tmp_path / "outside")
     with pytest.raises(InputError, match=REFUSED):
-        make_lite([data], tmp_path / "out")
+        make_lite([copied], tmp_path / "out")
     assert not (tmp_path / "out").exists()

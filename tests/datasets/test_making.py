@@ -6,7 +6,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -122,11 +121,10 @@ def test_timing_writes_nothing(profile: Path, tmp_path: Path, monkeypatch: Any) 
 
 @pytest.mark.parametrize("sizes", ["kept", "of an earlier version"])
 def test_damaged_parts_are_made_again_and_told(
-    sizes: str, profile: Path, made: Path, tmp_path: Path
+    sizes: str, profile: Path, made: Path, copied: Path
 ) -> None:
     """By a look at their files: missing, cut short; a part beside them is not touched."""
-    shutil.copytree(made, tmp_path / "data")
-    gone, cut, *sound = DatasetFolder(tmp_path / "data").part_folders()
+    gone, cut, *sound = DatasetFolder(copied).part_folders()
     chunks = [
         next(path for path in (part / "data.zarr" / "rgb" / "c").rglob("*") if path.is_file())
         for part in (gone, cut)
@@ -139,42 +137,40 @@ def test_damaged_parts_are_made_again_and_told(
             (part / OUTPUT_MARKER).write_text(json.dumps({"files": marker["files"]}))
     stamps = [(part / "steps.parquet").stat().st_mtime_ns for part in sound]
     said: list[str] = []
-    outcome = make(profile, tmp_path / "data", say=said.append)
+    outcome = make(profile, copied, say=said.append)
     assert outcome.complete and [done.part for done in outcome.done] == [0, 1]
-    assert parts_of(tmp_path / "data") == parts_of(made)
+    assert parts_of(copied) == parts_of(made)
     assert [(part / "steps.parquet").stat().st_mtime_ns for part in sound] == stamps
     missing = chunks[0].relative_to(gone).as_posix()
     assert said[0] == f"part 000000 is damaged and made again: {missing} is missing"
     assert "000001" in said[1] and ("has 10 bytes of" if sizes == "kept" else "is empty") in said[1]
-    assert make(profile, tmp_path / "data", say=said.append).done == [] and len(said) == 2
+    assert make(profile, copied, say=said.append).done == [] and len(said) == 2
 
 
 def test_a_damaged_part_with_files_of_somebody_else_is_left_alone(
-    profile: Path, made: Path, tmp_path: Path
+    profile: Path, made: Path, copied: Path
 ) -> None:
-    shutil.copytree(made, tmp_path / "data")
-    part = DatasetFolder(tmp_path / "data").part_folders()[0]
+    part = DatasetFolder(copied).part_folders()[0]
     (part / "episodes.parquet").unlink()
     (part / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match=r"holds notes\.txt, which .*; delete the part, and"):
-        make(profile, tmp_path / "data")
+        make(profile, copied)
     (part / "notes.txt").unlink()
     marker = (part / OUTPUT_MARKER).read_bytes()
     (part / OUTPUT_MARKER).write_bytes(marker[:50])
     with pytest.raises(InputError, match=r"no list of its files, .*; delete the part, and"):
-        make(profile, tmp_path / "data")
+        make(profile, copied)
     (part / OUTPUT_MARKER).write_bytes(marker)
-    assert make(profile, tmp_path / "data").complete
-    assert parts_of(tmp_path / "data") == parts_of(made)
+    assert make(profile, copied).complete
+    assert parts_of(copied) == parts_of(made)
 
 
 @pytest.mark.parametrize("name", ["{0}/thesis.tex", "../../../thesis.tex", "C:\\x", "a\0b", "up/x"])
 def test_the_list_of_a_part_names_nothing_outside(
-    profile: Path, made: Path, tmp_path: Path, name: str
+    profile: Path, tmp_path: Path, name: str, copied: Path
 ) -> None:
     """A data set of somebody else, one part of which misses a file."""
-    shutil.copytree(made, tmp_path / "data")
-    part = DatasetFolder(tmp_path / "data").part_folders()[0]
+    part = DatasetFolder(copied).part_folders()[0]
     (tmp_path / "thesis.tex").write_text(SECRET)
     marker = json.loads((part / OUTPUT_MARKER).read_text())
     marker["files"] |= {name.format(tmp_path): "0" * 64, "up": "link"}
@@ -183,10 +179,10 @@ def test_the_list_of_a_part_names_nothing_outside(
     (part / "steps.parquet").unlink()
     if name != "up/x":
         with pytest.raises(InputError, match=r"no list of its files, .*; delete the part, and"):
-            make(profile, tmp_path / "data")
+            make(profile, copied)
     else:
         (tmp_path / "x").write_text(SECRET)
-        assert make(profile, tmp_path / "data").complete
+        assert make(profile, copied).complete
         assert (tmp_path / "x").read_text() == SECRET
     assert (tmp_path / "thesis.tex").read_text() == SECRET
 
@@ -197,10 +193,9 @@ def test_the_list_of_a_part_names_nothing_outside(
     ["parts", "parts/000001", "profiles/0", "steps.parquet", "dataset.json", ".lock-1-of-1"],
 )
 def test_a_folder_that_leads_elsewhere_is_not_gone_on_with(
-    profile: Path, made: Path, tmp_path: Path, place: str, kind: str
+    profile: Path, tmp_path: Path, place: str, kind: str, copied: Path
 ) -> None:
-    shutil.copytree(made, tmp_path / "data")
-    secret = lure(tmp_path / "data" / place, kind, tmp_path / "outside")
+    secret = lure(copied / place, kind, tmp_path / "outside")
     with pytest.raises(InputError, match=r"is a link|no regular file"):
-        make(profile, tmp_path / "data")
+        make(profile, copied)
     assert secret.read_text() == SECRET and os.listdir(secret.parent) == [secret.name]

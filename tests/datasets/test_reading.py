@@ -146,14 +146,12 @@ def test_torch_batches(made: Path) -> None:
         TouchDataset(made, inputs=("heat",))
 
 
-def test_check_finds_what_was_changed(made: Path, tmp_path: Path) -> None:
+def test_check_finds_what_was_changed(made: Path, copied: Path) -> None:
     assert check_dataset([made]) == []
-    broken = tmp_path / "broken"
-    shutil.copytree(made, broken)
-    part = sorted((broken / "parts").iterdir())[0]
+    part = sorted((copied / "parts").iterdir())[0]
     flip(next(path for path in (part / "data.zarr" / "rgb").rglob("0") if path.is_file()))
     (part / "episodes.parquet").unlink()
-    told = [str(finding) for finding in check_dataset([broken])]
+    told = [str(finding) for finding in check_dataset([copied])]
     assert any("rgb" in line and "is not what was written" in line for line in told)
     assert any("episodes.parquet: is missing" in line for line in told)
 
@@ -193,49 +191,41 @@ def replace_by_another(part: Path) -> None:
     ],
 )
 def test_check_finds_what_parts_share_changed(
-    made: Path, tmp_path: Path, what: str, damage: Any, message: str
+    what: str, damage: Any, message: str, copied: Path
 ) -> None:
-    broken = tmp_path / "broken"
-    shutil.copytree(made, broken)
-    damage(broken / what)
-    told = [f"{f.severity}: {f}" for f in check_dataset([broken])]
+    damage(copied / what)
+    told = [f"{f.severity}: {f}" for f in check_dataset([copied])]
     assert any("error" in line and message in line for line in told), told
 
 
 @pytest.mark.parametrize("name", ["steps.parquet", "episodes.parquet"])
-def test_no_flipped_bit_of_an_index_is_missed(made: Path, tmp_path: Path, name: str) -> None:
+def test_no_flipped_bit_of_an_index_is_missed(name: str, copied: Path) -> None:
     """Two bytes of five are in what stands beside the rows: no reader of all rows sees them."""
-    broken = tmp_path / "broken"
-    shutil.copytree(made, broken)
-    written = (broken / name).read_bytes()
+    written = (copied / name).read_bytes()
     for place in np.linspace(0, len(written) - 1, 25).astype(int):
         data = bytearray(written)
         data[place] ^= 4
-        (broken / name).write_bytes(bytes(data))
-        told = [str(finding) for finding in check_dataset([broken])]
+        (copied / name).write_bytes(bytes(data))
+        told = [str(finding) for finding in check_dataset([copied])]
         assert any(f"{name}: " in line for line in told), place
-    (broken / name).write_bytes(written)
-    assert check_dataset([broken]) == []
+    (copied / name).write_bytes(written)
+    assert check_dataset([copied]) == []
 
 
-def test_a_damaged_part_hides_none_that_is_not_itself(made: Path, tmp_path: Path) -> None:
-    broken = tmp_path / "broken"
-    shutil.copytree(made, broken)
-    replace_by_another(broken / "parts" / "000001")
-    flip(broken / "parts" / "000000" / "steps.parquet")
-    told = [str(finding) for finding in check_dataset([broken])]
+def test_a_damaged_part_hides_none_that_is_not_itself(copied: Path) -> None:
+    replace_by_another(copied / "parts" / "000001")
+    flip(copied / "parts" / "000000" / "steps.parquet")
+    told = [str(finding) for finding in check_dataset([copied])]
     assert any("000000/steps.parquet: is not what was written" in line for line in told), told
     assert any("parts/000001: is another part" in line for line in told), told
 
 
-def test_a_description_without_its_keys_is_refused(made: Path, tmp_path: Path) -> None:
-    broken = tmp_path / "broken"
-    shutil.copytree(made, broken)
-    (broken / "parts" / "9junk").mkdir()
-    assert len(Dataset(broken).episodes) == 6
-    (broken / "dataset.json").write_text('{"format": 1}')
+def test_a_description_without_its_keys_is_refused(copied: Path) -> None:
+    (copied / "parts" / "9junk").mkdir()
+    assert len(Dataset(copied).episodes) == 6
+    (copied / "dataset.json").write_text('{"format": 1}')
     with pytest.raises(InputError, match=r"dataset\.json is no description of a data set"):
-        Dataset(broken)
+        Dataset(copied)
 
 
 def test_check_finds_empty_constant_and_nan_columns(made: Path, tmp_path: Path) -> None:
@@ -257,13 +247,11 @@ def test_check_finds_empty_constant_and_nan_columns(made: Path, tmp_path: Path) 
         assert any(line.startswith(message) for line in told), told
 
 
-def test_missing_parts_are_named(made: Path, tmp_path: Path) -> None:
-    fewer = tmp_path / "fewer"
-    shutil.copytree(made, fewer)
-    shutil.rmtree(sorted((fewer / "parts").iterdir())[-1])
-    told = [str(finding) for finding in check_dataset([fewer])]
+def test_missing_parts_are_named(made: Path, copied: Path) -> None:
+    shutil.rmtree(sorted((copied / "parts").iterdir())[-1])
+    told = [str(finding) for finding in check_dataset([copied])]
     assert any("2 of 6 episodes are not made yet" in line for line in told)
-    assert len(Dataset(fewer).episodes) == 4
+    assert len(Dataset(copied).episodes) == 4
 
 
 def test_lite_keeps_every_object(made: Path, tmp_path: Path) -> None:
@@ -301,29 +289,26 @@ def test_what_made_it_is_inside(made: Path) -> None:
     assert about["channels"]["wrench"]["unit"] == "N, N m"
 
 
-def test_damage_is_told_by_its_file(made: Path, tmp_path: Path) -> None:
-    data = tmp_path / "data"
-    shutil.copytree(made, data)
-    index = data / "episodes.parquet"
+def test_damage_is_told_by_its_file(made: Path, copied: Path) -> None:
+    index = copied / "episodes.parquet"
     index.write_bytes(index.read_bytes()[:100])
     # The parts have all that the index has.
-    assert Dataset(data).episodes == Dataset(made).episodes
-    part = sorted((data / "parts").iterdir())[0]
+    assert Dataset(copied).episodes == Dataset(made).episodes
+    part = sorted((copied / "parts").iterdir())[0]
     chunk = next(path for path in (part / "data.zarr" / "rgb").rglob("c/**/*") if path.is_file())
     chunk.write_bytes(b"\0" * chunk.stat().st_size)
     with pytest.raises(InputError, match=r"data\.zarr is damaged .*; taccel-lab dataset check"):
-        Dataset(data).read("rgb", slice(None))
+        Dataset(copied).read("rgb", slice(None))
     (part / "steps.parquet").write_bytes(b"PAR1")
-    (data / "steps.parquet").unlink()
+    (copied / "steps.parquet").unlink()
     with pytest.raises(InputError, match=r"steps\.parquet cannot be read as Parquet"):
-        _ = Dataset(data).steps
+        _ = Dataset(copied).steps
 
 
 @pytest.fixture
-def arrays(made: Path, tmp_path: Path) -> Path:
+def arrays(copied: Path) -> Path:
     """Those of the first part of a data set that a stranger changes."""
-    shutil.copytree(made, tmp_path / "data")
-    return tmp_path / "data" / "parts" / "000000" / "data.zarr"
+    return copied / "parts" / "000000" / "data.zarr"
 
 
 def rgb_of(arrays: Path) -> np.ndarray:

@@ -27,26 +27,19 @@ def signed_volume(mesh: TriangleMesh) -> float:
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
 
 
-def test_cylinder() -> None:
-    mesh = parse_indenter("cylinder:1.5").shape
-    assert isinstance(mesh, TriangleMesh)
-    assert np.linalg.norm(mesh.vertices_m[:, :2], axis=1).max() == pytest.approx(1.5e-3)
-    assert np.ptp(mesh.vertices_m[:, 2]) == pytest.approx(4e-3)
-    assert signed_volume(mesh) == pytest.approx(np.pi * 1.5e-3**2 * 4e-3, rel=2e-3)
-
-
-def test_box_is_x_by_y() -> None:
-    mesh = parse_indenter("box:4x2").shape
-    assert isinstance(mesh, TriangleMesh)
-    assert np.ptp(mesh.vertices_m, axis=0) == pytest.approx([4e-3, 2e-3, 4e-3])
-    assert signed_volume(mesh) == pytest.approx(32e-9)
-
-
 @given(size=st.floats(0.05, 100.0))
-def test_every_allowed_size_is_read_in_mm(size: float) -> None:
+def test_sizes_are_read_in_mm(size: float) -> None:
     shape = parse_indenter(f"sphere:{size!r}").shape
     assert isinstance(shape, Ball)
     assert shape.radius_m == pytest.approx(size * 1e-3)
+    for text, extent, volume in (
+        ("cylinder:1.5", [3e-3, 3e-3, 4e-3], np.pi * 1.5e-3**2 * 4e-3),
+        ("box:4x2", [4e-3, 2e-3, 4e-3], 32e-9),
+    ):
+        mesh = parse_indenter(text).shape
+        assert isinstance(mesh, TriangleMesh)
+        assert np.ptp(mesh.vertices_m, axis=0) == pytest.approx(extent, rel=2e-3)
+        assert signed_volume(mesh) == pytest.approx(volume, rel=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -238,18 +231,13 @@ def mesh_of(text: str) -> TriangleMesh:
     return shape
 
 
-def volume_mm3(mesh: TriangleMesh) -> float:
-    a, b, c = (mesh.vertices_m[mesh.faces[:, k]] * 1e3 for k in range(3))
-    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
-
-
 def assert_closed(mesh: TriangleMesh) -> None:
     """Each directed edge once, and its opposite once: closed, manifold, consistently wound."""
     edges = mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     directed = {tuple(edge) for edge in edges.tolist()}
     assert len(directed) == len(edges)
     assert all((b, a) in directed for a, b in directed)
-    assert volume_mm3(mesh) > 0
+    assert 1e9 * signed_volume(mesh) > 0
     low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
     assert (low + high)[:2] == pytest.approx(np.zeros(2), abs=1e-12)
 
@@ -259,7 +247,7 @@ def assert_closed(mesh: TriangleMesh) -> None:
 def test_roller(radius: float, length: float) -> None:
     mesh = mesh_of(f"roller:{radius!r}x{length!r}")
     assert_closed(mesh)
-    assert volume_mm3(mesh) == pytest.approx(math.pi * radius**2 * length, rel=1e-3)
+    assert 1e9 * signed_volume(mesh) == pytest.approx(math.pi * radius**2 * length, rel=1e-3)
     assert np.ptp(mesh.vertices_m, axis=0) * 1e3 == pytest.approx(
         [2 * radius, length, 2 * radius], rel=1e-3
     )
@@ -305,7 +293,9 @@ def test_grating(pitch: float, ridges: int, length: float) -> None:
     assert x[1::2] - x[::2] == pytest.approx(np.full(ridges, pitch / 2), abs=1e-8)
     assert np.diff(x[::2]) == pytest.approx(np.full(ridges - 1, pitch), abs=1e-8)
     plate = max(pitch, 1.0) * (ridges - 0.5) * pitch * length
-    assert volume_mm3(mesh) == pytest.approx(plate + ridges * pitch**2 / 2 * length, rel=1e-9)
+    assert 1e9 * signed_volume(mesh) == pytest.approx(
+        plate + ridges * pitch**2 / 2 * length, rel=1e-9
+    )
 
 
 @settings(max_examples=20)

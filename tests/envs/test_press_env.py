@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, PressPath, PressPhysics, parse_indenter
-from taccel_lab.envs.press import FIRST_SETBACK, START_CLEARANCE_M
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.ipc.intersection import find_intersections
-from taccel_lab.solvers import EnvStatus, SolverConfig, StepReport
+from taccel_lab.solvers import EnvStatus, SolverConfig
 from tests.support.coarse_pads import GEL, LINEAR, pad
 
 DEFAULT = PHYSICS[Accuracy.DEFAULT]
@@ -73,7 +72,7 @@ def test_no_force_before_first_touch() -> None:
     assert env.wrench[0, 2] > 0
 
 
-@pytest.mark.parametrize("at_mm", [(3.0, 0.0), (-3.0, 0.0), (0.0, 2.5), (2.0, -2.0)])
+@pytest.mark.parametrize("at_mm", [(-3.0, 0.0), (0.0, 2.5), (2.0, -2.0)])
 def test_moment_of_an_off_centre_press(at_mm: tuple[float, float]) -> None:
     env = press_env(at_mm=at_mm)
     env.move_to(0.3)
@@ -93,7 +92,7 @@ def test_moment_of_an_off_centre_press(at_mm: tuple[float, float]) -> None:
     )
 
 
-@pytest.mark.parametrize("direction", [(1, 0), (-1, 0), (0, 1), (0, -1)])
+@pytest.mark.parametrize("direction", [(1, 0), (0, -1)])
 def test_shear_is_resisted(direction: tuple[int, int]) -> None:
     env = press_env(friction=0.5, physics=DEFAULT)
     env.move_to(0.4)
@@ -141,69 +140,23 @@ def test_without_friction_nothing_resists_a_ball_that_turns() -> None:
     assert env.wrench[0] == pytest.approx(before, abs=3e-4 * before[2])
 
 
-class Steps:
-    """Notes how far each attempt of the solver meant to go, and how it ended."""
-
-    def __init__(self, env: PressEnv, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.targets: list[np.ndarray] = []
-        self.converged: list[np.ndarray] = []
-        self.who: list[np.ndarray] = []
-        self.newton: list[int] = []
-        attempt = env.solver._attempt
-
-        def noted(who: np.ndarray, dt: float, whole: bool = False) -> StepReport:
-            report = attempt(who, dt, whole)
-            target = env.solver.end_poses.numpy()
-            self.targets.append(env.touch_m + env.setback_m - target[:, 0, 2])
-            self.converged.append(report.converged.copy())
-            self.who.append(who.copy())
-            self.newton.append(int(report.newton_iterations.max()))
-            return report
-
-        monkeypatch.setattr(env.solver, "_attempt", noted)
-
-
-def test_a_step_that_fails_is_halved(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = press_env()
-    first = Steps(whole, monkeypatch)
-    whole.move_to(0.6)
-    limited = DEFAULT.solver(max_newton_iterations=first.newton[0] - 2)
-    env = press_env(config=limited)
-    steps = Steps(env, monkeypatch)
-    report = env.move_to(0.6)
+def test_only_what_failed_is_halved() -> None:
+    """The deep press of two, where it may take fewer iterations than it needs in one piece."""
+    at, tool = np.zeros((2, 2)), parse_indenter("sphere:2.0")
+    depths = np.array([0.05, 0.8])
+    whole = PressEnv(pad(), GEL, tool, at)
+    taken = whole.move_to(depths)
+    config = replace(whole.solver.config, max_newton_iterations=taken.newton_iterations[1] - 2)
+    env = PressEnv(pad(), GEL, tool, at, config=config)
+    report = env.move_to(depths)
     assert report.converged.all()
-    assert not steps.converged[0].all() and steps.converged[-1].all()
-    assert steps.targets[0] == pytest.approx([0.6e-3])
-    assert steps.targets[-1] == pytest.approx([0.6e-3])
-    # In this step it is held back by less than before.
-    start = -limited.dhat_m - START_CLEARANCE_M - (1 - FIRST_SETBACK) * limited.dhat_m
-    assert steps.targets[1] == pytest.approx([(start + 0.6e-3) / 2])
+    # Once it has arrived, either may be corrected for the gap that it had.
+    assert report.substeps[0] == taken.substeps[0]
+    assert report.substeps[1] > taken.substeps[1]
     # The report owns up to the work of the failed attempt too.
-    assert report.newton_iterations[0] > limited.max_newton_iterations
-    assert env.wrench[0] == pytest.approx(whole.wrench[0], abs=3e-4 * whole.wrench[0, 2])
-
-
-def test_only_what_failed_is_halved(monkeypatch: pytest.MonkeyPatch) -> None:
-    at = np.array([[0.0, 0.0], [0.0, 0.0]])
-    env = PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), at)
-    alone, deep = press_env(physics=DEFAULT), press_env(physics=DEFAULT)
-    easy_steps, hard_steps = Steps(alone, monkeypatch), Steps(deep, monkeypatch)
-    alone.move_to(0.05)
-    deep.move_to(0.8)
-    easy, hard = easy_steps.newton[0], hard_steps.newton[0]
-    assert hard > easy + 2
-    config = replace(env.solver.config, max_newton_iterations=hard - 2)
-    env = PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), at, config=config)
-    steps = Steps(env, monkeypatch)
-    report = env.move_to(np.array([0.05, 0.8]))
-    assert report.converged.all()
-    assert steps.converged[0].tolist() == [True, False]
-    # Once it has arrived in parts, either may be corrected for the gap that it had.
-    parts = steps.who[1 : report.substeps[1] + 1]
-    assert all(who.tolist() == [False, True] for who in parts)
-    assert report.substeps[1] >= 2
-    assert env.wrench[0] == pytest.approx(alone.wrench[0], abs=1e-5)
-    assert env.depth_m * 1e3 == pytest.approx([0.05, 0.8])
+    assert report.newton_iterations[1] > config.max_newton_iterations
+    assert env.wrench == pytest.approx(whole.wrench, abs=3e-4 * whole.wrench[1, 2])
+    assert env.depth_m * 1e3 == pytest.approx(depths)
 
 
 def test_a_press_that_never_converges_says_so() -> None:

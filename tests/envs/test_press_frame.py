@@ -31,6 +31,7 @@ def unit(x: float, y: float, z: float) -> np.ndarray:
 @example(x=0.0, y=1e-8, z=-0.5)
 @example(x=0.0, y=1e-170, z=-1.0)
 @example(x=1e-12, y=1e-9, z=-1.0)
+@example(x=0.0, y=0.0, z=-1.0)
 @given(x=angles, y=angles, z=st.floats(-1.0, 1.0))
 def test_normal_frame(x: float, y: float, z: float) -> None:
     if math.hypot(x, y, z) < 0.1:
@@ -43,11 +44,6 @@ def test_normal_frame(x: float, y: float, z: float) -> None:
     # The least turn leaves the axis across both where it is.
     across = np.cross([0.0, 0.0, 1.0], normal)
     assert rotate(pose[3:], across) == pytest.approx(across, abs=1e-9)
-
-
-def test_a_normal_along_minus_z() -> None:
-    pose = normal_frame(np.zeros(3), np.array([0.0, 0.0, -1.0]))
-    assert rotate(pose[3:], np.array([0.0, 0.0, 1.0])) == pytest.approx([0, 0, -1])
 
 
 @pytest.mark.parametrize(
@@ -63,17 +59,16 @@ def test_bad_normals(point: list[float], normal: list[float], message: str) -> N
         normal_frame(np.array(point), np.array(normal))
 
 
-@pytest.mark.parametrize(
-    ("frames", "message"),
-    [
+def test_bad_frames() -> None:
+    for frames, message in (
         (np.zeros((1, 7)), "unit length"),
         (np.zeros((2, 7)), r"shape \[1, 7\], got \(2, 7\)"),
         (np.full((1, 7), np.nan), "finite"),
-    ],
-)
-def test_bad_frames(frames: np.ndarray, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        PressEnv(pad(), GEL, parse_indenter("sphere:2"), np.zeros((1, 2)), gel_from_press=frames)
+    ):
+        with pytest.raises(InputError, match=message):
+            PressEnv(
+                pad(), GEL, parse_indenter("sphere:2"), np.zeros((1, 2)), gel_from_press=frames
+            )
 
 
 TIGHT = SolverConfig(relative_tolerance=1e-8)

@@ -59,16 +59,6 @@ def outcome(pressed: tuple[PressOutcome, list]) -> PressOutcome:
     return pressed[0]
 
 
-def test_progress_is_told_every_step(
-    pressed: tuple[PressOutcome, list[tuple[int, int, PressStep]]],
-) -> None:
-    outcome, told = pressed
-    assert [t[:2] for t in told] == [(1, 3), (2, 3), (3, 3)]
-    assert [t[2] for t in told] == outcome.steps
-    waypoints = [(s.depth_mm, s.shear_mm, s.twist_deg) for s in outcome.steps]
-    assert waypoints == PATH.waypoints()
-
-
 def test_forces_add_up_to_the_wrench(outcome: PressOutcome) -> None:
     on_gel = resultant_wrench(outcome.positions_m[None], outcome.contact_forces_n[None])[0]
     wrench = outcome.steps[-1].wrench
@@ -121,15 +111,6 @@ def sampled_ratio(mesh: QuadraticMesh, outcome: PressOutcome, order: int = 8) ->
     return smallest
 
 
-def test_pose_is_at_the_end_of_the_path(outcome: PressOutcome) -> None:
-    pose = outcome.indenter_pose
-    assert pose[:2] == pytest.approx([0.56e-3, -0.3e-3])
-    touch = np.sqrt(52e-3**2 - (np.array(AT_MM) ** 2).sum() * 1e-6) - 50e-3
-    assert pose[2] == pytest.approx(touch - 0.5e-3 + outcome.setback_m, abs=1e-6)
-    assert 0 < outcome.setback_m < outcome.physics.dhat_m
-    assert pose[3:] == pytest.approx([0, 0, np.sin(np.pi / 180), np.cos(np.pi / 180)])
-
-
 def test_surface_wraps_the_ball(outcome: PressOutcome) -> None:
     ball = parse_indenter("sphere:2.0").shape
     assert isinstance(ball, Ball)
@@ -169,7 +150,20 @@ def test_rest_surface_is_the_dome(outcome: PressOutcome) -> None:
     assert sunk.min() == pytest.approx(-0.5e-3, abs=3e-5)
 
 
-def test_figures(outcome: PressOutcome) -> None:
+def test_figures_progress_and_pose(
+    pressed: tuple[PressOutcome, list[tuple[int, int, PressStep]]],
+) -> None:
+    outcome, told = pressed
+    assert [t[:2] for t in told] == [(1, 3), (2, 3), (3, 3)]
+    assert [t[2] for t in told] == outcome.steps
+    waypoints = [(s.depth_mm, s.shear_mm, s.twist_deg) for s in outcome.steps]
+    assert waypoints == PATH.waypoints()
+    pose = outcome.indenter_pose
+    assert pose[:2] == pytest.approx([0.56e-3, -0.3e-3])
+    touch = np.sqrt(52e-3**2 - (np.array(AT_MM) ** 2).sum() * 1e-6) - 50e-3
+    assert pose[2] == pytest.approx(touch - 0.5e-3 + outcome.setback_m, abs=1e-6)
+    assert 0 < outcome.setback_m < outcome.physics.dhat_m
+    assert pose[3:] == pytest.approx([0, 0, np.sin(np.pi / 180), np.cos(np.pi / 180)])
     figures = outcome.figures()
     reports = [step.report for step in outcome.steps]
     assert figures["force_n"] == outcome.steps[-1].wrench[2]

@@ -17,13 +17,7 @@ from taccel_lab.signals import MarkerLayout
 from taccel_lab.signals.gel_faces import face_grid, marker_points_mm
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
-from tests.solvers.driven_grasp import (
-    SIDES,
-    START_M,
-    driven_squeeze,
-    face_pose,
-    prescribed_squeeze,
-)
+from tests.solvers.driven_grasp import SIDES, START_M, driven_squeeze, face_pose, prescribed_squeeze
 
 
 @pytest.fixture(scope="module")

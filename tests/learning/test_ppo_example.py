@@ -4,13 +4,17 @@
 from __future__ import annotations
 
 import json
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.test_architecture import HEAVY
 
 ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "notebooks" / "ppo_peg_insertion.py"
 SCRIPT = """
 import runpy, sys
 sys.modules.update(dict.fromkeys({absent!r}))  # None makes the import of a module fail.
@@ -21,14 +25,12 @@ runpy.run_path({path!r}, run_name="__main__")
 """
 
 
-def test_two_updates_on_a_bare_machine(tmp_path: Path) -> None:
+def test_two_updates_on_a_bare_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     absent = [name for name in HEAVY if name not in ("warp", "torch", "scipy")]
     absent += ["pydantic", "rich", "tyro", "jinja2", "tomli_w", "safetensors", "PIL", "yaml"]
     arguments = "--envs 3 --updates 2 --steps 6 --judge 0 --randomised --output"
     code = SCRIPT.format(
-        absent=absent,
-        arguments=[*arguments.split(), str(tmp_path)],
-        path=str(ROOT / "notebooks" / "ppo_peg_insertion.py"),
+        absent=absent, arguments=[*arguments.split(), str(tmp_path)], path=str(EXAMPLE)
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
@@ -40,8 +42,6 @@ def test_two_updates_on_a_bare_machine(tmp_path: Path) -> None:
     assert [row["env_steps"] for row in curve["rows"]] == [18, 36]
     assert (tmp_path / "policy.pt").stat().st_size > 10_000
     assert not (tmp_path / "curve.png").exists(), "there is no matplotlib to draw it"
-    draw = f"import sys; sys.argv[1:] = ['--draw', {str(tmp_path)!r}]\n"
-    path = str(ROOT / "notebooks" / "ppo_peg_insertion.py")
-    draw += f"import runpy; runpy.run_path({path!r}, run_name='__main__')"
-    subprocess.run([sys.executable, "-c", draw], cwd=ROOT, capture_output=True, check=True)
+    monkeypatch.setattr(sys, "argv", ["ppo_peg_insertion.py", "--draw", str(tmp_path)])
+    runpy.run_path(str(EXAMPLE), run_name="__main__")
     assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")

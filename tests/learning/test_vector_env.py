@@ -86,21 +86,21 @@ def test_every_task_draws_what_its_file_names_and_steps(name: str) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*infinity.*")
-def test_gymnasiums_checkers_pass() -> None:
-    with_markers = {"observe": ("wrench", "markers_px", "proprioception"), "randomised": True}
-    check_env(SingleEnv("peg-insertion", **with_markers), skip_render_check=True)
-    pair = [SingleEnv(short_task(), **with_markers) for _ in range(2)]
-    check_environments_match(*pair, num_steps=12, seed=3)
-
-
-@pytest.mark.filterwarnings("ignore:.*infinity.*")
-def test_gymnasiums_checkers_pass_of_a_robot_s_joints() -> None:
-    """Three fingers of three joints."""
+@pytest.mark.parametrize(
+    ("name", "actions", "options"),
+    [
+        ("peg-insertion", 4, {"observe": ("wrench", "markers_px", "proprioception")}),
+        # Three fingers of three joints.
+        ("grasp-lift-hand", 13, {}),
+    ],
+)
+def test_gymnasiums_checkers_pass(name: str, actions: int, options: dict[str, Any]) -> None:
     pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
-    check_env(SingleEnv("grasp-lift-hand", randomised=True), skip_render_check=True)
-    pair = [SingleEnv("grasp-lift-hand", randomised=True) for _ in range(2)]
-    assert pair[0].action_space.shape == (13,)
-    check_environments_match(*pair, num_steps=5, seed=3)
+    check_env(SingleEnv(name, randomised=True, **options), skip_render_check=True)
+    short = short_task() if actions == 4 else name
+    pair = [SingleEnv(short, randomised=True, **options) for _ in range(2)]
+    assert pair[0].action_space.shape == (actions,)
+    check_environments_match(*pair, num_steps=12 if actions == 4 else 5, seed=3)
 
 
 def same(found: dict[str, torch.Tensor], wanted: dict[str, np.ndarray]) -> None:

@@ -28,7 +28,7 @@ from taccel_lab.scene import (
     box_mesh,
 )
 from taccel_lab.solvers import Control, SolverConfig, SolverIPC
-from taccel_lab.state import initial_state
+from taccel_lab.state import State, initial_state
 from tests.support.robot_files import CHAIN, REAL, write
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
@@ -59,6 +59,22 @@ def scene_of(
     )
 
 
+def settled(
+    scene: Scene, driven: DrivenRobot, start: np.ndarray, steps: int, config: SolverConfig | None
+) -> tuple[SolverIPC, State, np.ndarray, np.ndarray]:
+    """Solver, state, coordinates [env, dof] and efforts [joint] of the first environment after
+    steps in which the targets stay where they are."""
+    solver = SolverIPC(scene.finalize(), config)
+    state = initial_state(solver.model, driven.poses(scene.env_count))
+    control = Control(joint_targets=driven.joint_targets(start))
+    for _ in range(steps):
+        report = solver.step(state, control)
+        assert report.converged.all(), report.summary()
+    assert solver.joints is not None
+    q = driven.coordinates(solver.joints.coordinates.numpy())
+    return solver, state, q, solver.joints.efforts.numpy()[0]
+
+
 def lift(robot: Robot, link: str, q: np.ndarray, point_m: np.ndarray) -> np.ndarray:
     """Slope of the height of a point of a link by each coordinate, [dof]."""
     jacobian = robot.jacobian(link, q)[0]
@@ -73,74 +89,13 @@ def torques_of_weight(robot: Robot, q: np.ndarray) -> np.ndarray:
     return -sum(m.mass_kg * G * lift(robot, name, q, m.center_m) for name, m in masses)
 
 
-def test_drives_hold_a_hand_against_its_weight() -> None:
-    """At rest each drive's torque is that of the weights, at the angles where the hand came to
-    rest; that angle is what the spring gives way."""
-    robot = named("three_finger_hand").placed(SIDEWAYS)
-    start = np.tile([0.1, -0.2, 0.5], 3)
-    stiffness = 0.5
-    driven = drive(robot, PositionDrive(stiffness, damping=0.02), start)
-    assert len(driven.affine_bodies) == 9 and len(driven.kinematic_bodies) == 1
-    scene = scene_of(driven, time(0.02))
-    solver = SolverIPC(scene.finalize(), SolverConfig(absolute_tolerance_n=1e-8))
-    state = initial_state(solver.model, driven.poses(1))
-    control = Control(joint_targets=driven.joint_targets(start))
-    for _ in range(60):
-        assert solver.step(state, control).converged.all()
-    assert solver.joints is not None
-    q = driven.coordinates(solver.joints.coordinates.numpy())
-    weight = torques_of_weight(robot, q)
-    assert np.abs(weight).max() > 0.01
-    efforts = solver.joints.efforts.numpy()[0]
-    np.testing.assert_allclose(efforts, -weight, atol=1e-3 * np.abs(weight).max())
-    np.testing.assert_allclose(q[0] - start, weight / stiffness, atol=2e-3 * np.abs(weight).max())
-
-
-def test_fingers_squeeze_with_the_largest_effort_of_their_drives() -> None:
-    """The targets lie inside the box: each finger pushes with its drive's largest force."""
-    robot = named("parallel_gripper")
-    largest = np.array([3.0, 7.0])
-    half = 0.01
-    for effort in largest:
-        drives = {
-            name: PositionDrive(2e4, damping=200.0, max_effort=effort)
-            for name in ("slide_left", "slide_right")
-        }
-        driven = drive(robot, drives, [half + 1e-4])
-        box = AffineBody(
-            box_mesh((2 * half, 0.02, 0.02)),
-            name="box",
-            initial_pose=robot.link_poses("tcp", robot.rest_q)[0],
-        )
-        model = scene_of(driven, time(0.01, 0.0), [box]).finalize()
-        solver = SolverIPC(model, SolverConfig(dhat_m=5e-5))
-        state = initial_state(model, driven.poses(1))
-        control = Control(joint_targets=driven.joint_targets([0.0]))
-        for _ in range(12):
-            assert solver.step(state, control).converged.all()
-        forces = Outputs(solver).update(state).contact_wrenches().wrenches.numpy()[0]
-        on_box = forces[model.body_id("box")][
-            [model.body_id(f"parallel_gripper/finger_{side}") for side in ("left", "right")], 0
-        ]
-        np.testing.assert_allclose(on_box, [effort, -effort], rtol=1e-3)
-        assert solver.joints is not None
-        q = driven.coordinates(solver.joints.coordinates.numpy())
-        assert q == pytest.approx(half, abs=2e-4)
-
-
 def test_a_drive_reaches_its_target_and_stops_at_the_limit() -> None:
     robot = named("three_finger_hand")
     driven = drive(robot, PositionDrive(5.0, damping=0.05))
-    scene = scene_of(driven, time(0.02, 0.0), envs=2)
-    solver = SolverIPC(scene.finalize())
-    state = initial_state(solver.model, driven.poses(2))
     q = np.tile(np.tile([0.2, 0.4, 0.6], 3), (2, 1))
     q[1, 1] = 2.0  # Beyond the limit of 1.4.
-    for _ in range(60):
-        report = solver.step(state, Control(joint_targets=driven.joint_targets(q)))
-        assert report.converged.all()
-    assert solver.joints is not None
-    found = driven.coordinates(solver.joints.coordinates.numpy())
+    scene = scene_of(driven, time(0.02, 0.0), envs=2)
+    solver, state, found, _ = settled(scene, driven, q, 60, None)
     q[1, 1] = 1.4
     np.testing.assert_allclose(found, q, atol=2e-3)
     # Bodies are where forward kinematics has the links.
@@ -157,19 +112,22 @@ def test_a_drive_reaches_its_target_and_stops_at_the_limit() -> None:
 
 def test_what_cannot_be_driven_is_refused(tmp_path: Path) -> None:
     gripper, servo = named("parallel_gripper"), PositionDrive(100.0)
-    with pytest.raises(InputError, match="no joint 'slide' to drive; there are 'slide_left', 'sl"):
-        drive(gripper, {"slide": servo})
-    with pytest.raises(
-        InputError, match=r"0\.05 of joint 'slide_left' in row 0 is out of its limit"
+    chain = load_urdf(write(tmp_path, CHAIN)).touching([])
+    for call, message in (
+        (lambda: drive(gripper, {"slide": servo}), "no joint 'slide' to drive; there are 'slide_l"),
+        (
+            lambda: drive(gripper, servo, [0.05]),
+            r"0\.05 of joint 'slide_left' in row 0 is out of i",
+        ),
+        (lambda: drive(gripper, servo, [0.0, 0.0]), r"start_q must have shape \[1\], got \(2,\)"),
+        (
+            lambda: drive(gripper, servo).joint_targets([np.nan]),
+            r"coordinates must be finite, \[n, 1\] \('slide_left'\)",
+        ),
+        (lambda: drive(chain, servo), "link 'arm' moves but has no collision shape"),
     ):
-        drive(gripper, servo, [0.05])
-    with pytest.raises(InputError, match=r"start_q must have shape \[1\], got \(2,\)"):
-        drive(gripper, servo, [0.0, 0.0])
-    with pytest.raises(InputError, match=r"coordinates must be finite, \[n, 1\] \('slide_left'\)"):
-        drive(gripper, servo).joint_targets([np.nan])
-    chain = load_urdf(write(tmp_path, CHAIN))
-    with pytest.raises(InputError, match="link 'arm' moves but has no collision shape"):
-        drive(chain.touching([]), servo)
+        with pytest.raises(InputError, match=message):
+            call()
 
 
 def test_the_closest_inertia_of_a_solid() -> None:
@@ -194,7 +152,7 @@ def test_real_robots_hold_themselves(name: str) -> None:
             drive(robot, drives, start)
     driven = drive(robot, drives, start, closest_inertia=name.startswith("allegro"))
     scene = scene_of(driven, time(0.05))
-    solver = SolverIPC(scene.finalize())
+    solver, _, q, of_drives = settled(scene, driven, driven.start_q, 40, None)
     moved = robot.forward_kinematics([driven.start_q, driven.start_q + 0.1])
     moving = np.abs(moved[1] - moved[0]).max(axis=1) > 0
     stated = [
@@ -204,14 +162,6 @@ def test_real_robots_hold_themselves(name: str) -> None:
     ]
     found = sum(solid.mass_kg for solid in solver.model.affine.properties)
     assert found == pytest.approx(sum(stated))
-    state = initial_state(solver.model, driven.poses(1))
-    control = Control(joint_targets=driven.joint_targets(driven.start_q))
-    for _ in range(40):
-        report = solver.step(state, control)
-        assert report.converged.all(), report.summary()
-    assert solver.joints is not None
-    values = solver.joints.coordinates.numpy()
-    q = driven.coordinates(values)
     assert np.abs(q - driven.start_q).max() < 0.2
     weight = torques_of_weight(robot, q)
     names = [joint.name for joint in driven.joints]
@@ -219,7 +169,7 @@ def test_real_robots_hold_themselves(name: str) -> None:
     # A joint that mimics another one bears its part of the weight alone.
     for joint, factors in zip(robot.joints, robot.tree.factors, strict=True):
         if joint.moves:
-            efforts += factors * solver.joints.efforts.numpy()[0, names.index(joint.name)]
+            efforts += factors * of_drives[names.index(joint.name)]
     np.testing.assert_allclose(efforts, -weight, atol=2e-3 * np.abs(weight).max() + 1e-6)
 
 
@@ -290,30 +240,24 @@ def test_a_gripper_grips_with_the_force_of_its_drives_and_lifts(element: Element
         np.testing.assert_allclose(signs * frames[:, gel, 3:], wanted[:, 3:], atol=1e-6)
 
 
-def test_the_weight_of_gels_arrives_at_the_joints() -> None:
+@pytest.mark.parametrize("with_gels", [False, True])
+def test_drives_hold_a_hand_and_its_gels_against_their_weight(with_gels: bool) -> None:
     """At rest each drive's torque is that of the weights of links and gels, at the angles where the
-    hand came to rest."""
-    robot = named("three_finger_hand").placed(SIDEWAYS)
-    tips = [name for name in robot.link_names if "distal" in name or "tip" in name]
-    tips = [name for name in tips if robot.links[robot.link_id(name)].shapes]
+    hand came to rest; that angle is what the spring gives way."""
+    bare = robot = named("three_finger_hand").placed(SIDEWAYS)
     size = (16e-3, 16e-3, 6e-3)
     large = block_mesh((4, 4, 2), size)
     heavy = SoftBody(large, Material(1e5, 0.45, density_kg_m3=5000), element=Element.LINEAR)
-    bare = robot
+    tips = [name for name in robot.link_names if "distal" in name] if with_gels else []
     for name in tips:
         robot = robot.mount(name, heavy, on_seat(large))
-    assert len(robot.mounts) == 3
-    start = np.tile([0.1, -0.2, 0.5], 3)
-    driven = drive(robot, PositionDrive(0.5, damping=0.02), start)
-    solver = SolverIPC(
-        scene_of(driven, time(0.01)).finalize(), SolverConfig(absolute_tolerance_n=1e-8)
-    )
-    state = initial_state(solver.model, driven.poses(1))
-    control = Control(joint_targets=driven.joint_targets(start))
-    for _ in range(80):
-        assert solver.step(state, control).converged.all()
-    assert solver.joints is not None
-    q = driven.coordinates(solver.joints.coordinates.numpy())
+    assert len(robot.mounts) == (3 if with_gels else 0)
+    start, stiffness = np.tile([0.1, -0.2, 0.5], 3), 0.5
+    driven = drive(robot, PositionDrive(stiffness, damping=0.02), start)
+    assert len(driven.affine_bodies) == 9
+    scene = scene_of(driven, time(0.01 if with_gels else 0.02))
+    tight = SolverConfig(absolute_tolerance_n=1e-8)
+    solver, state, q, efforts = settled(scene, driven, start, 80 if with_gels else 60, tight)
     x, masses = state.positions.numpy()[0], solver.model.masses.numpy()[0]
     of_links, of_gels = torques_of_weight(bare, q), np.zeros(robot.dof)
     for k, name in enumerate(tips):
@@ -323,11 +267,13 @@ def test_the_weight_of_gels_arrives_at_the_joints() -> None:
         frame = matrix_of(robot.link_poses(name, q)[0])
         center = np.linalg.inv(frame) @ np.append(masses[nodes] @ x[nodes] / mass, 1.0)
         of_gels -= mass * G * lift(robot, name, q, center[:3])
-    assert np.abs(of_gels).max() > 1e-3
-    efforts = solver.joints.efforts.numpy()[0]
     weight = of_links + of_gels
-    np.testing.assert_allclose(efforts, -weight, atol=1e-3 * np.abs(weight).max())
-    assert np.abs(efforts + of_links).max() > 20 * 1e-3 * np.abs(weight).max()
+    largest = np.abs(weight).max()
+    assert largest > 0.01
+    np.testing.assert_allclose(efforts, -weight, atol=1e-3 * largest)
+    np.testing.assert_allclose(q[0] - start, weight / stiffness, atol=2e-3 * largest)
+    if with_gels:
+        assert np.abs(efforts + of_links).max() > 20 * 1e-3 * largest
 
 
 def test_what_stays_and_what_moves_carries_its_gels() -> None:

@@ -9,14 +9,17 @@ import pytest
 from taccel_lab import KinematicBody, Scene, SignalTactile, SolverIPC, initial_state, to_torch
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.camera.gel_camera import camera_of, in_image
+from taccel_lab.envs import profile_material
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.outputs import Outputs
-from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance
-from taccel_lab.scene import Ball, Element
+from taccel_lab.profile import LayerMaterial, MaterialBlock, Provenance
+from taccel_lab.scene import Ball, Element, Material, MaterialField, SoftBody
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.signals.markers import MarkerLayout
-from tests.signals.tactile_cases import color_model
+from tests.support.dotted_profiles import LIGHT, with_painted_dots
 
 RADIUS_M, DEPTH_M = 4e-3, 3e-4
 
@@ -84,19 +87,11 @@ def test_images_show_the_profiles_dots_where_they_are(pressed) -> None:
     """Of a colour model that changes nothing: what moves in the image are the dots."""
     profile, _, solver, state = pressed
     grid, block = profile.grid(), profile.markers
-    v, u = np.mgrid[: grid.height_px, : grid.width_px]
-    background = np.full((grid.height_px, grid.width_px, 3), 140, np.uint8)
     points = block.grid().points_mm()
-    for place in grid.pixel_from_gel(points[grid.contains(points)]):
-        dark = np.hypot(u - place[0], v - place[1]) <= block.radius_mm / grid.mm_per_px_x
-        background[dark] = 40
-    model = color_model(grid)
-    model.weights.update({name: 0.0 * value for name, value in model.weights.items()})
-    said = Provenance(kind="assumed", method="made up for a test", source="none")
-    profile = profile.with_block(BackgroundBlock(provenance=said), background)
-    profile = profile.with_block(
-        ColorBlock(architecture=model.config.to_dict(), provenance=said), model.weights
-    )
+    places = grid.pixel_from_gel(points[grid.contains(points)])
+    profile = with_painted_dots(profile, places, block.radius_mm / grid.mm_per_px_x)
+    background = profile.background_rgb
+    v, u = np.mgrid[: grid.height_px, : grid.width_px]
     sensor = SignalTactile.from_profile(profile, solver=solver)
     sensor.update(state)
     rgb, levels, markers = (
@@ -111,7 +106,7 @@ def test_images_show_the_profiles_dots_where_they_are(pressed) -> None:
     for env in (0, 1):
         at = np.rint(markers[env, farthest]).astype(int)
         part = np.s_[at[1] - reach : at[1] + reach + 1, at[0] - reach : at[0] + reach + 1]
-        dark = (140.0 - levels[env][part])[..., 0]
+        dark = (LIGHT - levels[env][part])[..., 0]
         middle = np.array([(dark * u[part]).sum(), (dark * v[part]).sum()]) / dark.sum()
         assert middle == pytest.approx(markers[env, farthest], abs=0.15)
     assert moved[farthest] > 0.5
@@ -128,3 +123,48 @@ def test_options_go_first_and_a_count_is_needed(pressed) -> None:
         SignalTactile.from_profile(profile)
     with pytest.raises(InputError, match="no soft body 2"):
         SignalTactile.from_profile(profile, solver=solver, gel=2)
+
+
+# Layers -------------------------------------------------------------------------------------------
+
+
+SKIN = LayerMaterial(name="skin", young_modulus_pa=9e5, poisson_ratio=0.3, density_kg_m3=1200.0)
+
+
+def material(*layers: LayerMaterial) -> MaterialBlock:
+    return MaterialBlock(
+        young_modulus_pa=2e5,
+        poisson_ratio=0.45,
+        density_kg_m3=1000.0,
+        friction_coefficient=0.5,
+        layers=layers,
+        provenance=Provenance(kind="assumed", method="made up for a test", source="none"),
+    )
+
+
+def two_tets(layers: list[int]) -> TetMesh:
+    nodes = np.array([[0, 0, 0], [1, 0, -1], [0, 1, -1], [0, 0, -1], [1, 1, 0]]) * 1e-3
+    tets = np.array([[0, 2, 1, 3], [0, 1, 2, 4]])
+    faces = boundary_faces(tets)
+    return TetMesh(nodes, tets, faces, np.zeros(len(faces)), tet_layers=np.array(layers))
+
+
+def test_each_tet_has_the_moduli_of_its_layer() -> None:
+    body = two_tets([1, 0])
+    found = profile_material(material(SKIN), body)
+    assert isinstance(found, MaterialField)
+    assert np.array_equal(found.young_modulus_pa, [9e5, 2e5])
+    assert np.array_equal(found.poisson_ratio, [0.3, 0.45])
+    assert np.array_equal(found.density_kg_m3, [1200.0, 1000.0])
+    assert SoftBody(body, found, element=Element.LINEAR).material is found
+
+
+@pytest.mark.parametrize(("layer", "young"), [(0, 2e5), (1, 9e5)])
+def test_a_mesh_of_one_layer_is_uniform(layer: int, young: float) -> None:
+    found = profile_material(material(SKIN), two_tets([layer, layer]))
+    assert isinstance(found, Material) and found.young_modulus_pa == young
+
+
+def test_a_layer_without_material_is_refused() -> None:
+    with pytest.raises(InputError, match="layer 1"):
+        profile_material(material(), two_tets([0, 1]))

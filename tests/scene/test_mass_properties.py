@@ -8,12 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.bodies.mass_properties import (
-    StatedMass,
-    mass_properties,
-    winding_number,
-    with_stated_mass,
-)
+from taccel_lab.bodies.mass_properties import StatedMass, mass_properties, with_stated_mass
 from taccel_lab.bodies.primitives import TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
 from taccel_lab.errors import InputError
 
@@ -137,15 +132,6 @@ def test_weights_in_the_principal_frame_are_decoupled() -> None:
     np.testing.assert_allclose(local.second_moments_kg_m2, found.second_moments_kg_m2, rtol=1e-11)
 
 
-def test_thin_foil() -> None:
-    size = (1.0, 1.0, 1e-5)
-    turn = rotation(5)
-    found = mass_properties(moved(box_mesh(size), turn, np.array([5.0, 5, 5])), RHO)
-    assert found.mass_kg == pytest.approx(RHO * 1e-5, rel=1e-9)
-    thickness = np.sqrt(12 * found.second_moments_kg_m2.min() / found.mass_kg)
-    assert thickness == pytest.approx(1e-5, rel=1e-8)
-
-
 def test_cavity_and_separate_shells() -> None:
     outer, inner = box_mesh((0.2, 0.2, 0.2)), box_mesh((0.1, 0.1, 0.1))
     hollow = mass_properties(joined(outer, flipped(inner)), RHO)
@@ -157,12 +143,6 @@ def test_cavity_and_separate_shells() -> None:
     found = mass_properties(apart, RHO)
     np.testing.assert_allclose(found.center_m, [0.5, 0, 0], atol=1e-15)
     assert found.second_moments_kg_m2[0] == pytest.approx(RHO * (2e-3 * 0.25 + 2e-5 / 12))
-
-
-def test_winding_number() -> None:
-    triangles = TET.vertices_m[TET.faces]
-    assert winding_number(np.full(3, 0.1), triangles) == pytest.approx(1, abs=1e-12)
-    assert winding_number(np.full(3, 1.1), triangles) == pytest.approx(0, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -188,10 +168,7 @@ def test_winding_number() -> None:
             TriangleMesh(TET.vertices_m[TET.faces].reshape(-1, 3), np.arange(12).reshape(4, 3)),
             "not closed: 12 edges.*merge",
         ),
-        (
-            joined(box_mesh((0.2, 0.2, 0.2)), box_mesh((0.1, 0.1, 0.1))),
-            "inside another shell",
-        ),
+        (joined(box_mesh((0.2, 0.2, 0.2)), box_mesh((0.1, 0.1, 0.1))), "inside another shell"),
         (
             joined(TET, flipped(moved(TET, np.eye(3), np.array([3.0, 0, 0])))),
             "face 4.*oriented inwards",
@@ -203,10 +180,10 @@ def test_bad_meshes_are_refused(mesh: TriangleMesh, words: str) -> None:
         mass_properties(mesh, RHO)
 
 
-@pytest.mark.parametrize("density", [0.0, -1.0, float("nan"), float("inf")])
-def test_bad_densities_are_refused(density: float) -> None:
-    with pytest.raises(InputError, match="density must be positive"):
-        mass_properties(TET, density)
+def test_bad_densities_are_refused() -> None:
+    for density in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(InputError, match="density must be positive"):
+            mass_properties(TET, density)
 
 
 def test_stated_mass_of_an_even_solid_is_that_of_its_density() -> None:

@@ -31,12 +31,7 @@ from taccel_lab.scene import (
     VelocityDrive,
     box_mesh,
 )
-from taccel_lab.scene.shards import (
-    PER_ENVIRONMENT,
-    cut_scene,
-    shard_of,
-    shard_slice,
-)
+from taccel_lab.scene.shards import PER_ENVIRONMENT, cut_scene, shard_of, shard_slice
 
 MESH = block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3))
 GEL = Material(1e5, 0.4)

@@ -22,7 +22,6 @@ from taccel_lab.scene import (
     Scene,
     SoftBody,
     TimeStepping,
-    TriangleMesh,
     box_mesh,
 )
 from taccel_lab.signals import SignalTactile
@@ -233,4 +232,3 @@ def test_textures_are_checked(tmp_path: Path) -> None:
     signal.update(env.state.positions)
     with pytest.raises(InputError, match="a fine surface needs the state of the solver"):
         signal.read("height_m")
-    assert isinstance(box_mesh((1e-3, 1e-3, 1e-3)), TriangleMesh)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Markers: a place on the face at rest, carried along by its nodes."""
+"""Markers are carried along by the nodes of their face, and so are the dots of a colour model."""
 
 from __future__ import annotations
 
@@ -8,20 +8,23 @@ import pytest
 import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import RBFInterpolator
+from scipy.ndimage import gaussian_filter
 
+from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, quadratic_mesh
-from taccel_lab.profile import (
-    BackgroundBlock,
-    ColorBlock,
-    MarkersBlock,
-    SensorProfile,
-)
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.profile import MarkersBlock, SensorProfile
+from taccel_lab.reading.images import read_image
 from taccel_lab.scene import Element, Material, Scene, SoftBody
 from taccel_lab.signals import MarkerLayout, SignalTactile
-from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
+from taccel_lab.signals.dots import DotPainter, PaintedDots
 from taccel_lab.solvers import SolverIPC
 from tests.signals.pressed_surface import extrude, flat_pad
+from tests.support.dotted_profiles import with_painted_dots
+from tests.support.real_data import real_data
 from tests.support.sample_blocks import ASSUMED, bare_profile
 
 GRID = PixelGrid(96, 72, 0.05, 0.04, 40.0, 30.0)
@@ -37,42 +40,26 @@ def markers_px(mesh, positions: np.ndarray, points_mm: np.ndarray = POINTS_MM) -
 
 
 def dotted_profile() -> SensorProfile:
-    """``MESH`` with 5 x 4 dark dots and colours that no press changes."""
+    """``MESH`` with 5 x 4 dark dots."""
     markers = MarkersBlock(
         rows=4, columns=5, pitch_x_mm=0.8, pitch_y_mm=0.7, radius_mm=0.15, provenance=ASSUMED
     )
-    v, u = np.mgrid[: GRID.height_px, : GRID.width_px]
-    image = np.full((*u.shape, 3), 150.0, np.float32)
-    for place in GRID.pixel_from_gel(markers.grid().points_mm()):
-        image[np.hypot(u - place[0], v - place[1]) <= 3.0] = 30.0
-    config = ColorModelConfig(GRID.width_px, GRID.height_px, hidden=(8, 8))
-    still = {name: np.zeros(shape, np.float32) for name, shape in expected_shapes(config).items()}
     profile = bare_profile(MESH, GRID, "dotted")
-    profile = profile.with_block(BackgroundBlock(provenance=ASSUMED), image)
-    profile = profile.with_block(
-        ColorBlock(architecture=config.to_dict(), provenance=ASSUMED), still
-    )
-    return profile.with_block(markers)
-
-
-def test_markers_at_rest_are_where_they_were_put():
-    expected = GRID.pixel_from_gel(POINTS_MM)
-    for mesh in (MESH, quadratic_mesh(MESH)):
-        found = markers_px(mesh, mesh.nodes_m[None])
-        assert found.shape == (1, 25, 2)
-        assert np.abs(found - expected).max() < 1e-5
+    places = GRID.pixel_from_gel(markers.grid().points_mm())
+    return with_painted_dots(profile, places, 3.0).with_block(markers)
 
 
 @settings(max_examples=20)
-@given(st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6), st.integers(0, 100))
-def test_markers_follow_linear_deformations_exactly(entries, seed):
+@given(st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6), st.integers(0, 100), st.booleans())
+def test_markers_follow_linear_deformations_exactly(entries, seed, quadratic):
+    mesh = quadratic_mesh(MESH) if quadratic else MESH
     turn = np.eye(2) + np.array(entries[:4]).reshape(2, 2)
     shift = np.array(entries[4:])
     points = np.random.default_rng(seed).uniform(-1.9, 1.9, (5, 2))
-    positions = MESH.nodes_m[None].repeat(2, axis=0)
+    positions = mesh.nodes_m[None].repeat(2, axis=0)
     positions[1, :, :2] = positions[1, :, :2] @ turn.T + shift * 1e-3
-    found = markers_px(MESH, positions, points)
-    assert np.abs(found[0] - GRID.pixel_from_gel(points)).max() < 1e-4
+    found = markers_px(mesh, positions, points)
+    assert np.abs(found[0] - GRID.pixel_from_gel(points)).max() < 1e-5
     assert np.abs(found[1] - GRID.pixel_from_gel(points @ turn.T + shift)).max() < 1e-4
 
 
@@ -95,15 +82,6 @@ def test_of_two_layers_the_lower_carries_the_marker():
     nodes[:4, 2] += 5e-4
     upper = type(mesh)(nodes, mesh.tets, mesh.faces, mesh.face_regions)
     assert (MarkerLayout.from_points(upper, np.array([[0.5, 0.2]])).nodes >= 4).all()
-
-
-def test_markers_beside_the_face_are_refused():
-    with pytest.raises(InputError, match=r"marker 1 .* beside"):
-        MarkerLayout.from_points(MESH, np.array([[0.0, 0.0], [9.0, 0.0]]))
-    with pytest.raises(InputError, match="xy_mm"):
-        MarkerLayout.from_points(MESH, np.array([0.0, 0.0]))
-    with pytest.raises(InputError, match="xy_mm"):
-        MarkerLayout.from_points(MESH, np.array([[np.nan, 0.0]]))
 
 
 @pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=pytest.mark.gpu)])
@@ -138,10 +116,129 @@ def test_gels_of_other_shapes_have_their_markers_in_the_same_places(device: str)
         assert np.abs(image[1:] - image[0]).max() < 1e-2
 
 
-def test_markers_of_another_number_of_gels_are_refused():
+def test_markers_that_fit_no_face_or_no_gel_are_refused():
+    for points, message in (
+        (np.array([[0.0, 0.0], [9.0, 0.0]]), r"marker 1 .* beside"),
+        (np.array([0.0, 0.0]), "xy_mm"),
+        (np.array([[np.nan, 0.0]]), "xy_mm"),
+    ):
+        with pytest.raises(InputError, match=message):
+            MarkerLayout.from_points(MESH, points)
     rests = np.stack([MESH.nodes_m, MESH.nodes_m * [1.01, 1.0, 1.0]])
     layout = MarkerLayout.from_points(MESH, POINTS_MM, rests)
     signal = SignalTactile(MESH, GRID, env_count=3, markers=layout)
     signal.update(wp.array(MESH.nodes_m[None].repeat(3, 0), dtype=wp.vec3d, device="cpu"))
     with pytest.raises(InputError, match="markers of 2 gels, but there are 3"):
         _ = signal.markers_px
+
+
+# Painted ------------------------------------------------------------------------------------------
+
+
+VIEW = PixelGrid(120, 90, 0.1, 0.1)
+DOTTED = block_mesh((12, 9, 2), (14e-3, 11e-3, 3e-3), jitter=0.2, seed=2)
+RADIUS_PX = 3.0
+PLACES_MM = np.stack(np.meshgrid([-3.5, -1.2, 1.1, 3.4], [-2.4, 0.1, 2.5]), axis=-1).reshape(-1, 2)
+
+
+def drawn(places_px: np.ndarray, stretch: tuple[float, float] = (1.0, 1.0)) -> np.ndarray:
+    """Uneven light with soft dark dots, one pixel from dark to bright."""
+    v, u = np.mgrid[: VIEW.height_px, : VIEW.width_px]
+    light = np.stack([150 + 0.3 * u, 120 + 0.4 * v, 140 + 0.2 * u - 0.1 * v], axis=-1)
+    for place in places_px:
+        distance = np.hypot((u - place[0]) / stretch[0], (v - place[1]) / stretch[1])
+        light = light * (1 - 0.7 * np.clip(RADIUS_PX - distance + 0.5, 0, 1))[..., None]
+    return light
+
+
+def moved_dots(positions_m: np.ndarray) -> np.ndarray:
+    """An image of the dots, of the gel's nodes where they are."""
+    background = drawn(VIEW.pixel_from_gel(PLACES_MM))
+    dots = PaintedDots.cut_out(background, VIEW.pixel_from_gel(PLACES_MM), RADIUS_PX)
+    layout = MarkerLayout.from_points(DOTTED, PLACES_MM)
+    return DotPainter(dots, layout, DOTTED, VIEW).painted(dots.clean_rgb, positions_m)
+
+
+def normalized_blur(values: np.ndarray, known: np.ndarray, sigma_px: float = 6.0) -> np.ndarray:
+    """Mean of the known values nearby."""
+    return gaussian_filter(values * known, sigma_px) / gaussian_filter(1.0 * known, sigma_px)
+
+
+@pytest.mark.parametrize("move_px", [(0.0, 0.0), (3.0, -2.0), (0.4, 1.7), (-5.5, 5.5), (40.0, 0.0)])
+def test_dots_go_with_the_gel(move_px: tuple[float, float]) -> None:
+    """The last motion takes some of them out of the image."""
+    move_m = 1e-3 * np.array([*move_px, 0.0]) * VIEW.mm_per_px_x
+    found = moved_dots(DOTTED.nodes_m + move_m)
+    expected = drawn(VIEW.pixel_from_gel(PLACES_MM) + move_px)
+    if not any(move_px):
+        np.testing.assert_allclose(found, expected, atol=1e-3)
+        return
+    # Edges one pixel wide are interpolated: the mean is over the whole image, a tenth of it dots.
+    error, still = (
+        np.abs(image - expected).mean() for image in (found, drawn(VIEW.pixel_from_gel(PLACES_MM)))
+    )
+    assert error < (0.3 if move_px[0] == 40.0 else 0.6) and error < 0.2 * still
+
+
+def test_dots_stretch_as_their_face_does() -> None:
+    stretch = (1.3, 0.8)
+    found = moved_dots(DOTTED.nodes_m * [*stretch, 1.0])
+    places = VIEW.pixel_from_gel(PLACES_MM * stretch)
+    expected = drawn(places, stretch)
+    assert np.abs(found - expected).mean() < 0.6
+    assert np.abs(drawn(places) - expected).mean() > 2 * np.abs(found - expected).mean()
+
+
+def test_bytes_are_levels_rounded() -> None:
+    places = VIEW.pixel_from_gel(PLACES_MM)
+    dots = PaintedDots.cut_out(drawn(places), places, RADIUS_PX)
+    painter = DotPainter(dots, MarkerLayout.from_points(DOTTED, PLACES_MM), DOTTED, VIEW)
+    levels = wp.array(np.stack([dots.clean_rgb] * 2), dtype=wp.float32, device="cpu")
+    rounded = np.rint(dots.clean_rgb).astype(np.uint8)
+    image = wp.array(np.stack([rounded] * 2), dtype=wp.uint8, device="cpu")
+    positions = np.stack([DOTTED.nodes_m, DOTTED.nodes_m + [2.5e-4, 0.0, 0.0]])
+    none = wp.empty(0, dtype=wp.transformd), wp.empty(0, dtype=wp.int32)
+    painter.paint(wp.array(positions, dtype=wp.vec3d), *none, image=image, levels=levels)
+    assert np.abs(image.numpy().astype(float) - levels.numpy()).max() <= 1.0
+    assert np.abs(np.diff(levels.numpy(), axis=0)).max() > 20.0
+
+
+def test_faults_are_told() -> None:
+    places = VIEW.pixel_from_gel(PLACES_MM)
+    with pytest.raises(InputError, match="radius_px of dots must be above 0"):
+        PaintedDots.cut_out(drawn(places), places, 0.0)
+    dots = PaintedDots.cut_out(drawn(places), places[:3], RADIUS_PX)
+    with pytest.raises(InputError, match="3 dots for 12 markers"):
+        DotPainter(dots, MarkerLayout.from_points(DOTTED, PLACES_MM), DOTTED, VIEW)
+
+
+def test_a_real_gel_that_was_sheared() -> None:
+    """A finger shears a GelSight Mini. Dots of its resting image go where tracking sees them later,
+    and hide where they were; judged on pixels of either place, in the light of those between."""
+    frames = [read_image(real_data(f"gsmini_markers_video/{n:04d}.png")) for n in (0, 64, 68, 72)]
+    found = find_markers(frames[0]).dots
+    tracks = track_markers(frames, find_markers(frames[0]))
+    height, width = frames[0].shape[:2]
+    grid = PixelGrid(width, height, 0.1, 0.1)
+    mesh = block_mesh((36, 28, 1), (0.11e-3 * width, 0.12e-3 * height, 2e-3))
+    rest = tracks.rest_px
+    gel_mm = 0.1 * (rest - [grid.center_u_px, grid.center_v_px])
+    dots = PaintedDots.cut_out(frames[0], rest, float(np.median(found.radius_px)))
+    painter = DotPainter(dots, MarkerLayout.from_points(mesh, gel_mm), mesh, grid)
+    for k, frame in enumerate(frames[1:], start=1):
+        seen = tracks.seen[k]
+        move = RBFInterpolator(gel_mm[seen], 0.1 * (tracks.uv_px[k] - rest)[seen], neighbors=12)
+        nodes = mesh.nodes_m.copy()
+        nodes[:, :2] += 1e-3 * move(1e3 * nodes[:, :2])
+        image = painter.painted(dots.clean_rgb, nodes)
+        now = painter.painted(np.full_like(image, 255.0), nodes) < 250
+        then = painter.painted(np.full_like(image, 255.0), mesh.nodes_m) < 250
+        judged = (now | then).any(axis=-1)
+        # Of the finger's own light: what is neither a dot now nor was one, nearby.
+        change = np.stack(
+            [normalized_blur(frame[..., c] - dots.clean_rgb[..., c], ~judged) for c in range(3)],
+            axis=-1,
+        )
+        error = np.abs(image + change - frame)[judged].mean()
+        still = np.abs(frames[0] + change - frame)[judged].mean()
+        assert error < 0.3 * still

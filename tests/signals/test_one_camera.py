@@ -14,12 +14,11 @@ from taccel_lab.camera.gel_camera import GelCamera, camera_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.optics.render import OpticalModel
-from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
+from taccel_lab.profile import Provenance, SensorProfile
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals import MarkerLayout, SignalTactile
-from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
 from tests.signals.find_dots import distances_px, find_dots
-from tests.support.sample_blocks import ASSUMED
+from tests.support.dotted_profiles import with_painted_dots
 
 DEVICES = ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
 DOTS: dict[str, dict[str, Any]] = {
@@ -45,19 +44,11 @@ def dented(profile: SensorProfile) -> np.ndarray:
 
 
 def painted(profile: SensorProfile) -> SensorProfile:
-    """The sensor with a background that shows its dots on the pixel grid and colours that no press
-    changes: what a calibration gives."""
-    grid = profile.grid()
-    assert profile.markers is not None
-    v, u = np.mgrid[: grid.height_px, : grid.width_px]
-    image = np.full((*u.shape, 3), 150.0, np.float32)
-    radius = profile.markers.radius_mm / grid.mm_per_px_x
-    for place in grid.pixel_from_gel(profile.markers.grid().points_mm()):
-        image[np.hypot(u - place[0], v - place[1]) <= radius] = 30.0
-    config = ColorModelConfig(grid.width_px, grid.height_px, hidden=(8, 8))
-    still = {name: np.zeros(shape, np.float32) for name, shape in expected_shapes(config).items()}
-    profile = profile.with_block(BackgroundBlock(provenance=ASSUMED), image)
-    return profile.with_block(ColorBlock(architecture=config.to_dict(), provenance=ASSUMED), still)
+    """With dots on the pixel grid: what a calibration gives."""
+    grid, markers = profile.grid(), profile.markers
+    assert markers is not None
+    places = grid.pixel_from_gel(markers.grid().points_mm())
+    return with_painted_dots(profile, places, markers.radius_mm / grid.mm_per_px_x)
 
 
 def radius_px(profile: SensorProfile) -> float:

@@ -3,15 +3,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 import warp as wp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.errors import InputError
 from taccel_lab.signals.color_fragments import NetworkLayout, pack_network
 from taccel_lab.signals.color_kernel import color_kernel
 from taccel_lab.signals.color_model import (
@@ -114,20 +111,6 @@ def test_device_images_are_those_of_the_model(bands: int, device: str) -> None:
     assert np.abs(expected - background).max() > 10
     assert np.abs(levels.numpy() - expected).max() < LEVELS[device]
     assert np.array_equal(levels.numpy()[0, :5], background[:5])
-
-
-def test_settings_say_how_many_bands_and_refuse_too_many() -> None:
-    config = encoded_model(3).config
-    assert ColorModelConfig.from_dict(config.to_dict()) == config
-    normals = NormalModelConfig(WIDTH, HEIGHT, position_bands=2)
-    assert NormalModelConfig.from_dict(normals.to_dict()) == normals
-    for bands in (-1, MAX_BANDS + 1):
-        with pytest.raises(InputError, match=r"color model position_bands must lie in 0\.\.8"):
-            dataclasses.replace(config, position_bands=bands)
-        with pytest.raises(InputError, match=r"normal model position_bands must lie in 0\.\.8"):
-            NormalModelConfig(WIDTH, HEIGHT, position_bands=bands)
-    with pytest.raises(InputError, match="weights have shapes"):
-        ColorModel(dataclasses.replace(config, position_bands=2), encoded_model(3).weights)
 
 
 def test_the_normals_network_has_them_among_its_features() -> None:

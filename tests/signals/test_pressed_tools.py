@@ -25,8 +25,7 @@ from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.signals.layer_contact import layer_compliance, solve_contact
-from taccel_lab.signals.normals import normals_from_slopes
-from taccel_lab.signals.rest_surface import RestCorrection, RestSurface, rest_surface
+from taccel_lab.signals.rest_surface import rest_surface
 
 DEPTH_MM, AT_MM = 0.5, (1.2, -0.8)
 
@@ -245,20 +244,6 @@ def test_environments_do_not_know_each_other() -> None:
         for whole, equals in zip(together, among_equals, strict=True):
             np.testing.assert_array_equal(whole[env], equals[env])
     assert not together[1][1].any() and not together[0][1].any()
-
-
-def test_the_designed_face_comes_back_at_rest() -> None:
-    height = np.full((3, 4), 2e-4)
-    slope = np.zeros((3, 4, 2))
-    slope[..., 0] = 0.1
-    designed = RestSurface(height, normals_from_slopes(slope), np.ones((3, 4), dtype=bool))
-    meshed = height - 5e-5
-    meshed[0, 0] = np.nan
-    correction = RestCorrection.of(designed, meshed, np.zeros((3, 4, 2)))
-    found = correction.samples() + np.dstack([np.zeros((3, 4, 2)), meshed])
-    assert np.isnan(found[0, 0, 2])
-    assert found[..., 2].ravel()[1:] == pytest.approx(2e-4)
-    assert found[..., :2].reshape(-1, 2)[1:] == pytest.approx(slope.reshape(-1, 2)[1:])
 
 
 def test_a_press_on_a_crowned_pad_is_right_far_from_the_contact() -> None:

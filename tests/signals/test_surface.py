@@ -58,17 +58,6 @@ def test_the_network_of_least_bending_is_found():
     assert np.abs(gradients).max() > 0.5
 
 
-def test_neighbourhoods_hold_the_edges():
-    surface = ContactSurface.from_faces(np.array([[10, 11, 12], [12, 11, 13]]))
-    assert surface.node_idx.tolist() == [10, 11, 12, 13]
-    assert surface.edges.tolist() == [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]]
-    ring = [
-        surface.ring_nodes[a:b].tolist()
-        for a, b in zip(surface.ring_start[:-1], surface.ring_start[1:], strict=True)
-    ]
-    assert ring == [[1, 2], [0, 2, 3], [0, 1, 3], [1, 2]]
-
-
 def test_sweeps_divide_the_error_as_chebyshev_promises():
     mesh = flat_pad(0.5, (2.5, 2.5), seed=4)
     surface = ContactSurface.from_mesh(mesh)
@@ -197,7 +186,7 @@ def _seen(face: DeformedFace, mesh: TetMesh, nodes_m: np.ndarray) -> tuple[np.nd
     return samples[..., 2], samples[..., :2]
 
 
-WALL_M, HEIGHT_M = 1.0e-3, 0.8e-3
+HEIGHT_M = 0.8e-3
 
 
 def _wall(rest: np.ndarray) -> np.ndarray:
@@ -252,17 +241,6 @@ def test_a_face_that_came_from_elsewhere_is_covered():
     assert np.isfinite(_seen(face, mesh, rest)[0]).all()
     height, _ = _seen(face, mesh, rest + [1.5e-3, -1.5e-3, 1e-4])
     assert np.allclose(height, 1e-4, rtol=0, atol=1e-9)
-
-
-def test_beside_the_pad_there_is_nothing():
-    mesh = flat_pad(0.3, (2.0, 1.5))
-    face = DeformedFace(mesh, GRID)
-    height, slope = _seen(face, mesh, mesh.nodes_m[ContactSurface.from_mesh(mesh).node_idx])
-    x, y = pixel_xy(GRID)
-    far = (np.abs(x) > 2.4e-3) | (np.abs(y) > 1.9e-3)
-    near = (np.abs(x) < 1.8e-3) & (np.abs(y) < 1.2e-3)
-    assert np.isnan(height[far]).all() and np.isnan(slope[far]).all()
-    assert np.isfinite(height[near]).all()
 
 
 def test_each_environment_has_its_own_rest() -> None:

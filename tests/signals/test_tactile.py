@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 import warp as wp
@@ -10,10 +12,7 @@ import warp as wp
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.profile import (
-    BackgroundBlock,
-    ColorBlock,
-)
+from taccel_lab.profile import BackgroundBlock, ColorBlock
 from taccel_lab.signals import MarkerLayout, SignalTactile
 from tests.signals.pressed_surface import extrude, flat_pad
 from tests.signals.tactile_cases import (
@@ -55,67 +54,6 @@ def test_every_environment_equals_the_reference(device):
     assert_agrees(signal, expected, device)
     assert signal.rasterized_count() == 0
     assert np.array_equal(signal.rgb_levels.numpy()[0], background(grid)), "untouched"
-
-
-@pytest.mark.parametrize("device", DEVICES)
-def test_folded_faces_and_pixels_beside_the_pad_are_rasterized(device):
-    mesh = flat_pad(0.3, (2.0, 1.3), seed=2)
-    positions = fold(mesh, presses(mesh), 4)
-    signal = make(mesh, device)
-    signal.update(on_device(positions, device))
-    expected = reference(mesh, positions, GRID)
-    beside = np.isnan(expected["height_m"])
-    assert beside.any(axis=(1, 2)).all() and not beside.all(axis=(1, 2)).any()
-    # Faces squeezed to slivers by the fold.
-    assert_agrees(signal, expected, device, normal_bound=1e-4)
-    unseen = beside | beside[0]
-    shown = np.broadcast_to(background(GRID), (ENV_COUNT, *background(GRID).shape))
-    assert np.array_equal(signal.rgb_levels.numpy()[unseen], shown[unseen])
-
-
-@pytest.mark.parametrize("device", DEVICES)
-def test_outlines_may_be_concave_and_have_holes(device):
-    mesh = flat_pad(0.3, (2.0, 1.3), seed=2)
-    center = mesh.nodes_m[mesh.faces].mean(axis=1)
-    hole = (np.abs(center[:, 0] - 0.4e-3) < 0.5e-3) & (np.abs(center[:, 1]) < 0.4e-3)
-    notch = (np.abs(center[:, 0] + 1e-3) < 0.3e-3) & (center[:, 1] < 0.2e-3)
-    regions = np.where((hole | notch) & (center[:, 2] == 0), int(Region.SIDE), mesh.face_regions)
-    mesh = type(mesh)(mesh.nodes_m, mesh.tets, mesh.faces, regions)
-    positions = presses(mesh)
-    positions[1:, :, 1] *= 1.07
-    positions[4, :, :2] += [0.31e-3, -0.17e-3]
-    signal = make(mesh, device, markers=None)
-    signal.update(on_device(positions, device))
-    expected = reference(mesh, positions, GRID)
-    assert 0.2 < np.isnan(expected["height_m"]).mean() < 0.8
-    assert_agrees(signal, expected, device, normal_bound=1e-4)
-
-
-@pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("shift_mm", [(0.0, 0.0), (0.31, -0.17), (-0.9, 0.4)])
-def test_pixels_beside_a_pad_need_no_rasterizer(device, shift_mm):
-    mesh = block_mesh((11, 8, 2), (4.1e-3, 2.9e-3, 1e-3), jitter=0.2)
-    positions = presses(mesh)
-    positions[:, :, :2] += np.array(shift_mm) * 1e-3
-    signal = make(mesh, device)
-    signal.update(on_device(positions, device))
-    expected = reference(mesh, positions, GRID)
-    assert np.isnan(expected["height_m"]).any(axis=(1, 2)).all()
-    assert_agrees(signal, expected, device, normal_bound=1e-4)
-    # Straight rims; the sheared one is dented, and a walk may end at the dent.
-    assert not signal._surface.made.rasterized[[0, 1, 3, 4]].any()
-
-
-@pytest.mark.parametrize("device", DEVICES)
-def test_only_folded_environments_are_rasterized(device):
-    mesh = flat_pad(0.3, PAD_HALF_MM, seed=2)
-    positions = presses(mesh)
-    fold(mesh, positions, 2)
-    signal = make(mesh, device)
-    signal.update(on_device(positions, device))
-    expected = reference(mesh, positions, GRID)
-    assert_agrees(signal, expected, device, normal_bound=1e-4)
-    assert signal._surface.made.rasterized.tolist() == [False, False, True, False, False]
 
 
 @pytest.mark.parametrize("device", DEVICES)
@@ -298,15 +236,15 @@ def test_bad_calls_are_refused():
     with pytest.raises(RuntimeError, match="update"):
         _ = signal.height_m
     nodes = mesh.nodes_m[None].repeat(2, axis=0)
-    with pytest.raises(InputError, match="2 environments"):
-        signal.update(on_device(nodes[:1], "cpu"))
-    with pytest.raises(InputError, match="nodes are needed"):
-        signal.update(on_device(nodes[:, :-1], "cpu"))
-    with pytest.raises(InputError, match="vec3d"):
-        signal.update(wp.array(nodes, dtype=wp.vec3f, device="cpu"))
     positions = on_device(nodes, "cpu")
-    with pytest.raises(InputError, match="transformd"):
-        signal.update(positions, wp.zeros(3, dtype=wp.transformd, device="cpu"))
+    for given, message in (
+        ([on_device(nodes[:1], "cpu")], "2 environments"),
+        ([on_device(nodes[:, :-1], "cpu")], "nodes are needed"),
+        ([wp.array(nodes, dtype=wp.vec3f, device="cpu")], "vec3d"),
+        ([positions, wp.zeros(3, dtype=wp.transformd, device="cpu")], "transformd"),
+    ):
+        with pytest.raises(InputError, match=message):
+            signal.update(*given)
     signal.update(positions)
     for name, message in (
         ("rgb", "color_model"),
@@ -315,15 +253,77 @@ def test_bad_calls_are_refused():
     ):
         with pytest.raises(InputError, match=message):
             signal.read(name)
-    with pytest.raises(InputError, match="together"):
-        make(mesh, background_rgb=None)
-    with pytest.raises(InputError, match="env_count"):
-        make(mesh, env_count=0)
-    wrong = make(mesh, color_model=color_model(PixelGrid(50, 72, 0.05, 0.05)))
-    wrong.update(on_device(presses(mesh), "cpu"))
-    with pytest.raises(InputError, match="background has shape"):
-        wrong.read("rgb")
-    wide = make(mesh, color_model=color_model(GRID, hidden=(129,)))
-    wide.update(on_device(presses(mesh), "cpu"))
-    with pytest.raises(InputError, match="at most 128"):
-        wide.read("rgb")
+    for changes, message in (({"background_rgb": None}, "together"), ({"env_count": 0}, "env_co")):
+        with pytest.raises(InputError, match=message):
+            make(mesh, **changes)
+    for model, message in (
+        (color_model(PixelGrid(50, 72, 0.05, 0.05)), "background has shape"),
+        (color_model(GRID, hidden=(129,)), "at most 128"),
+    ):
+        wrong = make(mesh, color_model=model)
+        wrong.update(on_device(presses(mesh), "cpu"))
+        with pytest.raises(InputError, match=message):
+            wrong.read("rgb")
+
+
+def folded() -> tuple[TetMesh, np.ndarray]:
+    """The third environment, which alone is rasterised."""
+    mesh = flat_pad(0.3, PAD_HALF_MM, seed=2)
+    return mesh, fold(mesh, presses(mesh), 2)
+
+
+def folded_and_small() -> tuple[TetMesh, np.ndarray]:
+    """Pixels beside the pad, too."""
+    mesh = flat_pad(0.3, (2.0, 1.3), seed=2)
+    return mesh, fold(mesh, presses(mesh), 4)
+
+
+def with_a_hole_and_a_notch() -> tuple[TetMesh, np.ndarray]:
+    mesh = flat_pad(0.3, (2.0, 1.3), seed=2)
+    center = mesh.nodes_m[mesh.faces].mean(axis=1)
+    hole = (np.abs(center[:, 0] - 0.4e-3) < 0.5e-3) & (np.abs(center[:, 1]) < 0.4e-3)
+    notch = (np.abs(center[:, 0] + 1e-3) < 0.3e-3) & (center[:, 1] < 0.2e-3)
+    regions = np.where((hole | notch) & (center[:, 2] == 0), int(Region.SIDE), mesh.face_regions)
+    mesh = type(mesh)(mesh.nodes_m, mesh.tets, mesh.faces, regions)
+    positions = presses(mesh)
+    positions[1:, :, 1] *= 1.07
+    positions[4, :, :2] += [0.31e-3, -0.17e-3]
+    return mesh, positions
+
+
+def beside(x_mm: float, y_mm: float) -> tuple[TetMesh, np.ndarray]:
+    """Straight rims, for whose outside no rasteriser is needed."""
+    mesh = block_mesh((11, 8, 2), (4.1e-3, 2.9e-3, 1e-3), jitter=0.2)
+    positions = presses(mesh)
+    positions[:, :, :2] += np.array([x_mm, y_mm]) * 1e-3
+    return mesh, positions
+
+
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize(
+    ("made", "rasterized"),
+    [
+        (folded, [False, False, True, False, False]),
+        (folded_and_small, None),
+        (with_a_hole_and_a_notch, None),
+        # The sheared one is dented, and a walk may end at the dent.
+        *[(partial(beside, *at), [False, False, ..., False, False])
+          for at in ((0.0, 0.0), (0.31, -0.17), (-0.9, 0.4))],
+    ],
+)  # fmt: skip
+def test_awkward_faces_equal_the_reference(made, rasterized, device):
+    mesh, positions = made()
+    signal = make(mesh, device, markers=None)
+    signal.update(on_device(positions, device))
+    expected = reference(mesh, positions, GRID)
+    # Faces squeezed to slivers by the fold.
+    assert_agrees(signal, expected, device, normal_bound=1e-4)
+    nowhere = np.isnan(expected["height_m"])
+    if made is not folded:
+        assert nowhere.any(axis=(1, 2)).all() and not nowhere.all(axis=(1, 2)).any()
+    if made is folded_and_small:
+        unseen = nowhere | nowhere[0]
+        shown = np.broadcast_to(background(GRID), (ENV_COUNT, *background(GRID).shape))
+        assert np.array_equal(signal.rgb_levels.numpy()[unseen], shown[unseen])
+    for found, wanted in zip(signal._surface.made.rasterized, rasterized or (), strict=False):
+        assert wanted is ... or bool(found) == wanted

@@ -4,14 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.robots.transforms import matrix_of
-from taccel_lab.tasks.catalogue import FILES, Task, named, read_task
+from taccel_lab.tasks.catalogue import Task, named
 from taccel_lab.tasks.grasp_matrix import GraspMatrix, GraspMatrixParameters
 from taccel_lab.tasks.hands import Finger, HandWithGels, Seat
 from taccel_lab.tasks.run import run_task
@@ -172,15 +171,3 @@ def test_an_object_too_heavy_for_its_grip_slips() -> None:
     assert trial.cause.startswith("slipped: rose by")
     assert trial.figures["slip_mm"] > parameters.policy.lost_mm
     assert trial.figures["gels_pushing"] == 2
-
-
-def test_unknown_shapes_are_refused(tmp_path: Path) -> None:
-    text = (FILES / "grasp-lift-matrix.toml").read_text(encoding="utf-8")
-    path = tmp_path / "mine.toml"
-    for old, new, message in (
-        ('shape = "gear"', 'shape = "spoon"', "no shapes spoon; there are hex nut, washer"),
-        ('shape = "gear"', 'shape = "dowel"', "names one shape twice"),
-    ):
-        path.write_text(text.replace(old, new), encoding="utf-8")
-        with pytest.raises(InputError, match=message):
-            read_task(path)

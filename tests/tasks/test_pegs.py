@@ -11,7 +11,7 @@ import pytest
 from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.bodies.mesh_checks import check_surface
 from taccel_lab.errors import InputError
-from taccel_lab.tasks.catalogue import named
+from taccel_lab.tasks.catalogue import Task, named
 from taccel_lab.tasks.parameters import PlanarStart
 from taccel_lab.tasks.peg_insertion import PegFitParameters
 from taccel_lab.tasks.pegs import ROUND_SIDES, Hole, Peg
@@ -104,12 +104,16 @@ def test_sizes_that_make_no_peg_are_refused() -> None:
 # By touch -----------------------------------------------------------------------------------------
 
 
+def by_touch(part: str, **changes: object) -> Task:
+    """The task with a part of its parameters changed."""
+    task = named("touch-insertion")
+    changed = getattr(task.parameters, part).replace(**changes)
+    return replace(task, parameters=task.parameters.replace(**{part: changed}))
+
+
 def test_the_peg_is_moved_away_from_the_side_on_which_it_stands() -> None:
     """Without noise, from seeds that begin off the hole by more than its clearance."""
-    task = named("touch-insertion")
-    assert isinstance(task.parameters, TouchInsertionParameters)
-    markers = task.parameters.markers.replace(noise_mm=0.0)
-    task = replace(task, parameters=task.parameters.replace(markers=markers))
+    task = by_touch("markers", noise_mm=0.0)
     episode = task.begin(range(8), "cpu")
     assert isinstance(episode, TouchInsertion)
     starts = np.array([[start["x_mm"], start["y_mm"]] for start in episode.starts])
@@ -125,11 +129,7 @@ def test_the_peg_is_moved_away_from_the_side_on_which_it_stands() -> None:
 
 
 def test_a_peg_over_its_hole_goes_in_at_once_and_is_pushed_by_little() -> None:
-    task = named("touch-insertion")
-    assert isinstance(task.parameters, TouchInsertionParameters)
-    start = task.parameters.start.replace(x_mm=0.5, y_mm=0.5)
-    task = replace(task, parameters=task.parameters.replace(start=start))
-    for trial in run_task(task, [0, 1], "cpu").trials:
+    for trial in run_task(by_touch("start", x_mm=0.5, y_mm=0.5), [0, 1], "cpu").trials:
         assert trial.success and trial.figures["tries"] == 1
         assert trial.figures["jam_force_n"] < 0.1
         # It goes down as far as the hand, which is 0.6 mm over the rim at first.
@@ -138,10 +138,7 @@ def test_a_peg_over_its_hole_goes_in_at_once_and_is_pushed_by_little() -> None:
 
 def test_tries_are_used_up() -> None:
     """A policy that never steps aside stays on the rim."""
-    task = named("touch-insertion")
-    assert isinstance(task.parameters, TouchInsertionParameters)
-    policy = task.parameters.policy.replace(side_part=(1e3, 1e3), tries=2)
-    task = replace(task, parameters=task.parameters.replace(policy=policy))
+    task = by_touch("policy", side_part=(1e3, 1e3), tries=2)
     (trial,) = run_task(task, [1], "cpu").trials
     assert not trial.success and trial.figures["tries"] == 2
     assert trial.figures["depth_mm"] < 0.1 and trial.steps < 60
@@ -149,10 +146,7 @@ def test_tries_are_used_up() -> None:
 
 def test_where_no_side_is_felt_the_hand_turns() -> None:
     """A policy that tells no side goes through its turns, and then stays turned."""
-    task = named("touch-insertion")
-    assert isinstance(task.parameters, TouchInsertionParameters)
-    policy = task.parameters.policy.replace(side_part=(1e3, 1e3), turns_deg=(3.0, -5.0), tries=4)
-    task = replace(task, parameters=task.parameters.replace(policy=policy))
+    task = by_touch("policy", side_part=(1e3, 1e3), turns_deg=(3.0, -5.0), tries=4)
     episode = task.begin([1], "cpu")
     assert isinstance(episode, TouchInsertion)
     seen = []

@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from taccel_lab.errors import InputError
 from taccel_lab.robots.transforms import matrix_of
-from taccel_lab.tasks.catalogue import FILES, Task, named, read_task
+from taccel_lab.tasks.catalogue import Task, named
 from taccel_lab.tasks.run import run_task
 from taccel_lab.tasks.tac_man import TacManParameters, rigid_fit
 from taccel_lab.tasks.throw_catch import ThrowCatch, ThrowCatchParameters
@@ -40,14 +38,6 @@ def test_a_fit_is_the_nearest() -> None:
         turn = np.append(1e-2 * random.normal(size=3), 1.0)
         small = np.concatenate([1e-2 * random.normal(size=3), turn / np.linalg.norm(turn)])
         assert miss(best) < miss(best @ matrix_of(small))
-
-
-def test_mechanisms_need_their_own_parts(tmp_path: Path) -> None:
-    text = (FILES / "tac-man-revolute.toml").read_text(encoding="utf-8")
-    path = tmp_path / "mine.toml"
-    path.write_text(text.replace("hinge_mm = 200.0\n", ""), encoding="utf-8")
-    with pytest.raises(InputError, match="joint 'revolute' needs handle_mm, hinge_mm"):
-        read_task(path)
 
 
 def test_a_door_opens_and_needs_recovery() -> None:

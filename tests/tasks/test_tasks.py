@@ -20,23 +20,17 @@ pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 
 
 @pytest.mark.parametrize("name", names())
-def test_three_steps(name: str) -> None:
+def test_three_steps_are_the_same_whatever_runs_beside_them(name: str) -> None:
     told: list[tuple[int, int]] = []
     task = named(name)
-    result = run_task(task, [3, 4], "cpu", steps=3, progress=lambda _, i, n: told.append((i, n)))
+    result = run_task(task, [5, 2], "cpu", steps=3, progress=lambda _, i, n: told.append((i, n)))
     assert told == [(1, 3), (2, 3), (3, 3)]
-    assert [trial.seed for trial in result.trials] == [3, 4]
+    assert [trial.seed for trial in result.trials] == [5, 2]
     for trial in result.trials:
         assert trial.steps == 3 and not trial.success
         assert trial.cause and not trial.cause.startswith("solver")
         assert task.parameters.headline in trial.figures
-
-
-@pytest.mark.parametrize("name", names())
-def test_a_seed_does_the_same_whatever_runs_beside_it(name: str) -> None:
-    task = named(name)
-    together = run_task(task, [5, 2], "cpu", steps=3).trials[1]
-    alone = run_task(task, [2], "cpu", steps=3).trials[0]
+    alone, together = run_task(task, [2], "cpu", steps=3).trials[0], result.trials[1]
     assert alone.start == together.start
     assert alone.figures == pytest.approx(together.figures, rel=1e-3, abs=1e-4, nan_ok=True)
 
@@ -50,27 +44,43 @@ def test_draws_fill_their_ranges_evenly() -> None:
     assert draw(7, {"x": 2.0}) == {"x": drawn[7]["x"]}
 
 
-def test_wrong_files_are_refused_by_name(tmp_path: Path) -> None:
-    text = (FILES / "grasp-lift.toml").read_text(encoding="utf-8")
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        (
+            "grasp-lift",
+            'kind = "grasp-lift"',
+            'kind = "juggle"',
+            "kind must be one of .*grasp-lift",
+        ),
+        ("grasp-lift", "mass_kg = 0.1", "mass_kg = -0.1", r"object\.mass_kg"),
+        ("grasp-lift", "seeds = 64", "seeds = 64\ncolour = 3", "colour: unknown key"),
+        ("peg-insertion", "[0.0, 0.02, 0.1, 1.0]", "[0.0, 1.0]", "each of the 2 times_s, got 4"),
+        ("peg-insertion", "[0.0, 0.02,", "[0.0, 0.2,", "times_s must rise"),
+        (
+            "grasp-lift-matrix",
+            'shape = "gear"',
+            'shape = "spoon"',
+            "no shapes spoon; there are hex",
+        ),
+        ("grasp-lift-matrix", 'shape = "gear"', 'shape = "dowel"', "names one shape twice"),
+        ("object-classification", '"gear"', '"spoon"', "no parts spoon; there are hex nut, washer"),
+        ("object-classification", '"gear"', '"washer"', "names one part twice"),
+        ("tac-man-revolute", "hinge_mm = 200.0\n", "", "'revolute' needs handle_mm, hinge_mm"),
+    ],
+)
+def test_wrong_files_are_refused_by_name(
+    tmp_path: Path, name: str, old: str, new: str, message: str
+) -> None:
+    text = (FILES / f"{name}.toml").read_text(encoding="utf-8")
+    assert old in text
     path = tmp_path / "mine.toml"
-    for old, new, message in (
-        ('kind = "grasp-lift"', 'kind = "juggle"', "kind must be one of .*grasp-lift"),
-        ("mass_kg = 0.1", "mass_kg = -0.1", r"object\.mass_kg"),
-        ("seeds = 64", "seeds = 64\ncolour = 3", "colour: unknown key"),
-    ):
-        assert old in text
-        path.write_text(text.replace(old, new), encoding="utf-8")
-        with pytest.raises(InputError, match=message):
-            read_task(path)
-    text = (FILES / "peg-insertion.toml").read_text(encoding="utf-8")
-    for old, new, message in (
-        ("times_s = [0.0, 0.02, 0.1, 1.0]", "times_s = [0.0, 1.0]", "each of the 2 times_s, got 4"),
-        ("times_s = [0.0, 0.02,", "times_s = [0.0, 0.2,", "times_s must rise"),
-    ):
-        assert old in text
-        path.write_text(text.replace(old, new), encoding="utf-8")
-        with pytest.raises(InputError, match=message):
-            read_task(path)
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        read_task(path)
+
+
+def test_tasks_that_are_not_there_and_no_seeds_are_refused() -> None:
     with pytest.raises(InputError, match=r"no task 'juggle'; there are .*grasp-lift"):
         named("juggle")
     with pytest.raises(InputError, match="at least one seed"):

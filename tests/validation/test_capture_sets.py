@@ -10,11 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import (
-    CaptureFolder,
-    import_captures,
-    load_capture_folder,
-)
+from taccel_lab.calibration.capture import CaptureFolder, import_captures, load_capture_folder
 from taccel_lab.calibration.capture.importers import ImportOptions, detect_layout
 from taccel_lab.calibration.check import CaptureCheck, check_captures
 from taccel_lab.errors import InputError

@@ -206,9 +206,7 @@ def rate(cells: list[int], errors: list[float]) -> float:
 def referee(poisson: float, levels: tuple[int, ...] = (3, 4, 5, 6)) -> float:
     """Cook's energy by scikit-fem, extrapolated."""
     import skfem  # pyright: ignore[reportMissingImports]
-    from skfem.models.elasticity import (  # pyright: ignore[reportMissingImports]
-        linear_elasticity,
-    )
+    from skfem.models.elasticity import linear_elasticity  # pyright: ignore[reportMissingImports]
 
     lam = poisson / ((1 + poisson) * (1 - 2 * poisson))
     energies = []

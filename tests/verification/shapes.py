@@ -76,12 +76,7 @@ def screw_mesh(
 
 
 def nut_mesh(
-    inner_m: float,
-    outer_m: float,
-    pitch_m: float,
-    turns: float,
-    wall_m: float,
-    segments: int = 16,
+    inner_m: float, outer_m: float, pitch_m: float, turns: float, wall_m: float, segments: int = 16
 ) -> TriangleMesh:
     """A nut around the rod's thread, its bore between two radii, ``wall_m`` its own radius."""
     bore = _thread(inner_m, outer_m, pitch_m, turns, segments)
@@ -94,12 +89,7 @@ def nut_mesh(
     low = np.stack([shell[0], inside[0]])
     high = np.stack([inside[-1], shell[1]])
     faces = np.concatenate(
-        [
-            grid_faces(inside),
-            grid_faces(shell)[:, ::-1],
-            grid_faces(low),
-            grid_faces(high),
-        ]
+        [grid_faces(inside), grid_faces(shell)[:, ::-1], grid_faces(low), grid_faces(high)]
     )
     return TriangleMesh(np.concatenate([bore.reshape(-1, 3), outside.reshape(-1, 3)]), faces)
 
@@ -115,6 +105,14 @@ def extruded(
     a, b = np.arange(n), np.roll(np.arange(n), -1)
     sides = [np.stack([a, b, b + n], 1), np.stack([a, b + n, a + n], 1)]
     return TriangleMesh(np.concatenate(ends), np.concatenate([caps[:, ::-1], caps + n, *sides]))
+
+
+def roof(half_width_m: float, height_m: float, length_m: float) -> TriangleMesh:
+    """A roof whose ridge lies along x at the origin, as sharp as it is slender."""
+    x, y, z = length_m / 2, half_width_m, -height_m
+    vertices = np.array([[-x, 0, 0], [x, 0, 0], [-x, -y, z], [x, -y, z], [-x, y, z], [x, y, z]])
+    faces = [(0, 2, 3), (0, 3, 1), (0, 1, 5), (0, 5, 4), (2, 4, 5), (2, 5, 3), (0, 4, 2), (1, 3, 5)]
+    return TriangleMesh(vertices, np.array(faces))
 
 
 def pyramid(height: float) -> TriangleMesh:

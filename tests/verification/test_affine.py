@@ -55,16 +55,21 @@ def test_free_fall_is_exact() -> None:
     np.testing.assert_allclose(run.v[0, 0], velocity + [0, 0, -G * n * run.dt], rtol=1e-12)
 
 
+@pytest.mark.parametrize("spin_rad_s", [(6.0, -9.0, 4.0), (5.0, 7.0, -3.0), (-2.0, 8.0, 6.0)])
 @pytest.mark.parametrize("scheme", list(TimeScheme))
-def test_free_rotation_of_an_asymmetric_body(scheme: TimeScheme) -> None:
-    body = wedge(initial_spin_rad_s=(6.0, -9.0, 4.0), initial_velocity_m_s=(0.1, 0.2, 0.3))
+def test_free_rotation_of_an_asymmetric_body(
+    scheme: TimeScheme, spin_rad_s: tuple[float, float, float]
+) -> None:
+    """Steps that lower the residual from 1e-8 N to 1e-10 N lower the energy by 1e-19 J, less than
+    its last digit: one in 60 took 419 iterations when that was not allowed for."""
+    body = wedge(initial_spin_rad_s=spin_rad_s, initial_velocity_m_s=(0.1, 0.2, 0.3))
     run = Run(
         affine_scene([body], gravity=NONE, dt=5e-3, scheme=scheme),
         # On some machines residuals below that are rounding.
         SolverConfig(absolute_tolerance_n=3e-9),
     )
     momentum, energy, spin = run.momentum, run.kinetic_energy, run.angular_momentum
-    strains, newton = [], []
+    start, strains, newton = run.maps[0], [], []
     for _ in range(60):
         before = run.v
         newton.append(run.step().newton_iterations[0])
@@ -77,28 +82,15 @@ def test_free_rotation_of_an_asymmetric_body(scheme: TimeScheme) -> None:
             energy = run.kinetic_energy
         strains.append(run.strain)
     assert max(strains) < 1e-4
-    assert max(newton) <= 6
+    assert max(newton) <= (6 if spin_rad_s[0] == 6.0 else 3)
     lost = np.linalg.norm(run.angular_momentum - spin) / np.linalg.norm(spin)
     assert lost < {TimeScheme.EULER: 0.2, TimeScheme.BDF2: 0.01}[scheme]
-    assert np.abs(run.maps[0] - run.maps[0].T).max() > 0.1
+    assert np.abs(run.maps[0] - start).max() > 0.1, "it has turned"
 
 
-@pytest.mark.parametrize("spin", [(5.0, 7.0, -3.0), (-2.0, 8.0, 6.0)])
-@pytest.mark.parametrize("scheme", list(TimeScheme))
-def test_rounding_of_the_energy_holds_nothing_up(
-    scheme: TimeScheme, spin: tuple[float, float, float]
-) -> None:
-    """Steps that lower the residual from 1e-8 N to 1e-10 N lower the energy by 1e-19 J, which is
-    less than its last digit: one in 60 took 419 iterations when that was not allowed for."""
-    body = wedge(initial_spin_rad_s=spin, initial_velocity_m_s=(0.1, 0.2, 0.3))
-    scene = affine_scene([body], gravity=NONE, dt=5e-3, scheme=scheme)
-    run = Run(scene, SolverConfig(absolute_tolerance_n=3e-9))
-    assert max(run.step().newton_iterations[0] for _ in range(60)) <= 3
-
-
-@pytest.mark.parametrize("spin", [2.0, 20.0])
-def test_spin_about_a_principal_axis_follows_the_rotations(spin: float) -> None:
+def test_spin_about_a_principal_axis_follows_the_rotations() -> None:
     """The rigid limit of implicit Euler: tan a' = sin a / (2 - cos a) for the angles of steps."""
+    spin = 20.0
     run = Run(
         affine_scene([box("b", (0.1, 0.02, 0.03), initial_spin_rad_s=(0, 0, spin))], gravity=NONE)
     )
@@ -112,28 +104,6 @@ def test_spin_about_a_principal_axis_follows_the_rotations(spin: float) -> None:
         assert last == pytest.approx(expected, rel=1e-4)
         expected = np.arctan2(np.sin(expected), 2 - np.cos(expected))
     assert run.strain < 1e-4
-
-
-def on_slope(friction: float, slope: float) -> Run:
-    """A box at rest just above a plane; gravity is what is tilted."""
-    gravity = (G * np.sin(slope), 0.0, -G * np.cos(slope))
-    body = box("block", (0.1, 0.1, 0.04), (0, 0, 0.02 + 1e-5), friction_coefficient=friction)
-    return Run(affine_scene([body], planes=[Plane()], gravity=gravity))
-
-
-@pytest.mark.parametrize(("friction", "slope"), [(0.2, 0.5), (0.0, 0.3)])
-def test_a_block_above_the_friction_angle_slides(friction: float, slope: float) -> None:
-    """At g (sin - mu cos), from the first step that is held by the plane."""
-    run = on_slope(friction, slope)
-    for _ in range(5):
-        run.step()
-    before, n = run.v[0, 0, 0], 15
-    for _ in range(n):
-        run.step()
-    found = (run.v[0, 0, 0] - before) / (n * run.dt)
-    assert found == pytest.approx(G * (np.sin(slope) - friction * np.cos(slope)), rel=1e-3)
-    assert run.strain < 1e-4
-    assert run.overlaps() == []
 
 
 def test_a_dropped_box_comes_to_rest() -> None:
@@ -225,84 +195,6 @@ def test_a_ball_on_a_slope(friction: float) -> None:
     else:
         assert found == pytest.approx(G * (np.sin(SLOPE) - friction * np.cos(SLOPE)), rel=1e-2)
         assert arc < 0.5 * places[-1]
-    assert run.strain < 1e-4
-
-
-# Wrecking ball ---------------------------------------------------------------------------------
-
-LINKS, LINK, BALL = 4, 25e-3, 15e-3
-CUBE, CUBE_GAP = 15e-3, 4e-5
-
-
-def wrecking_ball(start: float) -> Run:
-    """A chain held at the origin, straight, ``start`` from the vertical, with a ball of steel at
-    its end; at its lowest point the ball meets a pyramid of three light cubes."""
-    along = np.array([-np.sin(start), 0, -np.cos(start)])
-    rotation = turned((0, 1, 0), start)
-    links = [
-        box(
-            f"link {i}",
-            (4e-3, 4e-3, LINK),
-            (i + 0.5) * LINK * along,
-            rotation,
-            young_modulus_pa=1e10,
-        )
-        for i in range(LINKS)
-    ]
-    reach = LINKS * LINK
-    ball = AffineBody(
-        sphere_mesh(BALL, 6e-3),
-        7800.0,
-        name="ball",
-        friction_coefficient=0.3,
-        initial_pose=np.array([*((reach + BALL) * along), 0, 0, 0, 1]),
-    )
-    names = [None, *(link.name for link in links), "ball"]
-    joints = [
-        RevoluteJoint(str(first), second, i * LINK * along, (0, 1, 0), name=f"hinge {i}")
-        for i, (second, first) in enumerate(pairwise(names))
-    ]
-    floor = -(reach + 2 * BALL) - 0.3 * CUBE
-    x = BALL + 2e-3 + CUBE / 2
-    places = [(x, -0.6 * CUBE, 0), (x, 0.6 * CUBE, 0), (x + 1e-3, 0, 1)]
-    cubes = [
-        box(
-            f"cube {k}",
-            (CUBE, CUBE, CUBE),
-            (x, y, floor + (level + 0.5) * CUBE + (level + 1) * CUBE_GAP),
-            density_kg_m3=200.0,
-            friction_coefficient=0.5,
-        )
-        for k, (x, y, level) in enumerate(places)
-    ]
-    ground = Plane((0, 0, floor), friction_coefficient=0.5)
-    return Run(
-        affine_scene([*links, ball, *cubes], joints, planes=[ground], dt=5e-3),
-        SolverConfig(dhat_m=5e-5, kappa_pa=1e4),
-    )
-
-
-def test_a_wrecking_ball() -> None:
-    """Joints stay closed (checked in each step), nothing intersects, energy is only ever lost."""
-    run = wrecking_ball(np.radians(30))
-
-    def energy() -> float:
-        return run.kinetic_energy + float((run.masses[:, 0, 0] * G * run.y[:, 0, 2]).sum())
-
-    before = energy()
-    wall = run.y[LINKS + 1 :, 0].copy()
-    fastest = 0.0
-    for _ in range(39):
-        run.step()
-        assert run.overlaps() == []
-        # Contacts and stiff bodies store next to nothing.
-        assert energy() < before + 1e-9
-        before = energy()
-        fastest = max(fastest, run.v[LINKS, 0, 0])
-    # A little below the speed of a pendulum: implicit Euler loses some of the swing.
-    drop = (LINKS * LINK + BALL) * (1 - np.cos(np.radians(30)))
-    assert 0.9 < fastest / np.sqrt(2 * G * drop) < 1
-    assert (run.y[LINKS + 1 :, 0] - wall)[:, 0].min() > 5e-3, "all cubes are pushed ahead"
     assert run.strain < 1e-4
 
 
@@ -428,3 +320,82 @@ def test_a_rod_dragged_by_its_upper_end(direction: int) -> None:
     assert rubs == pytest.approx(-direction * MU * normal, rel=1e-3)
     assert normal == pytest.approx(expected, rel=1e-3)
     assert run.overlaps() == []
+
+
+# Wrecking ball ---------------------------------------------------------------------------------
+
+
+LINKS, LINK, BALL = 4, 25e-3, 15e-3
+CUBE, CUBE_GAP = 15e-3, 4e-5
+
+
+def wrecking_ball(start: float) -> Run:
+    """A chain held at the origin, straight, ``start`` from the vertical, with a ball of steel at
+    its end; at its lowest point the ball meets a pyramid of three light cubes."""
+    along = np.array([-np.sin(start), 0, -np.cos(start)])
+    rotation = turned((0, 1, 0), start)
+    links = [
+        box(
+            f"link {i}",
+            (4e-3, 4e-3, LINK),
+            (i + 0.5) * LINK * along,
+            rotation,
+            young_modulus_pa=1e10,
+        )
+        for i in range(LINKS)
+    ]
+    reach = LINKS * LINK
+    ball = AffineBody(
+        sphere_mesh(BALL, 6e-3),
+        7800.0,
+        name="ball",
+        friction_coefficient=0.3,
+        initial_pose=np.array([*((reach + BALL) * along), 0, 0, 0, 1]),
+    )
+    names = [None, *(link.name for link in links), "ball"]
+    joints = [
+        RevoluteJoint(str(first), second, i * LINK * along, (0, 1, 0), name=f"hinge {i}")
+        for i, (second, first) in enumerate(pairwise(names))
+    ]
+    floor = -(reach + 2 * BALL) - 0.3 * CUBE
+    x = BALL + 2e-3 + CUBE / 2
+    places = [(x, -0.6 * CUBE, 0), (x, 0.6 * CUBE, 0), (x + 1e-3, 0, 1)]
+    cubes = [
+        box(
+            f"cube {k}",
+            (CUBE, CUBE, CUBE),
+            (x, y, floor + (level + 0.5) * CUBE + (level + 1) * CUBE_GAP),
+            density_kg_m3=200.0,
+            friction_coefficient=0.5,
+        )
+        for k, (x, y, level) in enumerate(places)
+    ]
+    ground = Plane((0, 0, floor), friction_coefficient=0.5)
+    return Run(
+        affine_scene([*links, ball, *cubes], joints, planes=[ground], dt=5e-3),
+        SolverConfig(dhat_m=5e-5, kappa_pa=1e4),
+    )
+
+
+def test_a_wrecking_ball() -> None:
+    """Joints stay closed (checked in each step), nothing intersects, energy is only ever lost."""
+    run = wrecking_ball(np.radians(30))
+
+    def energy() -> float:
+        return run.kinetic_energy + float((run.masses[:, 0, 0] * G * run.y[:, 0, 2]).sum())
+
+    before = energy()
+    wall = run.y[LINKS + 1 :, 0].copy()
+    fastest = 0.0
+    for _ in range(39):
+        run.step()
+        assert run.overlaps() == []
+        # Contacts and stiff bodies store next to nothing.
+        assert energy() < before + 1e-9
+        before = energy()
+        fastest = max(fastest, run.v[LINKS, 0, 0])
+    # A little below the speed of a pendulum: implicit Euler loses some of the swing.
+    drop = (LINKS * LINK + BALL) * (1 - np.cos(np.radians(30)))
+    assert 0.9 < fastest / np.sqrt(2 * G * drop) < 1
+    assert (run.y[LINKS + 1 :, 0] - wall)[:, 0].min() > 5e-3, "all cubes are pushed ahead"
+    assert run.strain < 1e-4

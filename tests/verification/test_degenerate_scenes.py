@@ -36,6 +36,7 @@ from tests.verification.shapes import (
     mapped_block,
     pit,
     pyramid,
+    roof,
 )
 from tests.verification.watched import Watched
 
@@ -150,16 +151,6 @@ def test_a_block_slides_over_a_seam(soft: bool) -> None:
 # Mat on knives ----------------------------------------------------------------------------------
 
 
-def knife(length: float, height: float, half_width: float) -> TriangleMesh:
-    """A roof whose ridge lies along y at the origin, as sharp as it is slender."""
-    y, x, z = length / 2, half_width, -height
-    vertices = np.array(
-        [[0, -y, 0], [0, y, 0], [-x, -y, z], [-x, y, z], [x, -y, z], [x, y, z]], dtype=float
-    )
-    faces = [(0, 3, 2), (0, 1, 3), (0, 5, 1), (0, 4, 5), (2, 5, 4), (2, 3, 5), (0, 2, 4), (1, 5, 3)]
-    return TriangleMesh(vertices, np.array(faces))
-
-
 @pytest.mark.parametrize(
     "cells", [pytest.param(8, id="coarse"), pytest.param(20, id="fine", marks=pytest.mark.slow)]
 )
@@ -170,7 +161,7 @@ def test_a_mat_falls_on_knives(cells: int) -> None:
         (cells, cells, 1),
         lambda nodes: nodes * [side / 2, side / 2, height / 2] + [0, 0, height / 2],
     )
-    shape = knife(1.5 * side, 10e-3, 0.9e-3)
+    shape = roof(0.9e-3, 10e-3, 1.5 * side)
     places = [-15e-3, -5e-3, 5e-3, 15e-3]
     knives = [KinematicBody(shape, 0.3, name=f"knife {k}") for k in range(4)]
     body = SoftBody(
@@ -185,7 +176,7 @@ def test_a_mat_falls_on_knives(cells: int) -> None:
     )
     run = Watched(
         in_time(5e-3, soft_bodies=body, kinematic_bodies=knives),
-        everywhere(1, *(pose(x, 0, 0) for x in places)),
+        everywhere(1, *(pose(x, 0, 0, deg=90) for x in places)),
         dhat_m=1e-4,
     )
     for _ in range(40 if cells < 10 else 100):

@@ -13,15 +13,7 @@ from taccel_lab.geometry.block import block_mesh, free_block
 from taccel_lab.ipc.potentials.external import traction_forces
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs
-from taccel_lab.scene import (
-    AffineBody,
-    Element,
-    Material,
-    Scene,
-    SoftBody,
-    TimeStepping,
-    box_mesh,
-)
+from taccel_lab.scene import AffineBody, Element, Material, Scene, SoftBody, TimeStepping, box_mesh
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State, initial_state

@@ -96,10 +96,7 @@ def pressed_block(cells: int) -> tuple[HalfSpace, float, float]:
 
     def config(eps_m: float) -> SolverConfig:
         return SolverConfig(
-            dhat_m=DHAT,
-            relative_tolerance=1e-5,
-            absolute_tolerance_n=1e-12,
-            friction_eps_m=eps_m,
+            dhat_m=DHAT, relative_tolerance=1e-5, absolute_tolerance_n=1e-12, friction_eps_m=eps_m
         )
 
     mesh = half_space_mesh(RADIUS, cells, DOMAIN_OVER_RADIUS * RADIUS, GROWTH)

@@ -47,11 +47,7 @@ class Insertion:
     """The scene, stepped: each step converges, nothing intersects, the peg obeys Newton's law."""
 
     def __init__(
-        self,
-        parts: PegParts,
-        path: PegPath,
-        hole_is_affine: bool = False,
-        **config: float,
+        self, parts: PegParts, path: PegPath, hole_is_affine: bool = False, **config: float
     ) -> None:
         self.scene, self.path = peg_scene(parts, path, hole_is_affine=hole_is_affine), path
         self.model = self.scene.finalize()

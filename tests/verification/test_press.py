@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from taccel_lab.envs import Indenter, PressEnv
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.model.kinematics import interpolate_poses
 from taccel_lab.scene import (
@@ -20,8 +21,8 @@ from taccel_lab.scene import (
     cylinder_mesh,
     sphere_mesh,
 )
-from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.sensors.press_mesh import PressMeshOptions, press_mesh
+from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import State, initial_state
 from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose, scene
 
@@ -193,7 +194,7 @@ def advance(solver: SolverIPC, state: State, target: np.ndarray) -> int:
 @pytest.mark.parametrize(
     ("element", "presses"),
     [
-        (Element.LINEAR, 16),
+        (Element.LINEAR, 8),
         (Element.QUADRATIC, 10),
         pytest.param(Element.LINEAR, 200, marks=pytest.mark.slow),
         pytest.param(Element.QUADRATIC, 60, marks=pytest.mark.slow),
@@ -225,3 +226,35 @@ def test_rough_presses_never_intersect(element: Element, presses: int) -> None:
     # Friction of 1 on sharp bodies with a range of 5 um is what has to be halved: 19 in 1,000. The
     # first ten presses have most of it, and by rounding four or five steps of their 50.
     assert (counts == 1).mean() > (0.97 if presses > 100 else 0.9)
+
+
+RADIUS_M = 2e-3
+AT_MM = (1.0, -0.5)
+
+
+def force_n(shape: Ball | TriangleMesh, dhat_m: float, size: float, depth_mm: float) -> float:
+    """Force of a press on a gel of quadratic tets, ``size`` elements to the contact radius."""
+    radius_mm = (depth_mm * RADIUS_M * 1e3) ** 0.5
+    mesh = press_mesh("gelsight", {}, AT_MM, radius_mm, PressMeshOptions(size, core=4, rings=8))
+    env = PressEnv(
+        mesh,
+        Material(1.5e5, 0.46),
+        Indenter("ball", shape),
+        np.array([AT_MM]),
+        config=SolverConfig(dhat_m=dhat_m),
+    )
+    env.move_to(depth_mm)
+    return float(env.wrench[0, 2])
+
+
+@pytest.mark.parametrize(
+    ("dhat_m", "size"),
+    [
+        (2e-5, 1.5),
+        pytest.param(2e-5, 3.0, marks=pytest.mark.slow),
+        pytest.param(5e-6, 3.0, marks=pytest.mark.slow),
+    ],
+)
+def test_a_ball_presses_like_its_mesh(dhat_m: float, size: float) -> None:
+    meshed = force_n(sphere_mesh(RADIUS_M, 0.08e-3), dhat_m, size, 0.1)
+    assert force_n(Ball(RADIUS_M), dhat_m, size, 0.1) == pytest.approx(meshed, rel=0.01)

@@ -36,11 +36,7 @@ from tests.support.blocks import block_mesh, everywhere, free_block, pose
 G, SIDE, DENSITY, MU = 9.81, 2e-2, 1000.0, 0.4
 MASS = DENSITY * SIDE**3
 DHAT = 2e-5
-TIGHT = {
-    "dhat_m": DHAT,
-    "relative_tolerance": 1e-5,
-    "absolute_tolerance_n": 1e-10,
-}
+TIGHT = {"dhat_m": DHAT, "relative_tolerance": 1e-5, "absolute_tolerance_n": 1e-10}
 AZIMUTH = 0.5
 """Direction of the slope [rad]: along no edge of the block or of the floor."""
 

@@ -85,132 +85,118 @@ class Step:
         self.taken = replace(self.taken, report=report)
 
 
-@pytest.fixture
-def step() -> Step:
-    return Step()
+BALL = Ball(5.5e-4)
 
 
-def test_a_good_step_is_good(step: Step) -> None:
+@pytest.mark.parametrize(
+    ("shape", "friction"), [(None, 0.0), (None, 0.5), (BALL, 0.0), (BALL, 0.5)]
+)
+def test_a_good_step_is_good(shape: object, friction: float) -> None:
+    step = Step(shape, friction=friction)
     assert step.findings() == []
     assert step.referees.balanced_steps == 2
     assert 0 < step.referees.residual_ratio < 1
+    assert np.abs(step.taken.normal).max() > 0
+    assert (np.abs(step.taken.friction).max() > 0) == (friction > 0)
 
 
-def test_a_body_pushed_through_the_gel(step: Step) -> None:
-    nodes = step.model.bodies[1].node_slice
+def sink(step: Step, way_m: float) -> None:
+    """Push the tool into the gel."""
 
-    def sink(x: np.ndarray) -> None:
-        x[nodes, 2] -= 2e-4
+    def down(x: np.ndarray) -> None:
+        x[step.model.bodies[1].node_slice, 2] -= way_m
 
-    step.move(sink)
-    assert "intersection" in step.judged()
-
-
-def test_a_ball_in_the_gel() -> None:
-    step = Step(Ball(5.5e-4))
-    assert step.findings() == []
-
-    def sink(x: np.ndarray) -> None:
-        x[step.model.bodies[1].nodes[0], 2] -= 1e-4
-
-    step.move(sink)
-    assert {"intersection", "gap"} <= step.judged()
+    step.move(down)
 
 
-def test_an_inverted_tet(step: Step) -> None:
+def flip_a_tet(step: Step) -> None:
     inner = np.flatnonzero(step.model.free_index.numpy() >= 0)
     rest = step.model.rest_positions.numpy()[0, inner]
     node = inner[np.linalg.norm(rest - [0, 0, -1e-3], axis=1).argmin()]
-
-    def flip(x: np.ndarray) -> None:
-        x[node, 0] += 3e-3
-
-    step.move(flip)
-    assert "inversion" in step.judged()
+    shift(step, node, 3e-3)
 
 
-def test_not_a_number(step: Step) -> None:
-    def break_(x: np.ndarray) -> None:
-        x[5, 1] = np.nan
+def shift(step: Step, node: int, way_m: float) -> None:
+    """Move one node along x."""
 
-    step.move(break_)
-    assert step.judged() == {"not a number"}
+    def aside(x: np.ndarray) -> None:
+        x[node, 0] += way_m
 
-
-def test_a_wrong_residual(step: Step) -> None:
-    node = int(step.model.free_nodes.numpy()[-1])
-
-    def shift(x: np.ndarray) -> None:
-        x[node] += 1e-7
-
-    step.move(shift)
-    assert "residual" in step.judged()
+    step.move(aside)
 
 
-def test_a_contact_that_nobody_saw(step: Step) -> None:
+def see_no_contact(step: Step) -> None:
     report = replace(step.taken.report, min_distance_m=np.array([0.5 * DHAT]))
     x = step.state.positions.numpy()[0]
     near = step.referees.surfaces.nearer_than(x, np.ones(2, dtype=bool), 0.4 * DHAT)
     assert len(near.gaps_m), "the box must be near enough"
     step.taken = replace(step.taken, report=report)
-    assert step.judged() == {"missed contact"}
 
 
-def test_forces_without_reaction(step: Step) -> None:
+def push_without_reaction(step: Step) -> None:
     normal = step.taken.normal.copy()
-    assert np.abs(normal).max() > 0
     normal[0, step.model.bodies[1].node_slice] *= 1.001
     step.taken = replace(step.taken, normal=normal)
-    assert "reaction" in step.judged()
 
 
-@pytest.mark.parametrize("factor", [1.001, 0.5, -1.0])
-@pytest.mark.parametrize("what", ["normal", "friction"])
-def test_forces_that_are_not_those_of_their_law(what: str, factor: float) -> None:
-    step = Step(friction=0.5)
-    assert step.findings() == []
-    forces = getattr(step.taken, what)
-    assert np.abs(forces).max() > 0
-    step.taken = replace(step.taken, **{what: factor * forces})
-    law = {"normal": "contact law", "friction": "friction law"}[what]
-    assert law in step.judged()
+def scale(step: Step, name: str, factor: float) -> None:
+    step.taken = replace(step.taken, **{name: factor * getattr(step.taken, name)})
 
 
-def test_friction_beyond_its_limit() -> None:
-    step = Step(friction=0.5)
+def halve_the_limit(step: Step) -> None:
     frozen = step.taken.frozen
     assert frozen is not None
     frozen.mu_lambdas.assign(0.5 * frozen.mu_lambdas.numpy())
-    assert {"friction law", "friction limit"} <= step.judged()
 
 
-def test_friction_of_a_ball_that_turns() -> None:
-    step = Step(Ball(5.5e-4), friction=0.5)
-    assert step.findings() == []
-    assert np.abs(step.taken.friction).max() > 0
-
-
-def test_a_pair_that_was_dropped() -> None:
-    step = Step(friction=0.5)
+def drop_a_pair(step: Step) -> None:
     pairs = [{name: values[1:] for name, values in step.taken.pairs[0].items()}]
     step.taken = replace(step.taken, pairs=pairs)
-    assert {"contact law", "friction limit"} <= step.judged()
 
 
-def test_a_missed_target(step: Step) -> None:
+def miss_the_target(step: Step) -> None:
     target = step.taken.target.copy()
     target[0, 0, 0] += 1e-9
     step.taken = replace(step.taken, target=target)
-    assert step.judged() == {"target"}
 
 
-def test_energy_from_nothing(step: Step) -> None:
+def double_the_energy(step: Step) -> None:
     energies = {name: 2.0 * value for name, value in step.taken.energies.items()}
     step.taken = replace(step.taken, energies=energies)
-    assert step.judged() == {"energy"}
 
 
-def test_a_failure_that_was_not_rolled_back(step: Step) -> None:
+@pytest.mark.parametrize(
+    ("shape", "friction", "fault", "found", "alone"),
+    [
+        (None, 0.0, lambda s: sink(s, 2e-4), {"intersection"}, False),
+        (BALL, 0.0, lambda s: sink(s, 1e-4), {"intersection", "gap"}, False),
+        (None, 0.0, flip_a_tet, {"inversion"}, False),
+        (None, 0.0, lambda s: shift(s, 5, np.nan), {"not a number"}, True),
+        (None, 0.0, lambda s: shift(s, s.model.free_nodes.numpy()[-1], 1e-7), {"residual"}, False),
+        (None, 0.0, see_no_contact, {"missed contact"}, True),
+        (None, 0.0, push_without_reaction, {"reaction"}, False),
+        *[
+            (None, 0.5, lambda s, n=name, f=factor: scale(s, n, f), {law}, False)
+            for name, law in (("normal", "contact law"), ("friction", "friction law"))
+            for factor in (1.001, 0.5, -1.0)
+        ],
+        (None, 0.5, halve_the_limit, {"friction law", "friction limit"}, False),
+        (None, 0.5, drop_a_pair, {"contact law", "friction limit"}, False),
+        (None, 0.0, miss_the_target, {"target"}, True),
+        (None, 0.0, double_the_energy, {"energy"}, True),
+    ],
+)
+def test_a_fault_is_found_by_its_referee(
+    shape: object, friction: float, fault: Callable[[Step], None], found: set[str], alone: bool
+) -> None:
+    step = Step(shape, friction=friction)
+    fault(step)
+    judged = step.judged()
+    assert judged == found if alone else found <= judged
+
+
+def test_a_failure_that_was_not_rolled_back() -> None:
+    step = Step()
     step.status(EnvStatus.NO_CONVERGENCE)
     assert step.judged() == {"rollback"}
     back = step.taken.before

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The benchmark of several GPUs, with the CPU in their place."""
+"""Suites on their smallest scenes: multi_gpu with the CPU in place of GPUs, and press_accuracy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from taccel_lab.benchmarks import press_accuracy
 from taccel_lab.benchmarks.command_line import main, parse
+from taccel_lab.benchmarks.report.sections import VERIFICATION
 from taccel_lab.benchmarks.results import read_result
 from taccel_lab.errors import InputError
 
@@ -44,3 +46,34 @@ def test_wrong_options_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="must be at least 1"):
         parse(["multi_gpu", "--devices", "cpu", "--envs", "0", *out]).run()
     assert not list(tmp_path.iterdir())
+
+
+# Accuracy of presses ------------------------------------------------------------------------------
+
+
+def test_presses_of_a_sensor_are_compared_with_a_finer_mesh(tmp_path: Path) -> None:
+    words = ["press_accuracy", "--quick", "--families", "flat_pad", "--out", str(tmp_path)]
+    assert main([*words, "--tools", "ball 1.5"]) == 0
+    document = read_result(tmp_path / "press_accuracy.json")
+    shallow, deep = document["rows"]
+    assert (shallow["depth_mm"], deep["depth_mm"]) == press_accuracy.DEPTHS_MM
+    for row in (shallow, deep):
+        assert row["cause"] == "" and row["nodes"] < row["converged_nodes"]
+        assert 0 < abs(row["force_error"]) < row["estimated_force_error"] < 0.2
+        assert 0 < row["height_rms_m"] < row["estimated_height_rms_m"] < 2e-5
+        assert row["residual"] <= 1e-4
+    for row in (shallow, deep):
+        row["setting"] = "default"
+    deep["cause"] = "unsolved"
+    text = VERIFICATION["press accuracy"]({"press_accuracy": [document | {"file": "x.json"}]})
+    assert "| ball 1.5, 0.1 mm | 1 |" in text and "1 of 2 cases did not converge" in text
+    assert main([*words, "--tools", "hammer"]) == 2
+    assert main(["press_accuracy", "--families", "no_such", "--out", str(tmp_path)]) == 2
+
+
+def test_every_tool_meets_every_material() -> None:
+    cases = list(press_accuracy.all_cases())
+    for tool in press_accuracy.TOOLS:
+        met = {(c.poisson_ratio, c.friction) for c in cases if c.tool == tool}
+        assert met == set(press_accuracy.MATERIALS)
+        assert press_accuracy.Case("flat_pad", tool, 0.1, 0.4, 0.0).indenter().contact(0.1)
