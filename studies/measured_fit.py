@@ -1,23 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated presses laid over measured curves: one modulus a gel, a zero offset a curve.
+"""Measured curves of a study's gels: one modulus a gel and a zero a curve, by the fit of materials.
 
-Forces of the presses scale with Young's modulus, so that ``F = m f(d - d0)`` with the simulated
-curve f has all there is to fit: m, the gel's modulus over the design's, which all its curves share,
-and d0, how much deeper than the record says the tool touched. Noise is taken to grow with the force
-down to a tenth of the largest. Dense rows are averaged to at most ``STEPS`` a curve, since
-neighbours are not independent; intervals are those of Student's t, widened by what a press by
-default is off (``MODEL``).
+``calibration.material.indentation`` fits; the table of each curve is the simulated press of its
+design, whose force scales with Young's modulus. Dense rows are averaged to at most ``STEPS`` a
+curve, since neighbours are not independent; intervals are widened by what a press by default is off
+(``MODEL``).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from taccel_lab.calibration.material.force_table import ForceTable, TableError
+from taccel_lab.calibration.material.gel import Tool
+from taccel_lab.calibration.material.indentation import (
+    TOUCH_LIMIT_MM,
+    IndentationFit,
+    fit_indentation,
+)
+from taccel_lab.calibration.material.indentation_points import IndentationPoints
+from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
+from taccel_lab.calibration.result import NORMAL_95, Estimate
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.measured_curve import MeasuredCurve, belongs, read_curve
 from taccel_lab.studies.study import Study
@@ -25,15 +32,16 @@ from taccel_lab.studies.study import Study
 STEPS = 25
 MODEL = 0.03
 """Error of simulated forces, as a part (docs/verification.md, Presses by default)."""
-FLOOR = 0.1
 AHEAD = 1.1
 """How far beyond the deepest step of a press rows are compared, by the last steps' power law."""
 ROWS_FOR_ZERO = 8
 """Fewer rows do not tell a load cell's zero from the touch's."""
-LEAST_RMS = 0.02
+ZERO_SIGMA = 0.1
+"""Zero of a load cell, as a part of the largest force, before the rows are asked for it."""
+LEAST_RMS = 0.01
 """Residuals below this part of the largest force are not worth a word."""
-FAR_MM = 0.5
-"""Largest zero offset."""
+_DESIGN_NU = Axis(0.5, 0.5)
+"""Poisson's ratio is the design's: presses with another one are not at hand."""
 
 
 @dataclass(frozen=True)
@@ -83,32 +91,6 @@ class FittedGel:
         return asdict(self)
 
 
-class ForceLaw:
-    """A simulated curve of force over depth, by power laws between its steps."""
-
-    def __init__(self, depth_mm: Sequence[float], force_n: Sequence[float]) -> None:
-        self._depth, self._force = np.log(depth_mm), np.log(force_n)
-
-    @property
-    def deepest_mm(self) -> float:
-        return float(np.exp(self._depth[-1]))
-
-    def force_n(self, depth_mm: np.ndarray) -> np.ndarray:
-        """0 above the gel; below the first and beyond the last step by the next power law."""
-        return self._read(np.asarray(depth_mm, dtype=float), self._depth, self._force)
-
-    def depth_mm(self, force_n: np.ndarray) -> np.ndarray:
-        """The inverse."""
-        return self._read(np.asarray(force_n, dtype=float), self._force, self._depth)
-
-    @staticmethod
-    def _read(at: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        log = np.log(np.maximum(at, 1e-12))
-        k = np.clip(np.searchsorted(x, log) - 1, 0, len(x) - 2)
-        slope = (y[k + 1] - y[k]) / (x[k + 1] - x[k])
-        return np.where(at > 0, np.exp(y[k] + slope * (log - x[k])), 0.0)
-
-
 def fit_measured(study: Study, rows: Sequence[DesignRow]) -> tuple[list[FittedGel], list[str]]:
     """Every measured gel of a study; and, in words, curves that nothing can be said of."""
     curves = [read_curve(spec) for spec in study.spec.measured]
@@ -154,33 +136,46 @@ def _simulated(study: Study, row: DesignRow, indenter: str) -> dict[str, Any] | 
     return None
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Item:
     """A curve in the fit."""
 
     curve: MeasuredCurve
     press: dict[str, Any]
-    law: ForceLaw
-    depth: np.ndarray
-    force: np.ndarray
-    weight: np.ndarray
+    table: ForceTable
+    points: IndentationPoints
+    """Averaged rows."""
     remarks: list[str]
 
 
-def _prepared(curve: MeasuredCurve, press: dict[str, Any]) -> _Item:
-    law = ForceLaw(press["depth_mm"], [f[2] for f in press["force_n"]])
+def press_table(press: dict[str, Any], young_modulus_pa: float) -> ForceTable:
+    """Force over depth of a stored press, of a gel of 1 Pa; beyond the deepest step by the last
+    steps' power law."""
+    depth, force = np.array(press["depth_mm"]), np.array([f[2] for f in press["force_n"]])
+    exponent = float(np.polyfit(np.log(depth[-2:]), np.log(force[-2:]), 1)[0])
+    reduced = np.log(force / young_modulus_pa) - exponent * np.log(depth)
+    responses = ResponseTable.through(
+        Axis(0.0, 0.0), _DESIGN_NU, np.log(depth), reduced[None, None]
+    )
+    return ForceTable(exponent, responses, TableError(0.0, np.full(len(depth), MODEL / NORMAL_95)))
+
+
+def _prepared(curve: MeasuredCurve, press: dict[str, Any], young_modulus_pa: float) -> _Item:
+    deepest = float(press["depth_mm"][-1])
     remarks = list(curve.remarks)
-    keep = curve.depth_mm <= AHEAD * law.deepest_mm
+    keep = curve.depth_mm <= AHEAD * deepest
     if not keep.all():
         remarks.append(
-            f"{int((~keep).sum())} rows deeper than the press ({law.deepest_mm:.3g} mm) left out"
+            f"{int((~keep).sum())} rows deeper than the press ({deepest:.3g} mm) left out"
         )
     if keep.sum() < 3:
         keep[:] = True
-        remarks[-1] = f"all but two rows are deeper than the press ({law.deepest_mm:.3g} mm)"
+        remarks[-1] = f"all but two rows are deeper than the press ({deepest:.3g} mm)"
     depth, force = _averaged(curve.depth_mm[keep], curve.force_n[keep])
-    weight = np.maximum(np.abs(force), FLOOR * float(force.max()))
-    return _Item(curve, press, law, depth, force, weight, remarks)
+    name = curve.spec.indenter
+    tool = Tool("sphere" if name.startswith("sphere:") else "flat", 0.0, (0.0, 0.0), name)
+    points = IndentationPoints(curve.spec.file, curve.spec.file, "", tool, depth, force, None)
+    return _Item(curve, press, press_table(press, young_modulus_pa), points, remarks)
 
 
 def _averaged(depth: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -196,131 +191,103 @@ def _averaged(depth: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndar
     return x, y
 
 
-def _solve(
-    items: Sequence[_Item], zero_force: bool = False
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """ln m and the offsets, half widths of their 95 % intervals, and the least squares; with
-    ``zero_force`` what the load cell reads in air behind them, in largest forces."""
-    from scipy.optimize import least_squares
-    from scipy.stats import t
-
-    def residuals(theta: np.ndarray) -> np.ndarray:
-        zero = theta[-1] if zero_force else 0.0
-        return np.concatenate([
-            (math.exp(theta[0]) * item.law.force_n(item.depth - d0) + zero * item.force.max()
-             - item.force) / item.weight
-            for item, d0 in zip(items, theta[1:], strict=not zero_force)
-        ])  # fmt: skip
-
-    tops = [np.log(i.force[-1] / i.law.force_n(i.depth[-1:])[0]) for i in items if i.force[-1] > 0]
-    start = float(np.median(tops)) if tops else 0.0
-    far = [min(FAR_MM, 0.9 * float(item.depth.max())) for item in items]
-    best = None
-    for shift in (0.0, -0.3, 0.3):
-        guess = np.array([start, *(shift * f for f in far)])
-        low, high = np.array([-12.0, *(-f for f in far)]), np.array([12.0, *far])
-        scale = [0.1, *far]
-        if zero_force:
-            guess, scale = np.append(guess, 0.0), [*scale, 0.1]
-            low, high = np.append(low, -1.0), np.append(high, 1.0)
-        found = least_squares(
-            residuals, np.clip(guess, low, high), bounds=(low, high), x_scale=scale
-        )
-        best = found if best is None or found.cost < best.cost else best
-    assert best is not None
-    dof = max(len(best.fun) - len(best.x), 1)
-    variance = 2 * best.cost / dof
-    covariance = variance * np.linalg.pinv(best.jac.T @ best.jac)
-    half = float(t.ppf(0.975, dof)) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return best.x, half, float(best.cost)
+def _fit(points: Sequence[IndentationPoints], tables: Sequence[ForceTable]) -> IndentationFit:
+    tops = [
+        item.force_n[-1] / table.force_n(item.depth_mm[-1:], 1.0, _DESIGN_NU.low)[0]
+        for item, table in zip(points, tables, strict=True)
+        if item.force_n[-1] > 0 and item.depth_mm[-1] > 0
+    ]
+    start = float(np.exp(np.median(np.log(tops))))
+    return fit_indentation(
+        points, tables, start_pa=start, poisson_ratio=_DESIGN_NU.low, free_nu=False, profiled=()
+    )
 
 
 def _fit_gel(
     study: Study, row: DesignRow, unit: str, usable: Sequence[tuple[MeasuredCurve, dict[str, Any]]]
 ) -> FittedGel:
-    items = [_prepared(curve, press) for curve, press in usable]
-    theta, half, _ = _solve(items)
-    layers = study.family.parameters(row.parameters).layer_materials()
-    stated = layers[0].young_modulus_pa * 1e-6
-    wide = math.hypot(half[0], math.log1p(MODEL))
-    modulus = stated * math.exp(theta[0])
-    curves = []
-    for number, item in enumerate(items):
-        alone = theta if len(items) == 1 else _solve([item])[0]
-        curves.append(
-            _fitted_curve(
-                item,
-                math.exp(theta[0]),
-                theta[number + 1],
-                half[number + 1],
-                stated * math.exp(alone[0]),
-            )
-        )
+    stated = study.family.parameters(row.parameters).layer_materials()[0].young_modulus_pa
+    items = [_prepared(curve, press, stated) for curve, press in usable]
+    fit = _fit([item.points for item in items], [item.table for item in items])
+    low, high = fit.young_interval_pa
     return FittedGel(
         design=row.id,
         unit=unit,
-        design_modulus_mpa=stated,
-        modulus_mpa=modulus,
-        interval_mpa=(modulus * math.exp(-wide), modulus * math.exp(wide)),
-        ratio=math.exp(theta[0]),
-        curves=curves,
-    )
+        design_modulus_mpa=1e-6 * stated,
+        modulus_mpa=1e-6 * fit.young_modulus_pa,
+        interval_mpa=(1e-6 * low, 1e-6 * high),
+        ratio=fit.young_modulus_pa / stated,
+        curves=[
+            _fitted_curve(
+                item, fit, i, stated,
+                fit if len(items) == 1 else _fit([item.points], [item.table]),
+            )
+            for i, item in enumerate(items)
+        ],
+    )  # fmt: skip
 
 
 def _fitted_curve(
-    item: _Item, ratio: float, offset: float, half: float, alone_mpa: float
+    item: _Item, fit: IndentationFit, index: int, stated_pa: float, alone: IndentationFit
 ) -> FittedCurve:
-    unit = item.law.force_n(item.depth - offset)
-    rest = ratio * unit - item.force
-    touch = item.curve.touch_mm
+    depth, force = item.points.depth_mm, item.points.force_n
+    fitted = fit.predicted_n(index, depth)
+    rms = float(np.sqrt(np.mean((fitted - force) ** 2)))
+    touch, offset = item.curve.touch_mm, fit.touch_mm(index)
+    low, high = fit.touch_interval_mm(index)
     remarks = list(item.remarks)
-    if abs(offset) > 0.98 * min(FAR_MM, 0.9 * float(item.depth.max())):
+    if abs(offset) > 0.98 * TOUCH_LIMIT_MM:
         remarks.append("the zero offset ends at its bound: look at the depths")
-    remark = _zero_force_remark(item, rest)
+    remark = _zero_force_remark(item, rms, stated_pa)
     remarks += [remark] if remark else []
     return FittedCurve(
         file=item.curve.spec.file,
         indenter=item.curve.spec.indenter,
-        offset_mm=float(touch + offset),
-        offset_interval_mm=(float(touch + offset - half), float(touch + offset + half)),
-        modulus_alone_mpa=alone_mpa,
-        rms_n=float(np.sqrt(np.mean(rest**2))),
-        relative_rms=float(np.sqrt(np.mean(rest**2)) / item.force.max()),
-        worst_n=float(np.abs(rest).max()),
+        offset_mm=touch + offset,
+        offset_interval_mm=(touch + low, touch + high),
+        modulus_alone_mpa=1e-6 * alone.young_modulus_pa,
+        rms_n=rms,
+        relative_rms=rms / float(force.max()),
+        worst_n=float(np.abs(fitted - force).max()),
         rows=len(item.curve.depth_mm),
-        depth_mm=(touch + item.depth).tolist(),
-        force_n=item.force.tolist(),
-        fitted_n=(ratio * unit).tolist(),
-        predicted_n=unit.tolist(),
-        contact_rms_mm=_contact_rms_mm(item, ratio),
+        depth_mm=(touch + depth).tolist(),
+        force_n=force.tolist(),
+        fitted_n=fitted.tolist(),
+        predicted_n=(fitted * stated_pa / fit.young_modulus_pa).tolist(),
+        contact_rms_mm=_contact_rms_mm(item, fit.young_modulus_pa),
         remarks=remarks,
     )
 
 
-def _zero_force_remark(item: _Item, rest: np.ndarray) -> str:
+def _zero_force_remark(item: _Item, rms_n: float, stated_pa: float) -> str:
     """Whether a load cell that reads something in air would explain most of the residuals."""
-    if len(item.force) < ROWS_FOR_ZERO:
+    largest = float(item.points.force_n.max())
+    if len(item.points.force_n) < ROWS_FOR_ZERO or rms_n < LEAST_RMS * largest:
         return ""
-    theta, half, _ = _solve([item], zero_force=True)
-    largest = float(item.force.max())
-    fitted = math.exp(theta[0]) * item.law.force_n(item.depth - theta[1]) + theta[2] * largest
-    rms, before = (float(np.sqrt(np.mean(r**2))) for r in (fitted - item.force, rest))
-    if abs(theta[2]) < half[2] or rms > before / 2 or before < LEAST_RMS * largest:
+    fit = _fit([replace(item.points, zero=Estimate(0.0, ZERO_SIGMA * largest))], [item.table])
+    zero = fit.solution.value("zero_0")
+    low, high = fit.interval_of("zero_0")
+    left = fit.predicted_n(0, item.points.depth_mm) + zero - item.points.force_n
+    rms = float(np.sqrt(np.mean(left**2)))
+    if low <= 0 <= high or rms > rms_n / 2:
         return ""
     return (
-        f"{theta[2] * largest:+.2g} N in all forces would leave {rms / largest:.1%} in place of "
-        f"{before / largest:.1%}, at {math.exp(theta[0]):.3g} times the design's modulus: does the "
-        "load cell read that in air?"
+        f"{zero:+.2g} N in all forces would leave {rms / largest:.1%} in place of "
+        f"{rms_n / largest:.1%}, at {fit.young_modulus_pa / stated_pa:.3g} times the design's "
+        "modulus: does the load cell read that in air?"
     )
 
 
-def _contact_rms_mm(item: _Item, ratio: float) -> float | None:
+def _contact_rms_mm(item: _Item, young_modulus_pa: float) -> float | None:
+    """Of contact diameters, measured and simulated, at equal force."""
     measured, simulated = item.curve.contact_diameter_mm, item.press.get("contact_diameter_mm")
     if measured is None or simulated is None:
         return None
     known = np.isfinite(measured) & (item.curve.force_n > 0)
     if not known.any():
         return None
-    depth = item.law.depth_mm(item.curve.force_n[known] / ratio)
-    at = np.interp(depth, [0.0, *item.press["depth_mm"]], [0.0, *simulated])
+    depth = np.append(0.0, np.geomspace(1e-3, 1.0, 400) * AHEAD * item.press["depth_mm"][-1])
+    force = item.table.force_n(depth, young_modulus_pa, _DESIGN_NU.low)
+    reached = np.interp(item.curve.force_n[known], force, depth)
+    at = np.interp(reached, [0.0, *item.press["depth_mm"]], [0.0, *simulated])
     return float(np.sqrt(np.mean((at - measured[known]) ** 2)))

@@ -124,8 +124,6 @@ def _markers(entry: dict[str, Any], folder: CaptureFolder, writer: _Writer) -> d
             for k, frame in enumerate(video.frames())
         ]
         kept = {key: value for key, value in table.items() if key not in ("file", "frames")}
-        if "poses" in kept:
-            writer.copy(kept["poses"])
         videos.append({**kept, "frames": frames})
     if videos:
         entry["videos"] = videos

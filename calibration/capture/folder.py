@@ -81,8 +81,6 @@ class Video:
     """Of those that decode."""
     frames: Callable[[], Iterator[np.ndarray]]
     """Reads them, RGB uint8, one after another."""
-    poses: dict[str, np.ndarray] = field(default_factory=dict)
-    """Columns of the path, each of shape [row]."""
     stated_count: int = 0
     """Frames that the file says it has; 0 when it does not say."""
 

@@ -223,7 +223,7 @@ def _markers() -> Step:
         "a finger or a flat stamp",
         "An image at rest; then press, press and push sideways, press and twist. 25 frames per "
         "second or more, starting and ending at rest. Measure the dots' pitch with callipers.",
-        "Where the dots are, how they are followed, and shear and twist for the material.",
+        "Where the dots are, how they are followed, and how far shear and twist move them.",
     )
 
 

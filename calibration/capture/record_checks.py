@@ -71,15 +71,12 @@ def check_record(path: str, entry: RecordEntry, columns: dict[str, np.ndarray]) 
         ball = entry.tool.kind == "sphere" and entry.tool.radius_mm is not None
         with naming(path):
             require_loading(depth, normal, record.sigma(normal), ball=ball)
-    for name in {"shear": ["tangential_n"], "twist": ["torque_nmm"], "relaxation": ["force_n"]}.get(
-        entry.kind, []
-    ):
-        if np.ptp(columns[name]) <= 0:
-            raise InputError(
-                f"{path}: {name} is {columns[name][0]:g} in every row, while the tool moves; was "
-                "the load cell read?"
-            )
-    if entry.kind in ("slide", "shear"):
+    if entry.kind == "relaxation" and np.ptp(columns["force_n"]) <= 0:
+        raise InputError(
+            f"{path}: force_n is {columns['force_n'][0]:g} in every row, while the tool moves; was "
+            "the load cell read?"
+        )
+    if entry.kind == "slide":
         _check_friction(record, columns["normal_n"], columns["tangential_n"])
 
 

@@ -22,8 +22,6 @@ from taccel_lab.reading.table_file import read_table
 COLUMNS = {
     "indentation": ("depth_mm", "force_n"),
     "slide": ("shift_mm", "normal_n", "tangential_n"),
-    "shear": ("depth_mm", "shift_mm", "normal_n", "tangential_n"),
-    "twist": ("depth_mm", "angle_deg", "torque_nmm"),
     "relaxation": ("time_s", "depth_mm", "force_n"),
 }
 """Columns that each kind of record has to have."""

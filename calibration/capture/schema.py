@@ -138,8 +138,6 @@ class VideoEntry(StrictModel):
     """Images relative to the manifest; a single entry may hold wildcards (``video/*.png``)."""
     fps: Number | None = Field(default=None, gt=0.0, le=1e4)
     motion: Literal["press", "shear", "twist", "free"] = "free"
-    poses: FileName | None = None
-    """CSV of the indenter's path: ``time_s, x_mm, y_mm, z_mm, angle_deg`` (all or some)."""
 
 
 class MarkersEntry(StrictModel):
@@ -172,9 +170,8 @@ class RecordEntry(StrictModel):
     """A record of forces: a CSV with a header, columns named with their unit."""
 
     file: FileName
-    kind: Literal["indentation", "slide", "shear", "twist", "relaxation"]
+    kind: Literal["indentation", "slide", "relaxation"]
     """Columns: indentation ``depth_mm, force_n``; slide ``shift_mm, normal_n, tangential_n``;
-    shear ``depth_mm, shift_mm, normal_n, tangential_n``; twist ``depth_mm, angle_deg, torque_nmm``;
     relaxation ``time_s, depth_mm, force_n``. ``sigma_n`` is optional everywhere."""
     tool: ToolEntry = ToolEntry()
     force_sigma_n: Number | None = Field(default=None, gt=0.0, le=100.0)

@@ -49,17 +49,16 @@ def load_video(folder: Path, entry: VideoEntry) -> Video:
     """One motion; InputError when it does not decode or holds fewer than two frames."""
     if (entry.file is None) == (not entry.frames):
         raise InputError(f"{folder}: a video needs either a file or frames, and not both")
-    poses = {} if entry.poses is None else read_columns(inner_path(folder, entry.poses))
     if entry.file is not None:
         path = inner_path(folder, entry.file)
         count, stated = count_frames(path)
         read = partial(read_frames, path)
-        return Video(entry, str(path), file_sha256(path), count, read, poses, stated)
+        return Video(entry, str(path), file_sha256(path), count, read, stated)
     paths = [path for name in entry.frames for path in _expand(folder, name)]
     if len(paths) < 2:
         raise InputError(f"{folder}: a video needs at least 2 frames, found {len(paths)}")
     digest = hashlib.sha256("".join(file_sha256(path) for path in paths).encode()).hexdigest()
-    return Video(entry, str(paths[0]), digest, len(paths), partial(_read_images, paths), poses)
+    return Video(entry, str(paths[0]), digest, len(paths), partial(_read_images, paths))
 
 
 def cut_short(video: Video) -> str | None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motion of the markers on the gel in millimetres, for comparison with a simulated gel."""
+"""Motion of the markers on the gel in millimetres."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ import numpy as np
 from taccel_lab.calibration.markers.gel_view import GelView, pixel_jacobian
 from taccel_lab.calibration.markers.tracks import MarkerTracks
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import QuadraticMesh, TetMesh
-from taccel_lab.signals.markers import MarkerLayout
 
 
 @dataclass(frozen=True)
@@ -34,53 +32,6 @@ class MarkerFlow:
     @property
     def frame_count(self) -> int:
         return len(self.displacement_mm)
-
-    @property
-    def marker_count(self) -> int:
-        return len(self.points_mm)
-
-    def select(self, markers: np.ndarray) -> MarkerFlow:
-        """The flow of some of the markers."""
-        return MarkerFlow(
-            self.points_mm[markers],
-            self.displacement_mm[:, markers],
-            self.seen[:, markers],
-            self.sigma_mm[:, markers],
-            self.time_s,
-        )
-
-    def attach(self, mesh: TetMesh | QuadraticMesh) -> tuple[MarkerLayout, MarkerFlow]:
-        """Markers as barycentric points of the gel's contact face, and the flow of those that lie
-        on it.
-
-        Raises:
-            InputError: No marker lies on the face.
-        """
-        known = np.flatnonzero(np.isfinite(self.points_mm).all(axis=1))
-        layout, on_face = MarkerLayout.where_on(mesh, self.points_mm[known])
-        if not on_face.any():
-            raise InputError(
-                f"none of the {self.marker_count} markers lies on the gel's contact face: scale or "
-                "origin of the picture do not belong to this gel"
-            )
-        return layout, self.select(known[on_face])
-
-    def mean_motion(self, frame: int) -> tuple[np.ndarray, float]:
-        """Rigid part of a frame's flow in the gel's plane.
-
-        Returns:
-            Translation of the markers' middle [mm], shape [2], and rotation about it [rad], from x
-            towards y, of the seen markers (least squares).
-        """
-        seen = self.seen[frame]
-        if seen.sum() < 2:
-            raise InputError(f"frame {frame} shows {int(seen.sum())} markers; at least 2")
-        rest, moved = self.points_mm[seen], self.displacement_mm[frame, seen]
-        a, b = rest - rest.mean(axis=0), rest + moved
-        shift = moved.mean(axis=0)
-        b = b - b.mean(axis=0)
-        turn = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
-        return shift, float(turn)
 
 
 def marker_flow_mm(tracks: MarkerTracks, view: GelView, *, fps: float | None = None) -> MarkerFlow:

@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
 from taccel_lab.calibration.capture.folder import source_of
-from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.damping_gain import damping_gain
 from taccel_lab.calibration.material.force_table import ForceTable, force_table
 from taccel_lab.calibration.material.friction import friction_of_records
@@ -21,20 +19,13 @@ from taccel_lab.calibration.material.indentation_points import (
     points_of_record,
     require_plausible,
 )
-from taccel_lab.calibration.material.marker_flow import FlowFit, fit_flow
-from taccel_lab.calibration.material.marker_videos import flows_of_folder, videos_with_path
 from taccel_lab.calibration.material.options import MaterialOptions
 from taccel_lab.calibration.material.relaxation import DampingFit, check_relaxation, fit_damping
-from taccel_lab.calibration.material.remarks import (
-    FRICTION_UNSIMULATED,
-    RELAXATION_MODULUS,
-    YOUNG_OF_SHEAR,
-)
+from taccel_lab.calibration.material.remarks import FRICTION_UNSIMULATED, RELAXATION_MODULUS
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.material.robust_statistics import combined
 from taccel_lab.calibration.material.sliding import SlideFit, fit_slide
 from taccel_lab.calibration.material.stiffness import KnownLaw, Stiffness, fit_stiffness
-from taccel_lab.calibration.material.tangential import TangentialFit, fit_tangential
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.profile import SensorProfile
@@ -42,7 +33,7 @@ from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 
 _DEFAULTS = MaterialOptions()
-_KINDS = ("indentation", "slide", "shear", "twist", "relaxation")
+_KINDS = ("indentation", "slide", "relaxation")
 
 
 @dataclass(frozen=True)
@@ -56,8 +47,6 @@ class _Captures:
     progress: Progress
     points: Sequence[IndentationPoints]
     slides: Sequence[SlideFit]
-    sheared: Sequence[ForceRecord]
-    """Records of shear and twist."""
 
 
 @dataclass(frozen=True)
@@ -68,17 +57,8 @@ class _Known:
     mooney_ratio: float
     young: Estimate | None = None
     friction: Estimate | None = None
-    flow_nu: Estimate | None = None
-    """Poisson's ratio, where marker flow determines it."""
     stiffness: Stiffness | None = None
-    tangential: tuple[TangentialFit, ...] = ()
-    flows: tuple[FlowFit, ...] = ()
     friction_remarks: tuple[Remark, ...] = ()
-
-    @property
-    def nu(self) -> Estimate | None:
-        """Poisson's ratio, where the captures determine it."""
-        return (None if self.stiffness is None else self.stiffness.nu) or self.flow_nu
 
     def gel(self, captures: _Captures) -> Gel:
         """The gel of presses beside indentations; Poisson's ratio is rounded, so that equal fits
@@ -104,24 +84,22 @@ def calibrate_material(
     records = {kind: [r for r in folder.records if r.entry.kind == kind] for kind in _KINDS}
     points = [points_of_record(r, gel, folder.ball_radius_mm) for r in records["indentation"]]
     points += points_of_presses(folder, gel)
-    videos = videos_with_path(folder)
-    if not points and not any(records.values()) and not videos:
+    if not points and not any(records.values()):
         raise InputError(
             f"{folder.source}: nothing that tells the material; give [[records]] of kind "
-            "indentation, slide, shear, twist or relaxation (docs/captures.md), presses with "
-            "depth_mm and force_n, or marker videos with a path"
+            "indentation, slide or relaxation (docs/captures.md), or presses with depth_mm and "
+            "force_n"
         )
     for record in records["relaxation"]:
         check_relaxation(record)
     slides = [fit_slide(record) for record in records["slide"]]
-    sheared = [*records["shear"], *records["twist"]]
-    captures = _Captures(folder, base, gel, options, progress, points, slides, sheared)
+    captures = _Captures(folder, base, gel, options, progress, points, slides)
     started = time.perf_counter()
     known = _Known(
         options.fixed.get("nu", base.material.poisson_ratio),
         options.fixed.get("mooney_ratio", gel.material.mooney_ratio),
     )
-    if sheared or slides or videos:
+    if slides:
         # They give friction for a modulus, and the modulus depends a little on friction.
         frictions = [options.fixed.get("friction", 0.0)]
         known = _with_stiffness(captures, known, frictions)
@@ -160,13 +138,11 @@ def _with_stiffness(captures: _Captures, known: _Known, frictions: Sequence[floa
     if not points:
         return known
     start, remarks = require_plausible(points, gel.thickness_mm, known.poisson_ratio)
-    stated = options.fixed.get("nu", captures.base.material.poisson_ratio)
     law = KnownLaw(
-        stated if known.flow_nu is None else known.flow_nu.value,
+        options.fixed.get("nu", captures.base.material.poisson_ratio),
         options.fixed.get("mooney_ratio", gel.material.mooney_ratio),
-        "nu" not in options.fixed and known.flow_nu is None,
+        "nu" not in options.fixed,
         gel.material.model == "mooney_rivlin" and "mooney_ratio" not in options.fixed,
-        known.flow_nu,
     )
     tables: dict[float, list[ForceTable]] = {}
     for mu in frictions:
@@ -206,70 +182,14 @@ def _force_tables(captures: _Captures, mu: float, law: KnownLaw) -> list[ForceTa
 
 
 def _with_friction(captures: _Captures, known: _Known) -> _Known:
-    """Shear, twist, marker flow and slides, and one coefficient of them unless it is held."""
-    options = captures.options
-    remarks: list[Remark] = []
-    if known.stiffness is None:
-        known = replace(known, young=None)
-    tangential = []
-    for record in captures.sheared:
-        fit = _tangential(captures, known, record)
-        tangential.append(fit)
-        remarks += fit.remarks
-        if known.young is None and "e" not in options.fixed:
-            value = math.exp(fit.solution.value("ln_e"))
-            relative = math.hypot(fit.solution.sigma_of("ln_e"), fit.table.error, 0.02)
-            known = replace(known, young=Estimate(value, relative * value, "Pa"))
-            remarks.append(YOUNG_OF_SHEAR(young_pa=value, name=fit.name))
-    videos, said = flows_of_folder(captures.folder, captures.base)
-    remarks += said
-    flows = []
-    for video in videos:
-        entry = ToolEntry(
-            kind="sphere",
-            radius_mm=captures.folder.ball_radius_mm,
-            center_mm=video.path.place_mm,
-        )
-        held = known.nu is not None or "nu" in options.fixed
-        tool = captures.gel.tool(entry)
-        fit = fit_flow(
-            video.flow, video.path, known.gel(captures), tool, name=video.name,
-            sha256=video.sha256, free_nu=not held, progress=captures.progress,
-        )  # fmt: skip
-        flows.append(fit)
-        remarks += fit.remarks
-        if not held and fit.nu_determined:
-            known = replace(known, flow_nu=fit.nu_estimate, poisson_ratio=fit.poisson_ratio)
-    friction = None
-    if "friction" not in options.fixed:
-        young = captures.gel.material.young_modulus_pa if known.young is None else known.young.value
-        friction, said = friction_of_records(
-            known.gel(captures), captures.folder, captures.slides, [*tangential, *flows], young,
-            captures.progress,
-        )  # fmt: skip
-        remarks += said
-    return replace(
-        known,
-        friction=friction,
-        tangential=tuple(tangential),
-        flows=tuple(flows),
-        friction_remarks=tuple(remarks),
+    """The coefficient of friction of the slides, unless it is held."""
+    if "friction" in captures.options.fixed:
+        return known
+    young = captures.gel.material.young_modulus_pa if known.young is None else known.young.value
+    friction, remarks = friction_of_records(
+        known.gel(captures), captures.folder, captures.slides, young, captures.progress
     )
-
-
-def _tangential(captures: _Captures, known: _Known, record: ForceRecord) -> TangentialFit:
-    young = None
-    if "e" in captures.options.fixed:
-        young = (captures.options.fixed["e"], 0.0)
-    elif known.young is not None:
-        young = (known.young.value, known.young.sigma / known.young.value)
-    return fit_tangential(
-        record,
-        known.gel(captures),
-        captures.gel.tool(record.entry.tool, captures.folder.ball_radius_mm),
-        young_pa=young,
-        progress=captures.progress,
-    )
+    return replace(known, friction=friction, friction_remarks=tuple(remarks))
 
 
 def _damping(captures: _Captures, known: _Known, record: ForceRecord) -> DampingFit:
@@ -299,7 +219,7 @@ def _result(
 ) -> MaterialCalibration:
     stiffness, provenance = known.stiffness, captures.folder.provenance
     times = [item.damping_time_s for item in damping if item.damping_time_s is not None]
-    fits = (*captures.slides, *known.tangential, *known.flows, *damping)
+    fits = (*captures.slides, *damping)
     inputs = {item.name: item.sha256 for item in (*captures.points, *fits)}
     if provenance.get("manifest_sha256"):
         inputs["captures.toml"] = provenance["manifest_sha256"]
@@ -308,7 +228,7 @@ def _result(
     remarks += [*known.friction_remarks, *(r for item in damping for r in item.remarks)]
     estimates = {
         "young_modulus_pa": None if "e" in captures.options.fixed else known.young,
-        "poisson_ratio": known.nu,
+        "poisson_ratio": None if stiffness is None else stiffness.nu,
         "mooney_ratio": None if stiffness is None else stiffness.ratio,
         "friction_coefficient": known.friction,
         "damping_time_s": combined(times) if times else None,

@@ -27,12 +27,6 @@ from taccel_lab.sensors.press_mesh import Pad, pad_press_mesh
 from taccel_lab.sensors.registry import profile_parameters
 
 UNIT_MODULUS_PA = 1e6
-COMPARED = {
-    Accuracy.FAST: Accuracy.DEFAULT,
-    Accuracy.DEFAULT: Accuracy.FAST,
-    Accuracy.REFERENCE: Accuracy.DEFAULT,
-}
-"""The accuracy whose difference stands for the error of one."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +42,6 @@ class Tool:
 
     def indenter(self) -> Indenter:
         return parse_indenter(self.description)
-
-    def contact_radius_mm(self, depth_mm: float) -> float:
-        """About how wide the contact is at a depth [mm]."""
-        if self.kind == "sphere":
-            return min(0.8 * math.sqrt(self.radius_mm * depth_mm), self.radius_mm)
-        return self.radius_mm
 
 
 @dataclass(frozen=True)
@@ -99,10 +87,6 @@ class Gel:
     def with_physics(self, physics: PressPhysics) -> Gel:
         """The same gel, simulated otherwise."""
         return replace(self, physics=physics)
-
-    def for_comparison(self) -> Gel:
-        """The same gel, simulated so that the difference stands for the discretisation error."""
-        return self.with_physics(PHYSICS[COMPARED[self.physics.accuracy]])
 
     def unit_material(self) -> MaterialBlock:
         """The material at 1 MPa, its layers in proportion, without damping."""

@@ -36,8 +36,6 @@ class Stop:
     """Past first touch."""
     shift_mm: tuple[float, float] = (0.0, 0.0)
     """From the place of first touch, gel x and y."""
-    angle_deg: float = 0.0
-    """Turn about +z."""
     read: bool = True
     """Whether something is read there; otherwise it only keeps the steps short."""
 
@@ -109,7 +107,7 @@ class GelPresses(PressEnv):
         return self._step(
             self.checked_depth_m(np.array([stop.depth_mm for stop in stops])),
             np.array([stop.shift_mm for stop in stops]) * 1e-3,
-            np.radians([stop.angle_deg for stop in stops]),
+            np.zeros(len(stops)),
             stay,
         )
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Smooth functions of two parameters of the gel and of a way of the tool, through simulated values.
 
-Over the parameters they are Chebyshev polynomials, along the way (depth, shift, coefficient of
-friction) cubic splines. Where only values are known at m x n nodes, the polynomials are P_m x P_n
-(of degree below m and n). A slope at each node along one axis doubles the degrees there:
-P_m x P_2n + P_2m x P_n holds exactly as many polynomials as there are values and slopes along both
-axes, and one that is zero in all of them is zero (Hermite along one, Lagrange along the other).
+Over the parameters they are Chebyshev polynomials, along the way (the depth) cubic splines. Where
+only values are known at m x n nodes, the polynomials are P_m x P_n (of degree below m and n). A
+slope at each node along one axis doubles the degrees there: P_m x P_2n + P_2m x P_n holds exactly
+as many polynomials as there are values and slopes along both axes, and one that is zero in all of
+them is zero (Hermite along one, Lagrange along the other).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Axis:
     low: float
     high: float
     """The same where the parameter is held."""
-    smooth_in: Literal["itself", "logarithm", "compressibility"] = "itself"
+    smooth_in: Literal["itself", "compressibility"] = "itself"
     """``compressibility``: sqrt(1 - 2 nu) of Poisson's ratio, in which forces are nearly
     polynomial up to incompressibility."""
 
@@ -39,8 +39,6 @@ class Axis:
             return np.array([self.low])
         least, most = self._ends()
         s = 0.5 * (most + least) + 0.5 * (most - least) * (2 * chebyshev_nodes(count) - 1)
-        if self.smooth_in == "logarithm":
-            return np.exp(s)
         return s if self.smooth_in == "itself" else 0.5 * (1 - s**2)
 
     def place(self, value: float) -> tuple[float, float]:
@@ -58,8 +56,6 @@ class Axis:
 
     def _smooth(self, value: float) -> tuple[float, float]:
         """The smooth function, and its derivative."""
-        if self.smooth_in == "logarithm":
-            return math.log(value), 1 / value
         if self.smooth_in == "itself":
             return value, 1.0
         s = math.sqrt(1 - 2 * value)

@@ -8,14 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.material.friction import FrictionFit
-from taccel_lab.calibration.material.marker_flow import FlowFit
 from taccel_lab.calibration.material.predicted_forces import force_interval_n
 from taccel_lab.calibration.material.relaxation import DampingFit
-from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.material.sliding import SlideFit
 from taccel_lab.calibration.material.stiffness import Stiffness
-from taccel_lab.calibration.material.tangential import TangentialFit
 from taccel_lab.report.style import (
     BLUE,
     GREEN,
@@ -38,7 +34,6 @@ _AXES = {
     "ln_e": "Young's modulus [kPa]",
     "nu": "Poisson's ratio",
     "mooney_ratio": "Mooney ratio c01 / (c10 + c01)",
-    "ln_mu": "coefficient of friction",
 }
 
 
@@ -88,29 +83,20 @@ def draw_indentation(stiffness: Stiffness) -> Figure:
 
 
 @in_report_style
-def draw_profiles(result: MaterialCalibration) -> Figure:
-    """Profile likelihood of each parameter of the law, of friction where it was simulated."""
-    found = []
-    held = None
-    if result.stiffness is not None:
-        free = result.stiffness.profiled.solution.profiles
-        found += [(name, p, "") for name, p in free.items() if name in _AXES]
-        if result.held():
-            held = result.stiffness.fit.solution.profiles["ln_e"]
-    for item in result.fits:
-        if not isinstance(item, FrictionFit):
-            continue
-        found += [(n, p, f" ({item.name})") for n, p in item.solution.profiles.items()]
+def draw_profiles(stiffness: Stiffness, *, open_held: bool) -> Figure:
+    """Profile likelihood of each parameter of the law; of Young's modulus also with what is open
+    held."""
+    free = stiffness.profiled.solution.profiles
+    found = [(name, profile) for name, profile in free.items() if name in _AXES]
+    held = stiffness.fit.solution.profiles["ln_e"] if open_held else None
     columns = 2 if len(found) == 4 else min(len(found), 3)
     rows = math.ceil(len(found) / columns)
     figure, axes = new_figure(3.3 * columns + 0.4, 3.1 * rows, rows, columns, squeeze=False)
-    for axis, (name, profile, where) in zip(axes.flat, found, strict=False):
+    for axis, (name, profile) in zip(axes.flat, found, strict=False):
         values = profile.values
         ends = np.array(profile.interval)
         if name == "ln_e":
             values, ends = np.exp(values) / 1e3, np.exp(ends) / 1e3
-        elif name == "ln_mu":
-            values, ends = np.exp(values), np.exp(ends)
         axis.axvspan(*ends, color=BLUE, alpha=0.12, lw=0)
         axis.plot(values, profile.excess, "o-", ms=3, color=BLUE, label="all others free")
         if name == "ln_e" and held is not None:
@@ -122,7 +108,7 @@ def draw_profiles(result: MaterialCalibration) -> Figure:
         axis.set_ylim(0, 2.5 * profile.threshold)
         margin = 0.35 * (ends[1] - ends[0]) or 0.05 * abs(ends[0])
         axis.set_xlim(ends[0] - margin, ends[1] + margin)
-        axis.set_xlabel(_AXES[name] + where, fontsize=9)
+        axis.set_xlabel(_AXES[name], fontsize=9)
         note = "not determined by the data" if profile.open_low and profile.open_high else ""
         if profile.open_low != profile.open_high:
             note = "bounded on one side only"
@@ -156,44 +142,6 @@ def draw_slide(fit: SlideFit) -> Figure:
     )
     axis.set_title(f"{fit.name}: {fit.friction.value:.3g} while sliding (black); dotted: break")
     axis.legend(fontsize=8, ncols=2)
-    return figure
-
-
-@in_report_style
-def draw_tangential(fit: TangentialFit) -> Figure:
-    """Measured and simulated resistance to shear or twist."""
-    figure, axis = new_figure(6.5, 3.4)
-    unit, force = ("mm", "tangential force [N]") if fit.motion == "shear" else (
-        "deg", "torque [N mm]",
-    )  # fmt: skip
-    axis.plot(fit.motions, fit.tangential, "o", ms=4, mfc="white", color=BLUE, label="measured")
-    axis.plot(
-        fit.motions, fit.fitted, color=ORANGE, label=f"simulated, friction {fit.friction:.3g}"
-    )
-    axis.set(xlabel=f"{'shift' if fit.motion == 'shear' else 'angle'} [{unit}]", ylabel=force)
-    axis.set_title(f"{fit.name}, held at {fit.depth_mm:.3g} mm")
-    axis.legend(fontsize=8)
-    return figure
-
-
-@in_report_style
-def draw_flow(fit: FlowFit) -> Figure:
-    """Motion of the markers in the last frame fitted, measured and simulated."""
-    figure, axis = new_figure(6.0, 5.0)
-    x, y = fit.points_mm.T
-    for field, colour, label in (
-        (fit.measured_mm[-1], BLUE, "measured"),
-        (fit.fitted_mm[-1], ORANGE, "simulated"),
-    ):
-        axis.quiver(
-            x, y, field[:, 0], field[:, 1], color=colour, angles="xy", scale_units="xy",
-            scale=0.5, width=0.004, label=f"{label} (twice its length)",
-        )  # fmt: skip
-    axis.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
-    axis.invert_yaxis()
-    axis.margins(0.12)
-    axis.set_title(f"{fit.name}, frame {fit.frames[-1]}: friction {fit.friction:.3g}")
-    axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2)
     return figure
 
 

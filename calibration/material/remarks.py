@@ -153,62 +153,12 @@ FRICTION_BY_LOAD = RemarkKind(
     "friction goes with the load to the power {power:.2f} between {low_n:.3g} and {high_n:.3g} N; "
     "Coulomb's law has one coefficient, here the mean",
 )
-BALL_LEANS = RemarkKind(
-    "ball_leans",
-    Severity.INFO,
-    "tangential over normal force is {ratio:.3g} while the ball slides; simulated at "
-    "{depth_mm:.2g} mm depth, a coefficient of {friction:.3g} makes it, since the ball leans on "
-    "the gel before it",
-)
 LEANING_UNKNOWN = RemarkKind(
     "leaning_unknown",
     Severity.WARNING,
     "{reason}, so what the ball leans on the gel is not taken off; friction may be up to 15 % "
     "lower than the ratio of the forces. A flat punch does not lean",
 )
-FRICTION_DISAGREES = RemarkKind(
-    "friction_disagrees",
-    Severity.WARNING,
-    "records disagree on friction ({each}); speed, load or a coating that wears may differ. Their "
-    "weighted mean is used, its error widened",
-)
-
-# Shear, twist and the flow of markers.
-FRICTION_UNDETERMINED = RemarkKind(
-    "friction_undetermined",
-    Severity.WARNING,
-    "{name}: the contact hardly slips, so friction is only known to be at least {least:.3g}; move "
-    "the tool farther, or record a slide",
-)
-TANGENTIAL_MISFIT = RemarkKind(
-    "tangential_misfit",
-    Severity.WARNING,
-    "{name}: the simulated {motion} misses the record by {residual:.0%} of its largest force; "
-    "check the depth, the tool and its place",
-)
-YOUNG_OF_SHEAR = RemarkKind(
-    "young_of_shear",
-    Severity.WARNING,
-    "Young's modulus of {young_pa:.4g} Pa comes from the normal force of {name} alone, at one "
-    "depth; record an indentation",
-)
-FLOW_FRICTION_UNDETERMINED = RemarkKind(
-    "flow_friction_undetermined",
-    Severity.INFO,
-    "{name} {verb} friction{bounds}; move the tool farther",
-)
-FLOW_NU_UNDETERMINED = RemarkKind(
-    "flow_nu_undetermined",
-    Severity.INFO,
-    "{name} {verb} Poisson's ratio{bounds}; move the tool farther",
-)
-FLOW_MISFIT = RemarkKind(
-    "flow_misfit",
-    Severity.WARNING,
-    "{name}: the simulated motion of the markers leaves {rms_mm:.3f} mm of {moved_mm:.3f} mm; "
-    "check path, tool, scale and the gel's shape",
-)
-
 # Relaxation.
 RELAXES = RemarkKind(
     "relaxes",

@@ -7,14 +7,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from taccel_lab.calibration.material.friction import FrictionFit
 from taccel_lab.calibration.material.pictures import (
     draw_damping,
-    draw_flow,
     draw_indentation,
     draw_profiles,
     draw_slide,
-    draw_tangential,
 )
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.report.page import Page, Picture, Table
@@ -32,8 +29,6 @@ _TITLES = {
 
 _DRAWINGS: dict[str, tuple[Callable[..., Figure], str]] = {
     "slides": (draw_slide, "Friction along each stroke."),
-    "tangential": (draw_tangential, "Stick before slip."),
-    "flows": (draw_flow, "Motion of the markers."),
     "damping": (draw_damping, "Force over time."),
 }
 
@@ -135,11 +130,10 @@ def material_page(result: MaterialCalibration) -> Page:
                 + ".",
             )
         )
-    if stiffness is not None or any(isinstance(fit, FrictionFit) for fit in result.fits):
         pictures.append(
             Picture(
                 "profiles",
-                partial(draw_profiles, result),
+                partial(draw_profiles, stiffness, open_held=bool(result.held())),
                 "Profile likelihood: the least misfit for each value of one parameter, all others "
                 "free. Where it stays below the dashed line is the 95 % interval; a flat profile "
                 "means that the data do not tell.",

@@ -37,7 +37,7 @@ class RecordFit(Protocol):
         ...
 
 
-GROUPS = ("slides", "tangential", "flows", "damping")
+GROUPS = ("slides", "damping")
 
 
 @dataclass(frozen=True)

@@ -60,8 +60,6 @@ class KnownLaw:
     mooney_ratio: float
     free_nu: bool
     free_ratio: bool
-    other_nu: Estimate | None = None
-    """Poisson's ratio that other records determine."""
 
 
 @dataclass(frozen=True)
@@ -267,17 +265,12 @@ def fit_stiffness(
         # What the profile will hold decides which friction goes with it.
         likeliest = min(tables, key=lambda mu: fit(mu, False, ratio_determined, held).misfit)
     found = fit(likeliest, nu_determined, ratio_determined, held, profiled=None)
-    # Gels have no other Poisson's ratio, unless the base profile or other records say so.
-    within = (min(GEL_NU[0], held), max(GEL_NU[1], held))
-    if law.other_nu is not None:
-        within = law.other_nu.interval95
-    if nu_determined:
-        within = None
-    vary = law.free_nu or law.other_nu is not None
+    # Gels have no other Poisson's ratio, unless the base profile says so.
+    within = None if nu_determined else (min(GEL_NU[0], held), max(GEL_NU[1], held))
 
     def open_fit(mu: float, keep: Sequence[np.ndarray] | None = None) -> IndentationFit:
         only = ("ln_e",) if keep is None else ()
-        return fit(mu, vary, law.free_ratio, held, within, keep, only)
+        return fit(mu, law.free_nu, law.free_ratio, held, within, keep, only)
 
     candidates = {mu: open_fit(mu) for mu in tables}
     least = min(item.misfit for item in candidates.values())

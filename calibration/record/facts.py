@@ -31,7 +31,7 @@ QUICK_LEAVES_OUT = (
     "and no image is turned into newtons",
     "presses: 20, not the 40 of a full session. Half of the image may have one press or none; "
     "colours and slopes there are less certain, and fewer presses are held out to say how much",
-    "markers: no dots were followed, so that shear and twist are not calibrated",
+    "markers: no dots were followed, so that nothing tells how they move with the gel",
     "time: a few minutes. Drift over a session, and from one day to the next, is not seen",
 )
 """What twenty presses of a ball, without a board and without a load cell, cannot tell."""

@@ -13,7 +13,6 @@ from taccel_lab.calibration.dots.marker_picture import marker_pitch_px
 from taccel_lab.calibration.markers.rest import find_rest
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
-from taccel_lab.calibration.scale.remarks import MARKER_PITCH
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 
@@ -78,5 +77,5 @@ def scale_from_markers(markers: MarkerCaptures) -> ScaleEstimate:
             "pitch_sigma_px": sigma,
             "pitch_share_sigma": PITCH_SIGMA,
         },
-        remarks=(MARKER_PITCH(share=PITCH_SIGMA), *rest.remarks),
+        remarks=rest.remarks,
     )

@@ -43,11 +43,6 @@ LANDMARKS_OFF = RemarkKind(
     "the landmarks of {name} are {error_px:.1f} px off the map that they define; one of them is "
     "mistaken",
 )
-MARKER_PITCH = RemarkKind(
-    "marker_pitch",
-    Severity.INFO,
-    "the markers' distance on the gel is taken to be right within {share:.0%}",
-)
 SPHERES_LIMIT = RemarkKind(
     "spheres_limit",
     Severity.INFO,

@@ -15,7 +15,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.loading import find_touch, first_loading
 from taccel_lab.studies.measured_curve import read_curve
-from taccel_lab.studies.measured_fit import FittedGel, ForceLaw, fit_measured
+from taccel_lab.studies.measured_fit import FittedGel, fit_measured, press_table
 from taccel_lab.studies.spec import Measured, spec_of
 from taccel_lab.studies.study import Study, default_kit, make_study
 
@@ -220,13 +220,11 @@ LAW_DEPTH = np.linspace(0.05, 0.5, 8)
 LAW_FORCE = 0.8 * LAW_DEPTH**1.9
 
 
-@given(depth=st.floats(1e-3, 1.0))
-def test_a_law_is_read_both_ways(depth: float) -> None:
-    law = ForceLaw(LAW_DEPTH.tolist(), LAW_FORCE.tolist())
-    force = law.force_n(np.array([depth]))
-    assert force[0] == pytest.approx(0.8 * depth**1.9)
-    assert law.depth_mm(force)[0] == pytest.approx(depth)
-    assert law.force_n(np.array([-depth]))[0] == 0.0
+def test_a_press_is_read_as_a_table_beyond_its_steps_by_their_power_law() -> None:
+    press = {"depth_mm": LAW_DEPTH.tolist(), "force_n": [[0.0, 0.0, f] for f in LAW_FORCE]}
+    depth = np.array([-0.1, 1e-3, 0.07, 0.5, 1.0])
+    found = press_table(press, 2e5).force_n(depth, 2e5, 0.5)
+    assert found == pytest.approx(0.8 * np.clip(depth, 0.0, None) ** 1.9)
 
 
 def planned(*measured: dict[str, Any]) -> Study:

@@ -50,7 +50,6 @@ labels = "dots.csv"
 [[markers.videos]]
 frames = ["video/*.png"]
 motion = "shear"
-poses = "poses.csv"
 [[records]]
 file = "force.csv"
 kind = "indentation"
@@ -67,7 +66,6 @@ def folder(tmp_path: Path) -> Path:
     # A view of a board need not be of the size of the presses.
     write_image(tmp_path / "board.png", np.full((96, 128, 3), 90, np.uint8))
     (tmp_path / "dots.csv").write_text("u_px,v_px,du_px,dv_px\n1,2,0,0\n3,4,0,1\n")
-    (tmp_path / "poses.csv").write_text("time_s,x_mm\n0,0\n0.1,0.2\n0.2,0.4\n")
     (tmp_path / "force.csv").write_text("depth_mm,force_n\n0.2,0.1\n0.5,0.4\n1.0,1.1\n")
     (tmp_path / "captures.toml").write_text(MANIFEST)
     return tmp_path
@@ -93,7 +91,6 @@ def test_every_section(folder: Path) -> None:
     assert markers.labels["dv_px"].tolist() == [0.0, 1.0]
     video = markers.videos[0]
     assert [frame[0, 0, 0] for frame in video.frames()] == [100, 110, 120]
-    assert video.poses["x_mm"].tolist() == [0.0, 0.2, 0.4]
     assert captures.records[0].columns["force_n"].tolist() == [0.1, 0.4, 1.1]
     assert captures.contents().items() >= {
         "background": 1, "untouched": 1, "ball_presses": 3, "labelled_presses": 0, "boards": 1,
@@ -142,7 +139,7 @@ def test_only_some_sections(folder: Path) -> None:
             r"force\.csv does not decode as a video",
         ),
         ('frames = ["video/*.png"]', 'file = "gone.avi"', r"gone\.avi does not exist"),
-        ('labels = "dots.csv"', 'labels = "poses.csv"', r"poses\.csv lacks du_px"),
+        ('labels = "dots.csv"', 'labels = "force.csv"', r"force\.csv lacks du_px"),
         ('kind = "indentation"', 'kind = "press"', r"records\.0\.kind.*indentation"),
         ("depth_mm = 0.5", "depth_mm = -0.5", r"presses\.0\.depth_mm.*greater than or equal to 0"),
         ("force_n = 0.7", "force_n = inf", r"presses\.0\.force_n.*finite"),
@@ -158,7 +155,7 @@ def test_refusals(folder: Path, old: str, new: str, message: str) -> None:
 
 
 NAMED_FILES = ["background.png", "later.png", "a.png", "board.png", "edge.png", "dots.csv",
-               "video/*.png", "poses.csv", "force.csv"]  # fmt: skip
+               "video/*.png", "force.csv"]  # fmt: skip
 """Every way in which the manifest names a file."""
 
 

@@ -215,12 +215,6 @@ def test_rows_that_stand_twice_count_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "columns"),
     [
-        ("twist", {"depth_mm": np.ones(6), "angle_deg": np.arange(6.0), "torque_nmm": np.ones(6)}),
-        (
-            "shear",
-            {"depth_mm": np.ones(6), "shift_mm": np.arange(6.0), "normal_n": np.full(6, 2.0),
-             "tangential_n": np.ones(6)},
-        ),
         (
             "relaxation",
             {"time_s": np.arange(6.0), "depth_mm": np.arange(6.0), "force_n": np.ones(6)},

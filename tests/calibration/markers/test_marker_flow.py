@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From pixels to the gel: through a grid, through a refracting camera, onto a mesh."""
+"""From pixels to the gel: through a grid, through a refracting camera."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from taccel_lab.calibration.dots.layout import fit_layout
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers.choose_view import choose_view
 from taccel_lab.calibration.markers.fit import layout_on_gel
-from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
+from taccel_lab.calibration.markers.flow import marker_flow_mm
 from taccel_lab.calibration.markers.gel_view import (
     CameraView,
     GridView,
@@ -25,9 +25,7 @@ from taccel_lab.calibration.markers.gel_view import (
 from taccel_lab.calibration.markers.tracks import MarkerTracks
 from taccel_lab.camera.camera_model import CameraModel
 from taccel_lab.camera.media import media_between
-from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid, Region, TetMesh
-from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.geometry import PixelGrid
 from taccel_lab.optics import Camera, Coating, Light, MarkerGrid, OpticalDesign, Window
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.profile import Provenance
@@ -60,17 +58,6 @@ def test_flow_through_a_grid_is_pixels_times_scale() -> None:
     np.testing.assert_allclose(flow.sigma_mm[1, 0], np.sqrt(2) * 0.02 * np.array([0.06, 0.05]))
     assert flow.time_s is not None
     np.testing.assert_allclose(flow.time_s, [0.0, 0.04])
-    shift, turn = flow.mean_motion(1)
-    np.testing.assert_allclose(shift, (0.6, -0.2), atol=1e-12)
-    assert turn == pytest.approx(0.0, abs=1e-12)
-
-
-def test_the_rigid_part_of_a_flow_is_its_rotation() -> None:
-    points = np.random.default_rng(0).uniform(-5, 5, (20, 2))
-    c, s = np.cos(0.2), np.sin(0.2)
-    moved = points @ np.array([[c, s], [-s, c]]) - points
-    flow = MarkerFlow(points, moved[None], np.ones((1, 20), bool), np.full((1, 20, 2), 0.01))
-    assert flow.mean_motion(0)[1] == pytest.approx(0.2)
 
 
 def design(camera: Camera) -> OpticalDesign:
@@ -149,23 +136,6 @@ def test_a_camera_view_undoes_projection_on_a_dome() -> None:
     np.testing.assert_allclose(view.gel_from_pixel(uv), xy, atol=1e-6)
     jacobian = pixel_jacobian(view, uv)
     assert (np.linalg.det(jacobian) > 0).all()
-
-
-def test_markers_are_attached_where_they_lie_on_the_mesh() -> None:
-    # Two tets whose lid is a square of 10 mm.
-    nodes = np.array([[-5, -5, 0], [5, -5, 0], [5, 5, 0], [-5, 5, 0], [0, 0, -4.0]]) * 1e-3
-    tets = np.array([[0, 2, 1, 4], [0, 3, 2, 4]])
-    faces = boundary_faces(tets)
-    lid = (nodes[faces, 2] == 0).all(axis=1)
-    mesh = TetMesh(nodes, tets, faces, np.where(lid, int(Region.CONTACT), int(Region.BOND)))
-    points = np.array([[1.0, -2.0], [7.0, 0.0], [np.nan, 0.0], [-3.0, 3.5]])
-    flow = MarkerFlow(points, np.zeros((2, 4, 2)), np.ones((2, 4), bool), np.full((2, 4, 2), 0.01))
-    layout, attached = flow.attach(mesh)
-    assert attached.marker_count == layout.count == 2
-    placed = (mesh.nodes_m[layout.nodes] * layout.weights[..., None]).sum(axis=1)[:, :2] * 1e3
-    np.testing.assert_allclose(placed, points[[0, 3]], atol=1e-12)
-    with pytest.raises(InputError, match="none of the 1 markers lies on"):
-        flow.select(np.array([1])).attach(mesh)
 
 
 def calibrated(kind: str, spread: dict[str, float]) -> Provenance:

@@ -3,13 +3,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import ForceRecord
+from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.material.ball_slide import simulate_ball_slide, slide_plan
+from taccel_lab.calibration.material.gel import Gel
+from taccel_lab.calibration.material.press_plans import GelBench, simulate
 from taccel_lab.calibration.material.sliding import SlideFit, fit_slide, friction_of_slides
 from taccel_lab.errors import InputError
-from tests.calibration.material.made_up import record
+from taccel_lab.profile import SensorProfile
+from tests.calibration.material.made_up import COARSER, FAST, record
 
 
 def slide(
@@ -120,3 +127,20 @@ def test_unfit_slides_are_refused(change, words: str) -> None:
         bad.columns[name] = spoil(bad.columns[name])
     with pytest.raises(InputError, match=words):
         fit_slide(bad)
+
+
+def test_a_sliding_ball_leans_on_the_gel(mini: SensorProfile, press_cache: Path) -> None:
+    """Friction is found in the forces of a slide on a finer mesh; a flat punch does not lean."""
+    gel = Gel.of_profile(mini, physics=COARSER).with_law(0.47)
+    tool = gel.tool(ToolEntry(kind="sphere", radius_mm=4.0))
+    bench = GelBench(gel.with_physics(FAST), tool, 0.6)
+    way = 0.6 * np.array([0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.4, 1.9, 2.4])
+    found = simulate(bench, slide_plan(bench, way, 0.45))
+    ratio = float(found["tangential_n"][-1] / found["normal_n"][-1])
+    assert ratio > 1.03 * 0.45
+    load = 0.24 * float(found["normal_n"][-1])
+    slid = simulate_ball_slide(gel, tool, load, ratio, 2.4e5)
+    assert slid is not None
+    assert slid.friction(ratio) == pytest.approx(0.45, rel=0.03)
+    punch = gel.tool(ToolEntry(kind="cylinder", radius_mm=2.0))
+    assert simulate_ball_slide(gel, punch, load, ratio, 2.4e5) is None

@@ -79,7 +79,6 @@ labels = "dots.csv"
 file = "shear.avi"
 fps = 25.0
 motion = "shear"
-poses = "poses.csv"
 
 [[markers.videos]]
 frames = ["p?.png"]
@@ -88,8 +87,6 @@ motion = "free"
 _TABLES = {
     "indentation": "depth_mm,force_n,sigma_n\n0.2,0.05,0.01\n0.4,0.15,0.01\n0.8,0.4,0.01\n",
     "slide": "shift_mm,normal_n,tangential_n\n0.0,1.0,0.1\n0.5,1.0,0.5\n1.0,1.0,0.6\n",
-    "shear": "depth_mm,shift_mm,normal_n,tangential_n\n0.5,0.1,0.3,0.05\n0.5,0.3,0.3,0.1\n",
-    "twist": "depth_mm,angle_deg,torque_nmm\n0.5,1.0,0.3\n0.5,5.0,1.1\n",
     "relaxation": "time_s,depth_mm,force_n\n0.0,0.5,0.4\n0.5,0.5,0.3\n1.0,0.5,0.25\n",
 }
 _RECORD = """
@@ -100,7 +97,6 @@ tool = {{ kind = "sphere", radius_mm = 4.0, center_mm = [0.0, 0.0] }}
 force_sigma_n = 0.02
 """
 _DOTS = "u_px,v_px,du_px,dv_px\n5,6,0.1,0.2\n15,6,0.1,0.3\n"
-_POSES = "time_s,x_mm,y_mm,z_mm,angle_deg\n0,0,0,-0.2,0\n0.04,0.1,0,-0.2,0\n0.08,0.2,0,-0.2,0\n"
 
 
 def picture(number: int) -> np.ndarray:
@@ -142,7 +138,6 @@ def whole(given: Path) -> None:
     records(given)
     write_video(given / "shear.avi")
     (given / "dots.csv").write_text(_DOTS)
-    (given / "poses.csv").write_text(_POSES)
     text = _HEAD + _PRESSES + _TARGETS + _MARKERS + "".join(map(_RECORD.format, _TABLES))
     (given / "captures.toml").write_text(text)
 
@@ -156,11 +151,10 @@ def records(given: Path) -> None:
 
 
 def videos(given: Path) -> None:
-    """Dots that move: a video file with its path, and labels."""
+    """Dots that move: a video file, and labels."""
     write_image(given / "background.png", picture(0))
     write_video(given / "shear.avi")
     (given / "dots.csv").write_text(_DOTS)
-    (given / "poses.csv").write_text(_POSES)
     markers = _MARKERS.split("\n[[markers.videos]]\nframes")[0]
     (given / "captures.toml").write_text(
         'schema_version = 2\nsensor = "flat_pad"\nbackground = "background.png"\n' + markers
