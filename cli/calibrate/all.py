@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from taccel_lab.calibration.press_options import ThicknessMode
 from taccel_lab.cli.calibrate.base import CalibrationFiles, report_folder, require_outputs
 
 if TYPE_CHECKING:
@@ -31,6 +32,9 @@ class CalibrateAll(CalibrationFiles):
     out."""
     only: tuple[str, ...] = ()
     """Blocks to fit, by name; all when left out."""
+    thickness: ThicknessMode = "auto"
+    """Thickness of the gel, as of color and normals: auto fits one that nobody measured, and
+    refuses one that is stated and that the presses contradict; fit fits it in any case."""
 
     def run(self) -> None:
         from taccel_lab.calibration.calibrate import calibrate
@@ -44,7 +48,9 @@ class CalibrateAll(CalibrationFiles):
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
         with stage_progress(console) as progress:
-            found = calibrate(self.captures, self.base, self.only, progress=progress)
+            found = calibrate(
+                self.captures, self.base, self.only, self._options(), progress=progress
+            )
         with working(console, "writing the reports"):
             found.write_report(report)
         save_profile(found.profile, self.out)
@@ -57,6 +63,15 @@ class CalibrateAll(CalibrationFiles):
         console.print(f"wrote {self.out} and {report / 'report.html'}")
         if found.unfit:
             raise SystemExit(1)
+
+    def _options(self) -> dict[str, Any]:
+        from taccel_lab.calibration.color.options import ColorOptions
+        from taccel_lab.calibration.normals.options import NormalOptions
+
+        return {
+            "color": ColorOptions(thickness=self.thickness),
+            "normals": NormalOptions(thickness=self.thickness),
+        }
 
 
 def _print_remarks(console: Console, found: Calibration) -> None:
