@@ -17,8 +17,8 @@ FLAT_PAD = RemarkKind(
     Severity.WARNING,
     "flat_pad stands for a sensor that is not in the catalogue: its gel is taken as flat, bonded "
     "to a plate. How thick it is, {thickness_mm:g} mm where nothing tells it, is fitted to the "
-    "ball presses, with its interval in every +- of a depth. Measure it and write thickness_mm under "
-    "[design] in captures.toml, and they are narrower",
+    "ball presses, with its interval in every +- of a depth. Measure it and write thickness_mm "
+    "under [design] in captures.toml, and they are narrower",
 )
 IMAGES_ACROSS = RemarkKind(
     "images_across",

@@ -44,7 +44,7 @@ def depths_in(
     found = np.empty((len(presses), len(thickness_mm)))
     balls = np.array([press.ball_mm for press in presses])
     for ball in np.unique(balls):
-        own = np.flatnonzero(balls == ball)
+        own = [i for i, press in enumerate(presses) if press.ball_mm == ball]
         radii = np.array([presses[i].radius_mm for i in own])
         solved = np.unique(np.quantile(radii, np.linspace(0, 1, min(MOST_SOLVED, len(own)))))
         # Depths go nearly with the square of the contact.
