@@ -21,6 +21,7 @@ from taccel_lab.calibration.contacts.labels import LabelAgreement
 from taccel_lab.calibration.contacts.remarks import CIRCLES_FOUND
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.press_options import BallPressOptions
+from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
@@ -31,7 +32,9 @@ class BallPresses:
     """Presses and profile on one pixel grid, split before any image was read."""
 
     profile: SensorProfile
-    """The profile that is extended, on the grid of the captures."""
+    """The profile that is extended, on the grid of the captures and with the gel's thickness."""
+    gel: GelThickness | None
+    """What the training presses say of that; None where it is known and they agree."""
     captures: CaptureSet
     """All presses."""
     split: PressSplit
@@ -79,8 +82,15 @@ def ball_presses(
         usable = usable_circles(
             captures.only(split.train), options.circles, cache=cache, progress=progress
         )
+        sigmas_px = [radius for _, radius in usable.sigmas_px]
+        gel = gel_thickness(
+            usable.captures, usable.circles, sigmas_px, profile, options.thickness,
+            stated="thickness_mm" in folder.design,
+        )  # fmt: skip
+    extended = profile if gel is None else gel.apply_to(profile)
     return BallPresses(
-        profile=profile,
+        profile=extended,
+        gel=gel,
         captures=captures,
         split=split,
         training=usable.captures,

@@ -6,6 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+ThicknessMode = Literal["auto", "fit"]
+"""``auto`` keeps a thickness that somebody measured; ``fit`` fits it whatever is stated."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class BallPressOptions:
@@ -18,3 +21,7 @@ class BallPressOptions:
     """Contact circles to start from: those given, those found in the images, or the better estimate
     from both. A press without a given circle takes the one found. Held-out presses take no part:
     their given circles alone place them for the figures."""
+    thickness: ThicknessMode = "auto"
+    """Thickness of the gel: auto fits one that nobody measured to how the gel sinks around the
+    balls and to their depth_mm, and refuses one that is stated and that they contradict; fit fits
+    it in any case."""

@@ -90,7 +90,7 @@ def calibrate_color(
     surfaces = PressSurfaces(
         options.surface, presses.profile, cache=options.cache, progress=progress
     )
-    return fit_color(
+    found = fit_color(
         presses.training,
         presses.circles,
         surfaces(presses.training, presses.circles),
@@ -103,6 +103,7 @@ def calibrate_color(
         remarks=(*presses.lost, *findings, *presses.remarks),
         progress=progress,
     )
+    return replace(found, gel=presses.gel)
 
 
 def fit_color(

@@ -110,6 +110,8 @@ def _summary(result: ColorCalibration) -> str:
         f"A network of {network} units was fitted to {len(result.train_names)} presses in "
         f"{result.fit.seconds:.0f} s; surfaces: {result.surface_provider}."
     ]
+    if result.gel is not None:
+        parts.append(result.gel.sentence())
     if result.has_scores:
         score = result.heldout_means()
         light = " in the light of each capture" if result.drift_corrected else ""

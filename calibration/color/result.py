@@ -26,6 +26,7 @@ from taccel_lab.calibration.color.registration import Registration
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice
 from taccel_lab.calibration.result import mean_figures
+from taccel_lab.calibration.thickness.fit import GelThickness
 from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
@@ -88,6 +89,8 @@ class ColorCalibration:
     """Taxim's table, fitted to the training presses; None if not asked."""
     table_scores: list[PressScore] = field(default_factory=list)
     """Held-out presses rendered by the table."""
+    gel: GelThickness | None = None
+    """What the presses say of the gel's thickness; None where it is known and they agree."""
     remarks: tuple[Remark, ...] = ()
     """What a person has to know before the model is used."""
 
@@ -174,6 +177,8 @@ class ColorCalibration:
             "fit_seconds": self.fit.seconds,
             "drift_removed": self.drift_corrected,
         }
+        if self.gel is not None:
+            found["gel_thickness"] = self.gel.figures()
         if self.split is not None:
             found["split"] = self.split.figures()
         if self.label_shift.count:
@@ -216,6 +221,8 @@ class ColorCalibration:
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
         """``profile`` on the captures' grid, with the blocks background and color."""
         profile = on_grid(profile, self.captures.grid, self.captures.provenance)
+        if self.gel is not None:
+            profile = self.gel.apply_to(profile)
         # An old background or model may be of another image size; both are replaced.
         profile = profile.without("background", "color")
         return profile.with_block(

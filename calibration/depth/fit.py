@@ -3,9 +3,10 @@
 
 What the depth is counted from has to be said. A ball's shape gives depths below the rim of the
 contact; the rim itself lies below the untouched face, since the gel sinks around a ball, and by how
-much no image tells. ``untouched`` counts from where the grey is that of untouched gel, so that the
-curve starts at zero without a step; ``rim`` from the rim of the contact; ``hertz`` and
-``simulated`` add the sinking of an elastic half-space or of the designed gel to that.
+much no image tells. Presses of known travel settle it (``travel``). Without any, ``untouched``
+counts from where the grey is that of untouched gel, so that the curve starts at zero without a
+step; ``rim`` from the rim of the contact; ``hertz`` and ``simulated`` add the sinking of an elastic
+half-space or of the designed gel to that.
 """
 
 from __future__ import annotations
@@ -51,6 +52,7 @@ from taccel_lab.calibration.depth.remarks import (
 from taccel_lab.calibration.depth.result import DepthCalibration, PressFigures
 from taccel_lab.calibration.simulate import PressSurfaces, SurfaceMaker
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.thickness.travel import TOUCH_MM
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
@@ -129,6 +131,14 @@ def fit_depth(
             )
     sunk = [0.0] * len(chosen)
     zeros = [sunk]
+    by_travel = _rims_by_travel(captures, chosen, radii)
+    zero = options.zero
+    if zero == "auto":
+        zero = "untouched" if by_travel is None else "travel"
+    if zero == "travel":
+        if by_travel is None:
+            raise InputError(f"{captures.source}: zero travel needs depth_mm of a press")
+        sunk = by_travel
     if options.zero in ("hertz", "simulated"):
         if surfaces is None:
             raise InputError(f"zero {options.zero!r} needs the surfaces of the presses")
@@ -149,7 +159,7 @@ def fit_depth(
     # Each press by itself: its rim is known no better than that of the others.
     by_grey = [rim - depth_at_no_drop(part) for rim, part in zip(sunk, parts, strict=True)]
     zeros.append(by_grey)
-    if options.zero == "untouched":
+    if zero == "untouched":
         sunk = by_grey
         parts = pixels()
     try:
@@ -169,6 +179,9 @@ def fit_depth(
     )
     offset_mm = _offset_sigma_mm(chosen, sigma_px, radii, captures)
     gap_mm = max(abs(float(np.mean(sunk) - np.mean(other))) for other in zeros)
+    if zero == "travel":
+        # The ball's lowest point is where the stage has it, whatever its circle.
+        offset_mm, gap_mm = TOUCH_MM, 0.0
     result = DepthCalibration(
         response=DepthResponse(
             response.channel,
@@ -188,7 +201,7 @@ def fit_depth(
         parts=parts,
         light_r2=_light_r2(parts, response),
         normalised_mae_mm=float(np.concatenate(normalised).mean()),
-        zero=options.zero,
+        zero=zero,
         captures=captures,
     )
     found_remarks = (
@@ -249,6 +262,25 @@ def _find_contacts(
 def _rim_depth_mm(surface: PressSurface, circle: ContactCircle, captures: CaptureSet) -> float:
     band = np.abs(circle.distance_px(captures.grid) / circle.radius_px - 1) < 0.04
     return max(0.0, float(-surface.displacement_mm()[band].mean()))
+
+
+def _rims_by_travel(
+    captures: CaptureSet, circles: Sequence[ContactCircle], radii_mm: Sequence[float]
+) -> list[float] | None:
+    """How deep each contact's rim lies below the untouched face [mm]: what the press's travel says
+    beyond the ball's cap, for presses without travel the mean of the others; None without any."""
+    caps = [
+        ball - math.sqrt(ball**2 - (circle.radius_px * captures.grid.mm_per_px_x) ** 2)
+        for circle, ball in zip(circles, radii_mm, strict=True)
+    ]
+    rims = [
+        press.depth_mm - cap if press.depth_mm else None
+        for press, cap in zip(captures.presses, caps, strict=True)
+    ]
+    known = [rim for rim in rims if rim is not None]
+    if not known:
+        return None
+    return [float(np.mean(known)) if rim is None else rim for rim in rims]
 
 
 def _normalised(part: ContactPixels, level: float) -> ContactPixels:

@@ -19,10 +19,11 @@ class DepthOptions:
     presses are rectified first, and the scale is that of the maps."""
     channel: Literal["grey", "red", "green", "blue"] = "grey"
     """Channel whose drop is read; grey is the luma of red, green and blue."""
-    zero: Literal["untouched", "rim", "hertz", "simulated"] = "untouched"
-    """What depths are counted from: where the grey is that of untouched gel; the rim of the
-    contact; or the untouched face, with the rim's sinking of an elastic half-space (hertz) or of
-    the simulated gel (minutes)."""
+    zero: Literal["auto", "travel", "untouched", "rim", "hertz", "simulated"] = "auto"
+    """What depths are counted from: the untouched face, by the depth_mm of presses (travel), which
+    auto takes where a press has one; where the grey is that of untouched gel (untouched), which
+    auto takes where none has; the rim of the contact; or the untouched face, with the rim's sinking
+    of an elastic half-space (hertz) or of the simulated gel (minutes)."""
     circles: Literal["auto", "detected"] = "auto"
     """Contact circles: those given, and found where none is given; or all of them found."""
     seed: int = 0

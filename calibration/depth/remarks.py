@@ -67,15 +67,15 @@ ZERO_AT_NO_DROP = RemarkKind(
     Severity.INFO,
     "depths are counted from where the grey is that of untouched gel, {below:.2f} mm {side} the "
     "rim that is seen, which is known to {sigma:.2f} mm. So all of them may be off alike by "
-    "{zero:.2f} mm, and by what the rim itself has sunk. A press of known travel would settle it",
+    "{zero:.2f} mm, and by what the rim itself has sunk. depth_mm of a press settles it",
     graver=Severity.WARNING,
 )
 ZERO_AT_RIM = RemarkKind(
     "zero_at_rim",
     Severity.INFO,
     "depths are counted from the contact's rim, which is known to {sigma:.2f} mm; by the grey of "
-    "untouched gel they may be off alike by {zero:.2f} mm, and by what the rim itself has sunk. A "
-    "press of known travel would settle it",
+    "untouched gel they may be off alike by {zero:.2f} mm, and by what the rim itself has sunk. "
+    "depth_mm of a press settles it",
     graver=Severity.WARNING,
 )
 TILTED_RESIDUAL = RemarkKind(

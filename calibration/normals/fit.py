@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 
@@ -34,7 +35,11 @@ from taccel_lab.calibration.normals.network_fit import (
 )
 from taccel_lab.calibration.normals.options import NormalOptions, NormalTraining
 from taccel_lab.calibration.normals.practice import ImageNoise, Practice
-from taccel_lab.calibration.normals.reading_error import KnownPress, with_reading_errors
+from taccel_lab.calibration.normals.reading_error import (
+    KnownPress,
+    widened,
+    with_reading_errors,
+)
 from taccel_lab.calibration.normals.remarks import remarks_of
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import (
@@ -51,15 +56,18 @@ from taccel_lab.calibration.normals.score import (
     reliability_of,
     score_heldout,
 )
-from taccel_lab.calibration.normals.skirt import (
+from taccel_lab.calibration.surfaces.ball_in_layer import (
+    LARGEST_RADII,
     ball_surface,
+    deeper_per_mm,
     depth_share,
     layer_of,
     layer_skirts,
+    sunk_share,
 )
-from taccel_lab.calibration.normals.told_thickness import told_thickness
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.thickness.fit import thickness_interval
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
@@ -103,6 +111,9 @@ def calibrate_normals(
     profile = presses.profile
     pad, rest = layer_of(profile), rest_surface(profile.mesh, training.grid)
     surfaces = layer_skirts(training, circles, pad, rest)
+    typical_mm = float(np.median([circle.radius_px for circle in circles]))
+    typical_mm *= training.grid.mm_per_px_x
+    by_gel = sunk_share(thickness_interval(profile), typical_mm, training.ball_radius_mm, pad)
     found = fit_normals(
         training,
         circles,
@@ -118,10 +129,11 @@ def calibrate_normals(
         pad=pad,
         colors=ColorModel.from_profile(profile),
         scale_share=stated_scale_share(profile.camera),
+        thickness_share=by_gel,
         progress=progress,
     )
     remarks = joined(presses.findings, (*presses.remarks, *found.remarks))
-    return replace(found, remarks=(*presses.lost, *remarks))
+    return replace(found, gel=presses.gel, remarks=(*presses.lost, *remarks))
 
 
 def fit_normals(
@@ -141,6 +153,7 @@ def fit_normals(
     pad: BondedLayer | None = None,
     colors: ColorModel | None = None,
     scale_share: float = 0.0,
+    thickness_share: float = 0.0,
     progress: Progress = silent,
 ) -> NormalCalibration:
     """Fit the inverse model to ``captures`` and score it on ``heldout``.
@@ -161,6 +174,7 @@ def fit_normals(
         pad: The gel, for practice on other tools; without it there is none.
         colors: Colours of the sensor, for the same; fitted to ``captures`` when None.
         scale_share: Standard deviation of the scale of the pixel grid, as a share of it.
+        thickness_share: That of depths by the thickness of ``pad``, as a share of them.
         progress: Told of the fit's steps.
     """
     if len(circles) != len(captures.presses) or (
@@ -198,11 +212,14 @@ def fit_normals(
     known = [(f.surface, f.circle) for f in training if f.surface is not None]
     # What all circles are off by alike is in what each of them is said to be.
     radius_px = min(radius for _, radius in sigmas)
-    share = depth_share(known, radius_px, captures.ball_radius_mm, captures.grid, scale_share)
+    share = depth_share(
+        known, radius_px, captures.ball_radius_mm, captures.grid, scale_share, thickness_share
+    )
     model, practised = with_reading_errors(fit.model, checked, balls, scene, share)
     fit = replace(fit, model=model)
     failures = {} if split is None else dict.fromkeys(split.gone, "it was left out of the captures")
     items: list[HeldoutNormals] = []
+    wanted: list[PressSurface | None] = []
     labels = LabelPlacement.of(captures.presses, circles)
     placed_px = _typical(sigmas)
     by_label_px = labels.sigma_px(placed_px)
@@ -217,12 +234,17 @@ def fit_normals(
             image = _light(image, scene).remove(image).astype(np.float32)
         sigma_px = placed_px if press.circle is None else by_label_px
         frame = InverseFrame(press.name, image, circle, press.sha256, None, sigma_px)
-        wanted_mm = None
+        surface, wanted_mm = None, None
         if pad is not None:
             ball_mm = press.radius_mm or captures.ball_radius_mm
-            rest = flat_rest(captures.grid)
-            wanted_mm = ball_surface(circle, ball_mm, captures.grid, pad, rest).displacement_mm()
+            surface = ball_surface(circle, ball_mm, captures.grid, pad, flat_rest(captures.grid))
+            wanted_mm = surface.displacement_mm()
         items.append(score_heldout(fit.model, frame, press.circle, scene, wanted_mm))
+        wanted.append(surface)
+    frozen = fit.model.config
+    if items:
+        unseen_balls = map(partial(_heldout_ball, scene), items, wanted)
+        fit = replace(fit, model=widened(fit.model, unseen_balls, scene))
     baseline_deg = None
     if baseline and items:
         plain = fit_normal_model(training, scene, replace(PIXEL_BASELINE, seed=options.seed))
@@ -237,7 +259,9 @@ def fit_normals(
         baseline_deg=baseline_deg,
         reliability=reliability_of(items, scene) if items else None,
         practised=practised,
-        gel=None if pad is None else told_thickness(training, scene, pad),
+        gel=None,
+        frozen_radius95_sigmas=frozen.radius95_sigmas,
+        frozen_along_factor=frozen.along_factor,
         flat_noise_levels=(choice.captured_levels, choice.corrected_levels),
         train_names=tuple(frame.name for frame in training),
         inputs={"background": captures.background_sha256} | {f.name: f.sha256 for f in training},
@@ -295,7 +319,8 @@ def _practice(
             frames, scene.background, scene.grid, settings, mask=scene.mask, progress=progress
         ).model
     noise = ImageNoise.of(training, scene, colors)
-    return Practice(scene, pad, colors, noise, np.random.default_rng(seed))
+    deepest_mm = max(frame.surface.depth_mm for frame in training if frame.surface is not None)
+    return Practice(scene, pad, colors, noise, deepest_mm, np.random.default_rng(seed))
 
 
 def _light(image: np.ndarray, scene: Scene) -> Light:
@@ -321,6 +346,28 @@ def left_out_balls(
             left_out=member,
             normals_sigma_deg=np.degrees(circle_angle_rad(frame, scene, normals)),
         )
+
+
+def _heldout_ball(scene: Scene, item: HeldoutNormals, surface: PressSurface | None) -> KnownPress:
+    """A press that nothing had seen, in the circle that its label gives it."""
+    frame, scale = item.frame, scene.grid.mm_per_px_x
+    normals = true_normals(frame, scene)
+    known = KnownPress(
+        image=frame.image,
+        normals=normals,
+        rise_m=None,
+        compared=inside_of(frame.circle, scene),
+        normals_sigma_deg=np.degrees(circle_angle_rad(frame, scene, normals)),
+    )
+    if surface is None:
+        return known
+    rim_mm = min(frame.circle.radius_px * scale, LARGEST_RADII * scene.ball_radius_mm)
+    per_mm = deeper_per_mm(rim_mm, scene.ball_radius_mm, surface.depth_mm)
+    return replace(
+        known,
+        rise_m=1e-3 * surface.displacement_mm(),
+        rise_sigma_m=1e-3 * per_mm * frame.circle_sigma_px[1] * scale,
+    )
 
 
 def _typical(sigmas: Sequence[CircleSigma]) -> CircleSigma:

@@ -27,8 +27,12 @@ from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import normals_from_slopes, rotate_to_z, slopes_from_height
 
 TASK = "drawing practice presses"
-DEPTHS = (0.03, 0.3)
-"""Depths in thicknesses of the gel; drawn so that all orders of size are as frequent."""
+DEPTHS = (0.1, 1.3)
+"""Depths over that of the deepest ball, as far as ``MOST`` of the gel; drawn so that all orders of
+size are as frequent. Who presses something else on a sensor presses about as hard as he did balls.
+"""
+MOST = 0.5
+"""Of the thickness of the gel."""
 SOLVED_TO = 6e-3
 """Share of the depth that presses are solved to: heights are then within 0.4 um (rms)."""
 STILL_MM, STILL_SLOPE = 0.01, 0.0035
@@ -132,6 +136,8 @@ class Practice:
     colors: ColorModel
     noise: ImageNoise
     """How captures differ from these colours."""
+    deepest_mm: float
+    """How deep the deepest ball was pressed."""
     rng: np.random.Generator
     """Draws tools, places, depths and noise."""
 
@@ -144,7 +150,9 @@ class Practice:
     def _press(self) -> PracticePress:
         grid, rng = self.scene.grid, self.rng
         step = (grid.mm_per_px_x, grid.mm_per_px_y)
-        depth_mm = self.pad.thickness_mm * float(np.exp(rng.uniform(*np.log(DEPTHS))))
+        low, high = (share * self.deepest_mm for share in DEPTHS)
+        high = min(high, MOST * self.pad.thickness_mm)
+        depth_mm = float(np.exp(rng.uniform(np.log(min(low, high)), np.log(high))))
         tool_mm = draw_tool(rng, *np.meshgrid(grid.x_mm(), grid.y_mm()))
         rise_mm = press_layer(
             tool_mm, depth_mm, step, self.pad, tolerance=SOLVED_TO

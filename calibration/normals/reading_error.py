@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taccel_lab.calibration.cross_conformal import radius_factor
+from taccel_lab.calibration.cross_conformal import MIN_PRESSES, radius_factor
 from taccel_lab.calibration.normals.practice import PracticePress
 from taccel_lab.calibration.normals.samples import Scene
 from taccel_lab.calibration.normals.score import angle_between_deg
@@ -72,6 +72,8 @@ class KnownPress:
     normals_sigma_deg: np.ndarray | None = None
     """Standard deviation of each component of the known normals [degrees], shape [h, w]; exact when
     None."""
+    rise_sigma_m: float = 0.0
+    """Standard deviation of the known rise [m]."""
 
     @classmethod
     def of_practice(cls, press: PracticePress) -> KnownPress:
@@ -146,6 +148,24 @@ def with_reading_errors(
     return NormalModel(config, model.weights), score
 
 
+def widened(model: NormalModel, heldout: Iterable[KnownPress], scene: Scene) -> NormalModel:
+    """The model with bands that hold 95 % of presses that nothing had seen, too, where they were
+    narrower; as it is where there are fewer than ``MIN_PRESSES`` of those."""
+    found = _all_errors(model, heldout, scene)
+    if len(found) < MIN_PRESSES:
+        return model
+    config = model.config
+    radius = radius_factor([e.angle_sigmas for e in found], SHARE, RAYLEIGH_95)
+    along = config.along_factor
+    if config.height_factor > 0 and any(len(e.height_m) for e in found):
+        k = LENGTHS_PX.index(config.error_length_px)
+        along = max(along, _along_factor(found, k, config.height_factor))
+    config = replace(
+        config, radius95_sigmas=max(config.radius95_sigmas, radius), along_factor=along
+    )
+    return NormalModel(config, model.weights)
+
+
 def _along_factor(balls: Sequence[_Errors], k: int, factor: float) -> float:
     """Of the expected errors of slopes, what has to lie along them for the heights of balls; all of
     it where too few balls tell."""
@@ -189,7 +209,10 @@ def _errors(model: NormalModel, press: KnownPress, scene: Scene) -> _Errors | No
     along = trials[0].along_m(read.slope, slope_sigma, weights=weights, zero=read.zero)
     return _Errors(
         angle_sigmas=sigmas,
-        height_m=np.abs(read.rise_m - press.rise_m)[sample][kept],
+        height_m=_beyond(
+            np.abs(read.rise_m - press.rise_m)[sample][kept],
+            np.array(BAND_SIGMAS * press.rise_sigma_m),
+        ),
         spreads_m=[np.maximum(spread[sample][kept], LEAST_M) for spread in spreads],
         along_m=np.maximum(along[sample][kept], LEAST_M),
     )

@@ -58,6 +58,8 @@ def _sentence(result: NormalCalibration) -> str:
         f"{result.fit.model.config.members} networks from colour and position to the surface "
         f"normal, fitted to {len(result.train_names)} presses in {result.fit.seconds:.0f} s. "
     )
+    if result.gel is not None:
+        text += f"{result.gel.sentence()} "
     if not result.heldout:
         return text + "No press was held out."
     scores = result.heldout_means("used")

@@ -15,8 +15,8 @@ from taccel_lab.calibration.normals.network_fit import InverseFit
 from taccel_lab.calibration.normals.reading_error import PracticeScore
 from taccel_lab.calibration.normals.samples import Scene
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
-from taccel_lab.calibration.normals.told_thickness import ToldThickness
 from taccel_lab.calibration.result import mean_figures
+from taccel_lab.calibration.thickness.fit import GelThickness
 from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 
@@ -38,8 +38,12 @@ class NormalCalibration:
     reliability: Reliability | None
     practised: PracticeScore | None
     """Heights of practice presses that the networks never saw; None without practice."""
-    gel: ToldThickness | None
-    """Thickness of the gel that the images tell; None without a pad, and where they do not."""
+    gel: GelThickness | None
+    """What the presses say of the gel's thickness; None where it is known and they agree."""
+    frozen_radius95_sigmas: float
+    """What the model expected before the held-out presses widened it; ``reliability`` and the depth
+    figures are of that."""
+    frozen_along_factor: float
     flat_noise_levels: tuple[float, float]
     """Mean difference of frames to the background where the gel is at rest, as captured and with
     the light's drift taken off [levels]."""
@@ -95,8 +99,9 @@ class NormalCalibration:
             "pixel_baseline_deg": self.baseline_deg,
             "reliability": None if self.reliability is None else asdict(self.reliability),
             "practice": None if self.practised is None else asdict(self.practised),
-            "gel_thickness": None if self.gel is None else asdict(self.gel),
+            "gel_thickness": None if self.gel is None else self.gel.figures(),
             "presses": rows,
+            "widened_by_heldout": self._widened(),
             "left_out_deg": self.fit.left_out_deg,
             "flat_noise_levels": self.flat_noise_levels,
             "light_drift": self.fit.model.config.light_drift,
@@ -107,10 +112,20 @@ class NormalCalibration:
             "fit_seconds": self.fit.seconds,
         }
 
+    def _widened(self) -> dict[str, list[float]]:
+        """Factors of the bands before and after the held-out presses."""
+        config = self.fit.model.config
+        return {
+            "radius95_sigmas": [self.frozen_radius95_sigmas, config.radius95_sigmas],
+            "along_factor": [self.frozen_along_factor, config.along_factor],
+        }
+
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
         """``profile`` on the captures' grid, with the block normals, and a background where it has
         none."""
         profile = on_grid(profile, self.scene.grid, self.provenance)
+        if self.gel is not None:
+            profile = self.gel.apply_to(profile)
         profile = with_captured_background(
             profile, self.scene.background, self.source, self.inputs["background"]
         )

@@ -27,6 +27,10 @@ FLAT_PAD = "flat_pad"
 MARGIN_MM = 3.0
 """Gel beyond what the image shows, all around, of a pad made to measure: it holds the sunk rim of
 presses at the image's edge."""
+AROUND_THE_GEL = ("optics", "window", "coating", "lights", "housing")
+"""Blocks whose design follows the gel's thickness."""
+DESIGNED = ("assumed", "published", "designed")
+"""Kinds of blocks that no capture of this unit has told."""
 TURN_ASPECT = 1.1
 """From this ratio of its sides on, an image or a pad is upright or lies down."""
 
@@ -48,6 +52,26 @@ def fitted_design(
     if turned:
         return _upright(sensor, {**turned, **given})
     return catalogue_profile(sensor, given)
+
+
+def with_thickness(profile: SensorProfile, thickness_mm: float) -> SensorProfile:
+    """A profile whose gel is designed anew with another thickness, and what was designed around it;
+    blocks that were measured or calibrated stay.
+
+    Raises:
+        InputError: A thickness that the sensor's family cannot have.
+    """
+    sensor = profile.sensor.family
+    values = {**profile.sensor.parameters, "thickness_mm": thickness_mm}
+    turned = _turned(sensor, profile.grid())
+    design = _upright(sensor, values) if turned else catalogue_profile(sensor, values)
+    changes: dict[str, Any] = {"gel": design.gel, "mesh": design.mesh}
+    changes["sensor"] = profile.sensor.replace(parameters=design.sensor.parameters)
+    for key in AROUND_THE_GEL:
+        known = getattr(profile, key)
+        if known is not None and known.provenance.kind in DESIGNED:
+            changes[key] = getattr(design, key)
+    return dataclasses.replace(profile, **changes)
 
 
 def fitted_parameters(

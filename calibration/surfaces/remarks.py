@@ -16,9 +16,9 @@ FLAT_PAD = RemarkKind(
     "flat_pad",
     Severity.WARNING,
     "flat_pad stands for a sensor that is not in the catalogue: its gel is taken as flat, bonded "
-    "to a plate and {thickness_mm:g} mm thick. The thickness shapes the sunk gel beside a contact, "
-    "and says how deep a press went (3 mm instead of 4 mm: 5 to 7 % less deep). Measure it, and "
-    "write thickness_mm under [design] in captures.toml",
+    "to a plate. How thick it is, {thickness_mm:g} mm where nothing tells it, is fitted to the "
+    "ball presses, with its interval in every +- of a depth. Measure it and write thickness_mm "
+    "under [design] in captures.toml, and they are narrower",
 )
 IMAGES_ACROSS = RemarkKind(
     "images_across",

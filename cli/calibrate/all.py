@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from taccel_lab.calibration.press_options import ThicknessMode
 from taccel_lab.cli.calibrate.base import CalibrationFiles, report_folder, require_outputs
 
 if TYPE_CHECKING:
@@ -32,6 +33,9 @@ class CalibrateAll(CalibrationFiles):
     out."""
     only: tuple[str, ...] = ()
     """Blocks to fit, by name; all when left out."""
+    thickness: ThicknessMode = "auto"
+    """Thickness of the gel, as of color and normals: auto fits one that nobody measured, and
+    refuses one that is stated and that the presses contradict; fit fits it in any case."""
 
     def run(self) -> None:
         from taccel_lab.calibration.calibrate import calibrate
@@ -44,7 +48,12 @@ class CalibrateAll(CalibrationFiles):
         unfinished = report.with_name(f"{report.name}_unfinished")
         with stage_progress(console) as progress:
             found = calibrate(
-                self.captures, self.base, self.only, progress=progress, unfinished=unfinished
+                self.captures,
+                self.base,
+                self.only,
+                self._options(),
+                progress=progress,
+                unfinished=unfinished,
             )
         with working(console, "writing the reports"):
             found.write_report(report)
@@ -60,6 +69,15 @@ class CalibrateAll(CalibrationFiles):
         console.print(f"wrote {self.out} and {report / 'report.html'}")
         if found.unfit:
             raise SystemExit(1)
+
+    def _options(self) -> dict[str, Any]:
+        from taccel_lab.calibration.color.options import ColorOptions
+        from taccel_lab.calibration.normals.options import NormalOptions
+
+        return {
+            "color": ColorOptions(thickness=self.thickness),
+            "normals": NormalOptions(thickness=self.thickness),
+        }
 
 
 def _print_remarks(console: Console, found: Calibration) -> None:

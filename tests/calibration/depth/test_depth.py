@@ -302,6 +302,24 @@ def test_the_headline_counts_the_zero() -> None:
         assert result.headline().startswith(f"absolute depths are off by {result.absolute_mm:.2f}")
 
 
+def test_travel_of_a_press_settles_the_zero() -> None:
+    """The rim lies 0.2 mm below the untouched face, whatever the grey at no drop says."""
+    captures = captures_of(CIRCLES)
+    rim_mm = CIRCLES[1].radius_px * GRID.mm_per_px_x
+    travel_mm = BALL_MM - np.sqrt(BALL_MM**2 - rim_mm**2) + 0.2
+    first, second, third = captures.presses
+    measured = replace(captures, presses=(first, replace(second, depth_mm=travel_mm), third))
+    rim, known = fit_depth(captures, DepthOptions(zero="rim")), fit_depth(measured)
+    assert rim.zero == "rim" and known.zero == "travel"
+    assert [press.rim_depth_mm for press in known.presses] == pytest.approx([0.2] * 3)
+    deeper = known.response.depth_mm[1:] - rim.response.depth_mm[1:]
+    assert deeper == pytest.approx(0.2, abs=1e-6)
+    # No image leaves it open any more: what first touch may be off by is left.
+    assert known.zero_sigma_mm == pytest.approx(0.05) and "zero_at_no_drop" not in codes(known)
+    with pytest.raises(InputError, match="zero travel needs depth_mm"):
+        fit_depth(captures, DepthOptions(zero="travel"))
+
+
 def test_a_zero_on_the_other_side_of_the_rim_is_said_to_be_there() -> None:
     presses = captures_of([ContactCircle(60 + 40 * i, 70.0, 18.0) for i in range(3)])
     result = fit_depth(presses)

@@ -15,8 +15,8 @@ from taccel_lab.calibration.normals.fit import fit_normals
 from taccel_lab.calibration.normals.network_fit import InverseFitOptions
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import SampleOptions
-from taccel_lab.calibration.normals.skirt import layer_skirts
 from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_skirts
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.support.synthetic_presses import (

@@ -12,8 +12,8 @@ import pytest
 from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.skirt import layer_skirts
 from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_skirts
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights
 from taccel_lab.signals.rest_surface import flat_rest

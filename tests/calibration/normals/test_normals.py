@@ -20,7 +20,7 @@ from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import SampleOptions, Scene
 from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_mm
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
-from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, press_layer
+from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, press_layer
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
@@ -35,7 +35,6 @@ from tests.calibration.normals.conftest import (
     Clean,
     calibrated,
     circles_of,
-    sunk_captures,
     with_images,
 )
 from tests.support.synthetic_presses import (
@@ -318,18 +317,6 @@ def test_bad_fits_are_refused() -> None:
         fit_normals(nothing, circles_of(nothing), surfaces, options=QUICK, drift="off")
     with pytest.raises(InputError, match="neither a normals nor a depth_response"):
         SurfaceReader(tiny_profile(GRID))
-
-
-def test_a_pad_of_another_thickness_is_told() -> None:
-    captures, surfaces = sunk_captures()
-    options = replace(QUICK, practice=0)
-    codes = [
-        {r.code for r in calibrated(captures, surfaces, options=options, pad=pad).remarks}
-        for pad in (PAD, BondedLayer(1.2, 0.48))
-    ]
-    for code in ("normals_depth_disagrees", "normals_gel_thickness"):
-        assert code not in codes[0]
-        assert code in codes[1]
 
 
 def test_edges_and_punches_are_read_by_a_network_that_practised(

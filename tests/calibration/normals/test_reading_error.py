@@ -15,14 +15,18 @@ from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.normals.practice import ImageNoise
-from taccel_lab.calibration.normals.reading_error import KnownPress, with_reading_errors
+from taccel_lab.calibration.normals.reading_error import (
+    KnownPress,
+    widened,
+    with_reading_errors,
+)
 from taccel_lab.calibration.normals.samples import (
     InverseFrame,
     Scene,
     circle_angle_rad,
     true_normals,
 )
-from taccel_lab.calibration.normals.skirt import ball_surface, depth_share
+from taccel_lab.calibration.surfaces.ball_in_layer import ball_surface, depth_share
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.normal_model import NormalModel, expected_shapes
@@ -106,6 +110,25 @@ def test_what_balls_are_off_by_is_in_the_absolute_depth_and_not_in_the_reading()
     assert exact.height_factor == stated.height_factor == denied.height_factor > 0
     assert stated.along_factor == denied.along_factor > 2 * exact.along_factor
     assert exact.depth_share == 0.03
+
+
+def test_presses_that_nothing_had_seen_widen_the_bands_and_never_narrow_them() -> None:
+    practice = [replace(press, normals_sigma_deg=None) for press in presses(0.0, 0.0)]
+    model, _ = with_reading_errors(reader(), practice, presses(0.0, 0.0), SCENE, depth_share=0.03)
+    before = model.config
+    same = widened(model, presses(0.0, 0.0), SCENE).config
+    assert same.radius95_sigmas == pytest.approx(before.radius95_sigmas)
+    assert same.along_factor == pytest.approx(before.along_factor)
+    off = list(presses(0.4, 0.0))
+    wider = widened(model, off, SCENE).config
+    assert wider.radius95_sigmas > 1.4 * before.radius95_sigmas
+    assert wider.along_factor > 2 * before.along_factor
+    # What their circles are stated to be off by is no error of the reading.
+    stated = [replace(press, rise_sigma_m=1e-4) for press in presses(0.4, 0.4)]
+    found = widened(model, stated, SCENE).config
+    assert found.radius95_sigmas < 1.15 * before.radius95_sigmas
+    assert found.along_factor < 0.5 * wider.along_factor
+    assert widened(model, off[:3], SCENE).config == before
 
 
 def test_the_network_that_reads_a_left_out_press_does_not_tell_itself_that_it_errs() -> None:

@@ -17,7 +17,7 @@ import pytest
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.normals.fit import fit_normals
-from taccel_lab.calibration.normals.skirt import layer_skirts
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_skirts
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.reading.images import read_image

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
-from taccel_lab.calibration.normals import skirt
-from taccel_lab.calibration.normals.skirt import ball_in_layer, layer_of
 from taccel_lab.calibration.simulate import simulate_presses
+from taccel_lab.calibration.surfaces import ball_in_layer as skirt
+from taccel_lab.calibration.surfaces.ball_in_layer import ball_in_layer, layer_of
 from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, press_layer
 from taccel_lab.calibration.surfaces.random_tools import draw_tool
 from taccel_lab.errors import InputError

@@ -94,7 +94,7 @@ def test_flat_pads_are_made_to_measure() -> None:
     )
     assert found.camera.grid() == grid
     (remark,) = design_remarks("flat_pad", grid, {})
-    assert remark.severity is Severity.WARNING and "4 mm thick" in remark.message
+    assert remark.severity is Severity.WARNING and "4 mm where nothing tells it" in remark.message
     known = {"thickness_mm": 2.5}
     assert fitted_design("flat_pad", grid, known).gel.thickness_mm == 2.5
     assert design_remarks("flat_pad", grid, known) == []

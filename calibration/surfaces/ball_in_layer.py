@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
@@ -107,6 +108,7 @@ def depth_share(
     ball_mm: float,
     grid: PixelGrid,
     scale_share: float = 0.0,
+    thickness_share: float = 0.0,
 ) -> float:
     """Standard deviation, as a share of the depth, of what a calibration on these presses takes as
     known, so that all its readings are off by it alike.
@@ -114,18 +116,41 @@ def depth_share(
     A radius that is off by ``radius_sigma_px`` in all circles makes dents deeper as a whole: the
     ball's cap over the rim grows by ``a / sqrt(R^2 - a^2)`` for each millimetre of a, and what the
     rim has sunk by grows with the square of a, as in Hertz's contact. A scale that is off by
-    ``scale_share`` turns slopes by that, and each is summed over pixels as much larger. Beside that
-    contacts tell a depth to ``LAYER_SHARE``.
+    ``scale_share`` turns slopes by that, and each is summed over pixels as much larger. Beside
+    that contacts tell a depth to ``LAYER_SHARE``, and the gel's thickness, where it is known to an
+    interval only, by ``thickness_share`` (``sunk_share``).
     """
     deeper = []
     for surface, circle in presses:
         rim_mm = min(circle.radius_px * grid.mm_per_px_x, LARGEST_RADII * ball_mm)
-        plane_mm = np.sqrt(ball_mm**2 - rim_mm**2)
-        sunk_mm = surface.depth_mm - (ball_mm - plane_mm)
-        per_mm = rim_mm / plane_mm + 2 * sunk_mm / rim_mm
+        per_mm = deeper_per_mm(rim_mm, ball_mm, surface.depth_mm)
         deeper.append(per_mm * radius_sigma_px * grid.mm_per_px_x / surface.depth_mm)
     by_circles = float(np.sqrt(np.mean(np.square(deeper)))) if deeper else 0.0
-    return math.hypot(LAYER_SHARE, by_circles, 2 * scale_share)
+    return math.hypot(LAYER_SHARE, by_circles, 2 * scale_share, thickness_share)
+
+
+def sunk_share(
+    interval_mm: tuple[float, float] | None, radius_mm: float, ball_mm: float, layer: BondedLayer
+) -> float:
+    """Standard deviation, as a share of the depth, by a thickness that is known to an interval of
+    95 %, at a ball's contact of ``radius_mm``; 0 without one, where it was measured."""
+    if interval_mm is None:
+        return 0.0
+    pitch = radius_mm / POINTS_PER_RADIUS
+    side = 4 * POINTS_PER_RADIUS + 1
+    grid, middle = PixelGrid(side, side, pitch, pitch), 2.0 * POINTS_PER_RADIUS
+    circle = ContactCircle(middle, middle, float(POINTS_PER_RADIUS))
+    low, high = (
+        ball_in_layer(circle, ball_mm, grid, replace(layer, thickness_mm=thickness))[0]
+        for thickness in interval_mm
+    )
+    return math.log(high / low) / 4
+
+
+def deeper_per_mm(rim_mm: float, ball_mm: float, depth_mm: float) -> float:
+    """How much deeper a ball at ``depth_mm`` is for each millimetre that its contact is wider."""
+    plane_mm = math.sqrt(ball_mm**2 - rim_mm**2)
+    return rim_mm / plane_mm + 2 * (depth_mm - (ball_mm - plane_mm)) / rim_mm
 
 
 def _pressed_to(
