@@ -135,7 +135,7 @@ class LightReader:
         lost = (seen > CLIPPED_LEVELS) & (
             self._fit.removed(seen, found.light) < CLIPPED_LEVELS - MOST_LEVELS
         )
-        found = replace(found, clipped=float(lost.any(axis=-1)[self._fit.counts].mean()))
+        found = replace(found, clipped=float(np.any(lost, axis=-1)[self._fit.counts].mean()))
         return replace(found, refused=self._refusal(seen, found))
 
     def _told(self, seen: np.ndarray) -> tuple[Light | None, float]:
