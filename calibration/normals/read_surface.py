@@ -8,14 +8,11 @@ frame: the rise over the resting face, and the face itself, which is curved on s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from taccel_lab.calibration.light.drift_choice import DriftMode
-from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.light.likeness import unlike
+from taccel_lab.calibration.light.image_light import CLIPPED, ImageLight, LightReader
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
@@ -28,6 +25,7 @@ from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 MOSTLY = 0.5
 """Share of a larger pixel that has to count."""
 Method = Literal["auto", "normals", "depth"]
+DriftMode = Literal["on", "off"]
 STEEP_SHARE = 0.02
 """Share of pixels that the calibration says nothing of, from which on a user is told."""
 SigmaOf = Literal["absolute depth", "reading alone"]
@@ -38,6 +36,10 @@ NO_SIGMA = (
 READING_ALONE = (
     "the profile was calibrated by an earlier version: its +- is that of the reading alone, and "
     "absolute depths are off by more; calibrate again to have it whole"
+)
+LIGHT_UNTOLD = (
+    "less than half of the image is at rest, so that nothing tells its light; it is read as if in "
+    "the background's"
 )
 CONTACT_MM = 0.05
 CONTACT_SHARE = 0.1
@@ -71,7 +73,10 @@ class SurfaceReading:
     saturated: np.ndarray | None
     """Pixels darker than any that was calibrated, bool; None of a colour sensor."""
     method: Literal["normals", "depth"]
-    drift_removed: bool
+    light: ImageLight
+    """Of the image against the background."""
+    light_removed: bool
+    """Whether it was taken off before the surface was read."""
     sigma_of: SigmaOf | None = None
     """What ``height_sigma_m`` is that of: the absolute depth, or, with profiles of earlier versions
     that know no more, the reading alone; None where the profile tells none."""
@@ -88,7 +93,7 @@ class SurfaceReading:
         at_mm = grid.gel_from_pixel(np.array([column, row], dtype=float))
         found: dict[str, Any] = {
             "method": self.method,
-            "light_drift_removed": self.drift_removed,
+            "light": {"removed": self.light_removed, **self.light.figures()},
             "max_depth_mm": float(depth_mm[row, column]),
             "max_depth_sigma_mm": None
             if self.height_sigma_m is None
@@ -117,6 +122,19 @@ class SurfaceReading:
     def _warnings(self, figures: dict[str, Any]) -> list[str]:
         """What a user should know before trusting the heights, one sentence each."""
         said = []
+        if not self.light.told:
+            said.append(LIGHT_UNTOLD)
+        if self.light.field_left_levels > 0:
+            said.append(
+                f"its light changes by {self.light.field_left_levels:.0f} levels over the image, "
+                "as the calibration saw none do; that is left in. Give the untouched sensor in "
+                "this light as background"
+            )
+        if self.light.clipped > CLIPPED:
+            said.append(
+                f"{self.light.clipped:.0%} of the image is clipped by its light, beyond what was "
+                "calibrated; slopes there are a guess. Shorten the exposure"
+            )
         if self.sigma_of != "absolute depth":
             said.append(NO_SIGMA if self.sigma_of is None else READING_ALONE)
         steep = figures.get("beyond_balls_share", 0.0)
@@ -133,6 +151,15 @@ class SurfaceReading:
         return said
 
 
+class LitImage(NamedTuple):
+    """An image as it is read."""
+
+    levels: np.ndarray
+    """RGB levels, float32, shape [height_px, width_px, 3] of the reader's ``grid``."""
+    light: ImageLight
+    """What its light was."""
+
+
 class SurfaceReader:
     """Reads images of one sensor; what does not depend on the image is done once."""
 
@@ -143,7 +170,7 @@ class SurfaceReader:
         background: np.ndarray | None = None,
         mask: np.ndarray | None = None,
         method: Method = "auto",
-        drift: DriftMode = "auto",
+        drift: DriftMode = "on",
         background_name: str = "the background",
         shrink: int = 1,
     ) -> None:
@@ -153,8 +180,7 @@ class SurfaceReader:
             background: Untouched sensor instead of the profile's, RGB, shape [h, w, 3].
             mask: Pixels that count, bool, shape [height_px, width_px].
             method: ``normals`` or ``depth``; ``auto`` takes the block that the profile has.
-            drift: Whether each image is brought to the background's light first; ``auto`` does as
-                in the calibration.
+            drift: ``off`` leaves the light of images as it is; it is told all the same.
             background_name: How an error calls ``background``, such as by its file.
             shrink: Images are made smaller by about this factor before they are read, and so are
                 the maps (``grid``): a live picture at 3 takes a sixth of the time.
@@ -166,19 +192,19 @@ class SurfaceReader:
         self._image_shape = self.background.shape
         self.grid = grid if shrink == 1 else _smaller(grid, shrink)
         """Of the maps that are read."""
-        # A larger pixel is the mean of several: fewer of them tell the light as well.
-        self._light_step = 1 if shrink == 1 else 2
         self.background = self._small(self.background)
         if mask is not None and shrink > 1:
             self.mask = self._small(mask.astype(np.float32)) > MOSTLY
+        seen = profile.perturbation
+        self._lights = LightReader(
+            self.background, self.mask, None if seen is None else np.array(seen.gradient_rgb)
+        )
         self.rest: RestSurface = rest_surface(profile.mesh, self.grid)
         self.normal_model = NormalModel.from_profile(profile) if self.method == "normals" else None
         if self.normal_model is not None and shrink > 1:
             self.normal_model = _shrunk(self.normal_model, self.grid)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
-        self.drift = drift == "on"
-        if drift == "auto":
-            self.drift = self.normal_model is not None and self.normal_model.config.light_drift
+        self.removes_light = drift == "on"
 
     @property
     def sigma_of(self) -> SigmaOf | None:
@@ -217,12 +243,12 @@ class SurfaceReader:
                 f"{self._image_shape[1]}x{self._image_shape[0]} px; give images of that "
                 "size (raw ones are rectified with --maps)"
             )
-        levels = self._small(image).astype(np.float32)
-        light = self._light(levels)
-        why = unlike(levels, self.background, light, self.mask)
-        if why is not None:
-            raise InputError(f"{name} is no image of the sensor that was calibrated: {why}")
-        found = self.read_levels(light.remove(levels).astype(np.float32) if self.drift else levels)
+        lit = self.in_own_light(image)
+        if lit.light.refused:
+            raise InputError(
+                f"{name} is no image of the sensor that was calibrated: {lit.light.refused}"
+            )
+        found = self.read_levels(lit)
         deepest_mm, gel_mm = -1e3 * float(found.rise_m.min()), self.profile.gel.thickness_mm
         if deepest_mm > gel_mm:
             raise InputError(
@@ -231,30 +257,20 @@ class SurfaceReader:
             )
         return found
 
-    def unlike(self, image: np.ndarray) -> str | None:
-        """Why an image is not of the profile's sensor, or None; see ``light.likeness``."""
+    def in_own_light(self, image: np.ndarray) -> LitImage:
+        """The image as small as it is read, its light told and taken off."""
         levels = self._small(image).astype(np.float32)
-        return unlike(levels, self.background, self._light(levels), self.mask)
+        light = self._lights.read(levels)
+        if self.removes_light and light.told:
+            levels = light.light.remove(levels).astype(np.float32)
+        return LitImage(levels, light)
 
-    def in_own_light(self, image: np.ndarray) -> np.ndarray:
-        """The image as small as it is read, in the background's light where that is asked for;
-        float32, shape [height_px, width_px, 3] of ``grid``."""
-        levels = self._small(image).astype(np.float32)
-        if self.drift:
-            levels = self._light(levels).remove(levels).astype(np.float32)
-        return levels
-
-    def _light(self, levels: np.ndarray) -> Light:
-        part = np.s_[:: self._light_step, :: self._light_step]
-        mask = None if self.mask is None else self.mask[part]
-        return fit_light(levels[part], self.background[part], mask, gradient=False)
-
-    def read_levels(self, levels: np.ndarray, *, uncertainty: bool = True) -> SurfaceReading:
+    def read_levels(self, lit: LitImage, *, uncertainty: bool = True) -> SurfaceReading:
         """The surface under what ``in_own_light`` made of an image; ``uncertainty`` as in
         ``read_heights``."""
         if self.response is not None:
-            return self._by_depth(levels)
-        return self._by_normals(levels, uncertainty)
+            return self._by_depth(lit)
+        return self._by_normals(lit, uncertainty)
 
     def _small(self, image: np.ndarray) -> np.ndarray:
         import cv2
@@ -264,9 +280,9 @@ class SurfaceReader:
             return image
         return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
-    def _by_depth(self, levels: np.ndarray) -> SurfaceReading:
+    def _by_depth(self, lit: LitImage) -> SurfaceReading:
         assert self.response is not None
-        found = self.response.read(levels, self.background, self.mask)
+        found = self.response.read(lit.levels, self.background, self.mask)
         height = self.rest.height_m + found.height_m
         return SurfaceReading(
             height_m=height,
@@ -279,15 +295,16 @@ class SurfaceReader:
             beyond_balls=None,
             saturated=found.saturated,
             method="depth",
-            drift_removed=self.drift,
+            light=lit.light,
+            light_removed=self.removes_light and lit.light.told,
             sigma_of=self.sigma_of,
         )
 
-    def _by_normals(self, levels: np.ndarray, uncertainty: bool) -> SurfaceReading:
+    def _by_normals(self, lit: LitImage, uncertainty: bool) -> SurfaceReading:
         assert self.normal_model is not None
         found = read_heights(
             self.normal_model,
-            levels,
+            lit.levels,
             self.background,
             self.grid,
             mask=self.mask,
@@ -307,7 +324,8 @@ class SurfaceReader:
             beyond_balls=tilt_deg > self.normal_model.config.cone_deg,
             saturated=None,
             method="normals",
-            drift_removed=self.drift,
+            light=lit.light,
+            light_removed=self.removes_light and lit.light.told,
             sigma_of=self.sigma_of,
         )
 
