@@ -14,7 +14,6 @@ import pytest
 
 from taccel_lab.calibration.capture import import_captures, load_capture_folder
 from taccel_lab.calibration.capture.importers import ImportOptions
-from taccel_lab.calibration.capture.importers.path_pattern import natural_key
 from taccel_lab.errors import InputError
 from taccel_lab.reading.yaml_file import YAML_LIMIT_BYTES
 from tests.calibration.capture.made_up_layouts import (
@@ -211,10 +210,3 @@ def test_a_folder_whose_name_is_no_text(tmp_path: Path) -> None:
 )
 def test_options_with_odd_numbers(tmp_path: Path, options: ImportOptions, words: str) -> None:
     assert words in refused(source_of(plain, tmp_path), options)
-
-
-def test_names_are_in_natural_order() -> None:
-    names = ["f_10", "f_2", "f_1", "g", "2", "10"]
-    assert sorted(names, key=natural_key) == ["2", "10", "f_1", "f_2", "f_10", "g"]
-    # Digits of other scripts are none.
-    assert sorted(["²", "10", "2", "١"], key=natural_key)[:2] == ["2", "10"]
