@@ -83,7 +83,7 @@ def test_the_wheel_installs_one_name(wheel: Path) -> None:
             for p in (wheel / "taccel_lab" / room).rglob("*.py")
         }
     assert not list(wheel.rglob("test_*.py"))
-    for files in ("robots/models", "tasks/files"):
+    for files in ("robots/models", "tasks/files", "calibration/capture/importers/recipes"):
         ours = {path.name for path in (ROOT / files).iterdir()}
         assert ours == {path.name for path in (wheel / "taccel_lab" / files).iterdir()}
 

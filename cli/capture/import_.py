@@ -26,7 +26,8 @@ class CaptureImport:
     """Capture folder to write."""
     layout: str = "auto"
     """Layout of the source: auto, taxim, fots, 9dtact, feats, py3dcal, gs-sdk, cube-edges, rvsathu,
-    ruihangao, gelslim, osaka, markers or plain (described in docs/captures.md)."""
+    ruihangao, gelslim, osaka, markers or plain, or a recipe of your own, mine.toml (described in
+    docs/captures.md)."""
     sensor: str | None = None
     """Sensor of the catalogue, or the folder of a profile; that of the layout when left out,
     flat_pad for an unknown one."""

@@ -104,6 +104,10 @@ def _importer(layout: str, **options: str | float) -> Callable[[Path, Path], Non
     return call
 
 
+def _import_by_recipe(given: Path, out: Path) -> None:
+    _importer(str(given / "mine.toml"))(given / "bench", out)
+
+
 def _import_pack(given: Path, out: Path) -> None:
     from taccel_lab.calibration.capture import load_captures
 
@@ -229,6 +233,7 @@ READERS: dict[str, Reader] = {
     "capture-rectify": Reader(captures.raw_with_maps, _rectify, ("maps.npz", "maps.npz", "raw/*")),
     "rectification": Reader(captures.raw_with_maps, _rectify, ("maps.npz",)),
     **{f"import-{name}": Reader(layouts.maker(name), _importer("auto")) for name in layouts.NAMES},
+    "import-recipe": Reader(layouts.own_recipe, _import_by_recipe),
     "import-as-plain": Reader(layouts.plain_with_mask, _importer("plain", background="bg.png")),
     "import-crop": Reader(
         layouts.maker("plain"), _importer("plain", crop="4,4,40x36"), options=("crop",)

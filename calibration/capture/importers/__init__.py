@@ -7,24 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.capture.importers import (
-    cube_edges,
-    feats,
-    fots,
-    gs_sdk,
-    markers,
-    ninedtact,
-    osaka,
-    plain,
-    py3dcal,
-    taxim,
-)
+from taccel_lab.calibration.capture.importers import gs_sdk, markers, ninedtact, plain, taxim
 from taccel_lab.calibration.capture.importers.crop import crop_draft
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
-from taccel_lab.calibration.capture.importers.image_sets import SETS
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.importers.left_out import capture_folders, files_of
 from taccel_lab.calibration.capture.importers.origin import UNKNOWN, read_origin
+from taccel_lab.calibration.capture.importers.recipe_layout import RECIPES, recipe_layout
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
@@ -37,12 +26,13 @@ LAYOUTS: dict[str, Layout] = {
     layout.name: layout
     # The most telling first: any folder of images is a plain one.
     for layout in (
-        *(part.LAYOUT for part in (taxim, fots, ninedtact, feats, py3dcal, gs_sdk, cube_edges)),
-        *(published.layout() for published in SETS),
-        *(part.LAYOUT for part in (osaka, markers, plain)),
+        *(part.LAYOUT for part in (taxim, ninedtact, gs_sdk)),
+        *(recipe_layout(path) for path in sorted(RECIPES.glob("*.toml"))),
+        *(part.LAYOUT for part in (markers, plain)),
     )
 }
 AUTO = "auto"
+RECIPE_SUFFIX = ".toml"
 
 __all__ = [
     "AUTO",
@@ -75,6 +65,21 @@ def detect_layout(source: Path | str) -> Layout:
     raise InputError(f"{source} follows none of the layouts known: {known}")
 
 
+def named_layout(name: str) -> Layout:
+    """The layout of that name, or that of a recipe's file, ``mine.toml``.
+
+    Raises InputError for another name, and for a recipe with a fault.
+    """
+    if name.endswith(RECIPE_SUFFIX):
+        return recipe_layout(Path(name))
+    if name not in LAYOUTS:
+        raise InputError(
+            f"no layout {name!r}; known: {AUTO}, {', '.join(LAYOUTS)}, or the file of a recipe, "
+            f"which ends in {RECIPE_SUFFIX}"
+        )
+    return LAYOUTS[name]
+
+
 def read_drafts(
     source: Path | str, layout: str = AUTO, options: ImportOptions | None = None
 ) -> tuple[Layout, list[Draft]]:
@@ -84,11 +89,9 @@ def read_drafts(
         InputError: Unknown or wrong layout, or a file that cannot be used.
     """
     source, options = Path(source), options or ImportOptions()
-    if layout != AUTO and layout not in LAYOUTS:
-        raise InputError(f"no layout {layout!r}; known: {AUTO}, {', '.join(LAYOUTS)}")
     if not source.exists():
         raise InputError(f"{source} does not exist")
-    chosen = detect_layout(source) if layout == AUTO else LAYOUTS[layout]
+    chosen = detect_layout(source) if layout == AUTO else named_layout(layout)
     if chosen.by_structure and layout != AUTO and not chosen.recognises(source):
         raise InputError(f"{source} is not of the layout {chosen.name}: {chosen.title}")
     drafts = chosen.read(source, options)
@@ -97,6 +100,8 @@ def read_drafts(
     for draft in drafts:
         _require_own(draft, source)
         draft.apply(options, source if source.is_dir() else source.parent)
+        if draft.finish is not None:
+            draft.finish(draft)
         if options.crop is not None:
             crop_draft(draft, options.crop)
         of = f"imported from {real_path(source).name}, layout {chosen.name}" + (

@@ -8,6 +8,9 @@ framing is cut, and where that is the presses', the background is made smaller t
 from __future__ import annotations
 
 import re
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,9 +22,9 @@ from taccel_lab.calibration.capture.framing import (
     misfit_levels,
     thumb,
 )
-from taccel_lab.calibration.capture.importers.draft import Draft
+from taccel_lab.calibration.capture.importers.draft import Draft, is_picture
 from taccel_lab.errors import InputError
-from taccel_lab.reading.images import levels
+from taccel_lab.reading.images import Image, levels
 
 AUTO_CROP = "auto"
 MIN_PRESSES = 3
@@ -52,7 +55,7 @@ def crop_draft(draft: Draft, text: str) -> None:
     if text == AUTO_CROP:
         part, of_presses = _find(draft, background)
     else:
-        part, of_presses = _parse(text, width, height), True
+        part, of_presses = _parse(text, width, height, draft.place), True
     left, top, wide, high = part
     window = slice(top, top + high), slice(left, left + wide)
 
@@ -79,29 +82,98 @@ def crop_draft(draft: Draft, text: str) -> None:
             "presses show"
         )
         return
-    lost = [press["image"] for press in presses if not _shift_circle(press, part)]
-    draft.manifest["presses"] = [press for press in presses if press["image"] not in lost]
     for image in {press["image"] for press in presses}:
-        draft.files[image] = lambda picture=draft.files[image]: levels(picture)[window].copy()
-    for image in lost:
-        del draft.files[image]
+        whole = draft.files[image]
+        draft.files[image] = partial(_cut, whole, part, width, height)
     draft.notes.append(
         f"the presses are cut to the part {wide}x{high} px from ({left}, {top}) px, which the "
         "background shows; the background is made smaller to fit, mm per pixel are as before"
     )
+    _move_circles(draft, part)
+
+
+def change_pictures(draft: Draft, part: str | None, turn_deg: int, swap: bool) -> None:
+    """Cut, turn and recolour all pictures of ``draft`` alike; circles and lines go along.
+
+    ``part``: ``LEFT,TOP,WIDTHxHEIGHT`` [px]; ``turn_deg``: against the clock; ``swap``: red and
+    blue stand in each other's place. Raises InputError for a part that is none.
+    """
+    quarters = turn_deg // 90
+    pictures = [n for n, c in draft.files.items() if not isinstance(c, str) and is_picture(n)]
+    if not pictures:
+        return
+    height, width = levels(draft.files[pictures[0]]).shape[:2]
+    whole = (0, 0, width, height)
+    cut_to = whole if part is None else _parse(part, width, height, draft.place)
+    left, top, wide, high = cut_to
+
+    def changed(picture: Image | str) -> np.ndarray:
+        cut = _cut(picture, cut_to, width, height)
+        return np.ascontiguousarray(np.rot90(cut[..., :: -1 if swap else 1], quarters))
+
+    names = {
+        name: draft.replace_image(name, partial(changed, draft.files[name])) for name in pictures
+    }
+    draft.manifest = _renamed(draft.manifest, names)
+    _move_circles(draft, cut_to)
+    marks = [entry.get("contact") for entry in draft.manifest.get("presses", [])]
+    marks += [entry.get("line") for entry in draft.manifest.get("edges", [])]
+    for mark in filter(None, marks):
+        if "angle_deg" in mark:
+            mark["u_px"], mark["v_px"] = mark["u_px"] - left, mark["v_px"] - top
+            mark["angle_deg"] -= turn_deg
+        across = wide
+        for _ in range(quarters):
+            mark["u_px"], mark["v_px"] = mark["v_px"], across - 1 - mark["u_px"]
+            across = wide + high - across
+    draft.notes.append(
+        f"all pictures are the part {wide}x{high} px from ({left}, {top}) px of the files, turned "
+        f"by {turn_deg} degrees{', red and blue exchanged' if swap else ''}, as the recipe says"
+    )
+
+
+def _renamed(value: Any, names: dict[str, str]) -> Any:
+    """A manifest in which files are called otherwise."""
+    if isinstance(value, dict):
+        return {key: _renamed(inner, names) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_renamed(inner, names) for inner in value]
+    return names.get(value, value) if isinstance(value, str) else value
+
+
+def _move_circles(draft: Draft, part: Part) -> None:
+    """Move the presses' circles into the part; presses whose circle it cuts are left out."""
+    presses = draft.manifest.get("presses", [])
+    lost = [press["image"] for press in presses if not _shift_circle(press, part)]
+    for image in lost:
+        del draft.files[image]
     if lost:
+        draft.manifest["presses"] = [press for press in presses if press["image"] not in lost]
         draft.notes.append(f"left out, since the contact is cut: {', '.join(lost)}")
 
 
-def _parse(text: str, width: int, height: int) -> Part:
+def _cut(picture: Image | str, part: Part, width: int, height: int) -> np.ndarray:
+    """The part of a picture; InputError for one that is of another size than its like."""
+    image, (left, top, wide, high) = levels(picture), part
+    if image.shape[:2] != (height, width):
+        raise InputError(
+            f"{picture} is {image.shape[1]}x{image.shape[0]} px, others that are cut are "
+            f"{width}x{height} px"
+        )
+    return image[top : top + high, left : left + wide]
+
+
+def _parse(text: str, width: int, height: int, place: Path) -> Part:
     match = _PART.match(text.replace(" ", ""))
     if match is None:
-        raise InputError(f"crop {text!r}; LEFT,TOP,WIDTHxHEIGHT in pixels or auto is allowed")
+        raise InputError(
+            f"{place}: crop {text!r}; LEFT,TOP,WIDTHxHEIGHT in pixels or auto is allowed"
+        )
     left, top, wide, high = (int(group) for group in match.groups())
     if left + wide > width or top + high > height or min(wide, high) < MIN_SIZE_PX:
         raise InputError(
-            f"crop {text!r} is no part of the presses of {width}x{height} px, or smaller than "
-            f"{MIN_SIZE_PX}x{MIN_SIZE_PX} px"
+            f"{place}: crop {text!r} is no part of pictures of {width}x{height} px, or smaller "
+            f"than {MIN_SIZE_PX}x{MIN_SIZE_PX} px"
         )
     return left, top, wide, high
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -40,6 +40,8 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 COPIED_SUFFIXES = (".png", ".jpg", ".jpeg")
 """Image files whose bytes are kept; others become PNG, which loses nothing."""
 MEDIAN = "median"
+_NAME_BYTES = 240
+"""Of a file's name, whose copies are numbered; systems take 255."""
 _SCALES = (MIN_MM_PER_PX, MAX_MM_PER_PX)
 _BOUNDS = {
     "radius_mm": (MIN_RADIUS_MM, MAX_RADIUS_MM),
@@ -48,6 +50,11 @@ _BOUNDS = {
     "edge_mm": (MIN_EDGE_MM, MAX_EDGE_MM),
 }
 """What the manifest allows."""
+
+
+def is_picture(path: Path | str) -> bool:
+    """Whether a file is an image by its ending."""
+    return Path(path).suffix.lower() in IMAGE_SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -111,6 +118,8 @@ class Draft:
     """Files that were taken in, or that something was read from."""
     left_out: dict[Path, str] = field(default_factory=dict)
     """Files that were not, each with the reason."""
+    finish: Callable[[Draft], None] | None = None
+    """What is done to it last: how all its pictures are cut and turned."""
 
     def assume(self, name: str, text: str) -> None:
         """Keep that the value ``name`` is stated by no file: what was taken, and why."""
@@ -131,19 +140,30 @@ class Draft:
             stem, suffix = name or "image", ".png"
         return self._add(image, stem, suffix)
 
+    def replace_image(self, name: str, content: Image) -> str:
+        """Put other levels in an image's place; returns its name, that of a PNG."""
+        del self.files[name]
+        return self._add(content, Path(name).stem, ".png")
+
     def add_file(self, path: Path, root: Path) -> str:
         """Take any other file in under its path below ``root``, folders joined by "_"; returns its
         name in the folder, made different where it is taken."""
         name = Path("_".join(path.relative_to(root).parts))
         return self._add(path, name.stem, name.suffix)
 
-    def _add(self, content: Image, stem: str, suffix: str) -> str:
+    def add_text(self, text: str, name: str) -> str:
+        """Take a text file in; returns its name, as ``add_file``."""
+        return self._add(text, Path(name).stem, Path(name).suffix)
+
+    def _add(self, content: Image | str, stem: str, suffix: str) -> str:
         try:
-            (stem + suffix).encode()
+            length = len((stem + suffix).encode())
         except UnicodeEncodeError:
             raise InputError(
                 f"{self.place}: the file name {printable(stem + suffix)} is not UTF-8; rename it"
             ) from None
+        if length > _NAME_BYTES:
+            raise InputError(f"{self.place}: the file name {stem[:40]}... is too long; rename it")
         chosen, count = f"{stem}{suffix}", 1
         while chosen in self.files:
             count += 1
@@ -251,13 +271,11 @@ class Draft:
                 path.write_text(content, encoding="utf-8")
             elif not isinstance(content, Path):
                 write_png(path, levels(content))
-            elif content.suffix.lower() in IMAGE_SUFFIXES and path.suffix == ".png" != (
-                content.suffix.lower()
-            ):
+            elif is_picture(content) and path.suffix == ".png" != content.suffix.lower():
                 write_png(path, read_image(content))
             else:
                 # Before gigabytes are copied that no reader takes.
-                image = content.suffix.lower() in IMAGE_SUFFIXES
+                image = is_picture(content)
                 limit = (MAX_FILE_BYTES, "an image") if image else (LARGEST_BYTES, "a capture")
                 shutil.copyfile(require_regular_file(content, *limit), path)
         (folder / MANIFEST_NAME).write_text(self._manifest_text(), encoding="utf-8")

@@ -3,25 +3,15 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.calibration.capture.importers.draft import IMAGE_SUFFIXES
+from taccel_lab.calibration.capture.importers.draft import is_picture
 from taccel_lab.calibration.capture.importers.left_out import capture_folders
+from taccel_lab.calibration.capture.importers.path_pattern import natural_key
 from taccel_lab.errors import InputError
 from taccel_lab.reading.arrays import finite_numbers
-
-
-def natural_key(path: Path | str) -> list[tuple[int, int, str]]:
-    """Sort key under which ``frame_2`` comes before ``frame_10``."""
-    # ASCII's alone: there are other characters that `isdigit`, but not `int`, takes for digits.
-    parts = re.split(r"([0-9]+)", str(path))
-    return [
-        (0, int(part), "") if index % 2 else (1, 0, part.lower())
-        for index, part in enumerate(parts)
-    ]
 
 
 def images_in(folder: Path, *, recursive: bool = False) -> list[Path]:
@@ -32,7 +22,7 @@ def images_in(folder: Path, *, recursive: bool = False) -> list[Path]:
     found = [
         path
         for path in paths
-        if path.suffix.lower() in IMAGE_SUFFIXES
+        if is_picture(path)
         and path.is_file()
         and path.name[0] != "."
         and written.isdisjoint(path.parents)

@@ -17,12 +17,12 @@ from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import (
     first_existing,
     images_in,
-    natural_key,
     number_in,
     point_in,
     sensor_image,
 )
 from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.path_pattern import natural_key
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
 from taccel_lab.inner_path import inner_path

@@ -218,7 +218,7 @@ def test_presses_that_show_a_part_of_the_background(source: Path) -> None:
     ("crop", "message"),
     [
         ("12", "LEFT,TOP,WIDTHxHEIGHT"),
-        ("100,0,900x90", "is no part of the presses"),
+        ("100,0,900x90", "is no part of pictures"),
         ("0,0,20x20", "smaller than 32x32"),
         ("auto", "found no part that fits"),
     ],
