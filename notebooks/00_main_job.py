@@ -13,10 +13,12 @@
 # %% [markdown]
 # # The main job: from real captures to a sensor profile
 #
-# `taccel-lab demo` does this in one go; here the same calls run one by one, so that everything can
-# be looked at. The captures are GelSight ball presses from the PyPI package `taxim` (MIT).
+# `taccel-lab demo` does this in one go on all captures; here the same calls run one by one on a
+# part of them, so that everything can be looked at. The captures are GelSight ball presses from
+# the PyPI package `taxim` (MIT).
 
 # %%
+import dataclasses
 import tempfile
 from pathlib import Path
 
@@ -24,9 +26,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import taccel_lab as tl
-from taccel_lab.calibration.capture import find_taxim_pack, load_captures
+from taccel_lab.calibration.capture import find_taxim_pack
+from taccel_lab.calibration.capture.load import load_capture_folder
 
-captures = load_captures(find_taxim_pack())
+plt.rcParams["figure.dpi"] = 60
+
+folder = load_capture_folder(find_taxim_pack())
+# Every third press: 12 to fit and 4 held out.
+folder = dataclasses.replace(folder, presses=folder.presses[::3])
+captures = folder.ball_presses()
 print(f"{len(captures.presses)} presses of a {captures.ball_radius_mm:g} mm ball")
 
 figure, axes = plt.subplots(1, 3, figsize=(12, 3.2))
@@ -53,7 +61,7 @@ tl.load_sensor("gelsight")
 # simulated until its contact has that radius, and a small network learns colour from slope.
 
 # %%
-calibration = tl.calibrate(find_taxim_pack(), only=("background", "color"))
+calibration = tl.calibrate(folder, only=("background", "color"))
 calibration
 
 # %% [markdown]
@@ -87,10 +95,10 @@ for axis, image, title in (
 # is at a place where no capture was taken.
 
 # %%
-folder = Path(tempfile.mkdtemp()) / "profile"
-calibration.save(folder)
-print(sorted(path.name for path in folder.iterdir()))
-press = tl.press(folder, "sphere:2.0", depth_mm=0.8, at_mm=(1.0, -0.5))
+place = Path(tempfile.mkdtemp()) / "profile"
+calibration.save(place)
+print(sorted(path.name for path in place.iterdir()))
+press = tl.press(place, "sphere:2.0", depth_mm=0.8, at_mm=(1.0, -0.5))
 press
 
 # %%

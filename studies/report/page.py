@@ -319,8 +319,8 @@ def _trade_offs(outcome: Outcome, values: Values, picture: Any) -> Iterator[Pict
             "pareto",
             lambda: figures.draw_pareto(outcome, front, best, worst),
             "The first two metrics. On the orange line nothing gets better in one without getting "
-            f"worse in the other: no other design beats these {len(front)} in "
-            f"{' and '.join(pareto['first_metrics'])}, and none {len(pareto['designs'])} in all of "
+            f"worse in the other. Nothing beats {len(front)} designs in "
+            f"{' and '.join(pareto['first_metrics'])}, and {len(pareto['designs'])} in all of "
             f"{', '.join(pareto['metrics'])}.",
         )
         if len(pareto["metrics"]) > 2:

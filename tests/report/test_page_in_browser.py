@@ -17,6 +17,9 @@ from PIL import Image
 from taccel_lab.calibration.report.profile_page import profile_page
 from taccel_lab.report.page import write_page
 from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.studies.report import write_study_report
+from taccel_lab.studies.runner import run_study
+from tests.support.fake_kit import study
 from tests.viewer.browser import chromium_page, picture, wait_for
 
 WIDER = """() => [document.documentElement, ...document.querySelectorAll('.scroll, section, main')]
@@ -70,6 +73,19 @@ def test_nothing_runs_over_on_screen_nor_in_print(address: str) -> None:
         assert page.evaluate(WIDER) == []
         page.emulate_media(media="print")
         page.set_viewport_size({"width": 690, "height": 1000})
+        assert page.evaluate(WIDER) == []
+
+
+def test_a_study_with_many_columns_runs_over_nowhere(tmp_path: Path) -> None:
+    ranges = {
+        "thickness_mm": {"min": 3, "max": 6, "count": 2},
+        "young_modulus_mpa": {"min": 0.1, "max": 0.4, "count": 2, "scale": "log"},
+        "width_px": {"values": [320, 640]},
+    }
+    write_study_report(run_study(study(parameters=ranges), tmp_path, processes=0))
+    with chromium_page((tmp_path / "report.html").as_uri(), (1280, 900)) as page:
+        for details in page.query_selector_all("details"):
+            details.evaluate("e => e.open = true")
         assert page.evaluate(WIDER) == []
 
 
