@@ -26,8 +26,7 @@ class Depth:
     height and its standard deviation, `<name>.png` shows it and `<name>.json` says how deep, where
     and how large. Heights are metres in the gel frame, zero on untouched gel, negative in a dent.
     The +- is one standard deviation of the absolute depth: the reading, and what the calibration
-    may be off by. The light of each image is brought to the background's first: 0.4 to 2.5 times
-    it in each channel can be read. Images that are no press of this sensor are told with
+    may be off by. Images that are no press of this sensor are told with
     their reason; the others are read all the same, and the exit code is 2.
     """
 
@@ -45,9 +44,8 @@ class Depth:
     """Rectification maps (.npz) of `taccel-lab calibrate camera --maps`, for raw images."""
     method: Literal["auto", "normals", "depth"] = "auto"
     """Model to read with; auto takes normals where the profile has both."""
-    drift: Literal["on", "off"] = "on"
-    """The light of each image (gain and offset of each channel) is fitted and taken off before it
-    is read; off leaves it in."""
+    drift: Literal["auto", "on", "off"] = "auto"
+    """Bring the light of each image to the background's first; auto does as the calibration did."""
     json: bool = False
     """Print the figures as JSON instead of a line per image."""
 
@@ -115,14 +113,6 @@ def _lines(path: Path, about: dict[str, Any]) -> list[str]:
         f"{path.name}: {about['max_depth_mm']:.3f} "
         + ("" if sigma is None else f"+- {sigma:.3f} ")
         + f"mm deep at ({about['deepest_px'][0]}, {about['deepest_px'][1]}) px, "
-        f"{about['touched_mm2']:.2f} mm2 touched; light {_light(about['light'])}",
+        f"{about['touched_mm2']:.2f} mm2 touched",
         *(f"  {warning}" for warning in about["warnings"]),
     ]
-
-
-def _light(about: dict[str, Any]) -> str:
-    """Light of red, green and blue, and what became of it."""
-    if not about["told"]:
-        return "not told"
-    shares = "/".join(f"{share:.2f}" for share in about["brightness"])
-    return f"{shares} of the background's, {'taken off' if about['removed'] else 'left in'}"

@@ -17,7 +17,8 @@ import numpy as np
 
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
 from taccel_lab.calibration.force.report import draw_forces
-from taccel_lab.calibration.light.image_light import LightReader
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.likeness import unlike
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.errors import InputError, naming
 from taccel_lab.output import write_json
@@ -61,7 +62,6 @@ class ForceReader:
             self.model = ForceModel.from_profile(profile)
         self.background = profile.untouched(background, background_name)
         self.background_name = background_name
-        self._lights = LightReader(self.background.astype(np.float32))
 
     def _require_size(self, image: np.ndarray, name: str) -> None:
         config = self.model.config
@@ -81,8 +81,9 @@ class ForceReader:
         """The force behind one image, RGB levels, shape [height_px, width_px, 3]."""
         self._require_size(image, name)
         found = self._read(image, name)
-        why = self._lights.read(image.astype(np.float32)).refused
-        if not why:
+        levels, rest = image.astype(np.float32), self.background.astype(np.float32)
+        why = unlike(levels, rest, fit_light(levels, rest, gradient=False))
+        if why is None:
             return found
         said = f"it is no image of the background's sensor: {why}"
         return replace(found, outside=(said, *found.outside))

@@ -15,7 +15,8 @@ import torch
 
 from taccel_lab.calibration.force.samples import Samples
 from taccel_lab.calibration.force.train import BATCH, BEYOND, Told, told_of
-from taccel_lab.calibration.light.image_light import LightReader
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.likeness import unlike
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.signals.force_settings import (
     ForceModelConfig,
@@ -166,7 +167,7 @@ def found_imposters(
     seed: int,
 ) -> list[Imposters]:
     """Images made of held-out ones that a user may give by mistake, and how many are found, by the
-    model or, before it, by what ``ForceReader`` asks of any image (``light.image_light``).
+    model or, before it, by what ``ForceReader`` asks of any image (``light.likeness``).
 
     Markers, where the network sees them, stay as they are: only the image is wrong.
     """
@@ -202,7 +203,8 @@ def found_imposters(
         noticed = np.concatenate(outside)
         for row in np.flatnonzero(~noticed).tolist():
             levels, untouched = (a[row].permute(1, 2, 0).numpy() for a in (shown, rest))
-            noticed[row] = LightReader(untouched).read(levels).refused != ""
+            light = fit_light(levels, untouched, gradient=False)
+            noticed[row] = unlike(levels, untouched, light) is not None
         found.append(Imposters(name, len(rows), float(noticed.mean())))
     return found
 

@@ -19,8 +19,6 @@ from taccel_lab.errors import InputError
 SAMPLE_COUNT = 8000
 """Pixels that the robust fit looks at, on a regular lattice."""
 MIN_PIXELS = 200
-CLIPPED_LEVELS = 252.0
-"""Smoothed levels above which a pixel of 8 bits may be clipped: a level of noise below 255."""
 BIWEIGHT = 3.0
 """Residual, in robust standard deviations, beyond which a pixel has no say."""
 MIN_SCALE_LEVELS = 1.0
@@ -32,94 +30,11 @@ SMOOTHING_SHARE = 1 / 160
 """Smoothing before the fit, as a part of the shorter side. Noise of the background would draw the
 gain to 0 wherever the gradient can explain the background as well."""
 ITERATIONS = 12
-STEADY_GAIN, STEADY_LEVELS = 1e-4, 0.02
-"""Changes from one iteration to the next, a tenth of what a level of 8 bits tells, that end it."""
 
 
 def biweight(distance: np.ndarray, reach: float) -> np.ndarray:
     """Tukey's weight of residuals: 1 at zero, 0 from ``reach`` on; of their shape."""
     return np.clip(1 - (distance / reach) ** 2, 0.0, 1.0) ** 2
-
-
-class LightFit:
-    """Fits the light of frames against one background, whose own part of the work is done once."""
-
-    def __init__(
-        self,
-        background: np.ndarray,
-        mask: np.ndarray | None = None,
-        sample_count: int = SAMPLE_COUNT,
-    ) -> None:
-        """Of frames of the size of ``background``, RGB levels, shape [height_px, width_px, 3], by
-        about ``sample_count`` pixels; those where ``mask``, bool, is false are left out. Raises
-        InputError where too few are left."""
-        height, width = background.shape[:2]
-        self._mask, self._lattice = mask, _lattice(height, width, sample_count)
-        self.counts = np.ones((height, width), bool) if mask is None else np.asarray(mask, bool)
-        self.counts = self.counts[self._lattice]
-        """Which pixels of the lattice are used, bool, shape [rows, columns]."""
-        if self.counts.sum() < _needed(height, width):
-            raise InputError(
-                f"only {int(self.counts.sum())} usable pixels to fit the light's drift; the mask "
-                "leaves too few"
-            )
-        u, v = unit_position(height, width)
-        places = (np.ones((height, width)), *np.broadcast_arrays(u, v))
-        self._places = np.stack([place[self._lattice] for place in places])
-        self.before = self.sampled(background)
-        """The background on the lattice, smoothed [levels], shape [rows, columns, 3]."""
-
-    def sampled(self, image: np.ndarray) -> np.ndarray:
-        """An image on the lattice, smoothed [levels], shape [rows, columns, 3]."""
-        sigma = max(min(image.shape[:2]) * SMOOTHING_SHARE, 1.0)
-        return smoothed(image, self._mask, sigma)[self._lattice]
-
-    def shown(self, light: Light) -> np.ndarray:
-        """The background on the lattice as ``light`` shows it [levels], [rows, columns, 3]."""
-        shown = self.before * light.gain + light.offset
-        if light.gradient.any():
-            shown += np.einsum("krc,jk->rcj", self._places[1:], light.gradient)
-        return shown
-
-    def removed(self, frame: np.ndarray, light: Light) -> np.ndarray:
-        """A ``sampled`` frame as the background's light would show it, [rows, columns, 3]."""
-        return (frame - (self.shown(light) - self.before * light.gain)) / light.gain
-
-    def fit(self, frame: np.ndarray, *, gradient: bool = True) -> Light:
-        """Light of a ``sampled`` frame wherever it and the background go together; the untouched
-        part has to be the larger one. ``gradient=False`` fits gain and offset only."""
-        # Clipped pixels tell a bound of their level alone; where hardly others are, it has to do.
-        clipped = np.maximum(frame, self.before).max(axis=-1) > CLIPPED_LEVELS
-        used = self.counts & ~clipped
-        if used.sum() < MIN_PIXELS:
-            used = self.counts
-        others = self._places[: 3 if gradient else 1, used]
-        before, after = (
-            image[used].T.astype(np.float64, order="C") for image in (self.before, frame)
-        )
-        fitted = np.zeros((3, 1 + len(others)))
-        left = after - before
-        left -= np.median(left, axis=1, keepdims=True)
-        weight = np.ones(before.shape[1])
-        scale = MIN_SCALE_LEVELS
-        for k in range(ITERATIONS):
-            distance = np.sqrt(np.square(left).sum(axis=0))
-            inside = distance[weight > 0] if k else distance
-            scale = max(spread_of_lengths(inside, 3), MIN_SCALE_LEVELS / 3)
-            reach = max(np.sqrt(3) * BIWEIGHT * scale, MIN_SCALE_LEVELS)
-            weight = biweight(distance, reach)
-            last, fitted = fitted, _with_prior(before, others, after, weight, scale)
-            left = after - before * fitted[:, :1] - fitted[:, 1:] @ others
-            if np.abs(fitted - last)[:, 0].max() < STEADY_GAIN and (
-                np.abs(fitted - last)[:, 1:].max() < STEADY_LEVELS
-            ):
-                break
-        return Light(
-            gain=fitted[:, 0].copy(),
-            offset=fitted[:, 1].copy(),
-            gradient=fitted[:, 2:].copy() if gradient else np.zeros((3, 2)),
-            noise_levels=scale,
-        )
 
 
 def fit_light(
@@ -129,24 +44,62 @@ def fit_light(
     *,
     gradient: bool = True,
 ) -> Light:
-    """Light of one frame against one background, as ``LightFit`` has it."""
-    fit = LightFit(background, mask)
-    return fit.fit(fit.sampled(frame), gradient=gradient)
+    """Light of ``frame`` against ``background`` wherever the two go together.
+
+    Images are RGB levels, shape [height_px, width_px, 3]; pixels where ``mask`` is false are left
+    out. The untouched part has to be the larger one. ``gradient=False`` fits gain and offset only.
+    """
+    height, width = background.shape[:2]
+    rows, columns = _samples(np.ones((height, width), bool) if mask is None else mask)
+    if len(rows) < _needed(height, width):
+        raise InputError(
+            f"only {len(rows)} usable pixels to fit the light's drift; the mask leaves too few"
+        )
+    u, v = unit_position(height, width)
+    place = np.stack([np.ones(len(rows)), u[0, columns], v[rows, 0]])
+    others = place if gradient else place[:1]
+    sigma = max(min(height, width) * SMOOTHING_SHARE, 1.0)
+    before, after = (
+        smoothed(image, mask, sigma)[rows, columns].T.astype(np.float64, order="C")
+        for image in (background, frame)
+    )
+    fitted = np.zeros((3, 1 + len(others)))
+    left = after - before
+    left -= np.median(left, axis=1, keepdims=True)
+    weight = np.ones(len(rows))
+    scale = MIN_SCALE_LEVELS
+    for k in range(ITERATIONS):
+        distance = np.sqrt(np.square(left).sum(axis=0))
+        inside = distance[weight > 0] if k else distance
+        scale = max(spread_of_lengths(inside, 3), MIN_SCALE_LEVELS / 3)
+        reach = max(np.sqrt(3) * BIWEIGHT * scale, MIN_SCALE_LEVELS)
+        weight = biweight(distance, reach)
+        fitted = _with_prior(before, others, after, weight, scale)
+        left = after - before * fitted[:, :1] - fitted[:, 1:] @ others
+    return Light(
+        gain=fitted[:, 0].copy(),
+        offset=fitted[:, 1].copy(),
+        gradient=fitted[:, 2:].copy() if gradient else np.zeros((3, 2)),
+        noise_levels=scale,
+    )
 
 
 def enough_pixels(mask: np.ndarray) -> bool:
-    """Whether a light is fitted by the pixels of ``mask`` alone, [height_px, width_px]."""
-    return int(mask[_lattice(*mask.shape)].sum()) >= _needed(*mask.shape)
+    """Whether ``fit_light`` takes a light by the pixels of ``mask``, [height_px, width_px]."""
+    return len(_samples(mask)[0]) >= _needed(*mask.shape)
 
 
 def _needed(height: int, width: int) -> int:
     return min(MIN_PIXELS, height * width // 4)
 
 
-def _lattice(height: int, width: int, count: int = SAMPLE_COUNT) -> tuple[slice, slice]:
-    """Rows and columns of a regular lattice of about ``count`` pixels."""
-    step = max(1, int(np.sqrt(height * width / count)))
-    return slice(step // 2, None, step), slice(step // 2, None, step)
+def _samples(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the lattice's pixels in ``mask``."""
+    height, width = mask.shape
+    step = max(1, int(np.sqrt(height * width / SAMPLE_COUNT)))
+    rows, columns = np.mgrid[step // 2 : height : step, step // 2 : width : step]
+    usable = mask[rows, columns]
+    return rows[usable], columns[usable]
 
 
 def _with_prior(

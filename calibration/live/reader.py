@@ -13,7 +13,8 @@ import numpy as np
 
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.dots.marker_picture import find_markers
-from taccel_lab.calibration.light.image_light import LightReader
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.likeness import unlike
 from taccel_lab.calibration.markers.tracking import MarkerTracker
 from taccel_lab.calibration.markers.tracks import Status
 from taccel_lab.calibration.normals.read_surface import SurfaceReader, SurfaceReading
@@ -111,6 +112,7 @@ class LiveReader:
         self.detail = 1
         self._count = 0
         self._sigma_mm: float | None = None
+        self._unlike = ""
         if has_depth:
             self.detail, self.surface = self._chosen(detail)
         self.tracker: MarkerTracker | None = None
@@ -144,14 +146,15 @@ class LiveReader:
         surface, figures, refused = None, {}, ""
         if self.surface is not None:
             with _timed(stages, "light"):
-                lit = self.surface.in_own_light(image)
+                levels = self.surface.in_own_light(image)
             with _timed(stages, "depth"):
                 often = self._count % SIGMA_EVERY == 0
-                surface = self.surface.read_levels(lit, uncertainty=often)
+                surface = self.surface.read_levels(levels, uncertainty=often)
                 figures = surface.figures(self.surface.grid)
                 if often:
                     self._sigma_mm = figures["max_depth_sigma_mm"]
-                refused = lit.light.refused or _refusal(figures)
+                    self._unlike = self.surface.unlike(image) or ""
+                refused = self._unlike or _refusal(figures)
             self._count += 1
             figures["max_depth_sigma_mm"] = self._sigma_mm
         places = rest = seen = None
@@ -172,8 +175,8 @@ def _unlike_profile(profile: SensorProfile, background: np.ndarray) -> str:
     if own is None:
         return ""
     seen, known = thumb(background), thumb(own)
-    why = LightReader(known).read(seen).refused
-    if not why:
+    why = unlike(seen, known, fit_light(seen, known, gradient=False))
+    if why is None:
         return ""
     return (
         f"The untouched gel is not as this profile knows it: {why}. What is read may be wrong: is "

@@ -8,11 +8,14 @@ frame: the rise over the resting face, and the face itself, which is curved on s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.calibration.light.image_light import CLIPPED, ImageLight, LightReader
+from taccel_lab.calibration.light.drift_choice import DriftMode
+from taccel_lab.calibration.light.fit import fit_light
+from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.likeness import unlike
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
@@ -25,7 +28,6 @@ from taccel_lab.signals.rest_surface import RestSurface, rest_surface
 MOSTLY = 0.5
 """Share of a larger pixel that has to count."""
 Method = Literal["auto", "normals", "depth"]
-DriftMode = Literal["on", "off"]
 STEEP_SHARE = 0.02
 """Share of pixels that the calibration says nothing of, from which on a user is told."""
 SigmaOf = Literal["absolute depth", "reading alone"]
@@ -36,10 +38,6 @@ NO_SIGMA = (
 READING_ALONE = (
     "the profile was calibrated by an earlier version: its +- is that of the reading alone, and "
     "absolute depths are off by more; calibrate again to have it whole"
-)
-LIGHT_UNTOLD = (
-    "less than half of the image is at rest, so that nothing tells its light; it is read as if in "
-    "the background's"
 )
 CONTACT_MM = 0.05
 CONTACT_SHARE = 0.1
@@ -73,10 +71,7 @@ class SurfaceReading:
     saturated: np.ndarray | None
     """Pixels darker than any that was calibrated, bool; None of a colour sensor."""
     method: Literal["normals", "depth"]
-    light: ImageLight
-    """Of the image against the background."""
-    light_removed: bool
-    """Whether it was taken off before the surface was read."""
+    drift_removed: bool
     sigma_of: SigmaOf | None = None
     """What ``height_sigma_m`` is that of: the absolute depth, or, with profiles of earlier versions
     that know no more, the reading alone; None where the profile tells none."""
@@ -93,7 +88,7 @@ class SurfaceReading:
         at_mm = grid.gel_from_pixel(np.array([column, row], dtype=float))
         found: dict[str, Any] = {
             "method": self.method,
-            "light": {"removed": self.light_removed, **self.light.figures()},
+            "light_drift_removed": self.drift_removed,
             "max_depth_mm": float(depth_mm[row, column]),
             "max_depth_sigma_mm": None
             if self.height_sigma_m is None
@@ -122,19 +117,6 @@ class SurfaceReading:
     def _warnings(self, figures: dict[str, Any]) -> list[str]:
         """What a user should know before trusting the heights, one sentence each."""
         said = []
-        if not self.light.told:
-            said.append(LIGHT_UNTOLD)
-        if self.light.field_left_levels > 0:
-            said.append(
-                f"its light changes by {self.light.field_left_levels:.0f} levels over the image, "
-                "as the calibration saw none do; that is left in. Give the untouched sensor in "
-                "this light as background"
-            )
-        if self.light.clipped > CLIPPED:
-            said.append(
-                f"{self.light.clipped:.0%} of the image is clipped by its light, beyond what was "
-                "calibrated; slopes there are a guess. Shorten the exposure"
-            )
         if self.sigma_of != "absolute depth":
             said.append(NO_SIGMA if self.sigma_of is None else READING_ALONE)
         steep = figures.get("beyond_balls_share", 0.0)
@@ -151,15 +133,6 @@ class SurfaceReading:
         return said
 
 
-class LitImage(NamedTuple):
-    """An image as it is read."""
-
-    levels: np.ndarray
-    """RGB levels, float32, shape [height_px, width_px, 3] of the reader's ``grid``."""
-    light: ImageLight
-    """What its light was."""
-
-
 class SurfaceReader:
     """Reads images of one sensor; what does not depend on the image is done once."""
 
@@ -170,7 +143,7 @@ class SurfaceReader:
         background: np.ndarray | None = None,
         mask: np.ndarray | None = None,
         method: Method = "auto",
-        drift: DriftMode = "on",
+        drift: DriftMode = "auto",
         background_name: str = "the background",
         shrink: int = 1,
     ) -> None:
@@ -180,7 +153,8 @@ class SurfaceReader:
             background: Untouched sensor instead of the profile's, RGB, shape [h, w, 3].
             mask: Pixels that count, bool, shape [height_px, width_px].
             method: ``normals`` or ``depth``; ``auto`` takes the block that the profile has.
-            drift: ``off`` leaves the light of images as it is; it is told all the same.
+            drift: Whether each image is brought to the background's light first; ``auto`` does as
+                in the calibration.
             background_name: How an error calls ``background``, such as by its file.
             shrink: Images are made smaller by about this factor before they are read, and so are
                 the maps (``grid``): a live picture at 3 takes a sixth of the time.
@@ -192,19 +166,19 @@ class SurfaceReader:
         self._image_shape = self.background.shape
         self.grid = grid if shrink == 1 else _smaller(grid, shrink)
         """Of the maps that are read."""
+        # A larger pixel is the mean of several: fewer of them tell the light as well.
+        self._light_step = 1 if shrink == 1 else 2
         self.background = self._small(self.background)
         if mask is not None and shrink > 1:
             self.mask = self._small(mask.astype(np.float32)) > MOSTLY
-        seen = profile.perturbation
-        self._lights = LightReader(
-            self.background, self.mask, None if seen is None else np.array(seen.gradient_rgb)
-        )
         self.rest: RestSurface = rest_surface(profile.mesh, self.grid)
         self.normal_model = NormalModel.from_profile(profile) if self.method == "normals" else None
         if self.normal_model is not None and shrink > 1:
             self.normal_model = _shrunk(self.normal_model, self.grid)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
-        self.removes_light = drift == "on"
+        self.drift = drift == "on"
+        if drift == "auto":
+            self.drift = self.normal_model is not None and self.normal_model.config.light_drift
 
     @property
     def sigma_of(self) -> SigmaOf | None:
@@ -243,12 +217,12 @@ class SurfaceReader:
                 f"{self._image_shape[1]}x{self._image_shape[0]} px; give images of that "
                 "size (raw ones are rectified with --maps)"
             )
-        lit = self.in_own_light(image)
-        if lit.light.refused:
-            raise InputError(
-                f"{name} is no image of the sensor that was calibrated: {lit.light.refused}"
-            )
-        found = self.read_levels(lit)
+        levels = self._small(image).astype(np.float32)
+        light = self._light(levels)
+        why = unlike(levels, self.background, light, self.mask)
+        if why is not None:
+            raise InputError(f"{name} is no image of the sensor that was calibrated: {why}")
+        found = self.read_levels(light.remove(levels).astype(np.float32) if self.drift else levels)
         deepest_mm, gel_mm = -1e3 * float(found.rise_m.min()), self.profile.gel.thickness_mm
         if deepest_mm > gel_mm:
             raise InputError(
@@ -257,20 +231,30 @@ class SurfaceReader:
             )
         return found
 
-    def in_own_light(self, image: np.ndarray) -> LitImage:
-        """The image as small as it is read, its light told and taken off."""
+    def unlike(self, image: np.ndarray) -> str | None:
+        """Why an image is not of the profile's sensor, or None; see ``light.likeness``."""
         levels = self._small(image).astype(np.float32)
-        light = self._lights.read(levels)
-        if self.removes_light and light.told:
-            levels = light.light.remove(levels).astype(np.float32)
-        return LitImage(levels, light)
+        return unlike(levels, self.background, self._light(levels), self.mask)
 
-    def read_levels(self, lit: LitImage, *, uncertainty: bool = True) -> SurfaceReading:
+    def in_own_light(self, image: np.ndarray) -> np.ndarray:
+        """The image as small as it is read, in the background's light where that is asked for;
+        float32, shape [height_px, width_px, 3] of ``grid``."""
+        levels = self._small(image).astype(np.float32)
+        if self.drift:
+            levels = self._light(levels).remove(levels).astype(np.float32)
+        return levels
+
+    def _light(self, levels: np.ndarray) -> Light:
+        part = np.s_[:: self._light_step, :: self._light_step]
+        mask = None if self.mask is None else self.mask[part]
+        return fit_light(levels[part], self.background[part], mask, gradient=False)
+
+    def read_levels(self, levels: np.ndarray, *, uncertainty: bool = True) -> SurfaceReading:
         """The surface under what ``in_own_light`` made of an image; ``uncertainty`` as in
         ``read_heights``."""
         if self.response is not None:
-            return self._by_depth(lit)
-        return self._by_normals(lit, uncertainty)
+            return self._by_depth(levels)
+        return self._by_normals(levels, uncertainty)
 
     def _small(self, image: np.ndarray) -> np.ndarray:
         import cv2
@@ -280,9 +264,9 @@ class SurfaceReader:
             return image
         return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
-    def _by_depth(self, lit: LitImage) -> SurfaceReading:
+    def _by_depth(self, levels: np.ndarray) -> SurfaceReading:
         assert self.response is not None
-        found = self.response.read(lit.levels, self.background, self.mask)
+        found = self.response.read(levels, self.background, self.mask)
         height = self.rest.height_m + found.height_m
         return SurfaceReading(
             height_m=height,
@@ -295,16 +279,15 @@ class SurfaceReader:
             beyond_balls=None,
             saturated=found.saturated,
             method="depth",
-            light=lit.light,
-            light_removed=self.removes_light and lit.light.told,
+            drift_removed=self.drift,
             sigma_of=self.sigma_of,
         )
 
-    def _by_normals(self, lit: LitImage, uncertainty: bool) -> SurfaceReading:
+    def _by_normals(self, levels: np.ndarray, uncertainty: bool) -> SurfaceReading:
         assert self.normal_model is not None
         found = read_heights(
             self.normal_model,
-            lit.levels,
+            levels,
             self.background,
             self.grid,
             mask=self.mask,
@@ -324,8 +307,7 @@ class SurfaceReader:
             beyond_balls=tilt_deg > self.normal_model.config.cone_deg,
             saturated=None,
             method="normals",
-            light=lit.light,
-            light_removed=self.removes_light and lit.light.told,
+            drift_removed=self.drift,
             sigma_of=self.sigma_of,
         )
 
