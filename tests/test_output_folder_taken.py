@@ -19,7 +19,7 @@ def test_a_folder_that_comes_between_is_not_taken_for_the_one_before(
     target = tmp_path / "out"
     with atomic_directory(target) as folder:
         (folder / "a.txt").write_text("one")
-    real = output_folder._foreign
+    real = output_folder.foreign_files
     looked = []
 
     def overtaken(folder: Path) -> list[str]:
@@ -37,5 +37,5 @@ def test_a_folder_that_comes_between_is_not_taken_for_the_one_before(
             (target / name).write_bytes(content)
         return ["the marker of one, and a file of the other"]
 
-    monkeypatch.setattr(output_folder, "_foreign", overtaken)
+    monkeypatch.setattr(output_folder, "foreign_files", overtaken)
     require_replaceable(target)

@@ -89,9 +89,9 @@ class PressPlan:
         """Draw what is about to be pressed, which compiles nothing; returns the picture."""
         from taccel_lab.studies.press_picture import write_scene
 
-        family, at_mm = profile_sensor(self.profile), self.options.at_mm
-        aim = self.options.aim()
-        return write_scene(folder, family, self.gel, self.indenter, at_mm, self.first_mm, aim)
+        gel, family = self.gel, profile_sensor(self.profile)
+        at_mm, aim = self.options.at_mm, self.options.aim()
+        return write_scene(folder, family, gel, self.indenter, at_mm, self.first_mm, aim)
 
     def mesh_for(self, physics: PressPhysics, depth_mm: float) -> TetMesh:
         """Mesh of a press to a depth [mm], in the gel frame [m]."""

@@ -22,7 +22,8 @@ from rich.console import Console
 from rich.table import Table
 
 import taccel_lab.cli
-from taccel_lab.cli import app, progress
+from taccel_lab import progress_bars as progress
+from taccel_lab.cli import app
 from taccel_lab.cli.console import be_quiet, notes, results, say_first_look, working
 from taccel_lab.output_folder import atomic_directory
 from taccel_lab.profile import save_profile

@@ -53,7 +53,7 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def use(monkeypatch: pytest.MonkeyPatch, how) -> None:
-    monkeypatch.setattr("taccel_lab.studies.study.default_kit", lambda: Kit(PRESSES, METRICS, how))
+    monkeypatch.setattr("taccel_lab.api.study.default_kit", lambda: Kit(PRESSES, METRICS, how))
 
 
 def test_a_study_runs_and_says_where_to_look(file: Path, cli: Cli) -> None:
