@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 import threading
 import time
@@ -128,5 +129,7 @@ def watching_console() -> Console | None:
     from rich.console import Console
 
     in_notebook = "ipykernel" in sys.modules
+    if in_notebook and importlib.util.find_spec("ipywidgets") is None:
+        return None  # Bars that cannot be drawn again would fill the cell.
     console = Console(stderr=not in_notebook, markup=False, highlight=False)
     return console if console.is_terminal or console.is_jupyter else None
