@@ -266,6 +266,8 @@ def _calibrate(
             notes = tuple(note for note in left_out if note != LEFT_OUT.format("boards"))
             folder = replace(load_capture_folder(place), source=raw.source)
     if not any(outcome.state is State.DONE for outcome in outcomes):
+        if kept is not None:  # A refusal is an end: there is nothing to go on with.
+            kept.remove()
         lines = "\n".join(f"  {o.name}: {o.message}" for o in outcomes)
         raise InputError(f"{raw.source}: nothing could be calibrated\n{lines}")
     profile = with_session(extended, profile, raw)

@@ -12,8 +12,11 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
-from taccel_lab.report.remark import Remark
+from taccel_lab.report.remark import Remark, judge
+from taccel_lab.summary import Summary
 
+MOST_SHOWN = 10
+"""Figures that a result shows of itself."""
 NORMAL_95 = 1.959963984540054
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
@@ -50,6 +53,26 @@ def mean_figures(scores: Sequence[Any]) -> dict[str, float]:
     """Mean of each field over the scores of presses, which are of one dataclass of numbers."""
     names = [item.name for item in fields(scores[0])]
     return {name: float(np.mean([getattr(score, name) for score in scores])) for name in names}
+
+
+class ResultSummary(Summary):
+    """A result whose ``repr`` is its verdict and its first single figures, not its arrays."""
+
+    remarks: Any
+
+    def figures(self) -> dict[str, Any]:
+        """Everything measured, ready for JSON."""
+        raise NotImplementedError
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """The verdict, and at most ``MOST_SHOWN`` figures."""
+        single = [
+            (name, f"{value:.4g}" if isinstance(value, float) else str(value))
+            for name, value in self.figures().items()
+            if isinstance(value, (int, float, str))
+        ]
+        rows = [("verdict", str(judge(self.remarks))), *single[:MOST_SHOWN]]
+        return type(self).__name__, rows
 
 
 class CalibrationResult(Protocol):

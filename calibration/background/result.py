@@ -12,6 +12,7 @@ from taccel_lab.calibration.background.dust import speck_count
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.light.drift import DriftSpread
 from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.result import ResultSummary
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
@@ -34,8 +35,8 @@ class FrameLight:
     """The same from the background that was made of the other frames, in this frame's light."""
 
 
-@dataclass(frozen=True)
-class BackgroundCalibration:
+@dataclass(frozen=True, repr=False)
+class BackgroundCalibration(ResultSummary):
     """The background image with what is known of its quality."""
 
     image: np.ndarray

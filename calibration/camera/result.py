@@ -14,6 +14,7 @@ from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.calibration.camera.pixel_grid import with_camera_block
 from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_maps, lens_maps
 from taccel_lab.calibration.capture.folder import source_of
+from taccel_lab.calibration.result import ResultSummary
 from taccel_lab.profile import CameraBlock, OpticsBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 
@@ -24,8 +25,8 @@ _CALIBRATED = (
 """Fields of an optics block that boards give."""
 
 
-@dataclass(frozen=True)
-class CameraCalibration:
+@dataclass(frozen=True, repr=False)
+class CameraCalibration(ResultSummary):
     """Lens, pose and scale, as far as the boards give them."""
 
     source: str

@@ -25,7 +25,7 @@ from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.color.registration import Registration
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice
-from taccel_lab.calibration.result import mean_figures
+from taccel_lab.calibration.result import ResultSummary, mean_figures
 from taccel_lab.calibration.thickness.fit import GelThickness
 from taccel_lab.errors import InputError
 from taccel_lab.interop.taxim_table import TaximTable
@@ -52,8 +52,8 @@ class Spread:
     fit_count: int
 
 
-@dataclass(frozen=True)
-class ColorCalibration:
+@dataclass(frozen=True, repr=False)
+class ColorCalibration(ResultSummary):
     """Result of ``calibrate_color``."""
 
     fit: ColorFit

@@ -14,6 +14,7 @@ from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.depth.curve import ContactPixels
+from taccel_lab.calibration.result import ResultSummary
 from taccel_lab.profile import DepthResponseBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 from taccel_lab.signals.depth_response import DepthResponse
@@ -40,8 +41,8 @@ class PressFigures:
     """Rise of the residuals' plane across the contact: a wrong centre, a tilt, or uneven light."""
 
 
-@dataclass(frozen=True)
-class DepthCalibration:
+@dataclass(frozen=True, repr=False)
+class DepthCalibration(ResultSummary):
     """Result of ``calibrate_depth``."""
 
     response: DepthResponse

@@ -23,7 +23,7 @@ from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
 from taccel_lab.calibration.markers.gel_view import GelView
 from taccel_lab.calibration.markers.track_figures import TrackFigures
 from taccel_lab.calibration.markers.tracks import MarkerTracks
-from taccel_lab.calibration.result import Estimate
+from taccel_lab.calibration.result import Estimate, ResultSummary
 from taccel_lab.profile import MarkersBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 
@@ -38,8 +38,8 @@ class TrackedVideo:
     figures: TrackFigures
 
 
-@dataclass(frozen=True)
-class MarkerCalibration:
+@dataclass(frozen=True, repr=False)
+class MarkerCalibration(ResultSummary):
     """Dots at rest, their layout on the gel, and their motion."""
 
     source: str

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from taccel_lab.calibration.material.stiffness import Stiffness
-from taccel_lab.calibration.result import Estimate
+from taccel_lab.calibration.result import Estimate, ResultSummary
 from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.output import to_jsonable
@@ -40,8 +40,8 @@ class RecordFit(Protocol):
 GROUPS = ("slides", "damping")
 
 
-@dataclass(frozen=True)
-class MaterialCalibration:
+@dataclass(frozen=True, repr=False)
+class MaterialCalibration(ResultSummary):
     """Parameters that the captures determine; the others stay as they were."""
 
     source: str

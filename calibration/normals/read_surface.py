@@ -24,6 +24,7 @@ from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.normals import normals_from_height
 from taccel_lab.signals.read_heights import BAND_SIGMAS, read_heights
 from taccel_lab.signals.rest_surface import RestSurface, rest_surface
+from taccel_lab.summary import Summary
 
 MOSTLY = 0.5
 """Share of a larger pixel that has to count."""
@@ -45,8 +46,8 @@ CONTACT_SHARE = 0.1
 uncertain count as touched."""
 
 
-@dataclass(frozen=True)
-class SurfaceReading:
+@dataclass(frozen=True, repr=False)
+class SurfaceReading(Summary):
     """What one image shows."""
 
     height_m: np.ndarray
@@ -75,6 +76,20 @@ class SurfaceReading:
     sigma_of: SigmaOf | None = None
     """What ``height_sigma_m`` is that of: the absolute depth, or, with profiles of earlier versions
     that know no more, the reading alone; None where the profile tells none."""
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """How deep the gel is pressed, and by which model."""
+        deepest = np.unravel_index(int(np.argmin(self.rise_m)), self.rise_m.shape)
+        depth = f"{-1e3 * self.rise_m[deepest]:.4g}"
+        if self.height_sigma_m is not None:
+            depth += f" +- {1e3 * self.height_sigma_m[deepest]:.2g}"
+        height, width = self.rise_m.shape
+        light = "taken off" if self.drift_removed else "as it is"
+        return f"surface read from {self.method}", [
+            ("deepest", f"{depth} mm at ({deepest[1]}, {deepest[0]}) px"),
+            ("pixels", f"{width} x {height}"),
+            ("light", light),
+        ]
 
     def figures(self, grid: PixelGrid) -> dict[str, Any]:
         """Depth, place and size of what is pressed in, ready for JSON; ``grid`` is the maps'."""

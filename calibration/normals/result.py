@@ -15,14 +15,14 @@ from taccel_lab.calibration.normals.network_fit import InverseFit
 from taccel_lab.calibration.normals.reading_error import PracticeScore
 from taccel_lab.calibration.normals.samples import Scene
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
-from taccel_lab.calibration.result import mean_figures
+from taccel_lab.calibration.result import ResultSummary, mean_figures
 from taccel_lab.calibration.thickness.fit import GelThickness
 from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 
 
-@dataclass(frozen=True)
-class NormalCalibration:
+@dataclass(frozen=True, repr=False)
+class NormalCalibration(ResultSummary):
     """Result of ``calibrate_normals``."""
 
     fit: InverseFit

@@ -8,6 +8,7 @@ from typing import Any
 
 from taccel_lab.calibration.camera.pixel_grid import tactile_size, with_camera_block
 from taccel_lab.calibration.capture.folder import source_of
+from taccel_lab.calibration.result import ResultSummary
 from taccel_lab.calibration.scale.combine import CombinedAxis
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
 from taccel_lab.errors import InputError
@@ -19,8 +20,8 @@ STATED = "stated"
 """Method of a scale that is not measured: the captures say it."""
 
 
-@dataclass(frozen=True)
-class ScaleCalibration:
+@dataclass(frozen=True, repr=False)
+class ScaleCalibration(ResultSummary):
     """Scales by method, and what they give together."""
 
     source: str

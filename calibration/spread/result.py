@@ -16,6 +16,7 @@ import numpy as np
 
 from taccel_lab.calibration.light.drift import drift_spread
 from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.result import ResultSummary
 from taccel_lab.calibration.spread import remarks
 from taccel_lab.calibration.spread.units import UnitSpread
 from taccel_lab.errors import InputError
@@ -26,8 +27,8 @@ FEW = 5
 """Below this many frames or units a standard deviation is off by a third or more."""
 
 
-@dataclass(frozen=True)
-class SpreadCalibration:
+@dataclass(frozen=True, repr=False)
+class SpreadCalibration(ResultSummary):
     """A perturbation block with what it rests on."""
 
     frame_drifts: tuple[Light, ...]

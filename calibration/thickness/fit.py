@@ -33,7 +33,7 @@ Origin = Literal["assumed", "published", "stated", "fitted"]
 NAME = "thickness_mm"
 LAW_SIGMA = float(np.log(1.25)) / 2
 """By what a layer of small strains without friction misjudges the logarithm of a thickness: finite
-elements of 2 to 8 mm under balls of 2 to 3 mm are told 0.81 to 1.08 of it, the lower the deeper
+elements of 2 to 8 mm under balls of 2 to 3 mm read as 0.81 to 1.08 of it, the lower the deeper
 they are pressed, up to half the thickness."""
 FLAT = float(np.cos(np.radians(5.0)))
 """Cosine of the tilt up to which a face at rest is as good as flat."""

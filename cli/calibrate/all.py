@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,16 +46,22 @@ class CalibrateAll(CalibrationFiles):
         console = notes()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
-        unfinished = report.with_name(f"{report.name}_unfinished")
-        with stage_progress(console) as progress:
-            found = calibrate(
-                self.captures,
-                self.base,
-                self.only,
-                self._options(),
-                progress=progress,
-                unfinished=unfinished,
-            )
+        beside = Path(os.path.abspath(report))  # "." has no name of its own.
+        unfinished = beside.with_name(f"{beside.name}_unfinished")
+        try:
+            with stage_progress(console) as progress:
+                found = calibrate(
+                    self.captures,
+                    self.base,
+                    self.only,
+                    self._options(),
+                    progress=progress,
+                    unfinished=unfinished,
+                )
+        except KeyboardInterrupt:
+            if unfinished.exists():
+                console.print(f"finished blocks are kept: the same command goes on in {unfinished}")
+            raise
         with working(console, "writing the reports"):
             found.write_report(report)
         found.save(self.out)

@@ -3,19 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
 from taccel_lab.report.figures_mesh import draw_mesh
 from taccel_lab.report.html import format_number
-from taccel_lab.report.mesh_view import mesh_view
+from taccel_lab.report.mesh_view import MeshView, mesh_view
 from taccel_lab.report.page import Page, Picture, Table
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.report import figures, figures_curves, figures_designs, figures_effects
+from taccel_lab.studies.report.sensitivity import Sensitivity
 from taccel_lab.studies.report.values import report_values, sensitivities
 from taccel_lab.studies.report.verdict import study_verdict
 from taccel_lab.studies.runner import Outcome
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_ROWS = 400
 """Rows of the page's table; the CSV has all."""
@@ -29,7 +33,7 @@ Values = dict[str, Any]
 
 def study_page(outcome: Outcome) -> Page:
     """The report of a study; pictures are drawn when it is written."""
-    values = report_values(outcome)
+    values, found = report_values(outcome), sensitivities(outcome)
     verdict = study_verdict(outcome, values)
     values["verdict"] = {
         "good": verdict.good,
@@ -44,7 +48,7 @@ def study_page(outcome: Outcome) -> Page:
     tables = (
         _compared(outcome, values),
         _measured(values),
-        _effects(outcome, values),
+        _effects(outcome, values, found),
         _failures(values),
         _gaps(values),
         _designs(values),
@@ -57,7 +61,7 @@ def study_page(outcome: Outcome) -> Page:
         summary=" ".join((about, *verdict.sentences)),
         remarks=verdict.remarks,
         tables=[table for table in tables if table is not None],
-        pictures=tuple(_pictures(outcome, values)),
+        pictures=tuple(_pictures(outcome, values, found)),
         figures=values,
         headline=verdict.headline,
     )
@@ -133,11 +137,11 @@ def _range(ends: tuple[float, float]) -> str:
     return f"{format_number(ends[0])} to {format_number(ends[1])}"
 
 
-def _effects(outcome: Outcome, values: Values) -> Table | None:
+def _effects(outcome: Outcome, values: Values, found: dict[str, Sensitivity]) -> Table | None:
     if len(outcome.done) < 2:
         return None
     rows = []
-    for name, item in sensitivities(outcome).items():
+    for name, item in found.items():
         cells = []
         for parameter in values["parameters"]:
             effect = item.effects[parameter]
@@ -280,14 +284,17 @@ def _cost(values: Values) -> Table:
     return Table("Cost", ("figure", "value"), rows, caption, folded=True)
 
 
-def _pictures(outcome: Outcome, values: Values) -> Iterator[Picture]:
+def _picture(
+    name: str, draw: Callable[[], Figure | bytes], caption: str, view: MeshView | None = None
+) -> Picture:
+    return Picture(f"{FIGURES}/{name}", draw, caption, view)
+
+
+def _pictures(outcome: Outcome, values: Values, found: dict[str, Sensitivity]) -> Iterator[Picture]:
     """Every figure that there is something to show in."""
 
-    def picture(name: str, draw: Any, caption: str, **more: Any) -> Picture:
-        return Picture(f"{FIGURES}/{name}", draw, caption, **more)
-
     if values["measured"]:
-        yield picture(
+        yield _picture(
             "measured",
             lambda: figures_curves.draw_measured(values["measured"]),
             "Measured forces from the fitted touch on. Blue: the simulated curve times one modulus "
@@ -295,27 +302,29 @@ def _pictures(outcome: Outcome, values: Values) -> Iterator[Picture]:
             "leave open.",
         )
     if figures_curves.tool_curves(outcome):
-        yield picture(
+        yield _picture(
             "force_depth",
             lambda: figures_curves.draw_tools(outcome, contact=False),
             "Force over depth. report.json has the numbers.",
         )
     if figures_curves.has_contacts(outcome):
-        yield picture(
+        yield _picture(
             "contact_force",
             lambda: figures_curves.draw_tools(outcome, contact=True),
             "Diameter of the disc of the contact's area over the force.",
         )
     if len(outcome.done) >= 2:
-        yield from _trade_offs(outcome, values, picture)
-    yield from _ends_pictures(outcome, values, picture)
+        yield from _trade_offs(outcome, values, found)
+    yield from _ends_pictures(outcome, values)
 
 
-def _trade_offs(outcome: Outcome, values: Values, picture: Any) -> Iterator[Picture]:
+def _trade_offs(
+    outcome: Outcome, values: Values, found: dict[str, Sensitivity]
+) -> Iterator[Picture]:
     pareto = values["pareto"]
     if pareto is not None:
         best, worst, front = values["best"], values["worst"], pareto["first_designs"]
-        yield picture(
+        yield _picture(
             "pareto",
             lambda: figures.draw_pareto(outcome, front, best, worst),
             "The first two metrics. On the orange line nothing gets better in one without getting "
@@ -324,18 +333,17 @@ def _trade_offs(outcome: Outcome, values: Values, picture: Any) -> Iterator[Pict
             f"{', '.join(pareto['metrics'])}.",
         )
         if len(pareto["metrics"]) > 2:
-            yield picture(
+            yield _picture(
                 "pairs",
                 lambda: figures.draw_pairs(outcome),
                 "Metrics in pairs, each with its own front.",
             )
-        yield picture(
+        yield _picture(
             "parallel",
             lambda: figures.draw_parallel(outcome, front, best),
             "One line a design. Metrics are turned so that better is up; parameters grow upwards.",
         )
-    found = sensitivities(outcome)
-    yield picture(
+    yield _picture(
         "sensitivities",
         lambda: figures_effects.draw_sensitivities(outcome, found),
         "Elasticities of each metric to each parameter; grey cells have none.",
@@ -347,37 +355,37 @@ def _trade_offs(outcome: Outcome, values: Values, picture: Any) -> Iterator[Pict
         if values["sweep"]["kind"] == "grid"
         else "Each design is a dot."
     )
-    yield picture("effects", lambda: figures_effects.draw_effects(outcome, found), effects)
+    yield _picture("effects", lambda: figures_effects.draw_effects(outcome, found), effects)
     if figures_effects.has_maps(outcome):
-        yield picture(
+        yield _picture(
             "maps",
             lambda: figures_effects.draw_maps(outcome),
             "Metrics over the two parameters. Grey: no figure.",
         )
 
 
-def _ends_pictures(outcome: Outcome, values: Values, picture: Any) -> Iterator[Picture]:
+def _ends_pictures(outcome: Outcome, values: Values) -> Iterator[Picture]:
     ends = _ends(outcome, values)
     for word, row in ends:
         name = row.files.get("picture")
         path = outcome.folder.root / name if name else None
         if path is not None and path.is_file():
             caption = f"{word}: {values['names'][row.id]}, the gel under its first press."
-            yield picture(word.replace(" ", "_"), path.read_bytes, caption)
+            yield _picture(word.replace(" ", "_"), path.read_bytes, caption)
     best = [row for word, row in ends if word.startswith("best")]
     worst = [row for word, row in ends if word.startswith("worst")]
     if len(outcome.done) >= 2 and figures_designs.drawn_presses(outcome, [*best, *worst]):
-        yield picture(
+        yield _picture(
             "curves",
             lambda: figures_designs.draw_curves(outcome, best, worst),
             "Force over depth in each press, over the sideways motion there and back in a press "
             "with shear. Of several places or indenters the first.",
         )
     if ends:
-        yield from _gel(values, *ends[0], picture)
+        yield from _gel(values, *ends[0])
 
 
-def _gel(values: Values, word: str, row: DesignRow, picture: Any) -> Iterator[Picture]:
+def _gel(values: Values, word: str, row: DesignRow) -> Iterator[Picture]:
     """The untouched gel of a design, at the resolution of profiles; of one alone, as a view is some
     100 KB."""
     from taccel_lab.cad.mesh.gel_mesh import gel_mesh
@@ -389,4 +397,4 @@ def _gel(values: Values, word: str, row: DesignRow, picture: Any) -> Iterator[Pi
         return
     parts = mesh.nodes_m, mesh.faces, mesh.face_regions
     caption = f"The untouched gel of {values['names'][row.id]} ({word}), faces by region."
-    yield picture("gel", lambda: draw_mesh(*parts), caption, view=mesh_view(*parts))
+    yield _picture("gel", lambda: draw_mesh(*parts), caption, view=mesh_view(*parts))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def step_progress(console: Console, title: str) -> Iterator[Told]:
-    """Yield what is told of each step, and draws it."""
+    """Yield a callback that draws each step."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (

@@ -121,17 +121,18 @@ def test_the_same_call_goes_on_after_a_kill(
         found = calibrate(captures, only=only, unfinished=kept)
     assert [o.state for o in found.blocks] == [State.DONE, State.DONE]
     whole_run = calibrate(captures, only=only)
-    assert found.profile.perturbation is not None and whole_run.profile.perturbation is not None
-    made = [
-        profile.perturbation.model_dump(exclude={"provenance"})
-        for profile in (found.profile, whole_run.profile)
-    ]
+    made = []
+    for profile in (found.profile, whole_run.profile):
+        assert profile.perturbation is not None
+        made.append(profile.perturbation.model_dump(exclude={"provenance"}))
     assert made[0] == made[1]
     np.testing.assert_array_equal(found.profile.background_rgb, whole_run.profile.background_rgb)
     found.write_report(tmp_path / "report")
     assert (tmp_path / "report" / "background" / "report.html").is_file()
     with pytest.raises(InputError, match="no result of background: done, "):
         _ = found.background
+    text = repr(found.spread)
+    assert text.startswith("SpreadCalibration\n  verdict") and len(text.splitlines()) < 14
     # Other captures begin anew.
     (captures / "p0.png").touch()
     with monkeypatch.context() as patch:
@@ -141,6 +142,15 @@ def test_the_same_call_goes_on_after_a_kill(
     assert found.unfinished is not None
     found.unfinished.remove()
     assert not kept.exists()
+
+
+def test_captures_that_calibrate_nothing_leave_nothing(
+    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replace_fit(monkeypatch, "background", refuse)
+    with pytest.raises(InputError, match="nothing could be calibrated"):
+        calibrate(captures, only=("background",), unfinished=tmp_path / "kept")
+    assert not (tmp_path / "kept").exists()
 
 
 def test_files_of_somebody_else_stop_a_kept_calibration(captures: Path, tmp_path: Path) -> None:

@@ -49,6 +49,26 @@ def test_profile_and_reports_are_written(captures: Path, tmp_path: Path, cli: Cl
     assert (report / "background" / "report.html").is_file()
     assert (report / "report.html").is_file()
     assert not list(tmp_path.glob(".*"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["captures", "unit", "unit_report"]
+
+
+def test_the_report_may_be_the_folder_one_is_in(
+    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
+) -> None:
+    def kill(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    words = [captures, "--out", tmp_path / "unit", "--report", ".", "--only"]
+    blocks = tuple(replace(b, verb=kill) if b.name == "spread" else b for b in BLOCKS)
+    with monkeypatch.context() as patch:
+        patch.setattr("taccel_lab.calibration.calibrate.BLOCKS", blocks)
+        told = cli("calibrate all", *words, "background", "spread", code=130).err
+    assert "finished blocks are kept" in told and "here_unfinished" in told.replace("\n", "")
+    cli("calibrate all", *words, "background", "spread")
+    assert (tmp_path / "here" / "background" / "report.html").is_file()
+    assert not (tmp_path / "here_unfinished").exists()
 
 
 def test_a_block_that_refuses_ends_with_1(
@@ -67,7 +87,7 @@ def test_a_block_that_refuses_ends_with_1(
 def test_nothing_to_do_writes_nothing(captures: Path, tmp_path: Path, cli: Cli) -> None:
     words = [captures, "--out", tmp_path / "unit", "--only", "markers"]
     assert "nothing could be calibrated" in cli.refusal("calibrate all", *words)
-    assert not (tmp_path / "unit").exists() and not (tmp_path / "unit_report").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["captures"]
 
 
 # Color -------------------------------------------------------------------------------------------

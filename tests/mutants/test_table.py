@@ -17,7 +17,7 @@ def test_every_fault_can_be_planted() -> None:
     assert {fault.kind for fault in faults} == set(KINDS)
     for fault in faults:
         assert fault.planted(ROOT)
-        assert any((ROOT / tests).exists() for tests in fault.tests), fault.id
+        assert all((ROOT / tests).exists() for tests in fault.tests), fault.id
 
 
 @pytest.mark.parametrize(("claim", "noticed"), [("two() == 2", True), ("two() < 5", False)])
