@@ -37,6 +37,6 @@ if [ $# -gt 0 ]; then
     PATH="$work/venv/bin:$PATH" "$@"
 else
     taccel demo --out demo --quiet
-    test -s demo/report.html
+    test -s demo/report/report.html
 fi
 echo "the wheel works on $("$python" --version)"
