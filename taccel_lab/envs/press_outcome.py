@@ -18,7 +18,7 @@ from taccel_lab.envs.press_states import PressStates
 from taccel_lab.envs.press_surface import PressSurface, press_surface
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import QuadraticMesh, TetMesh
-from taccel_lab.ipc.potentials.inversion import smallest_ratios
+from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import Material, MaterialField
 from taccel_lab.signals.rest_surface import RestSurface

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.affine.orthogonality import affine_map
-from taccel_lab.ipc.svd import signed_svd_3x3
+from taccel_lab.ipc.affine.rigidity import affine_map
+from taccel_lab.ipc.device.matrices import signed_svd_3x3
 from taccel_lab.model import Model
 from taccel_lab.model.turns import in_turn
 from taccel_lab.state import State, check_state

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 
 import warp as wp
 
-from taccel_lab.ipc.capacity import ListRoom, overflows
+from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
-from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.motion import begin_rhs, newton_system, newton_systems, spread_solution
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
+from taccel_lab.ipc.motion.unknowns import begin_rhs, newton_system, newton_systems, spread_solution
 from taccel_lab.model.kinematics import turn_within
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import EnvProgress, Rules, lower_flags

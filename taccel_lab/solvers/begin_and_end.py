@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.motion import measure_velocities
-from taccel_lab.ipc.potentials.inversion import find_inversions
+from taccel_lab.ipc.motion.unknowns import measure_velocities
+from taccel_lab.ipc.potentials.elements.inversion import find_inversions
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import chord_error, turn_between

@@ -12,7 +12,7 @@ import math
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.lanes import lane_count
+from taccel_lab.ipc.device.launches import lane_count
 from taccel_lab.model import Model
 from taccel_lab.state import State
 

@@ -11,7 +11,7 @@ import pytest
 
 from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, PressPath, PressPhysics, parse_indenter
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.solvers import EnvStatus, SolverConfig
 from tests.support.coarse_pads import GEL, LINEAR, pad
 

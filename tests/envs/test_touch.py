@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.envs import parse_indenter
 from taccel_lab.envs.touch import first_touch_m
-from taccel_lab.ipc.gaps import point_triangle_distances
+from taccel_lab.ipc.contact.gaps import point_triangle_distances
 from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh
 
 DOME_M = 50e-3

@@ -20,10 +20,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.affine.orthogonality import affine_map
-from taccel_lab.ipc.lanes import lane_count, launch
-from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
-from taccel_lab.ipc.trial import Trial, put_node, straight
+from taccel_lab.ipc.affine.rigidity import affine_map
+from taccel_lab.ipc.device.launches import lane_count, launch
+from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_total
+from taccel_lab.ipc.motion.trial import Trial, put_node, straight
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import Embedded, embedded, embedded_count, embedded_node
 

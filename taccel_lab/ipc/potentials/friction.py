@@ -8,30 +8,30 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.barrier import contact_potential_d1
-from taccel_lab.ipc.capacity import ListRoom, list_end, move_entries
-from taccel_lab.ipc.collision_lists import (
+from taccel_lab.ipc.contact.barrier import contact_potential_d1
+from taccel_lab.ipc.contact.collision_lists import (
     CollisionLists,
     ContactGeometry,
     closest_pair,
     collision_gap,
 )
-from taccel_lab.ipc.collisions import Collisions
-from taccel_lab.ipc.distance.derivatives import pair_normal
-from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_cross_sq, edge_edge_mollifier
-from taccel_lab.ipc.friction import (
+from taccel_lab.ipc.contact.collisions import Collisions
+from taccel_lab.ipc.contact.friction import (
     friction_gradient,
     friction_hessian,
     friction_potential,
     relative_displacement,
     tangential,
+    way_in,
 )
-from taccel_lab.ipc.lanes import lane_count, launch
-from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.device.launches import lane_count, launch
+from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end, move_entries
+from taccel_lab.ipc.device.sums import ReproducibleSums, SumStage, add_vector
+from taccel_lab.ipc.distance.derivatives import pair_normal
+from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_cross_sq, edge_edge_mollifier
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import EnergyTerm
-from taccel_lab.ipc.reproducible_sums import ReproducibleSums, SumStage, add_vector
-from taccel_lab.ipc.stencil_rows import STENCIL_THREADS, add_weighted_block, row_parts
-from taccel_lab.ipc.touching import way_in
+from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS, add_weighted_block, row_parts
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
@@ -44,7 +44,7 @@ class FrozenContacts:
     room: where those of each environment are: as in the list that they were frozen from.
     stencils: nodes, [capacity] as all below. weights: of the nodes in the relative motion of both
     sides. normals: unit. mu_lambdas: friction coefficient times normal force [N], signed. ways_in:
-    relative motion since the start of the step that is no sliding [m], see ``touching``.
+    relative motion since the start of the step that is no sliding [m], see ``contact.friction``.
     """
 
     room: ListRoom

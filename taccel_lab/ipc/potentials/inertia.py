@@ -25,7 +25,7 @@ import math
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.carried import add_carried_inertia
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
