@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where nodes are part of the way ahead: those that go straight, and what all others share.
 
-What a frame carries (``kinematic_nodes``) and affine bodies (``affine.bent_step``) go other ways. Each
-of the three places its own nodes and reads none of the others', so that they run side by side.
+What a frame carries (``kinematic_nodes``) and affine bodies (``affine.bent_step``) go other ways.
+Each of the three places its own nodes and reads none of the others', so that they run side by side.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ and through the sliding since the start of the step. What is differentiated here
 
     f_i = w_i mu lambda(x) f1(|u|) / |u| u,   u = (I - n n^T)(sum_i w_i (x_i - before_i) - way_in),
 
-in which lambda, w, n and the way in (``contact.friction``) are functions of the positions. Its derivative
-is not symmetric: sliding pulls across what pressing stiffens.
+in which lambda, w, n and the way in (``contact.friction``) are functions of the positions. Its
+derivative is not symmetric: sliding pulls across what pressing stiffens.
 
 Closest points slide by s_a = -(t_a . dr + d n . sum_j c_aj dx_j) along the free tangents of a pair
 (``distance.derivatives``, with dr = sum_j w_j dx_j), which makes dw_i = sum_a s_a c_ai and
