@@ -31,7 +31,7 @@ class _Mounts:
 
 
 @wp.kernel
-def _frames_kernel(
+def _gel_frames_kernel(
     m: _Mounts,
     control_starts: wp.array(dtype=wp.int32),
     lengths: wp.array(dtype=wp.float64),
@@ -95,7 +95,7 @@ class GelFrames:
         affine = model.affine
         if result.size:
             wp.launch(
-                _frames_kernel,
+                _gel_frames_kernel,
                 dim=shape,
                 inputs=[self._mounts, affine.control_starts, affine.lengths]
                 + [state.positions, state.poses],

@@ -26,7 +26,7 @@ _SKIPPED = wp.constant(int(EnvStatus.SKIPPED))
 
 
 @wp.kernel
-def _begin_kernel(
+def _begin_step_kernel(
     poses: wp.array2d(dtype=wp.transformd),
     end_poses: wp.array2d(dtype=wp.transformd),
     start_poses: wp.array2d(dtype=wp.transformd),
@@ -163,7 +163,7 @@ def begin_step(run: StepLaunches) -> None:
     s, state, p = run.s, run.state, run.p
     s.rows.read(p.reads)
     poses = [state.poses, s.end_poses, s.start_poses, s.origin_poses]
-    run.decide(_begin_kernel, *poses, p, run.rules)
+    run.decide(_begin_step_kernel, *poses, p, run.rules)
     wp.launch(
         _begin_nodes_kernel,
         dim=state.positions.shape,

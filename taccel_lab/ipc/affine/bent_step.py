@@ -183,7 +183,7 @@ def bent_controls(
 
 
 @wp.kernel
-def _place_kernel(
+def _place_affine_kernel(
     turns: wp.array(dtype=wp.float64),
     smallest: wp.float64,
     lanes: int,
@@ -275,7 +275,7 @@ def place_affine(model: Model, turns: wp.array, pivots: wp.array, trial: Trial) 
     most = max(end - start for start, end in ranges) + len(affine.carried)
     lanes = lane_count(model.device, model.env_count, most)
     launch(
-        _place_kernel,
+        _place_affine_kernel,
         dim=(model.env_count, affine.count, lanes),
         inputs=[turns, SMALLEST_TURN, lanes, affine.control_starts, affine.lengths]
         + [affine.have_joints, pivots, embedded(model), trial],

@@ -79,7 +79,7 @@ def _column(m: wp.mat33d, k: int) -> wp.vec3d:
 
 
 @wp.kernel
-def _predict_kernel(
+def _predict_affine_kernel(
     active: wp.array(dtype=wp.int32),
     control_starts: wp.array(dtype=wp.int32),
     lengths: wp.array(dtype=wp.float64),
@@ -133,7 +133,7 @@ def predict_affine(
     affine = model.affine
     bends.zero_()
     launch(
-        _predict_kernel,
+        _predict_affine_kernel,
         dim=(model.env_count, affine.count),
         inputs=[active, affine.control_starts, affine.lengths, model.masses, inertial]
         + [contact_forces, len(model.scene.soft_bodies), int(bool(model.scene.joints))],

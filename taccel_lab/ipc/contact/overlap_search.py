@@ -107,7 +107,7 @@ def half_solid_angle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.f
 
 
 @wp.kernel
-def _begin_kernel(
+def _begin_overlaps_kernel(
     mask: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     searched: wp.array(dtype=wp.int32),
@@ -195,7 +195,7 @@ def _inside_kernel(
 
 
 @wp.kernel
-def _ball_kernel(
+def _ball_overlaps_kernel(
     searched: wp.array(dtype=wp.int32),
     jobs: wp.array(dtype=wp.vec2i),
     face_reaches_sq: wp.array2d(dtype=wp.float64),
@@ -309,7 +309,7 @@ class OverlapSearch:
         x = state.positions
         self._found.zero_()
         wp.copy(self._searched, mask)
-        self._launch(_begin_kernel, x.shape[1], [mask, x], self._searched)
+        self._launch(_begin_overlaps_kernel, x.shape[1], [mask, x], self._searched)
         bodies = self._bodies
         find_body_boxes(self._searched, self._body_nodes, x, None, bodies.lower, bodies.upper)
         rest = [bodies, x]
@@ -325,7 +325,7 @@ class OverlapSearch:
                 device=model.device,
             )
         inputs = [self._searched, plan.ball_face, surface.face_reaches_sq, self._radii, *rest]
-        self._launch(_ball_kernel, len(plan.ball_face), inputs, self._found)
+        self._launch(_ball_overlaps_kernel, len(plan.ball_face), inputs, self._found)
         inputs = [self._searched, plan.node_plane, surface.plane_normals, *rest]
         self._launch(_plane_kernel, len(plan.node_plane), inputs, self._found)
         return self._found

@@ -123,7 +123,7 @@ def _clear_kernel(
 
 
 @wp.kernel
-def _move_kernel(
+def _move_entries_kernel(
     lanes: int,
     counts: wp.array(dtype=wp.int32),
     old_starts: wp.array(dtype=wp.int32),
@@ -157,7 +157,7 @@ def move_entries(
     if len(old) and end:
         lanes = lane_count(old.device, len(counts), len(old))
         wp.launch(
-            _move_kernel,
+            _move_entries_kernel,
             dim=(len(counts), lanes),
             inputs=[lanes, counts, old_starts, starts, _words(old)],
             outputs=[_words(new)],

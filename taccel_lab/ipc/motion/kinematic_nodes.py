@@ -66,7 +66,7 @@ def carried(env: int, node: int, pose: wp.transformd, m: FrameMotion) -> wp.vec3
 
 
 @wp.kernel
-def _aim_kernel(
+def _aim_nodes_kernel(
     active: wp.array(dtype=wp.int32),
     moving: wp.array(dtype=wp.int32),
     m: FrameMotion,
@@ -155,7 +155,9 @@ class FrameNodes:
         that are written to ``targets``.
         """
         inputs = [active, moving]
-        self._launch(_aim_kernel, path, fractions, targets, inputs, [positions, displacements])
+        self._launch(
+            _aim_nodes_kernel, path, fractions, targets, inputs, [positions, displacements]
+        )
 
     def place(
         self,

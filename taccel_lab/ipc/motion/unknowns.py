@@ -92,7 +92,7 @@ def _velocity_kernel(
 
 
 @wp.kernel
-def _negate_kernel(
+def _begin_rhs_kernel(
     active: wp.array(dtype=wp.int32),
     reduced: wp.array2d(dtype=wp.vec3d),
     keep: int,
@@ -273,7 +273,7 @@ def begin_rhs(
     """rhs = -reduced [N], zero in environments that are not active; or with ``keep`` rhs -= reduced
     in the active ones."""
     launch(
-        _negate_kernel,
+        _begin_rhs_kernel,
         dim=rhs.shape,
         inputs=[active, reduced, int(keep)],
         outputs=[rhs],

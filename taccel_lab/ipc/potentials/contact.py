@@ -134,7 +134,7 @@ def contact_energy(
 
 
 @wp.kernel
-def _energy_kernel(
+def _contact_energy_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
     lists: CollisionLists,
@@ -172,7 +172,7 @@ def add_contact_gradient(
 
 
 @wp.kernel
-def _gradient_kernel(
+def _contact_gradient_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
     lists: CollisionLists,
@@ -236,7 +236,7 @@ def add_contact_hessian(
 
 
 @wp.kernel
-def _hessian_kernel(
+def _contact_hessian_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
     lists: CollisionLists,
@@ -287,14 +287,16 @@ class ContactPotential(EnergyTerm):
         c = self.collisions
         if len(self.energies) != c.capacity:
             self.energies = wp.zeros(c.capacity, dtype=wp.float64, device=self.model.device)
-        self._launch(_energy_kernel, active, positions, [self.energies])
+        self._launch(_contact_energy_kernel, active, positions, [self.energies])
 
     def add_gradient(
         self, active: wp.array, positions: wp.array, gradient: wp.array, min_distance: wp.array
     ) -> None:
         """Add d energy / dx [N] of all nodes, soft and kinematic, and lower the minimum gap [m]."""
         for stage in self._sums.stages():
-            self._launch(_gradient_kernel, active, positions, [gradient, min_distance, stage])
+            self._launch(
+                _contact_gradient_kernel, active, positions, [gradient, min_distance, stage]
+            )
 
     def add_hessian(
         self, active: wp.array, positions: wp.array, system: NewtonSystem, modes: wp.array
@@ -304,7 +306,7 @@ class ContactPotential(EnergyTerm):
         lanes = lane_count(m.device, m.env_count, c.largest_room)
         parts = row_parts(m.device, m.env_count, lanes)
         launch(
-            _hessian_kernel,
+            _contact_hessian_kernel,
             dim=(m.env_count, lanes, parts),
             inputs=[active, lanes, c.lists, c.geometry, positions, modes, parts, system],
             device=m.device,

@@ -133,7 +133,7 @@ def _solve_kernel(room: int) -> Any:
     address = address_of_tile(room)
 
     @wp.kernel(grid_stride=False, launch_bounds=(512, 1), module="unique", enable_backward=False)
-    def solve_kernel(
+    def block_cg_kernel(
         lanes: int,
         stages: int,
         active: wp.array(dtype=wp.int32),
@@ -247,7 +247,7 @@ def _solve_kernel(room: int) -> Any:
         if lane == 0:
             report_solve(env, state, iterations, residuals, breakdowns)
 
-    return solve_kernel
+    return block_cg_kernel
 
 
 class BlockCG:

@@ -178,7 +178,7 @@ def _solve_kernel(room: int) -> Any:
     address = address_of_tile(room)
 
     @wp.kernel(grid_stride=False, launch_bounds=(512, 1), module="unique", enable_backward=False)
-    def solve_kernel(
+    def pipelined_kernel(
         lanes: int,
         stages: int,
         most_blocks: int,
@@ -324,7 +324,7 @@ def _solve_kernel(room: int) -> Any:
         if block == 0 and lane == 0:
             report_solve(env, state, iterations, residuals, breakdowns)
 
-    return solve_kernel
+    return pipelined_kernel
 
 
 class PipelinedCG:

@@ -109,7 +109,7 @@ def _inverse_kernel(room: int) -> Any:
     address = address_of_tile(room)
 
     @wp.kernel(grid_stride=False, module="unique", enable_backward=False)
-    def invert_kernel(
+    def invert_clusters_kernel(
         lanes: int,
         blocks: int,
         active: wp.array(dtype=wp.int32),
@@ -140,7 +140,7 @@ def _inverse_kernel(room: int) -> Any:
                 stores[env, span[2] + e] = -get_symmetric(memory, i, e - width * i)
             block_barrier()
 
-    return invert_kernel
+    return invert_clusters_kernel
 
 
 # Written out in C++: arrays of Warp carry strides, which cost registers and multiplications here.

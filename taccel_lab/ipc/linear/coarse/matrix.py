@@ -158,7 +158,7 @@ def _inverse_kernel(room: int) -> Any:
         module="unique",
         enable_backward=False,
     )
-    def invert_kernel(
+    def invert_parts_kernel(
         lanes: int,
         active: wp.array(dtype=wp.int32),
         renewed: wp.array(dtype=wp.int32),
@@ -189,7 +189,7 @@ def _inverse_kernel(room: int) -> Any:
                 value = -get_symmetric(memory, i, e - width * i)
             inverses[env, e] = value
 
-    return invert_kernel
+    return invert_parts_kernel
 
 
 class CoarseCorrection:

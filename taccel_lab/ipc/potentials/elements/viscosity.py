@@ -82,7 +82,7 @@ def _linear_start_kernel(
 
 
 @wp.kernel
-def _linear_energy_kernel(
+def _viscous_energy_kernel(
     active: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     d: ElementData,
@@ -99,7 +99,7 @@ def _linear_energy_kernel(
 
 
 @wp.kernel
-def _linear_gradient_kernel(
+def _viscous_gradient_kernel(
     active: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     d: ElementData,
@@ -121,7 +121,7 @@ def _linear_gradient_kernel(
 
 
 @wp.kernel
-def _linear_hessian_kernel(
+def _viscous_hessian_kernel(
     active: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     d: ElementData,
@@ -245,7 +245,7 @@ def _quadratic_kernels() -> ElementKernels:
     )
 
 
-_LINEAR = ElementKernels(_linear_energy_kernel, _linear_gradient_kernel, _linear_hessian_kernel)
+_LINEAR = ElementKernels(_viscous_energy_kernel, _viscous_gradient_kernel, _viscous_hessian_kernel)
 
 
 class ViscousPotential(ElementSum):
