@@ -65,7 +65,7 @@ class Finding:
 
 def measure(scene: str) -> dict[str, Any]:
     """The figures of one scene."""
-    from taccel_lab.ipc.intersection import find_intersections
+    from taccel_lab.ipc.contact.intersection import find_intersections
 
     count = STEPS[scene]
     bench = build_scene(scene, SceneOptions(source="generated"))

@@ -16,7 +16,7 @@ import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.scenes.base import RESIDUAL_N, RESIDUAL_RATIO, BenchScene
-from taccel_lab.ipc.start_checks import check_start
+from taccel_lab.ipc.contact.start_checks import check_start
 from taccel_lab.model import Model
 from taccel_lab.outputs.soft_wrenches import SoftWrenchReader
 from taccel_lab.progress import Progress, silent

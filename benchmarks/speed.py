@@ -135,7 +135,7 @@ def measure(scene: str, chosen: SceneOptions, options: Speed, deadline: Deadline
         "notes": dict(bench.notes),
     }
     if options.check:
-        from taccel_lab.ipc.intersection import find_intersections
+        from taccel_lab.ipc.contact.intersection import find_intersections
 
         found = find_intersections(runner.model, runner.state)
         row["intersections"] = sum(len(env) for env in found)

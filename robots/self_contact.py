@@ -110,7 +110,7 @@ def overlapping(scene: Scene, poses: np.ndarray, parts: Sequence[Part]) -> Pairs
 
     ``poses``: of its kinematic bodies, [1, body, 7].
     """
-    from taccel_lab.ipc.intersection import find_intersections
+    from taccel_lab.ipc.contact.intersection import find_intersections
     from taccel_lab.state import initial_state
 
     model = scene.finalize("cpu")

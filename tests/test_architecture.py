@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -134,6 +135,17 @@ def test_public_names_exist() -> None:
 
 
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+
+
+def kernels_of(path: Path) -> list[str]:
+    """Names of the kernels that a file defines, also inside of functions."""
+    return re.findall(r"@wp\.kernel.*\n *def (\w+)", path.read_text(encoding="utf-8"))
+
+
+def test_a_profiler_can_tell_every_kernel_from_the_others() -> None:
+    names = Counter(name for path in SOURCES for name in kernels_of(path))
+    assert len(names) > 200
+    assert not [name for name, count in names.items() if count > 1]
 
 
 def table_of(heading: str) -> list[list[str]]:

@@ -20,16 +20,17 @@ from typing import Any
 import pytest
 import warp as wp
 
+from taccel_lab.ipc.device.block_ops import MAX_LANES
+from taccel_lab.ipc.device.dense_inverse import room_for_inverse
 from taccel_lab.ipc.elasticity.laws import LAWS
-from taccel_lab.ipc.linear import block_cg, coarse_matrix, pipelined_cg, preconditioner
-from taccel_lab.ipc.linear.arrow_kernel import solve_kernel
-from taccel_lab.ipc.linear.arrow_program import ROOMS_KIB, STATIC_BYTES
-from taccel_lab.ipc.linear.block_ops import MAX_LANES
-from taccel_lab.ipc.linear.dense_inverse import room_for_inverse
-from taccel_lab.ipc.linear.streamed_rows import room_for_stream
-from taccel_lab.ipc.potentials import viscosity
-from taccel_lab.ipc.potentials.linear_kernels import create_linear_kernels
-from taccel_lab.ipc.potentials.quadratic_points import elastic_quadratic_kernels
+from taccel_lab.ipc.linear.arrow.kernel import solve_kernel
+from taccel_lab.ipc.linear.arrow.program import ROOMS_KIB, STATIC_BYTES
+from taccel_lab.ipc.linear.cg import block_cg, pipelined_cg, preconditioner
+from taccel_lab.ipc.linear.cg.streamed_rows import room_for_stream
+from taccel_lab.ipc.linear.coarse import matrix as coarse_matrix
+from taccel_lab.ipc.potentials.elements import viscosity
+from taccel_lab.ipc.potentials.elements.linear_kernels import create_linear_kernels
+from taccel_lab.ipc.potentials.elements.quadratic_points import elastic_quadratic_kernels
 from taccel_lab.outputs.stress import _stress_kernel
 from taccel_lab.scene import Element, MaterialModel
 from taccel_lab.signals.color_kernel import color_kernel
@@ -39,21 +40,23 @@ LARGEST_BLOCK_KIB = {80: 163, 86: 99, 89: 99, 90: 227, 100: 227, 120: 99}
 """Shared memory that a block may have, by chip [CUDA C++ Programming Guide, compute capabilities]:
 A100, RTX 30, RTX 40, H100 and H200, B200, RTX 50."""
 FACTORIES: dict[str, Callable[[], list[Any]]] = {
-    "ipc/linear/arrow_kernel.py": lambda: [solve_kernel(0, False)],
-    "ipc/linear/block_cg.py": lambda: [block_cg._solve_kernel(room_for_stream(MAX_LANES, 2))],
-    "ipc/linear/coarse_matrix.py": lambda: [
+    "ipc/linear/arrow/kernel.py": lambda: [solve_kernel(0, False)],
+    "ipc/linear/cg/block_cg.py": lambda: [block_cg._solve_kernel(room_for_stream(MAX_LANES, 2))],
+    "ipc/linear/coarse/matrix.py": lambda: [
         coarse_matrix._inverse_kernel(
             room_for_inverse(coarse_matrix.MOST_PARTS * coarse_matrix.MODES)
         )
     ],
-    "ipc/linear/pipelined_cg.py": lambda: [
+    "ipc/linear/cg/pipelined_cg.py": lambda: [
         pipelined_cg._solve_kernel(room_for_stream(MAX_LANES, 2))
     ],
-    "ipc/linear/preconditioner.py": lambda: [
+    "ipc/linear/cg/preconditioner.py": lambda: [
         preconditioner._inverse_kernel(room_for_inverse(preconditioner._COMMON_WIDTH))
     ],
-    "ipc/potentials/linear_kernels.py": lambda: [create_linear_kernels(x) for x in LAWS.values()],
-    "ipc/potentials/quadratic_kernels.py": lambda: [
+    "ipc/potentials/elements/linear_kernels.py": lambda: [
+        create_linear_kernels(x) for x in LAWS.values()
+    ],
+    "ipc/potentials/elements/quadratic_kernels.py": lambda: [
         *(elastic_quadratic_kernels(model) for model in MaterialModel),
         viscosity._quadratic_kernels(),
     ],
@@ -79,7 +82,7 @@ def texts() -> Iterator[tuple[str, str]]:
 
 FAST_CHIPS = (86, 90)
 """Of the linear solvers: the least shared memory, and the most."""
-CPU_ALONE = {"ipc/linear/ssor_cg.py"}
+CPU_ALONE = {"ipc/linear/cpu.py"}
 """Refused elsewhere; its C++ is a CPU compiler's."""
 FILES = [name for name, _ in texts() if name not in CPU_ALONE]
 LINEAR = [name for name in FILES if name.startswith("ipc/linear/")]
@@ -198,7 +201,7 @@ def test_linear_solvers_compile_for_the_least_and_the_most_shared_memory(arch: i
     """In the largest shared memory, and in global memory."""
     require_lean_factors(arch, [rooms_of(arch)[0], (0, False)])
     for name in LINEAR:
-        if name != "ipc/linear/arrow_kernel.py":
+        if name != "ipc/linear/arrow/kernel.py":
             require_lean_gradients(name, arch)
 
 
@@ -213,6 +216,6 @@ def test_kernels_compile_for_the_oldest(name: str) -> None:
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("arch", LARGEST_BLOCK_KIB)
 def test_everything_compiles_for_every_chip(arch: int) -> None:
-    for name in sorted({*FILES} - {"ipc/linear/arrow_kernel.py"}):
+    for name in sorted({*FILES} - {"ipc/linear/arrow/kernel.py"}):
         require_lean_gradients(name, arch, None)
     require_lean_factors(arch, rooms_of(arch))

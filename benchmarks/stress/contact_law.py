@@ -13,7 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.ipc.collision_lists import EDGE_EDGE, POINT_EDGE, POINT_PLANE, POINT_TRIANGLE
+from taccel_lab.ipc.contact.collision_lists import (
+    EDGE_EDGE,
+    POINT_EDGE,
+    POINT_PLANE,
+    POINT_TRIANGLE,
+)
 from taccel_lab.ipc.potentials.friction import FrozenContacts
 from taccel_lab.model import Model
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from taccel_lab.bodies.crossings import crossing_pairs
 from taccel_lab.bodies.primitives import Ball, unique_edges
-from taccel_lab.ipc.intersection import Intersection, IntersectionKind
+from taccel_lab.ipc.contact.intersection import Intersection, IntersectionKind
 from taccel_lab.model import Model
 from taccel_lab.scene import SoftBody
 

@@ -21,8 +21,8 @@ from taccel_lab.benchmarks.stress.contact_law import (
     friction_limits,
 )
 from taccel_lab.benchmarks.stress.crossings import really_cross
-from taccel_lab.ipc.gaps import SurfacePairs
-from taccel_lab.ipc.intersection import IntersectionKind, find_intersections
+from taccel_lab.ipc.contact.gaps import SurfacePairs
+from taccel_lab.ipc.contact.intersection import IntersectionKind, find_intersections
 from taccel_lab.ipc.potentials.friction import FrozenContacts
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs

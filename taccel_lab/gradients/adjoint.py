@@ -25,7 +25,7 @@ import warp as wp
 from taccel_lab.errors import InputError
 from taccel_lab.gradients.motion import GelMotion, MotionRecord
 from taccel_lab.gradients.rest_scale import RestScale
-from taccel_lab.ipc.potentials.contact_slopes import (
+from taccel_lab.ipc.potentials.contact_derivatives import (
     BEFORE,
     NOW,
     TURN_BEFORE,

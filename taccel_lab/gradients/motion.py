@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.potentials.contact_slopes import ContactSlopes, contact_slopes
+from taccel_lab.ipc.potentials.contact_derivatives import ContactSlopes, contact_slopes
 from taccel_lab.ipc.potentials.friction import step_motion
 from taccel_lab.model import Model
 from taccel_lab.scene import MaterialField

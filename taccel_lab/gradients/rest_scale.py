@@ -15,8 +15,8 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates
-from taccel_lab.ipc.collisions import Collisions
-from taccel_lab.ipc.potentials.contact_slopes import INSET, RANGE, THRESHOLD, ContactSlopes
+from taccel_lab.ipc.contact.collisions import Collisions
+from taccel_lab.ipc.potentials.contact_derivatives import INSET, RANGE, THRESHOLD, ContactSlopes
 from taccel_lab.model import Model
 from taccel_lab.solvers import SolverConfig
 

@@ -26,7 +26,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.kernel
-def _widen_kernel(source: wp.array(dtype=wp.float64), result: wp.array(dtype=wp.float64)):
+def _widen_rows_kernel(source: wp.array(dtype=wp.float64), result: wp.array(dtype=wp.float64)):
     i = wp.tid()
     result[i] = source[i % source.shape[0]]
 
@@ -128,7 +128,7 @@ def _scale_kernel(
 
 
 @wp.kernel
-def _friction_kernel(
+def _set_friction_kernel(
     mask: wp.array(dtype=wp.int32),
     given: wp.array2d(dtype=wp.float64),
     first: int,
@@ -145,7 +145,7 @@ def widened(shared: wp.array, shape: tuple[int, ...]) -> wp.array:
     """A copy of float64 with as many rows as ``shape`` says; ``shared`` has them or has one."""
     result = wp.empty(shape, dtype=wp.float64, device=shared.device)
     flat = [shared.flatten(), result.flatten()]
-    wp.launch(_widen_kernel, dim=result.size, inputs=flat, device=shared.device)
+    wp.launch(_widen_rows_kernel, dim=result.size, inputs=flat, device=shared.device)
     return result
 
 
@@ -285,5 +285,5 @@ def write_friction(
     """Coefficient of a pair of bodies."""
     inputs = [mask, given, first, second]
     wp.launch(
-        _friction_kernel, len(mask), inputs=inputs, outputs=[pair_friction], device=mask.device
+        _set_friction_kernel, len(mask), inputs=inputs, outputs=[pair_friction], device=mask.device
     )

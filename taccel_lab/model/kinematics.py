@@ -108,7 +108,7 @@ def interpolate_poses(start: np.ndarray, end: np.ndarray, fraction: np.ndarray) 
 
 
 @wp.kernel
-def _place_kernel(
+def _place_kinematic_kernel(
     mask: wp.array(dtype=wp.int32),
     nodes: wp.array(dtype=wp.int32),
     frames: wp.array(dtype=wp.int32),
@@ -131,7 +131,7 @@ def _place(
     nodes, frames = what
     if len(nodes):
         wp.launch(
-            _place_kernel,
+            _place_kinematic_kernel,
             dim=(model.env_count, len(nodes)),
             inputs=[mask, nodes, frames, model.rest_positions, poses],
             outputs=[positions],

@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @wp.kernel
-def _negate_kernel(values: wp.array2d(dtype=wp.vec3d), result: wp.array2d(dtype=wp.vec3d)):
+def _negate_nodes_kernel(values: wp.array2d(dtype=wp.vec3d), result: wp.array2d(dtype=wp.vec3d)):
     i, j = wp.tid()
     result[i, j] = -values[i, j]
 
@@ -23,7 +23,7 @@ def negated(values: wp.array, into: wp.array | None = None) -> wp.array:
     """Minus the vectors, vec3d, two axes; written to ``into`` if that is given."""
     result = wp.empty_like(values) if into is None else into
     wp.launch(
-        _negate_kernel,
+        _negate_nodes_kernel,
         dim=values.shape,
         inputs=[values],
         outputs=[result],

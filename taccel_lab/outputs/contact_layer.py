@@ -16,16 +16,16 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.barrier import contact_potential_d1
-from taccel_lab.ipc.capacity import list_end
-from taccel_lab.ipc.collision_lists import (
+from taccel_lab.ipc.contact.barrier import contact_potential_d1
+from taccel_lab.ipc.contact.collision_lists import (
     CollisionLists,
     ContactGeometry,
     closest_pair,
     collision_gap,
 )
-from taccel_lab.ipc.collisions import Collisions
-from taccel_lab.ipc.lanes import lane_count
+from taccel_lab.ipc.contact.collisions import Collisions
+from taccel_lab.ipc.device.launches import lane_count
+from taccel_lab.ipc.device.ragged_lists import list_end
 from taccel_lab.ipc.potentials.contact import mollifier
 
 wp.set_module_options({"enable_backward": False})

@@ -17,16 +17,16 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.collision_lists import (
+from taccel_lab.ipc.contact.collision_lists import (
     CollisionLists,
     ContactGeometry,
     closest_pair,
     collision_gap,
 )
-from taccel_lab.ipc.collisions import Collisions
+from taccel_lab.ipc.contact.collisions import Collisions
+from taccel_lab.ipc.contact.friction import friction_gradient
+from taccel_lab.ipc.device.matrices import mat43d
 from taccel_lab.ipc.distance.derivatives import pair_normal
-from taccel_lab.ipc.friction import friction_gradient
-from taccel_lab.ipc.matrix_types import mat43d
 from taccel_lab.ipc.potentials.contact import contact_rows, stencil_size
 from taccel_lab.ipc.potentials.friction import (
     FrictionPotential,

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.affine.orthogonality import affine_map
-from taccel_lab.ipc.svd import signed_svd_3x3
+from taccel_lab.ipc.affine.rigidity import affine_map
+from taccel_lab.ipc.device.matrices import signed_svd_3x3
 from taccel_lab.model import Model
 from taccel_lab.model.turns import in_turn
 from taccel_lab.state import State, check_state
@@ -31,7 +31,7 @@ class _Mounts:
 
 
 @wp.kernel
-def _frames_kernel(
+def _gel_frames_kernel(
     m: _Mounts,
     control_starts: wp.array(dtype=wp.int32),
     lengths: wp.array(dtype=wp.float64),
@@ -95,7 +95,7 @@ class GelFrames:
         affine = model.affine
         if result.size:
             wp.launch(
-                _frames_kernel,
+                _gel_frames_kernel,
                 dim=shape,
                 inputs=[self._mounts, affine.control_starts, affine.lengths]
                 + [state.positions, state.poses],

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.capacity import list_end
-from taccel_lab.ipc.lanes import lane_count
+from taccel_lab.ipc.device.launches import lane_count
+from taccel_lab.ipc.device.ragged_lists import list_end
 from taccel_lab.ipc.potentials.friction import FrozenContacts, StepMotion, sliding
 from taccel_lab.model.turns import in_turn
 from taccel_lab.solvers.solver_ipc import SolverIPC

@@ -18,9 +18,9 @@ import warp as wp
 from taccel_lab.bodies.element import Element
 from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.ipc.elasticity.laws import LAWS, Moduli
-from taccel_lab.ipc.potentials.element_data import ElementData, modulus_index
-from taccel_lab.ipc.potentials.linear_kernels import linear_deformation
-from taccel_lab.ipc.potentials.quadratic_shape import common_deformation, point_deformation
+from taccel_lab.ipc.potentials.elements.data import ElementData, modulus_index
+from taccel_lab.ipc.potentials.elements.linear_kernels import linear_deformation
+from taccel_lab.ipc.potentials.elements.quadratic_shape import common_deformation, point_deformation
 from taccel_lab.model import Model
 from taccel_lab.model.elastic import ElementArrays
 

@@ -21,7 +21,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import Region, TetMesh
-from taccel_lab.ipc.intersection import require_separated
+from taccel_lab.ipc.contact.intersection import require_separated
 from taccel_lab.model.env_rows import copy_rows, device_mask
 from taccel_lab.outputs.contact_layer import gap_work
 from taccel_lab.outputs.recovery_error import relative_energy_error

@@ -12,7 +12,7 @@ import numpy as np
 from taccel_lab.camera.gel_camera import View
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import QuadraticMesh, TetMesh
-from taccel_lab.ipc.potentials.inversion import smallest_ratios
+from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.outputs import Outputs
 from taccel_lab.presses.indenter import Indenter
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics

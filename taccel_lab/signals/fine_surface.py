@@ -54,7 +54,7 @@ CHUNK_SAMPLES = 2**24
 
 
 @wp.kernel
-def _pixels_kernel(
+def _fine_pixels_kernel(
     heights: wp.array3d(dtype=wp.float32),
     pressures: wp.array3d(dtype=wp.float32),
     slopes: wp.array3d(dtype=wp.vec2f),
@@ -304,7 +304,7 @@ class FineSurface:
         outputs = [array[: len(envs)] for array in (self._samples, self._pressure, self._touched)]
         surface = [wp.from_torch(height), wp.from_torch(pressure), slopes]
         wp.launch(
-            _pixels_kernel,
+            _fine_pixels_kernel,
             dim=outputs[0].shape,
             inputs=[*surface, self.points, wp.vec2f(*sizes), corrections, envs],
             outputs=[*outputs, self._counts],

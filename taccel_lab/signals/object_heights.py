@@ -64,7 +64,7 @@ def _gather_vertices_kernel(
 
 
 @wp.kernel
-def _ball_kernel(
+def _ball_heights_kernel(
     center: wp.array2d(dtype=wp.vec3d),
     radius: wp.float64,
     grid: GridMap,
@@ -255,7 +255,7 @@ class ObjectHeights:
         )
         if isinstance(self._shape, Ball):
             inputs = [vertices, self._shape.radius_m, self._map]
-            self._launch(_ball_kernel, heights.shape, inputs, [heights, slopes])
+            self._launch(_ball_heights_kernel, heights.shape, inputs, [heights, slopes])
         else:
             at, everyone = self._face_at_pixel[:count], self._everyone[:count]
             heights.fill_(np.inf)

@@ -138,7 +138,7 @@ def _prepare_raster_kernel(
 
 
 @wp.kernel
-def _settle_kernel(
+def _settle_walk_kernel(
     patches: wp.array(dtype=wp.vec4f),
     face_count: int,
     face_at_pixel: wp.array3d(dtype=wp.int32),
@@ -248,7 +248,7 @@ class PixelWalk:
         self._launch(_prepare_raster_kernel, dim, [samples, unsettled], outputs)
         rasterize(points, self.faces, self.grid, unsettled, lowest_z, face_at_pixel)
         self._launch(
-            _settle_kernel,
+            _settle_walk_kernel,
             dim,
             [patches, len(self.faces), face_at_pixel, unsettled, self._px_per_m],
             [samples],

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 
 import warp as wp
 
-from taccel_lab.ipc.capacity import ListRoom, overflows
+from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
-from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.motion import begin_rhs, newton_system, newton_systems, spread_solution
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
+from taccel_lab.ipc.motion.unknowns import begin_rhs, newton_system, newton_systems, spread_solution
 from taccel_lab.model.kinematics import turn_within
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import EnvProgress, Rules, lower_flags
@@ -81,7 +81,7 @@ def boosted(env: int, p: EnvProgress) -> wp.float64:
 
 
 @wp.kernel
-def _aim_kernel(
+def _aim_step_kernel(
     p: EnvProgress,
     r: Rules,
     linear_tolerances: wp.array(dtype=wp.float64),
@@ -178,7 +178,7 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
     elements = [*s.elastic, *s.viscosity]
 
     def aim() -> None:
-        run.decide(_aim_kernel, p, run.rules, s.linear.tolerances, s.linear.renewed)
+        run.decide(_aim_step_kernel, p, run.rules, s.linear.tolerances, s.linear.renewed)
         path = (s.start_poses, s.end_poses)
         s.frame_nodes.aim(p.active, p.moving, path, x, s.displacements, p.goal, s.target_poses)
         if s.joints is not None:

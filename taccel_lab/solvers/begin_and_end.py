@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.motion import measure_velocities
-from taccel_lab.ipc.potentials.inversion import find_inversions
+from taccel_lab.ipc.motion.unknowns import measure_velocities
+from taccel_lab.ipc.potentials.elements.inversion import find_inversions
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import chord_error, turn_between
@@ -26,7 +26,7 @@ _SKIPPED = wp.constant(int(EnvStatus.SKIPPED))
 
 
 @wp.kernel
-def _begin_kernel(
+def _begin_step_kernel(
     poses: wp.array2d(dtype=wp.transformd),
     end_poses: wp.array2d(dtype=wp.transformd),
     start_poses: wp.array2d(dtype=wp.transformd),
@@ -163,7 +163,7 @@ def begin_step(run: StepLaunches) -> None:
     s, state, p = run.s, run.state, run.p
     s.rows.read(p.reads)
     poses = [state.poses, s.end_poses, s.start_poses, s.origin_poses]
-    run.decide(_begin_kernel, *poses, p, run.rules)
+    run.decide(_begin_step_kernel, *poses, p, run.rules)
     wp.launch(
         _begin_nodes_kernel,
         dim=state.positions.shape,

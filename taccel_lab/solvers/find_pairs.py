@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.capacity import ListRoom, overflows
+from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import EnvProgress
 from taccel_lab.solvers.report import EnvStatus

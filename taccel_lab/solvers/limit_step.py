@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import warp as wp
 
-from taccel_lab.ipc.step_limit import limit_checks
+from taccel_lab.ipc.contact.step_limit import limit_checks
 from taccel_lab.solvers.env_progress import EnvProgress
 from taccel_lab.solvers.step_launches import StepLaunches
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.motion import reduce_gradient
-from taccel_lab.ipc.potentials.element_data import ElementSum
-from taccel_lab.ipc.reduce import force_sums
+from taccel_lab.ipc.device.sums import force_sums
+from taccel_lab.ipc.motion.unknowns import reduce_gradient
+from taccel_lab.ipc.potentials.elements.data import ElementSum
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.solvers.env_phase import CLOSING, FREEZING, enter, leave, stop
 from taccel_lab.solvers.env_progress import EnvProgress, Rules

@@ -14,11 +14,11 @@ from taccel_lab.ipc.affine.bent_step import (
     measure_turns,
     place_affine,
 )
-from taccel_lab.ipc.capacity import ListRoom, overflows
+from taccel_lab.ipc.contact.step_limit import limit_checks
+from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
+from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_slope, launch_rows
+from taccel_lab.ipc.motion.trial import Trial
 from taccel_lab.ipc.potentials.energy import WrittenEnergies, block_base, block_friction
-from taccel_lab.ipc.reduce import BLOCK_THREADS, block_slope, launch_rows
-from taccel_lab.ipc.step_limit import limit_checks
-from taccel_lab.ipc.trial import Trial
 from taccel_lab.solvers.env_phase import SEARCHING, enter, leave, stop
 from taccel_lab.solvers.env_progress import EnvProgress, Rules
 from taccel_lab.solvers.report import EnvStatus

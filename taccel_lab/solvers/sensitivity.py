@@ -28,7 +28,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.motion import spread_solution
+from taccel_lab.ipc.motion.unknowns import spread_solution
 from taccel_lab.model.elastic import ElementArrays
 from taccel_lab.scene import Material, MaterialField
 from taccel_lab.solvers.solver_ipc import SolverIPC

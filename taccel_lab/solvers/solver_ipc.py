@@ -21,7 +21,7 @@ import warp as wp
 
 from taccel_lab.bodies.scene_description import check_dt
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.capacity import grow_all
+from taccel_lab.ipc.device.ragged_lists import grow_all
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import embed_vertices
@@ -42,7 +42,7 @@ from taccel_lab.state import State, check_state, initial_state, poses_array
 wp.set_module_options({"enable_backward": False})
 
 if TYPE_CHECKING:
-    from taccel_lab.ipc.overlap_search import OverlapSearch
+    from taccel_lab.ipc.contact.overlap_search import OverlapSearch
 
 HALVING_HELPS = [
     EnvStatus.NO_CONVERGENCE,
@@ -268,7 +268,7 @@ class SolverIPC(SolverParts):
         separate = state.separate
         if separate is None or not separate.all():
             if self._overlaps is None:
-                from taccel_lab.ipc.overlap_search import OverlapSearch
+                from taccel_lab.ipc.contact.overlap_search import OverlapSearch
 
                 self._overlaps = OverlapSearch(self.model)
             assert state.unsearched is not None

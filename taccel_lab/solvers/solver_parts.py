@@ -8,19 +8,19 @@ import warp as wp
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.broad_phase.kept_pairs import KeptPairs
-from taccel_lab.ipc.capacity import GrowingList, initial_capacity
-from taccel_lab.ipc.collisions import Collisions
-from taccel_lab.ipc.frame_nodes import FrameNodes
+from taccel_lab.ipc.contact.collisions import Collisions
+from taccel_lab.ipc.device.launches import Scratch
+from taccel_lab.ipc.device.ragged_lists import GrowingList, initial_capacity
 from taccel_lab.ipc.linear.system import LinearSystem
+from taccel_lab.ipc.motion.kinematic_nodes import FrameNodes
+from taccel_lab.ipc.motion.trial import StraightNodes
 from taccel_lab.ipc.potentials.contact import ContactPotential
-from taccel_lab.ipc.potentials.elastic import ElasticPotential
+from taccel_lab.ipc.potentials.elements.elastic import ElasticPotential
+from taccel_lab.ipc.potentials.elements.inversion import BEARS_INVERSION, may_hide_inversion
 from taccel_lab.ipc.potentials.energy import Potential, share_buffer
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.ipc.potentials.friction import FrictionPotential
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
-from taccel_lab.ipc.potentials.inversion import BEARS_INVERSION, may_hide_inversion
-from taccel_lab.ipc.scratch import Scratch
-from taccel_lab.ipc.trial import StraightNodes
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.env_progress import EnvProgressArrays, make_rules
@@ -177,7 +177,7 @@ class SolverParts:
         groups = [group for group in self.model.elastic if group.damped]
         if not groups:
             return []
-        from taccel_lab.ipc.potentials.viscosity import ViscousPotential
+        from taccel_lab.ipc.potentials.elements.viscosity import ViscousPotential
 
         return [ViscousPotential(self.model, group) for group in groups]
 

@@ -16,9 +16,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.affine.prediction import predict_affine, ride_along
-from taccel_lab.ipc.capacity import ListRoom, overflows
-from taccel_lab.ipc.motion import coast, keep_steady, subtract_rows
+from taccel_lab.ipc.affine.rigidity import predict_affine, ride_along
+from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
+from taccel_lab.ipc.motion.unknowns import coast, keep_steady, subtract_rows
 from taccel_lab.ipc.potentials.energy import sum_energies
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import copy_rows

@@ -12,7 +12,7 @@ import math
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.lanes import lane_count
+from taccel_lab.ipc.device.launches import lane_count
 from taccel_lab.model import Model
 from taccel_lab.state import State
 
@@ -23,7 +23,7 @@ _MOST = 12
 
 
 @wp.kernel
-def _move_kernel(
+def _move_rows_kernel(
     mask: wp.array(dtype=wp.int32),
     also: wp.array(dtype=wp.int32),
     lanes: int,
@@ -96,7 +96,7 @@ class StateRows:
         self, mask: wp.array, also: wp.array, count: int, sources: wp.array, targets: wp.array
     ) -> None:
         wp.launch(
-            _move_kernel,
+            _move_rows_kernel,
             dim=(self._model.env_count, self._lanes),
             inputs=[mask, also, self._lanes, count, self._widths, sources, targets],
             device=self._model.device,

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 
 import warp as wp
 
-from taccel_lab.ipc.branches import side_by_side
-from taccel_lab.ipc.capacity import GrowingList, ListRoom, overflows
+from taccel_lab.ipc.device.launches import side_by_side
+from taccel_lab.ipc.device.ragged_lists import GrowingList, ListRoom, overflows
 from taccel_lab.ipc.potentials.energy import WrittenEnergies, sum_energies, written_energies
 from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.solvers.env_phase import stop

@@ -4,7 +4,7 @@
 Newton's method projects its matrices; here nothing is. Without friction the matrix is the Hessian
 of the energy, symmetric, and positive definite at a stable equilibrium: the solver of the Newton
 systems solves it on the device, all environments at once. Friction that is frozen where the step
-ends makes it unsymmetric (``ipc.potentials.contact_slopes``): a sparse LU factorisation on the
+ends makes it unsymmetric (``ipc.potentials.contact_derivatives``): a sparse LU factorisation on the
 host solves that, one environment after the other.
 """
 
@@ -17,8 +17,8 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.elasticity.principal import PSD_NONE
-from taccel_lab.ipc.motion import newton_system
-from taccel_lab.ipc.potentials.contact_slopes import NOW, ContactSlopes
+from taccel_lab.ipc.motion.unknowns import newton_system
+from taccel_lab.ipc.potentials.contact_derivatives import NOW, ContactSlopes
 from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.model.matrix_pattern import BlockPattern
 from taccel_lab.solvers.solver_ipc import SolverIPC

@@ -8,32 +8,33 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc import barrier as barrier_module
-from taccel_lab.ipc import ccd, friction, tangent
-from taccel_lab.ipc.distance.closest_pair import ClosestPair
-from taccel_lab.ipc.distance.edge_edge import closest_edge_edge, edge_edge_distance_sq
+from taccel_lab.ipc.contact import barrier as barrier_module
+from taccel_lab.ipc.contact import friction
+from taccel_lab.ipc.contact.pair_energy import (
+    PairHessian,
+    mollified_gradient,
+    mollifier_block,
+    mollifier_terms,
+    pair_gradient,
+    pair_hessian,
+    pair_hessian_block,
+)
+from taccel_lab.ipc.device.matrices import mat23d, mat43d, mat1212d, tangent_basis
+from taccel_lab.ipc.distance import ccd
+from taccel_lab.ipc.distance.closest_pairs import (
+    ClosestPair,
+    closest_edge_edge,
+    closest_point_edge,
+    closest_point_point,
+    closest_point_triangle,
+    edge_edge_distance_sq,
+    point_edge_distance_sq,
+    point_triangle_distance_sq,
+)
 from taccel_lab.ipc.distance.edge_edge_mollifier import (
     edge_edge_cross_sq,
     edge_edge_mollifier,
     edge_edge_mollifier_threshold,
-)
-from taccel_lab.ipc.distance.point_edge import closest_point_edge, point_edge_distance_sq
-from taccel_lab.ipc.distance.point_point import closest_point_point
-from taccel_lab.ipc.distance.point_triangle import (
-    closest_point_triangle,
-    point_triangle_distance_sq,
-)
-from taccel_lab.ipc.matrix_types import mat23d, mat43d, mat1212d
-from taccel_lab.ipc.mollified_edge_edge import (
-    mollified_gradient,
-    mollifier_block,
-    mollifier_terms,
-)
-from taccel_lab.ipc.pair_hessian import (
-    PairHessian,
-    pair_gradient,
-    pair_hessian,
-    pair_hessian_block,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -214,7 +215,7 @@ def _friction_kernel(
 @wp.kernel
 def _tangent_kernel(n: wp.array(dtype=wp.vec3d), basis: wp.array(dtype=mat23d)):
     i = wp.tid()
-    basis[i] = tangent.tangent_basis(n[i])
+    basis[i] = tangent_basis(n[i])
 
 
 @wp.kernel

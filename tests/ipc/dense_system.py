@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks
-from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.linear.problem.arrays import ExtraBlocks
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.model import Model
 
 

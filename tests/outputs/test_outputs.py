@@ -11,7 +11,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.gaps import SurfacePairs
+from taccel_lab.ipc.contact.gaps import SurfacePairs
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs, to_torch
 from taccel_lab.scene import (

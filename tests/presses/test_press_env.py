@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressPath, PressPhysics, parse_indenter
 from taccel_lab.solvers import EnvStatus, SolverConfig
 from tests.support.coarse_pads import GEL, LINEAR, pad

@@ -10,7 +10,7 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.outputs import Outputs
 from taccel_lab.robots import Robot, drive, named, on_seat
 from taccel_lab.scene import (

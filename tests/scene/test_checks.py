@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.gaps import SurfacePairs, edge_edge_distances, point_triangle_distances
-from taccel_lab.ipc.start_checks import check_finite, check_gaps
+from taccel_lab.ipc.contact.gaps import SurfacePairs, edge_edge_distances, point_triangle_distances
+from taccel_lab.ipc.contact.start_checks import check_finite, check_gaps
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,

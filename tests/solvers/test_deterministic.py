@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.ipc.branches import Branches
 from taccel_lab.ipc.broad_phase.candidates import Candidates
+from taccel_lab.ipc.device.launches import Branches
 from taccel_lab.ipc.potentials.contact import ContactPotential
 from taccel_lab.ipc.potentials.friction import FrictionPotential
 from taccel_lab.scene import Element, KinematicBody, Plane, Scene, TimeStepping

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.scene import (
     Ball,
     Element,

@@ -17,7 +17,7 @@ import torch
 import warp as wp
 
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
-from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.ipc.linear.system import METHODS
 from taccel_lab.scene import AffineBody, Element, Plane, RevoluteJoint, Scene, box_mesh
 from taccel_lab.solvers import SolverConfig, SolverIPC

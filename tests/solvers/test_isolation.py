@@ -11,7 +11,7 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.start_checks import check_start
+from taccel_lab.ipc.contact.start_checks import check_start
 from taccel_lab.model import Model
 from taccel_lab.scene import (
     AffineBody,

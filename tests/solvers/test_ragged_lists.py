@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.ipc import capacity
+from taccel_lab.ipc.device import ragged_lists
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import KinematicBody, box_mesh
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC
@@ -131,7 +131,7 @@ def test_a_way_that_meets_too_much_is_taken_in_parts() -> None:
 
 
 def test_without_memory_one_environment_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(capacity, "free_memory", lambda device: 20_000)
+    monkeypatch.setattr(ragged_lists, "free_memory", lambda device: 20_000)
     solver, state, report = touch(list(range(ENVS)))
     others = np.arange(ENVS) != CROWDED
     assert report.status[CROWDED] == EnvStatus.CONTACT_OVERFLOW

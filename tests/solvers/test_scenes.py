@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.scene import (
     AffineBody,
     Ball,

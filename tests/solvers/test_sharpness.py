@@ -8,7 +8,7 @@ import warp as wp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.ipc.friction import friction_gradient, friction_hessian, friction_potential
+from taccel_lab.ipc.contact.friction import friction_gradient, friction_hessian, friction_potential
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state

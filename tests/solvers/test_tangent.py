@@ -8,7 +8,7 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.potentials.contact_slopes import ContactSlopes
+from taccel_lab.ipc.potentials.contact_derivatives import ContactSlopes
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody, TimeStepping
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.solvers.tangent import INDEFINITE, Tangent, sparse_matrix

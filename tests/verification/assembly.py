@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.motion import newton_system
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
+from taccel_lab.ipc.motion.unknowns import newton_system
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC

@@ -12,7 +12,7 @@ import warp as wp
 from taccel_lab.bodies.bodies import Surface
 from taccel_lab.bodies.crossings import self_crossings
 from taccel_lab.geometry import Region, TetMesh
-from taccel_lab.ipc.collisions import EDGE_EDGE
+from taccel_lab.ipc.contact.collision_lists import EDGE_EDGE
 from taccel_lab.scene import (
     AffineBody,
     Element,

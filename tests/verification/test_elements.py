@@ -13,7 +13,7 @@ from taccel_lab.cad.mesh.focus import FocusOptions
 from taccel_lab.cad.mesh.gel_mesh import focused_gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.geometry import PixelGrid, Region
-from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.scene import (
     Element,

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.model.embedding import rotate
 from taccel_lab.scene import (
     AffineBody,

@@ -16,8 +16,8 @@ from taccel_lab.bodies.crossings import crossing_pairs
 from taccel_lab.bodies.material import MaterialModel
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.gaps import SurfacePairs
-from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.ipc.contact.gaps import SurfacePairs
+from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.scene import (
     AffineBody,
     Ball,

@@ -20,10 +20,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.affine.orthogonality import affine_map
-from taccel_lab.ipc.lanes import lane_count, launch
-from taccel_lab.ipc.reduce import BLOCK_THREADS, block_total
-from taccel_lab.ipc.trial import Trial, put_node, straight
+from taccel_lab.ipc.affine.rigidity import affine_map
+from taccel_lab.ipc.device.launches import lane_count, launch
+from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_total
+from taccel_lab.ipc.motion.trial import Trial, put_node, straight
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import Embedded, embedded, embedded_count, embedded_node
 
@@ -183,7 +183,7 @@ def bent_controls(
 
 
 @wp.kernel
-def _place_kernel(
+def _place_affine_kernel(
     turns: wp.array(dtype=wp.float64),
     smallest: wp.float64,
     lanes: int,
@@ -275,7 +275,7 @@ def place_affine(model: Model, turns: wp.array, pivots: wp.array, trial: Trial) 
     most = max(end - start for start, end in ranges) + len(affine.carried)
     lanes = lane_count(model.device, model.env_count, most)
     launch(
-        _place_kernel,
+        _place_affine_kernel,
         dim=(model.env_count, affine.count, lanes),
         inputs=[turns, SMALLEST_TURN, lanes, affine.control_starts, affine.lengths]
         + [affine.have_joints, pivots, embedded(model), trial],

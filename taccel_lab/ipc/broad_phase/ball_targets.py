@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.broad_phase.swept_box import append
-from taccel_lab.ipc.capacity import ListRoom
+from taccel_lab.ipc.broad_phase.boxes import append
+from taccel_lab.ipc.device.ragged_lists import ListRoom
 
 wp.set_module_options({"enable_backward": False})
 

@@ -22,7 +22,7 @@ from taccel_lab.ipc.broad_phase.stiff_targets import (
     stiff_search,
     update_frames,
 )
-from taccel_lab.ipc.capacity import GrowingList, clear_all, initial_capacity
+from taccel_lab.ipc.device.ragged_lists import GrowingList, clear_all, initial_capacity
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})

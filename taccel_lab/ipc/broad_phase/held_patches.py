@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.broad_phase.swept_box import Frames, include, rounded_out, widened_margin
+from taccel_lab.ipc.broad_phase.boxes import Frames, include, rounded_out, widened_margin
 from taccel_lab.model import BodyKind, Model
 
 wp.set_module_options({"enable_backward": False})

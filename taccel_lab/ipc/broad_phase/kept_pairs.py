@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates
-from taccel_lab.ipc.reduce import BLOCK_THREADS
+from taccel_lab.ipc.device.sums import BLOCK_THREADS
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import zero_rows
 

@@ -12,9 +12,8 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.broad_phase.body_boxes import find_body_boxes
-from taccel_lab.ipc.broad_phase.swept_box import append, rounded_out
-from taccel_lab.ipc.capacity import ListRoom
+from taccel_lab.ipc.broad_phase.boxes import append, find_body_boxes, rounded_out
+from taccel_lab.ipc.device.ragged_lists import ListRoom
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False})

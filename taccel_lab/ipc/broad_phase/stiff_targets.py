@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.broad_phase.held_patches import HeldPatches
-from taccel_lab.ipc.broad_phase.swept_box import (
+from taccel_lab.ipc.broad_phase.boxes import (
     BodyFrame,
     Frames,
     append,
@@ -25,8 +24,9 @@ from taccel_lab.ipc.broad_phase.swept_box import (
     rounded_out,
     widened_margin,
 )
-from taccel_lab.ipc.capacity import ListRoom
-from taccel_lab.ipc.lanes import launch
+from taccel_lab.ipc.broad_phase.held_patches import HeldPatches
+from taccel_lab.ipc.device.launches import launch
+from taccel_lab.ipc.device.ragged_lists import ListRoom
 from taccel_lab.model import Model
 
 _SEARCH_THREADS = 64

@@ -15,9 +15,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.distance.closest_pair import ClosestPair, combine
-from taccel_lab.ipc.matrix_types import mat43d
-from taccel_lab.ipc.tangent import tangent_basis
+from taccel_lab.ipc.device.matrices import mat43d, tangent_basis
+from taccel_lab.ipc.distance.closest_pairs import ClosestPair, combine
 
 wp.set_module_options({"enable_backward": False})
 

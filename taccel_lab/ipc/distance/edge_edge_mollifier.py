@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.matrix_types import mat43d
+from taccel_lab.ipc.device.matrices import mat43d
 
 wp.set_module_options({"enable_backward": False})
 

@@ -1,5 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The materials by name, behind one signature that kernels are compiled against.
+"""The materials by name, and the volumetric part of their energies.
+
+The volumetric part of an energy, cut off so that an element can take it of its mean dilatation.
+
+All materials here are affine in lambda: psi(F) = psi(F; mu, 0) + lambda u(e), with the dilatation
+e = J - 1 (e = tr E, E the Green strain, for St. Venant-Kirchhoff) and a function u of a number. An
+element that evaluates u at the mean of e over its volume has one pressure lambda u' and cannot lock
+as lambda grows: it resists a change of its own volume, not of that around each quadrature point
+[Nagtegaal, Parks and Rice 1974; Simo, Taylor and Pister 1985, the mean-dilatation method].
+
+The materials by name, behind one signature that kernels are compiled against.
 
 A kernel factory takes a ``Law`` and captures its functions, so a scene compiles the code of its
 own materials and of no other.
@@ -13,16 +23,59 @@ from typing import Any
 import warp as wp
 
 from taccel_lab.bodies.material import MaterialModel
-from taccel_lab.ipc.elasticity import (
-    dilatation,
-    mooney_rivlin,
-    neo_hookean,
-    st_venant_kirchhoff,
-    stable_neo_hookean,
+from taccel_lab.ipc.elasticity import neo_hookean, st_venant_kirchhoff
+from taccel_lab.ipc.elasticity.neo_hookean import log_excess
+from taccel_lab.ipc.elasticity.principal import (
+    PrincipalHessian,
+    cofactor,
+    displacement_invariants,
+    displacement_trace,
 )
-from taccel_lab.ipc.elasticity.principal import PrincipalHessian
+from taccel_lab.ipc.elasticity.st_venant_kirchhoff import green_strain
 
 wp.set_module_options({"enable_backward": False})
+
+
+@wp.func
+def volume_growth(f: wp.mat33d) -> wp.float64:
+    """J - 1, without the cancellation of its two terms near rest."""
+    invariants = displacement_invariants(f)
+    return displacement_trace(f) + invariants[1] + invariants[2]
+
+
+@wp.func
+def volume_growth_slope(f: wp.mat33d) -> wp.mat33d:
+    """d(J - 1)/dF."""
+    return cofactor(f)
+
+
+@wp.func
+def strain_trace(f: wp.mat33d) -> wp.float64:
+    """tr E."""
+    return wp.trace(green_strain(f))
+
+
+@wp.func
+def strain_trace_slope(f: wp.mat33d) -> wp.mat33d:
+    """d(tr E)/dF."""
+    return f
+
+
+@wp.func
+def half_log_square(e: wp.float64) -> wp.vec3d:
+    """u = ln(1 + e)^2 / 2 and its first two derivatives; u = +inf where e <= -1."""
+    one = wp.float64(1.0)
+    j = one + e
+    if not (j > wp.float64(0.0)):
+        return wp.vec3d(wp.float64(wp.inf), wp.float64(0.0), wp.float64(0.0))
+    log_j = e - log_excess(e)
+    return wp.vec3d(wp.float64(0.5) * log_j * log_j, log_j / j, (one - log_j) / (j * j))
+
+
+@wp.func
+def half_square(e: wp.float64) -> wp.vec3d:
+    """u = e^2 / 2 and its first two derivatives."""
+    return wp.vec3d(wp.float64(0.5) * e * e, e, wp.float64(1.0))
 
 
 @wp.struct
@@ -55,7 +108,7 @@ class Law:
     pressed_hessian: Any
     """``(f, m, i, pressure, psd_mode)``: of the shape energy plus pressure times dilatation."""
     dilatation: Any
-    """``(f)``: e, the argument of the volumetric part (see dilatation.py)."""
+    """``(f)``: e, the argument of the volumetric part."""
     dilatation_slope: Any
     """``(f)``: de/dF."""
     volumetric: Any
@@ -63,7 +116,7 @@ class Law:
     volumetric_modulus: Any
     """``(m, i)``: l [Pa], lambda without what the shape energy keeps of it."""
     curvatures: Any = None
-    """``(f, mu, lam, pressure)``: those of exact_hessian.py [Pa], of laws that it holds for."""
+    """``(f, mu, lam, pressure)``: those of principal.py [Pa], of laws that it holds for."""
 
 
 @dataclass(frozen=True)
@@ -75,15 +128,9 @@ class _Volumetric:
     function: Any
 
 
-_LOGARITHM = _Volumetric(
-    dilatation.volume_growth, dilatation.volume_growth_slope, dilatation.half_log_square
-)
-_SQUARE = _Volumetric(
-    dilatation.volume_growth, dilatation.volume_growth_slope, dilatation.half_square
-)
-_STRAIN = _Volumetric(
-    dilatation.strain_trace, dilatation.strain_trace_slope, dilatation.half_square
-)
+_LOGARITHM = _Volumetric(volume_growth, volume_growth_slope, half_log_square)
+_SQUARE = _Volumetric(volume_growth, volume_growth_slope, half_square)
+_STRAIN = _Volumetric(strain_trace, strain_trace_slope, half_square)
 
 
 def _of_lame(
@@ -217,9 +264,9 @@ LAWS = {
         ),
         _of_lame(
             MaterialModel.STABLE_NEO_HOOKEAN,
-            stable_neo_hookean.stable_neo_hookean_energy,
-            stable_neo_hookean.stable_neo_hookean_piola,
-            stable_neo_hookean.stable_neo_hookean_hessian,
+            neo_hookean.stable_neo_hookean_energy,
+            neo_hookean.stable_neo_hookean_piola,
+            neo_hookean.stable_neo_hookean_hessian,
             _SQUARE,
         ),
         _of_lame(
@@ -231,9 +278,9 @@ LAWS = {
         ),
         _of_lame_and_ratio(
             MaterialModel.MOONEY_RIVLIN,
-            mooney_rivlin.mooney_rivlin_energy,
-            mooney_rivlin.mooney_rivlin_piola,
-            mooney_rivlin.mooney_rivlin_hessian,
+            neo_hookean.mooney_rivlin_energy,
+            neo_hookean.mooney_rivlin_piola,
+            neo_hookean.mooney_rivlin_hessian,
             _LOGARITHM,
         ),
     )

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compressible Neo-Hookean energy density and its derivatives.
+"""Neo-Hookean energy densities, stable and with a second invariant too.
+
+Compressible Neo-Hookean energy density and its derivatives.
 
 psi(F) = mu/2 (tr F^T F - 3) - mu ln J + lambda/2 (ln J)^2,  J = det F
 
@@ -9,35 +11,44 @@ so a line search on the energy keeps tets from inverting.
 The symmetric and antisymmetric modes of a pair of axes a, b (see principal.py) have eigenvalues
 mu +- c / (s_a s_b), c = mu - lambda ln J. Stretches of an element that is not inverted are found
 from F^T F, which is faster than the signed singular values that other materials need.
+
+Stable Neo-Hookean energy density: finite, with a restoring stress, through inversion.
+
+psi(F) = m/2 (I1 - 3) + l/2 (J - a)^2 - m/2 ln(I1 + 1) + const,  a = 1 + 3 m / (4 l)
+
+[Smith, de Goes and Kim 2018, Stable Neo-Hookean Flesh Simulation, eq. 14]. With m = 4/3 mu and
+l = lambda + 5/6 mu small strains see the Lame parameters mu and lambda (their section 3.4); the
+constant makes psi zero at rest. The arguments ``mu`` and ``lam`` are the Lame parameters.
+
+Compressible Mooney-Rivlin energy density, coupled form.
+
+psi(F) = c10 (I1 - 3) + c01 (I2 - 3) - 2 (c10 + 2 c01) ln J + l/2 (ln J)^2
+
+[FEBio Theory Manual, "Coupled Mooney-Rivlin"; the same split as Holzapfel 2000, eq. 6.147]. It is
+coupled, not split into volume and shape, so that c01 = 0 is exactly the Neo-Hookean solid of
+neo_hookean.py. Small strains see mu = 2 (c10 + c01) and lambda = l + 4 c01; the functions take mu,
+lambda and the ratio r = c01 / (c10 + c01), and need l = lambda - 2 r mu >= 0, that is
+nu >= r / (1 + 2 r).
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.eigen import symmetric_eigen_3x3
-from taccel_lab.ipc.elasticity.invariants import hessian_of_slopes
+from taccel_lab.ipc.device.matrices import signed_svd_3x3, symmetric_eigen_3x3
 from taccel_lab.ipc.elasticity.principal import (
-    PSD_CLAMP,
-    PSD_NONE,
     PrincipalHessian,
+    cofactor,
+    displacement_invariants,
+    displacement_trace,
+    hessian_of_slopes,
     lifted,
-    principal_block,
+    matrix_invariants,
+    piola_of_slopes,
+    stretch_invariants,
 )
 
 wp.set_module_options({"enable_backward": False})
-
-__all__ = [
-    "PSD_CLAMP",
-    "PSD_NONE",
-    "log_excess",
-    "neo_hookean_curvatures",
-    "neo_hookean_energy",
-    "neo_hookean_hessian",
-    "neo_hookean_piola",
-    "neo_hookean_pressed_hessian",
-    "principal_block",
-]
 
 
 @wp.func
@@ -163,7 +174,146 @@ def neo_hookean_pressed_hessian(
 def neo_hookean_curvatures(
     f: wp.mat33d, mu: wp.float64, lam: wp.float64, pressure: wp.float64
 ) -> wp.vec3d:
-    """a, c and e of the exact Hessian of psi + pressure J [Pa], see exact_hessian.py."""
+    """a, c and e of the exact Hessian of psi + pressure J [Pa], see principal.py."""
     j = wp.determinant(f)
     push = pressure * j
     return wp.vec3d(mu, mu - lam * wp.log(j) - push, lam + push)
+
+
+@wp.func
+def stable_moduli(mu: wp.float64, lam: wp.float64) -> wp.vec2d:
+    """(m, l) of the energy from the Lame parameters [Pa]; l > 0 for every nu in (-1, 0.5)."""
+    return wp.vec2d(
+        wp.float64(4.0) / wp.float64(3.0) * mu, lam + wp.float64(5.0) / wp.float64(6.0) * mu
+    )
+
+
+@wp.func
+def stable_neo_hookean_energy(f: wp.mat33d, mu: wp.float64, lam: wp.float64) -> wp.float64:
+    """Energy density psi [J/m^3].
+
+    Written in H = F - I, terms of first order cancelled by hand (see displacement_invariants):
+    m (3/8 H:H - 3/4 (II + III)) + m/2 (x - ln(1 + x)) + l/2 (J - 1)^2 with x = (I1 - 3) / 4.
+    """
+    k = stable_moduli(mu, lam)
+    invariants = displacement_invariants(f)
+    trace = displacement_trace(f)
+    higher = invariants[1] + invariants[2]
+    growth = trace + higher
+    x = wp.float64(0.25) * (wp.float64(2.0) * trace + invariants[0])
+    return (
+        k[0]
+        * (
+            wp.float64(0.375) * invariants[0]
+            - wp.float64(0.75) * higher
+            + wp.float64(0.5) * log_excess(x)
+        )
+        + wp.float64(0.5) * k[1] * growth * growth
+    )
+
+
+@wp.func
+def stable_slopes(invariants: wp.vec3d, k: wp.vec2d) -> wp.vec3d:
+    """(psi_1, psi_2, psi_J) [Pa]."""
+    one = wp.float64(1.0)
+    return wp.vec3d(
+        wp.float64(0.5) * k[0] * invariants[0] / (invariants[0] + one),
+        wp.float64(0.0),
+        k[1] * (invariants[2] - one) - wp.float64(0.75) * k[0],
+    )
+
+
+@wp.func
+def stable_neo_hookean_piola(f: wp.mat33d, mu: wp.float64, lam: wp.float64) -> wp.mat33d:
+    """First Piola-Kirchhoff stress P = d psi / d F [Pa]."""
+    invariants = matrix_invariants(f)
+    return piola_of_slopes(f, invariants, stable_slopes(invariants, stable_moduli(mu, lam)))
+
+
+@wp.func
+def stable_neo_hookean_hessian(
+    f: wp.mat33d, mu: wp.float64, lam: wp.float64, pressure: wp.float64, mode: int
+) -> PrincipalHessian:
+    """Hessian of psi + pressure J, with its negative eigenvalues treated as ``mode`` says
+    (PSD_*)."""
+    u, s, v = signed_svd_3x3(f)
+    k = stable_moduli(mu, lam)
+    invariants = stretch_invariants(s)
+    more = invariants[0] + wp.float64(1.0)
+    curvatures = wp.vec3d(wp.float64(0.5) * k[0] / (more * more), wp.float64(0.0), k[1])
+    slopes = stable_slopes(invariants, k)
+    slopes[2] = slopes[2] + pressure
+    return hessian_of_slopes(u, s, v, slopes, curvatures, mode)
+
+
+@wp.func
+def mooney_constants(mu: wp.float64, lam: wp.float64, ratio: wp.float64) -> wp.vec3d:
+    """(c10, c01, l) [Pa] from the Lame parameters [Pa] and c01 / (c10 + c01)."""
+    c01 = wp.float64(0.5) * mu * ratio
+    return wp.vec3d(wp.float64(0.5) * mu - c01, c01, lam - wp.float64(4.0) * c01)
+
+
+@wp.func
+def mooney_rivlin_energy(
+    f: wp.mat33d, mu: wp.float64, lam: wp.float64, ratio: wp.float64
+) -> wp.float64:
+    """Energy density psi [J/m^3]; +inf for an inverted or flat element.
+
+    Written in H = F - I, terms of first order cancelled by hand (see displacement_invariants):
+    I2 = |cof F|^2 and cof F = I + K with K = tr H I - H^T + cof H.
+    """
+    if not (wp.determinant(f) > wp.float64(0.0)):
+        return wp.float64(wp.inf)
+    two = wp.float64(2.0)
+    c = mooney_constants(mu, lam, ratio)
+    eye = wp.identity(n=3, dtype=wp.float64)
+    h = f - eye
+    invariants = displacement_invariants(f)
+    trace = displacement_trace(f)
+    higher = invariants[1] + invariants[2]
+    growth = trace + higher
+    excess = log_excess(growth)
+    log_j = growth - excess
+    k = trace * eye - wp.transpose(h) + cofactor(h)
+    first = invariants[0] + two * (excess - higher)
+    second = two * invariants[1] + wp.ddot(k, k) + wp.float64(4.0) * (excess - higher)
+    return c[0] * first + c[1] * second + wp.float64(0.5) * c[2] * log_j * log_j
+
+
+@wp.func
+def mooney_slopes(j: wp.float64, c: wp.vec3d) -> wp.vec3d:
+    """(psi_1, psi_2, psi_J) [Pa]."""
+    two = wp.float64(2.0)
+    pull = c[2] * wp.log(j) - two * (c[0] + two * c[1])
+    return wp.vec3d(c[0], c[1], pull / j)
+
+
+@wp.func
+def mooney_rivlin_piola(
+    f: wp.mat33d, mu: wp.float64, lam: wp.float64, ratio: wp.float64
+) -> wp.mat33d:
+    """First Piola-Kirchhoff stress P = d psi / d F [Pa]; not a number for J <= 0."""
+    invariants = matrix_invariants(f)
+    slopes = mooney_slopes(invariants[2], mooney_constants(mu, lam, ratio))
+    return piola_of_slopes(f, invariants, slopes)
+
+
+@wp.func
+def mooney_rivlin_hessian(
+    f: wp.mat33d,
+    mu: wp.float64,
+    lam: wp.float64,
+    ratio: wp.float64,
+    pressure: wp.float64,
+    mode: int,
+) -> PrincipalHessian:
+    """Hessian of psi + pressure J, with its negative eigenvalues treated as ``mode`` says
+    (PSD_*)."""
+    u, s, v = signed_svd_3x3(f)
+    c = mooney_constants(mu, lam, ratio)
+    j = stretch_invariants(s)[2]
+    slopes = mooney_slopes(j, c)
+    # psi_JJ = (l - J psi_J) / J^2
+    curvatures = wp.vec3d(wp.float64(0.0), wp.float64(0.0), (c[2] / j - slopes[2]) / j)
+    slopes[2] = slopes[2] + pressure
+    return hessian_of_slopes(u, s, v, slopes, curvatures, mode)

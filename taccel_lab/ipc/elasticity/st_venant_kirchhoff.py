@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.elasticity.invariants import hessian_of_slopes
-from taccel_lab.ipc.elasticity.principal import PrincipalHessian
-from taccel_lab.ipc.svd import signed_svd_3x3
+from taccel_lab.ipc.device.matrices import signed_svd_3x3
+from taccel_lab.ipc.elasticity.principal import PrincipalHessian, hessian_of_slopes
 
 wp.set_module_options({"enable_backward": False})
 

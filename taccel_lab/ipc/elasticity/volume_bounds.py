@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does a curved tet turn inside out anywhere? Bounds of the volume ratio J over a ten-node tet.
+"""What keeps a curved tet from turning inside out: bounds of J, a guard at corners.
+
+Does a curved tet turn inside out anywhere? Bounds of the volume ratio J over a ten-node tet.
 
 Its deformation gradient is linear, F = sum_c l_c F_c in barycentric coordinates l and corner values
 F_c, so that J = det F is a homogeneous cubic polynomial. In Bernstein form J = sum B_a(l) b_a its
@@ -14,13 +16,21 @@ means of corner values, until every part has a positive bound or some corner has
 smallest J itself, until no part can have a smaller one than was found. The gap of the bounds falls
 with the square of the size of a part [Johnen, Remacle and Geuzaine 2013, Geometrical validity of
 curvilinear finite elements].
+
+What keeps a corner of a quadratic tet from turning inside out.
+
+    g(J) = -(1 - y)^2 ln y,  y = J / J0, for J < J0 = 0.2, else 0
+
+the barrier of [Li et al. 2020, eq. 6] in the volume ratio J instead of a distance: twice
+differentiable at J0, infinite at J = 0.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.elasticity.invariants import cofactor
+from taccel_lab.ipc.device.matrices import signed_svd_3x3
+from taccel_lab.ipc.elasticity.principal import PrincipalHessian, cofactor, hessian_of_slopes
 
 wp.set_module_options({"enable_backward": False})
 
@@ -182,3 +192,39 @@ def smallest_ratio(
     """Smallest J in the tet with these deformation gradients at its corners, or ``known`` where
     that is less; at most ``RATIO_SLACK`` too large, but see ``MAX_BISECTIONS``."""
     return lowest_found(f0, f1, f2, f3, known, wp.float64(-wp.inf), RATIO_SLACK)
+
+
+GUARDED_RATIO = wp.constant(wp.float64(0.2))
+"""J0: a corner of a gel under a sharp edge gets there, one under a finger tip does not."""
+
+
+@wp.func
+def corner_guard(j: wp.float64) -> wp.vec3d:
+    """g and its first two derivatives; +inf where J <= 0."""
+    zero = wp.float64(0.0)
+    one = wp.float64(1.0)
+    two = wp.float64(2.0)
+    if j >= GUARDED_RATIO:
+        return wp.vec3d(zero, zero, zero)
+    if not (j > zero):
+        return wp.vec3d(wp.float64(wp.inf), zero, zero)
+    y = j / GUARDED_RATIO
+    rest = one - y
+    log_y = wp.log(y)
+    return wp.vec3d(
+        -rest * rest * log_y,
+        (two * rest * log_y - rest * rest / y) / GUARDED_RATIO,
+        (rest * (two + two + rest / y) / y - two * log_y) / (GUARDED_RATIO * GUARDED_RATIO),
+    )
+
+
+@wp.func
+def volume_hessian(
+    f: wp.mat33d, slope: wp.float64, curvature: wp.float64, mode: int
+) -> PrincipalHessian:
+    """Hessian of a function of J with these derivatives; negative eigenvalues treated as ``mode``
+    says (PSD_*)."""
+    u, s, v = signed_svd_3x3(f)
+    zero = wp.float64(0.0)
+    slopes = wp.vec3d(zero, zero, slope)
+    return hessian_of_slopes(u, s, v, slopes, wp.vec3d(zero, zero, curvature), mode)

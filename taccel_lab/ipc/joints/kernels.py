@@ -10,23 +10,21 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.bodies.joints import ROW_COUNT
+from taccel_lab.ipc.device.matrices import mat43d
 from taccel_lab.ipc.joints.layout import JointTable
-from taccel_lab.ipc.joints.response import (
+from taccel_lab.ipc.joints.rows import (
+    COORDINATE_ROW,
+    REVOLUTE,
     Response,
     bound_response,
     drive_response,
     equality_response,
-)
-from taccel_lab.ipc.joints.rows import (
-    COORDINATE_ROW,
-    REVOLUTE,
     joint_row,
     matrix_row,
     unwrapped,
     with_row,
 )
-from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block
-from taccel_lab.ipc.matrix_types import mat43d
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_block
 
 wp.set_module_options({"enable_backward": False})
 

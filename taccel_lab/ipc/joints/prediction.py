@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closes the joints of bodies that were predicted one by one (``ipc.affine.prediction``).
+"""Closes the joints of bodies that were predicted one by one (``ipc.affine.rigidity``).
 
 From the root of each mechanism on, a body is turned as little as brings its joint's directions onto
 those of its parent, and shifted so that their points meet. Joints that close a loop are left to
@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import warp as wp
 
+from taccel_lab.ipc.device.matrices import mat43d
 from taccel_lab.ipc.joints.kernels import node_controls, second_controls
 from taccel_lab.ipc.joints.layout import JointTable
 from taccel_lab.ipc.joints.rows import PRISMATIC, REVOLUTE, matrix_row, with_row
-from taccel_lab.ipc.matrix_types import mat43d
 
 wp.set_module_options({"enable_backward": False})
 

@@ -10,15 +10,13 @@ from typing import Protocol
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear import arrow
-from taccel_lab.ipc.linear.arrow import Arrow
-from taccel_lab.ipc.linear.block_cg import BlockCG
-from taccel_lab.ipc.linear.block_ops import team
-from taccel_lab.ipc.linear.pipelined_cg import PATIENCE, TASKS_PER_ROW, PipelinedCG
-from taccel_lab.ipc.linear.problem import LinearProblem
-from taccel_lab.ipc.linear.report import LinearReport
-from taccel_lab.ipc.linear.ssor_cg import SsorCG
-from taccel_lab.ipc.scratch import Scratch
+from taccel_lab.ipc.device.block_ops import team
+from taccel_lab.ipc.device.launches import Scratch
+from taccel_lab.ipc.linear.arrow.solver import MAX_ROWS, Arrow, holds
+from taccel_lab.ipc.linear.cg.block_cg import BlockCG
+from taccel_lab.ipc.linear.cg.pipelined_cg import PATIENCE, TASKS_PER_ROW, PipelinedCG
+from taccel_lab.ipc.linear.cpu import SsorCG
+from taccel_lab.ipc.linear.problem.arrays import LinearProblem, LinearReport
 from taccel_lab.model.matrix_pattern import BlockPattern
 
 
@@ -100,7 +98,7 @@ def usable_methods(row_count: int, device: wp.Device) -> list[str]:
     """Those of ``METHODS`` that are made for a device and can hold systems of so many rows."""
     if device.is_cpu:
         return ["ssor"]
-    return ["arrow", "cg", "pipelined"] if row_count <= arrow.MAX_ROWS else ["cg", "pipelined"]
+    return ["arrow", "cg", "pipelined"] if row_count <= MAX_ROWS else ["cg", "pipelined"]
 
 
 def _method(
@@ -110,7 +108,7 @@ def _method(
     if device.is_cpu:
         # Gauss-Seidel sweeps run along the rows: quick on one CPU thread, hopeless on thousands.
         return "ssor"
-    if arrow.holds(pattern, clusters):
+    if holds(pattern, clusters):
         return "arrow"
     # Several thread blocks an environment where one would have more than it can do at a time.
     blocks = team(device, env_count, TASKS_PER_ROW * pattern.free_count).blocks

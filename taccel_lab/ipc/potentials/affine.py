@@ -9,15 +9,15 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.affine.orthogonality import (
+from taccel_lab.ipc.affine.rigidity import (
     affine_map,
     orthogonality_block,
     orthogonality_energy,
     orthogonality_gradient,
     orthogonality_hessian,
 )
-from taccel_lab.ipc.lanes import WARP_THREADS, launch
-from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block
+from taccel_lab.ipc.device.launches import WARP_THREADS, launch
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_block
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 

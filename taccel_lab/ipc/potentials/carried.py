@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.lanes import launch
-from taccel_lab.ipc.reduce import block_total
-from taccel_lab.ipc.stencil_rows import triangle_row
+from taccel_lab.ipc.device.launches import launch
+from taccel_lab.ipc.device.sums import block_total
+from taccel_lab.ipc.potentials.stencil_rows import triangle_row
 from taccel_lab.model import Model
 from taccel_lab.model.carried import CarriedBlocks
 

@@ -9,41 +9,38 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.barrier import (
+from taccel_lab.ipc.contact.barrier import (
     contact_potential,
     contact_potential_d1,
     contact_potential_d2,
 )
-from taccel_lab.ipc.capacity import ListRoom, list_end
-from taccel_lab.ipc.collision_lists import (
+from taccel_lab.ipc.contact.collision_lists import (
     CollisionLists,
     ContactGeometry,
     closest_pair,
     collision_gap,
 )
-from taccel_lab.ipc.collisions import Collisions
-from taccel_lab.ipc.distance.closest_pair import ClosestPair
+from taccel_lab.ipc.contact.collisions import Collisions
+from taccel_lab.ipc.contact.pair_energy import (
+    GAUSS_NEWTON,
+    mollified_gradient,
+    mollifier_block,
+    mollifier_terms,
+    pair_gradient,
+    pair_hessian,
+)
+from taccel_lab.ipc.device.launches import lane_count, launch
+from taccel_lab.ipc.device.matrices import mat43d
+from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end
+from taccel_lab.ipc.device.sums import ReproducibleSums, SumStage, add_vector, lower_to
+from taccel_lab.ipc.distance.closest_pairs import ClosestPair
 from taccel_lab.ipc.distance.edge_edge_mollifier import (
     edge_edge_cross_sq,
     edge_edge_mollifier,
 )
-from taccel_lab.ipc.lanes import lane_count, launch
-from taccel_lab.ipc.linear.scatter import NewtonSystem, add_block, has_rows
-from taccel_lab.ipc.matrix_types import mat43d
-from taccel_lab.ipc.mollified_edge_edge import (
-    mollified_gradient,
-    mollifier_block,
-    mollifier_terms,
-)
-from taccel_lab.ipc.pair_hessian import (
-    GAUSS_NEWTON,
-    pair_gradient,
-    pair_hessian,
-)
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_block, has_rows
 from taccel_lab.ipc.potentials.energy import EnergyTerm
-from taccel_lab.ipc.reduce import lower_to
-from taccel_lab.ipc.reproducible_sums import ReproducibleSums, SumStage, add_vector
-from taccel_lab.ipc.stencil_rows import STENCIL_THREADS, add_pair_hessian, row_parts
+from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS, add_pair_hessian, row_parts
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
@@ -137,7 +134,7 @@ def contact_energy(
 
 
 @wp.kernel
-def _energy_kernel(
+def _contact_energy_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
     lists: CollisionLists,
@@ -175,7 +172,7 @@ def add_contact_gradient(
 
 
 @wp.kernel
-def _gradient_kernel(
+def _contact_gradient_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
     lists: CollisionLists,
@@ -239,7 +236,7 @@ def add_contact_hessian(
 
 
 @wp.kernel
-def _hessian_kernel(
+def _contact_hessian_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
     lists: CollisionLists,
@@ -290,14 +287,16 @@ class ContactPotential(EnergyTerm):
         c = self.collisions
         if len(self.energies) != c.capacity:
             self.energies = wp.zeros(c.capacity, dtype=wp.float64, device=self.model.device)
-        self._launch(_energy_kernel, active, positions, [self.energies])
+        self._launch(_contact_energy_kernel, active, positions, [self.energies])
 
     def add_gradient(
         self, active: wp.array, positions: wp.array, gradient: wp.array, min_distance: wp.array
     ) -> None:
         """Add d energy / dx [N] of all nodes, soft and kinematic, and lower the minimum gap [m]."""
         for stage in self._sums.stages():
-            self._launch(_gradient_kernel, active, positions, [gradient, min_distance, stage])
+            self._launch(
+                _contact_gradient_kernel, active, positions, [gradient, min_distance, stage]
+            )
 
     def add_hessian(
         self, active: wp.array, positions: wp.array, system: NewtonSystem, modes: wp.array
@@ -307,7 +306,7 @@ class ContactPotential(EnergyTerm):
         lanes = lane_count(m.device, m.env_count, c.largest_room)
         parts = row_parts(m.device, m.env_count, lanes)
         launch(
-            _hessian_kernel,
+            _contact_hessian_kernel,
             dim=(m.env_count, lanes, parts),
             inputs=[active, lanes, c.lists, c.geometry, positions, modes, parts, system],
             device=m.device,

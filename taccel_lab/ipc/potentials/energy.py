@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.capacity import ListRoom
-from taccel_lab.ipc.linear.scatter import NewtonSystem
-from taccel_lab.ipc.reduce import (
+from taccel_lab.ipc.device.ragged_lists import ListRoom
+from taccel_lab.ipc.device.sums import (
     add_row_sums,
     block_total,
     lane_list_sum,
     lane_sum,
     launch_rows,
 )
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 
 wp.set_module_options({"enable_backward": False})
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import copy_rows
@@ -52,7 +52,7 @@ def _wrench_kernel(
 
 
 @wp.kernel
-def _energy_kernel(
+def _load_energy_kernel(
     active: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     start_positions: wp.array2d(dtype=wp.vec3d),
@@ -66,7 +66,7 @@ def _energy_kernel(
 
 
 @wp.kernel
-def _gradient_kernel(
+def _load_gradient_kernel(
     active: wp.array(dtype=wp.int32),
     loads: wp.array2d(dtype=wp.vec3d),
     gradient: wp.array2d(dtype=wp.vec3d),
@@ -121,7 +121,7 @@ class ExternalLoad(Potential):
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments."""
         wp.launch(
-            _energy_kernel,
+            _load_energy_kernel,
             dim=positions.shape,
             inputs=[active, positions, self._start, self._loads],
             outputs=[self.energies],
@@ -131,7 +131,7 @@ class ExternalLoad(Potential):
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add -f [N]."""
         wp.launch(
-            _gradient_kernel,
+            _load_gradient_kernel,
             dim=positions.shape,
             inputs=[active, self._loads],
             outputs=[gradient],

@@ -8,30 +8,30 @@ from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.barrier import contact_potential_d1
-from taccel_lab.ipc.capacity import ListRoom, list_end, move_entries
-from taccel_lab.ipc.collision_lists import (
+from taccel_lab.ipc.contact.barrier import contact_potential_d1
+from taccel_lab.ipc.contact.collision_lists import (
     CollisionLists,
     ContactGeometry,
     closest_pair,
     collision_gap,
 )
-from taccel_lab.ipc.collisions import Collisions
-from taccel_lab.ipc.distance.derivatives import pair_normal
-from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_cross_sq, edge_edge_mollifier
-from taccel_lab.ipc.friction import (
+from taccel_lab.ipc.contact.collisions import Collisions
+from taccel_lab.ipc.contact.friction import (
     friction_gradient,
     friction_hessian,
     friction_potential,
     relative_displacement,
     tangential,
+    way_in,
 )
-from taccel_lab.ipc.lanes import lane_count, launch
-from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.device.launches import lane_count, launch
+from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end, move_entries
+from taccel_lab.ipc.device.sums import ReproducibleSums, SumStage, add_vector
+from taccel_lab.ipc.distance.derivatives import pair_normal
+from taccel_lab.ipc.distance.edge_edge_mollifier import edge_edge_cross_sq, edge_edge_mollifier
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import EnergyTerm
-from taccel_lab.ipc.reproducible_sums import ReproducibleSums, SumStage, add_vector
-from taccel_lab.ipc.stencil_rows import STENCIL_THREADS, add_weighted_block, row_parts
-from taccel_lab.ipc.touching import way_in
+from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS, add_weighted_block, row_parts
 from taccel_lab.model import Model
 
 wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
@@ -44,7 +44,7 @@ class FrozenContacts:
     room: where those of each environment are: as in the list that they were frozen from.
     stencils: nodes, [capacity] as all below. weights: of the nodes in the relative motion of both
     sides. normals: unit. mu_lambdas: friction coefficient times normal force [N], signed. ways_in:
-    relative motion since the start of the step that is no sliding [m], see ``touching``.
+    relative motion since the start of the step that is no sliding [m], see ``contact.friction``.
     """
 
     room: ListRoom
@@ -176,7 +176,7 @@ def sliding(env: int, at: int, frozen: FrozenContacts, motion: StepMotion) -> wp
 
 
 @wp.kernel
-def _energy_kernel(
+def _friction_energy_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
     frozen: FrozenContacts,
@@ -193,7 +193,7 @@ def _energy_kernel(
 
 
 @wp.kernel
-def _gradient_kernel(
+def _friction_gradient_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
     frozen: FrozenContacts,
@@ -216,7 +216,7 @@ def _gradient_kernel(
 
 
 @wp.kernel
-def _hessian_kernel(
+def _friction_hessian_kernel(
     active: wp.array(dtype=wp.int32),
     lanes: int,
     frozen: FrozenContacts,
@@ -242,7 +242,7 @@ def _hessian_kernel(
 
 
 @wp.kernel
-def _begin_kernel(
+def _begin_friction_kernel(
     who: wp.array(dtype=wp.int32),
     dts: wp.array(dtype=wp.float64),
     whole_dt: wp.float64,
@@ -349,7 +349,7 @@ class FrictionPotential(EnergyTerm):
         """Forget the frozen collisions of the environments ``who`` (int32, [env_count]), whose
         steps are as long as ``dts`` says [s], float64, [env_count]."""
         launch(
-            _begin_kernel,
+            _begin_friction_kernel,
             dim=self.model.env_count,
             inputs=[who, dts, self.model.scene.time.dt_s, self._static_range_m],
             outputs=[self.counts, self.eps_u_m],
@@ -363,13 +363,15 @@ class FrictionPotential(EnergyTerm):
 
     def write_energies(self, active: wp.array, motion: StepMotion) -> None:
         """Fill ``energies`` of this step's sliding [J]."""
-        self._launch(_energy_kernel, active, [self.frozen, motion, self.eps_u_m, self.energies])
+        self._launch(
+            _friction_energy_kernel, active, [self.frozen, motion, self.eps_u_m, self.energies]
+        )
 
     def add_gradient(self, active: wp.array, motion: StepMotion, gradient: wp.array) -> None:
         """Add d energy / dx [N] of all nodes."""
         for stage in self._sums.stages():
             inputs = [self.frozen, motion, self.eps_u_m, gradient, stage]
-            self._launch(_gradient_kernel, active, inputs)
+            self._launch(_friction_gradient_kernel, active, inputs)
 
     def add_hessian(
         self,
@@ -386,7 +388,7 @@ class FrictionPotential(EnergyTerm):
         lanes = lane_count(m.device, m.env_count, self.collisions.largest_room)
         parts = row_parts(m.device, m.env_count, lanes)
         launch(
-            _hessian_kernel,
+            _friction_hessian_kernel,
             dim=(m.env_count, lanes, parts),
             inputs=[active, lanes, self.frozen, motion, self.eps_u_m, sharpness] + [parts, system],
             device=m.device,

@@ -25,7 +25,7 @@ import math
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.carried import add_carried_inertia
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
@@ -82,7 +82,7 @@ def _span_kernel(
 
 
 @wp.kernel
-def _predict_kernel(
+def _predict_nodes_kernel(
     mask: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     velocities: wp.array2d(dtype=wp.vec3d),
@@ -118,7 +118,7 @@ def _predict_kernel(
 
 
 @wp.kernel
-def _energy_kernel(
+def _inertia_energy_kernel(
     active: wp.array(dtype=wp.int32),
     positions: wp.array2d(dtype=wp.vec3d),
     predictions: wp.array2d(dtype=wp.vec3d),
@@ -155,7 +155,7 @@ def _derivative_kernel(
 
 
 @wp.kernel
-def _hessian_kernel(
+def _inertia_hessian_kernel(
     active: wp.array(dtype=wp.int32),
     masses: wp.array2d(dtype=wp.float64),
     free_nodes: wp.array(dtype=wp.int32),
@@ -280,7 +280,7 @@ class InertiaPotential(Potential):
             device=m.device,
         )
         wp.launch(
-            _predict_kernel,
+            _predict_nodes_kernel,
             dim=positions.shape,
             inputs=[mask, positions, velocities]
             + [history.positions if history else positions]
@@ -347,7 +347,7 @@ class InertiaPotential(Potential):
 
     def write_energies(self, active: wp.array, positions: wp.array) -> None:
         """Fill ``energies`` [J] of active environments."""
-        self._launch(_energy_kernel, active, positions, self.energies)
+        self._launch(_inertia_energy_kernel, active, positions, self.energies)
 
     def add_gradient(self, active: wp.array, positions: wp.array, gradient: wp.array) -> None:
         """Add d energy / dx [N]: mass times acceleration, less the weight."""
@@ -364,7 +364,7 @@ class InertiaPotential(Potential):
         nodes add to those of the control nodes and between them."""
         m = self.model
         wp.launch(
-            _hessian_kernel,
+            _inertia_hessian_kernel,
             dim=(m.env_count, m.free_count),
             inputs=[active, m.masses, m.free_nodes, m.diagonal, self.spans],
             outputs=[system.values],

@@ -32,7 +32,7 @@ from taccel_lab.ipc.joints.kernels import (
 )
 from taccel_lab.ipc.joints.layout import joint_layout
 from taccel_lab.ipc.joints.prediction import close_joints_kernel
-from taccel_lab.ipc.linear.scatter import NewtonSystem
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import Potential
 from taccel_lab.model import Model
 from taccel_lab.model.env_rows import copy_rows, device_mask, zero_rows

@@ -9,7 +9,7 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.ipc.affine.prediction import predict_affine
+from taccel_lab.ipc.affine.rigidity import predict_affine
 from taccel_lab.scene import FixedJoint, KinematicBody, PrismaticJoint, RevoluteJoint
 from taccel_lab.solvers import start_step
 from tests.verification.affine_scenes import Run, affine_scene, box, turned

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.linear.extra_blocks import ExtraBlocks
-from taccel_lab.ipc.linear.report import LinearReport
+from taccel_lab.ipc.linear.problem.arrays import ExtraBlocks, LinearReport
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import BlockPattern, block_pattern
 

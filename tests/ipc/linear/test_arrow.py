@@ -8,14 +8,14 @@ import pytest
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.linear.arrow import Arrow
-from taccel_lab.ipc.linear.arrow_program import (
+from taccel_lab.ipc.linear.arrow.program import (
     ROOMS_KIB,
     STATIC_BYTES,
     arrow_program,
+    eliminate,
     plan_arrow,
 )
-from taccel_lab.ipc.linear.elimination import eliminate
+from taccel_lab.ipc.linear.arrow.solver import Arrow
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import block_pattern
 from tests.ipc.linear.peg_system import (

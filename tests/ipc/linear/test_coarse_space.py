@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.ipc.linear.block_cg import BlockCG
-from taccel_lab.ipc.linear.coarse_matrix import CoarseCorrection, coarse_parts
-from taccel_lab.ipc.linear.coarse_space import MODES
-from taccel_lab.ipc.linear.pipelined_cg import PipelinedCG
-from taccel_lab.ipc.linear.row_plan import plan_rows
+from taccel_lab.ipc.linear.cg.block_cg import BlockCG
+from taccel_lab.ipc.linear.cg.pipelined_cg import PipelinedCG
+from taccel_lab.ipc.linear.coarse.matrix import CoarseCorrection, coarse_parts
+from taccel_lab.ipc.linear.coarse.space import MODES
+from taccel_lab.ipc.linear.problem.row_plan import plan_rows
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import block_pattern
 from tests.ipc.linear.peg_system import assemble, box_tets, elastic_blocks

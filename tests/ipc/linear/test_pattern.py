@@ -12,8 +12,8 @@ import warp as wp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.ipc.linear.elimination import least_degree_order
-from taccel_lab.ipc.linear.scatter import find_block
+from taccel_lab.ipc.linear.arrow.program import least_degree_order
+from taccel_lab.ipc.linear.problem.scatter import find_block
 from taccel_lab.model.matrix_pattern import block_pattern, node_gather
 
 

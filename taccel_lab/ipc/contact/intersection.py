@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Do any surfaces intersect? A referee in numpy that shares no code with the solver.
+
+Two closed surfaces intersect exactly when an edge of one crosses a face of the other, or when one
+lies inside the other as a whole. Crossings are found from the signs of tet volumes, containment
+from the winding number. Only bodies that may touch are looked at, a soft body with itself where it
+has self-contact. Surfaces that only touch in a plane they share are not told apart from surfaces
+that do not. Thickness is left out: it is a distance to keep, not a body. A curved tet is inverted
+where it is at any of 84 points; its faces may reach into a ball by an inset, its nodes may not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from taccel_lab.bodies.bodies import SoftBody
+from taccel_lab.bodies.crossings import crossing_pairs, self_crossings
+from taccel_lab.bodies.mass_properties import winding_number
+from taccel_lab.bodies.primitives import Ball, unique_edges
+from taccel_lab.bodies.surface_parts import is_closed, one_node_of_each_part
+from taccel_lab.bodies.surface_topology import ball_insets
+from taccel_lab.errors import InputError
+from taccel_lab.geometry.quadratic import TET_EDGES
+from taccel_lab.geometry.tet_checks import first_of
+from taccel_lab.ipc.contact.gaps import point_triangle_distances
+from taccel_lab.model import BodyKind, Model
+from taccel_lab.state import State
+
+
+class IntersectionKind(StrEnum):
+    """How two things overlap."""
+
+    CROSSING = "crossing"
+    """An edge of one surface passes through a face of the other, or the ball reaches a face."""
+    SELF_CROSSING = "crossing itself"
+    INSIDE = "inside"
+    """The first body, or a separate part of it, is inside the second as a whole."""
+    BELOW_PLANE = "below a plane"
+    INVERTED_TET = "inverted tet"
+
+
+@dataclass(frozen=True)
+class Intersection:
+    """One kind of overlap of two bodies in one environment."""
+
+    kind: IntersectionKind
+    first: str
+    """Name of a body; of two, the stiffer one unless the other is inside it."""
+    second: str
+    """Name of the other body; the same for inverted tets and crossings of a body with itself."""
+    count: int
+    """Crossing pairs, components inside, nodes below the plane, or tets."""
+    point_m: np.ndarray
+    """One place where it happens [m], shape [3]."""
+    where: str = ""
+    """Numbers of an edge, face, node or tet there, each in its body's own mesh."""
+
+
+@dataclass(frozen=True)
+class _Body:
+    """A body where it is now."""
+
+    name: str
+    kind: BodyKind
+    nodes: np.ndarray
+    """[m], shape [n, 3]; of a ball its centre, of a plane its origin."""
+    faces: np.ndarray
+    radius_m: float
+    """Of a ball, else 0."""
+    normal: np.ndarray
+    """Of a plane."""
+    face_reaches_sq: np.ndarray
+    """See ``SurfaceArrays`` [m^2], one for each face."""
+
+
+def find_intersections(model: Model, state: State) -> list[list[Intersection]]:
+    """All overlaps of bodies that may touch, and inverted tets: one list per environment.
+
+    Environments whose nodes are bitwise those of an earlier one are not looked at again.
+    """
+    positions, present = state.positions.numpy(), model.present.numpy() != 0
+    seen: dict[tuple[bytes, bytes, int], list[Intersection]] = {}
+    found = []
+    for env, (x, here) in enumerate(zip(positions, present, strict=True)):
+        key = (x.tobytes(), here.tobytes(), env % model.rest_count)
+        if key not in seen:
+            seen[key] = _intersections(model, x, here, env)
+        found.append(list(seen[key]))
+    return found
+
+
+def require_separated(model: Model, state: State) -> None:
+    """Raise InputError when bodies overlap or a tet is inverted."""
+    for env, found in enumerate(find_intersections(model, state)):
+        for item in found:
+            x, y, z = item.point_m * 1e3
+            where = f"in environment {env}, near x {x:.3f}, y {y:.3f}, z {z:.3f} mm"
+            where += f" ({item.where})" if item.where else ""
+            if item.kind is IntersectionKind.INVERTED_TET:
+                raise InputError(f"{item.count} tets of {item.first!r} are inverted {where}")
+            if item.kind is IntersectionKind.SELF_CROSSING:
+                raise InputError(f"{item.first!r} crosses itself {where}")
+            raise InputError(
+                f"{item.first!r} starts inside {item.second!r} {where} ({item.kind}); "
+                "allowed: a start with a gap everywhere between bodies that may touch"
+            )
+
+
+def _bodies(model: Model, x: np.ndarray, env: int) -> list[_Body]:
+    scene, normals = model.scene, model.surface.plane_normals.numpy()
+    reaches_sq = model.surface.face_reaches_sq.numpy()[env % model.rest_count]
+    bodies = []
+    for part, body in zip(model.bodies, scene.bodies, strict=True):
+        mesh = body.nodal_mesh if isinstance(body, SoftBody) else getattr(body, "shape", None)
+        is_ball = isinstance(mesh, Ball)
+        bodies.append(
+            _Body(
+                name=part.name,
+                kind=part.kind,
+                nodes=x[part.node_slice],
+                faces=np.zeros((0, 3), dtype=int) if mesh is None or is_ball else mesh.faces,
+                radius_m=mesh.radius_m if is_ball else 0.0,
+                normal=normals[part.nodes[0]] if part.kind is BodyKind.PLANE else np.zeros(3),
+                face_reaches_sq=reaches_sq[part.faces[0] : part.faces[1]],
+            )
+        )
+    return bodies
+
+
+def _intersections(
+    model: Model, x: np.ndarray, present: np.ndarray, env: int
+) -> list[Intersection]:
+    """Overlaps of one environment; positions [node_count, 3], present [body_count]."""
+    bodies = _bodies(model, x, env)
+    found: list[Intersection] = []
+    for part, body in zip(model.bodies, model.scene.bodies, strict=True):
+        if isinstance(body, SoftBody):
+            found += _inverted_tets(part.name, x[part.node_slice][body.nodal_mesh.tets])
+    for i, j in model.contact_plan.pairs:
+        if present[i] and present[j]:
+            found += _itself(bodies[i]) if i == j else _overlaps(bodies[i], bodies[j])
+    return found
+
+
+def _lattice(order: int) -> np.ndarray:
+    """Points of a tet whose barycentric coordinates [n, 4] are multiples of 1 / ``order``."""
+    counts = np.indices((order + 1,) * 3).reshape(3, -1).T
+    counts = counts[counts.sum(axis=1) <= order]
+    return np.column_stack([order - counts.sum(axis=1), counts]) / order
+
+
+_SAMPLES = _lattice(6)
+"""Where the volume of a curved tet is looked at: corners, middles of edges and of faces, more."""
+_STRAIGHT = 1e-12
+"""Farthest that the middle of a straight edge lies off, over the size of its tet: rounding."""
+
+
+def _volume_ratios(nodes: np.ndarray) -> np.ndarray:
+    """Determinants of the derivative by the last three barycentric coordinates: of tets [n, 4, 3]
+    one each, of ten nodes [n, 10, 3] at all samples, [n, sample]."""
+    if nodes.shape[1] == 4:
+        return np.linalg.det(nodes[:, 1:] - nodes[:, :1])[:, None]
+    # x = sum_c l_c (2 l_c - 1) x_c + sum_ab 4 l_a l_b x_ab, derived by each l.
+    by_each = np.zeros((len(_SAMPLES), 4, 10))
+    for corner in range(4):
+        by_each[:, corner, corner] = 4 * _SAMPLES[:, corner] - 1
+    for edge, (a, b) in enumerate(TET_EDGES):
+        by_each[:, a, 4 + edge] = 4 * _SAMPLES[:, b]
+        by_each[:, b, 4 + edge] = 4 * _SAMPLES[:, a]
+    weights = by_each[:, 1:] - by_each[:, :1]
+    origin = nodes[:, :1]
+    tangents = (weights.reshape(-1, 10) @ (nodes - origin)).reshape(len(nodes), len(_SAMPLES), 3, 3)
+    return np.linalg.det(tangents)
+
+
+def _bent(nodes: np.ndarray) -> np.ndarray:
+    """Which tets of ten nodes [n, 10, 3] have an edge that is not straight, bool [n]."""
+    ends = nodes[:, np.array(TET_EDGES)]
+    off = np.abs(nodes[:, 4:] - ends.mean(axis=2)).max(axis=(1, 2))
+    return off > _STRAIGHT * np.ptp(nodes[:, :4], axis=1).max(axis=1)
+
+
+def _inverted_tets(name: str, nodes: np.ndarray) -> list[Intersection]:
+    """Inverted tets [n, 4, 3], or of ten nodes [n, 10, 3] those inverted at any sample."""
+    right = _volume_ratios(nodes[:, :4])[:, 0] > 0
+    if nodes.shape[1] == 10:
+        # Straight tets, as all are at rest, have one determinant.
+        bent = _bent(nodes)
+        right[bent] = (_volume_ratios(nodes[bent]) > 0).all(axis=1)
+    bad = np.flatnonzero(~right)
+    if len(bad) == 0:
+        return []
+    place, where = nodes[bad[0]].mean(axis=0), f"tets {first_of(bad)}"
+    return [Intersection(IntersectionKind.INVERTED_TET, name, name, len(bad), place, where)]
+
+
+def _itself(body: _Body) -> list[Intersection]:
+    edges, faces = self_crossings(body.nodes, body.faces)
+    if len(edges) == 0:
+        return []
+    place, kind = body.nodes[edges[0]].mean(axis=0), IntersectionKind.SELF_CROSSING
+    where = f"edges {first_of(edges)} through faces {first_of(faces)}"
+    return [Intersection(kind, body.name, body.name, len(edges), place, where)]
+
+
+def _overlaps(softer: _Body, stiffer: _Body) -> list[Intersection]:
+    """Overlaps of two bodies in the order of their ids."""
+    if stiffer.kind is BodyKind.PLANE:
+        used = np.unique(softer.faces)
+        height = (softer.nodes[used] - stiffer.nodes[0]) @ stiffer.normal
+        below = used[~(height > 0)]
+        if len(below) == 0:
+            return []
+        place = softer.nodes[below[0]]
+        kind, where = IntersectionKind.BELOW_PLANE, f"nodes {first_of(below)}"
+        return [Intersection(kind, softer.name, stiffer.name, len(below), place, where)]
+    if stiffer.radius_m > 0:
+        return _ball_overlaps(softer, stiffer)
+    return list(_surface_overlaps(softer, stiffer))
+
+
+def _ball_overlaps(body: _Body, ball: _Body) -> list[Intersection]:
+    triangles, centre = body.nodes[body.faces], ball.nodes[0]
+    distance = point_triangle_distances(centre, triangles)
+    inset = ball_insets(ball.radius_m, body.face_reaches_sq)
+    at_nodes = np.linalg.norm(triangles - centre, axis=2).min(axis=1)
+    near = (distance <= ball.radius_m - inset) | (at_nodes <= ball.radius_m)
+    if near.any():
+        place = triangles[int(np.argmin(distance))].mean(axis=0)
+        kind, where = IntersectionKind.CROSSING, f"faces {first_of(np.flatnonzero(near))}"
+        return [Intersection(kind, ball.name, body.name, int(near.sum()), place, where)]
+    if _is_inside(centre, triangles):
+        return [Intersection(IntersectionKind.INSIDE, ball.name, body.name, 1, centre)]
+    return []
+
+
+def _surface_overlaps(softer: _Body, stiffer: _Body) -> Iterator[Intersection]:
+    """Crossings, or else containment: without a crossing a component is inside as a whole."""
+    crossings, where = 0, ""
+    place = np.zeros(3)
+    for edged, faced in ((softer, stiffer), (stiffer, softer)):
+        edges = unique_edges(edged.faces)
+        segments = edged.nodes[edges]
+        edge, face = crossing_pairs(segments, faced.nodes[faced.faces])
+        crossings += len(edge)
+        if len(edge):
+            place = segments[edge[0]].mean(axis=0)
+            where = f"edges {first_of(edges[edge])} of {edged.name!r} through faces "
+            where += f"{first_of(face)} of {faced.name!r}"
+    if crossings:
+        kind = IntersectionKind.CROSSING
+        yield Intersection(kind, stiffer.name, softer.name, crossings, place, where)
+        return
+    for inner, outer in ((stiffer, softer), (softer, stiffer)):
+        if not is_closed(outer.faces):
+            continue
+        around = outer.nodes[outer.faces]
+        points = inner.nodes[one_node_of_each_part(inner.faces)]
+        low, high = around.min(axis=(0, 1)), around.max(axis=(0, 1))
+        points = points[((points >= low) & (points <= high)).all(axis=1)]
+        inside = [p for p in points if _is_inside(p, around)]
+        if inside:
+            kind = IntersectionKind.INSIDE
+            yield Intersection(kind, inner.name, outer.name, len(inside), inside[0])
+
+
+def _is_inside(point: np.ndarray, triangles: np.ndarray) -> bool:
+    """Inside of a closed surface [n, 3, 3] of either orientation."""
+    return abs(winding_number(point, triangles)) > 0.5

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Direct solution of small gels in block-arrow form."""

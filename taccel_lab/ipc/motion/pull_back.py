@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gradients on nodes that affine bodies carry along, gathered on their control nodes.
+
+The transpose of ``model.embedding``: d energy / d y_k = sum over these of w_k d energy / d x.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from taccel_lab.ipc.device.sums import block_total
+from taccel_lab.model import Model
+from taccel_lab.model.embedding import Embedded, embedded, embedded_count, embedded_node
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def _pull_back_kernel(
+    mask: wp.array(dtype=wp.int32),
+    first_control: int,
+    free_index: wp.array(dtype=wp.int32),
+    e: Embedded,
+    gradient_a: wp.array2d(dtype=wp.vec3d),
+    gradient_b: wp.array2d(dtype=wp.vec3d),
+    gradient_c: wp.array2d(dtype=wp.vec3d),
+    reduced: wp.array2d(dtype=wp.vec3d),
+):
+    """One thread block a control node."""
+    env, i, lane = wp.tid()
+    if mask[env] == 0:
+        return
+    body = i / 4
+    total = wp.vec3d()
+    for place in range(lane, embedded_count(body, e), wp.block_dim()):
+        node = embedded_node(body, place, e)
+        all_three = gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node]
+        total += e.weights[node][i % 4] * all_three
+    x = block_total(total[0])
+    y = block_total(total[1])
+    z = block_total(total[2])
+    if lane == 0:
+        node = first_control + i
+        own = gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node]
+        reduced[env, free_index[node]] = own + wp.vec3d(x, y, z)
+
+
+def pull_back(model: Model, mask: wp.array, gradients: list[wp.array], reduced: wp.array) -> None:
+    """Rows of the control nodes of ``reduced`` [N]: the sum of three nodal gradients of their own,
+    and of what acts on what the bodies carry, with its weights."""
+    affine = model.affine
+    if affine.count == 0:
+        return
+    wp.launch_tiled(
+        _pull_back_kernel,
+        dim=[model.env_count, 4 * affine.count],
+        inputs=[mask, affine.first_control, model.free_index, embedded(model)] + gradients,
+        outputs=[reduced],
+        block_dim=32,
+        device=model.device,
+    )

@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Moving between nodal arrays and the rows of the Newton system."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import warp as wp
+
+from taccel_lab.ipc.device.launches import launch, side_by_side
+from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_total
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
+from taccel_lab.ipc.linear.system import LinearSystem
+from taccel_lab.ipc.motion.pull_back import pull_back
+from taccel_lab.model import Model
+from taccel_lab.model.embedding import listed_node, vertex_range
+
+wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
+
+
+@wp.kernel
+def _reduce_kernel(
+    active: wp.array(dtype=wp.int32),
+    free_nodes: wp.array(dtype=wp.int32),
+    gradient_a: wp.array2d(dtype=wp.vec3d),
+    gradient_b: wp.array2d(dtype=wp.vec3d),
+    gradient_c: wp.array2d(dtype=wp.vec3d),
+    reduced: wp.array2d(dtype=wp.vec3d),
+):
+    env, row = wp.tid()
+    if active[env] == 0:
+        return
+    node = free_nodes[row]
+    reduced[env, row] = gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node]
+
+
+@wp.kernel
+def _steady_kernel(
+    frame_nodes: wp.array(dtype=wp.int32),
+    dts: wp.array(dtype=wp.float64),
+    velocities: wp.array2d(dtype=wp.vec3d),
+    largest_change: wp.float64,
+    displacements: wp.array2d(dtype=wp.vec3d),
+    mask: wp.array(dtype=wp.int32),
+):
+    env, lane = wp.tid()
+    if mask[env] == 0:
+        return
+    change = wp.float64(0.0)
+    way = wp.float64(0.0)
+    for i in range(lane, frame_nodes.shape[0], wp.block_dim()):
+        node = frame_nodes[i]
+        goes = displacements[env, node]
+        went = dts[env] * velocities[env, node]
+        change += wp.length_sq(goes - went)
+        way += wp.length_sq(goes)
+    changes = block_total(change)
+    ways = block_total(way)
+    if changes > largest_change * largest_change * ways:
+        for i in range(lane, frame_nodes.shape[0], wp.block_dim()):
+            displacements[env, frame_nodes[i]] = wp.vec3d()
+        if lane == 0:
+            mask[env] = 0
+
+
+@wp.kernel
+def _coast_kernel(
+    mask: wp.array(dtype=wp.int32),
+    free_nodes: wp.array(dtype=wp.int32),
+    dts: wp.array(dtype=wp.float64),
+    velocities: wp.array2d(dtype=wp.vec3d),
+    displacements: wp.array2d(dtype=wp.vec3d),
+):
+    env, row = wp.tid()
+    way = wp.vec3d()
+    if mask[env] != 0:
+        way = dts[env] * velocities[env, free_nodes[row]]
+    displacements[env, free_nodes[row]] = way
+
+
+@wp.kernel
+def _velocity_kernel(
+    mask: wp.array(dtype=wp.int32),
+    start: wp.array2d(dtype=wp.vec3d),
+    end: wp.array2d(dtype=wp.vec3d),
+    dts: wp.array(dtype=wp.float64),
+    velocities: wp.array2d(dtype=wp.vec3d),
+):
+    env, node = wp.tid()
+    if mask[env] != 0:
+        velocities[env, node] = (end[env, node] - start[env, node]) / dts[env]
+
+
+@wp.kernel
+def _begin_rhs_kernel(
+    active: wp.array(dtype=wp.int32),
+    reduced: wp.array2d(dtype=wp.vec3d),
+    keep: int,
+    rhs: wp.array2d(dtype=wp.vec3d),
+):
+    env, row = wp.tid()
+    load = wp.vec3d()
+    if keep != 0:
+        load = rhs[env, row]
+    if active[env] != 0:
+        load = load - reduced[env, row]
+    rhs[env, row] = load
+
+
+@wp.kernel
+def _spread_kernel(
+    mask: wp.array(dtype=wp.int32),
+    free_nodes: wp.array(dtype=wp.int32),
+    first_vertex: int,
+    vertex_count: int,
+    carried: wp.array(dtype=wp.int32),
+    parents: wp.array(dtype=wp.int32),
+    weights: wp.array(dtype=wp.vec4d),
+    free_index: wp.array(dtype=wp.int32),
+    solution: wp.array2d(dtype=wp.vec3d),
+    multiples: wp.array(dtype=wp.float64),
+    displacements: wp.array2d(dtype=wp.vec3d),
+):
+    env, i = wp.tid()
+    if mask[env] == 0:
+        return
+    multiple = wp.float64(1.0)
+    if multiples:
+        multiple = multiples[env]
+    if i < solution.shape[1]:
+        displacements[env, free_nodes[i]] = multiple * solution[env, i]
+        return
+    node = listed_node(i - solution.shape[1], first_vertex, vertex_count, carried)
+    y = parents[node]
+    w = weights[node]
+    displacements[env, node] = multiple * (
+        w[0] * solution[env, free_index[y]]
+        + w[1] * solution[env, free_index[y + 1]]
+        + w[2] * solution[env, free_index[y + 2]]
+        + w[3] * solution[env, free_index[y + 3]]
+    )
+
+
+@wp.kernel
+def _subtract_rows_kernel(
+    mask: wp.array(dtype=wp.int32),
+    end: wp.array2d(dtype=wp.vec3d),
+    start: wp.array2d(dtype=wp.vec3d),
+    result: wp.array2d(dtype=wp.vec3d),
+):
+    env, node = wp.tid()
+    if mask[env] != 0:
+        result[env, node] = end[env, node] - start[env, node]
+
+
+def subtract_rows(mask: wp.array, end: wp.array, start: wp.array, result: wp.array) -> None:
+    """result = end - start in the environments of ``mask``."""
+    launch(
+        _subtract_rows_kernel,
+        dim=result.shape,
+        inputs=[mask, end, start],
+        outputs=[result],
+        device=result.device,
+    )
+
+
+def newton_system(model: Model, linear: LinearSystem, displacements: wp.array) -> NewtonSystem:
+    """What potentials add to: matrix blocks, right-hand sides, motion of prescribed nodes."""
+    system = NewtonSystem()
+    system.free_index = model.free_index
+    system.parents = model.parents
+    system.weights = model.weights
+    system.row_starts = model.row_starts
+    system.columns = model.columns
+    system.values = linear.values
+    system.extra_room = linear.extra.room
+    system.extra_places = linear.extra.places
+    system.extra_values = linear.extra.values
+    system.rhs = linear.rhs
+    system.displacements = displacements
+    return system
+
+
+def newton_systems(
+    model: Model, linear: LinearSystem, displacements: wp.array
+) -> Iterator[NewtonSystem]:
+    """``newton_system`` for what adds in any order, which is launched with all of these in turn:
+    the one that there is, or where bits count one that measures and one that adds. Matrix and
+    right-hand side are zero before then."""
+    blocks, rhs = linear.block_sums.stages(), linear.rhs_sums.stages()
+    for block_sums, rhs_sums in zip(blocks, rhs, strict=True):
+        system = newton_system(model, linear, displacements)
+        system.block_sums, system.rhs_sums = block_sums, rhs_sums
+        yield system
+
+
+def reduce_gradient(
+    model: Model, active: wp.array, gradients: list[wp.array], reduced: wp.array
+) -> None:
+    """Sum of three nodal gradients by the unknowns [N], shape [env_count, free_count].
+
+    What acts on a node that an affine body carries along counts with its weights on the control
+    nodes.
+    """
+    soft_rows = model.free_count - 4 * model.affine.count
+
+    def of_soft_bodies() -> None:
+        if soft_rows:
+            launch(
+                _reduce_kernel,
+                dim=(model.env_count, soft_rows),
+                inputs=[active, model.free_nodes, *gradients],
+                outputs=[reduced],
+                device=model.device,
+            )
+
+    def of_affine_bodies() -> None:
+        pull_back(model, active, gradients, reduced)
+
+    side_by_side(model.device, [of_soft_bodies, of_affine_bodies])
+
+
+def keep_steady(
+    model: Model,
+    mask: wp.array,
+    dts: wp.array,
+    velocities: wp.array,
+    displacements: wp.array,
+    largest_change: float,
+) -> None:
+    """Clear ``mask`` and ``displacements`` [m] where frames go by another way than at their last
+    velocities [m/s]: by more than ``largest_change`` of the way, as a root mean square over what
+    they carry."""
+    wp.launch_tiled(
+        _steady_kernel,
+        dim=[model.env_count],
+        inputs=[model.frame_nodes, dts, velocities, largest_change],
+        outputs=[displacements, mask],
+        block_dim=BLOCK_THREADS,
+        device=model.device,
+    )
+
+
+def coast(
+    model: Model, mask: wp.array, dts: wp.array, velocities: wp.array, displacements: wp.array
+) -> None:
+    """Set ``displacements`` [m] of free nodes to dt times velocity, to zero outside ``mask``."""
+    launch(
+        _coast_kernel,
+        dim=(model.env_count, model.free_count),
+        inputs=[mask, model.free_nodes, dts, velocities],
+        outputs=[displacements],
+        device=model.device,
+    )
+
+
+def measure_velocities(
+    mask: wp.array, start: wp.array, end: wp.array, dts: wp.array, velocities: wp.array
+) -> None:
+    """Mean velocities [m/s] over a step, in the environments of ``mask``."""
+    launch(
+        _velocity_kernel,
+        dim=end.shape,
+        inputs=[mask, start, end, dts],
+        outputs=[velocities],
+        device=end.device,
+    )
+
+
+def begin_rhs(
+    model: Model, active: wp.array, reduced: wp.array, rhs: wp.array, keep: bool = False
+) -> None:
+    """rhs = -reduced [N], zero in environments that are not active; or with ``keep`` rhs -= reduced
+    in the active ones."""
+    launch(
+        _begin_rhs_kernel,
+        dim=rhs.shape,
+        inputs=[active, reduced, int(keep)],
+        outputs=[rhs],
+        device=model.device,
+    )
+
+
+def spread_solution(
+    model: Model,
+    mask: wp.array,
+    solution: wp.array,
+    displacements: wp.array,
+    multiples: wp.array | None = None,
+) -> None:
+    """Write the rows of ``solution`` [m] to their nodes, and to what is embedded in them, in the
+    environments of ``mask``."""
+    first, end = vertex_range(model)
+    carried = model.affine.carried
+    launch(
+        _spread_kernel,
+        dim=(model.env_count, solution.shape[1] + end - first + len(carried)),
+        inputs=[mask, model.free_nodes, first, end - first, carried, model.parents]
+        + [model.weights, model.free_index, solution, multiples],
+        outputs=[displacements],
+        device=model.device,
+    )

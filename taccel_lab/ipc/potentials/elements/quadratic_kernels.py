@@ -1,0 +1,335 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels of ten-node tets with straight edges at rest and one pressure each.
+
+    E = sum_q V/4 psi_s(F_q) + V lambda u(mean_q e(F_q))
+
+at four quadrature points: psi_s is the energy with lambda = 0, e the dilatation (``laws``).
+Four points take the 24 strains of the element without spurious modes (30 - 6); with lambda at each
+of them it would still lock mildly (Cook's membrane at nu = 0.499: 6 % instead of 0.7 %).
+
+In materials that do not bear inversion a guard on the volume ratio is added (quadratic_shape.py).
+
+Negative eigenvalues of the matrix are lifted at each point, for the shape energy plus the pressure
+times the dilatation (of which only a bounded part counts, see quadratic_points.py); what the mean
+adds is lambda V u'' g g^T, of a single eigenvalue.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from taccel_lab.ipc.elasticity.principal import cofactor, lifted
+from taccel_lab.ipc.elasticity.volume_bounds import corner_guard, volume_hessian
+from taccel_lab.ipc.potentials.elements.chunk_stage import STAGED_THREADS
+from taccel_lab.ipc.potentials.elements.data import ElementData, ElementKernels, modulus_index
+from taccel_lab.ipc.potentials.elements.point_stage import (
+    POINT_LANES,
+    PointHessian,
+    point_hessian,
+    put_element,
+    put_point,
+    stage_points,
+    write_blocks,
+    written_elements,
+)
+from taccel_lab.ipc.potentials.elements.quadratic_shape import (
+    GUARD_WEIGHT,
+    GUARDED,
+    OTHER,
+    OWN_LESS_OTHER,
+    common_deformation,
+    guarded_deformation,
+    guarded_gradients,
+    mat103d,
+    point_deformation,
+    row_of,
+    shape_gradients,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+
+@dataclass(frozen=True)
+class PointLaw:
+    """What happens at a quadrature point. ``start`` is the Green strain at the start of the step
+    there, zero unless viscous; ``d`` the ElementData, ``i`` the place of the element's moduli."""
+
+    name: str
+    start: Any
+    """``(env, tet, q, d)``."""
+    energy: Any
+    """``(f, start, d, i)``: without the volumetric part [J/m^3]."""
+    piola: Any
+    dilatation: Any
+    """``(f, start)``."""
+    dilatation_slope: Any
+    """``(f)``."""
+    volumetric: Any
+    """``(e)``: u, u', u''."""
+    volumetric_modulus: Any
+    """``(moduli, i)``: what u is multiplied by [Pa]."""
+    scale: Any
+    """``(env, tet, d)``: what the others leave out, 1 unless viscous."""
+    hessian: Any
+    """``(f, start, d, i, pressure, psd_mode)``: a PointHessian, with ``pressure`` times the
+    dilatation."""
+    guarded: Any
+    """``(env, tet, positions, d)``: whether the element needs its guard."""
+
+
+@wp.func
+def add_point_blocks(
+    env: int,
+    tet: int,
+    weight: wp.float64,
+    h: PointHessian,
+    shapes: mat103d,
+    node_count: int,
+    blocks: wp.array3d(dtype=wp.mat33d),
+):
+    """Add the blocks of one quadrature point, pairs (a, b) with a <= b in rows."""
+    pair = int(0)
+    for a in range(node_count):
+        g = weight * row_of(shapes, a)
+        left_0 = g[0] * h.k_00 + g[1] * wp.transpose(h.k_01) + g[2] * wp.transpose(h.k_02)
+        left_1 = g[0] * h.k_01 + g[1] * h.k_11 + g[2] * wp.transpose(h.k_12)
+        left_2 = g[0] * h.k_02 + g[1] * h.k_12 + g[2] * h.k_22
+        for b in range(a, node_count):
+            blocks[env, tet, pair] = (
+                blocks[env, tet, pair]
+                + shapes[b, 0] * left_0
+                + shapes[b, 1] * left_1
+                + shapes[b, 2] * left_2
+            )
+            pair += 1
+
+
+def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
+    """The kernels of a law at quadrature points, in a module of their own."""
+    start_of = law.start
+    energy = law.energy
+    piola = law.piola
+    dilatation = law.dilatation
+    dilatation_slope = law.dilatation_slope
+    volumetric = law.volumetric
+    volumetric_modulus = law.volumetric_modulus
+    scale = law.scale
+    hessian = law.hessian
+    guarded = law.guarded
+    module = wp.get_module(f"{__name__}.{law.name}")
+    wp.set_module_options({"enable_backward": False, "block_dim": STAGED_THREADS}, module=module)
+
+    @wp.kernel(module=module)
+    def _quadratic_energy_kernel(
+        active: wp.array(dtype=wp.int32),
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+        energies: wp.array2d(dtype=wp.float64),
+    ):
+        env, tet = wp.tid()
+        if active[env] == 0:
+            return
+        i = modulus_index(env, tet, d)
+        quarter = wp.float64(0.25)
+        shape = wp.float64(0.0)
+        mean = wp.float64(0.0)
+        common = common_deformation(env, tet, positions, d)
+        q = int(0)
+        while q < 4:
+            f = point_deformation(env, tet, q, common, positions, d)
+            start = start_of(env, tet, q, d)
+            shape += quarter * energy(f, start, d, i)
+            mean += quarter * dilatation(f, start)
+            q += 1
+        kept = wp.float64(0.0)
+        if guarded(env, tet, positions, d):
+            q = int(0)
+            while q < GUARDED:
+                kept += corner_guard(
+                    wp.determinant(guarded_deformation(env, tet, q, positions, d))
+                )[0]
+                q += 1
+        bulk = volumetric_modulus(d.moduli, i) * volumetric(mean)[0]
+        energies[env, tet] = (
+            d.volumes[env % d.volumes.shape[0], tet]
+            * scale(env, tet, d)
+            * (shape + bulk + GUARD_WEIGHT * d.moduli.mu[i] * kept)
+        )
+
+    @wp.func
+    def _mean_dilatation(
+        env: int,
+        tet: int,
+        common: wp.mat33d,
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+    ) -> wp.float64:
+        mean = wp.float64(0.0)
+        q = int(0)
+        while q < 4:
+            f = point_deformation(env, tet, q, common, positions, d)
+            mean += wp.float64(0.25) * dilatation(f, start_of(env, tet, q, d))
+            q += 1
+        return mean
+
+    @wp.func
+    def _mean_slope(
+        env: int,
+        tet: int,
+        common: wp.mat33d,
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+    ) -> mat103d:
+        """Of the mean dilatation in the nodes."""
+        slope = mat103d()
+        q = int(0)
+        while q < 4:
+            f = point_deformation(env, tet, q, common, positions, d)
+            slope += wp.float64(0.25) * shape_gradients(
+                env, tet, q, OTHER, OWN_LESS_OTHER, dilatation_slope(f), d
+            )
+            q += 1
+        return slope
+
+    @wp.func
+    def _factor(env: int, tet: int, d: ElementData) -> wp.float64:
+        return d.volumes[env % d.volumes.shape[0], tet] * scale(env, tet, d)
+
+    @wp.func
+    def _add_guards(
+        env: int,
+        tet: int,
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+        psd_mode: int,
+        blocks: wp.array3d(dtype=wp.mat33d),
+    ):
+        weight = _factor(env, tet, d) * GUARD_WEIGHT * d.moduli.mu[modulus_index(env, tet, d)]
+        # Held in a variable so that Warp keeps the loops rolled.
+        node_count = d.nodes.shape[1]
+        q = int(0)
+        while q < GUARDED:
+            f = guarded_deformation(env, tet, q, positions, d)
+            barrier = corner_guard(wp.determinant(f))
+            if barrier[1] != wp.float64(0.0):
+                h = point_hessian(volume_hessian(f, barrier[1], barrier[2], psd_mode))
+                shapes = guarded_gradients(env, tet, q, wp.transpose(h.frame), d)
+                add_point_blocks(env, tet, weight, h, shapes, node_count, blocks)
+            q += 1
+
+    @wp.kernel(module=module)
+    def _quadratic_gradient_kernel(
+        active: wp.array(dtype=wp.int32),
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+        local_gradients: wp.array3d(dtype=wp.vec3d),
+    ):
+        env, tet = wp.tid()
+        if active[env] == 0:
+            return
+        rest = env % d.volumes.shape[0]
+        i = modulus_index(env, tet, d)
+        common = common_deformation(env, tet, positions, d)
+        mean = _mean_dilatation(env, tet, common, positions, d)
+        pressure = volumetric_modulus(d.moduli, i) * volumetric(mean)[1]
+        factor = d.volumes[rest, tet] * scale(env, tet, d)
+        # Stress integrals: l_c P over the element for each corner c, from l_c = OTHER + ...
+        total = wp.mat33d()
+        own_0 = wp.mat33d()
+        own_1 = wp.mat33d()
+        own_2 = wp.mat33d()
+        own_3 = wp.mat33d()
+        q = int(0)
+        while q < 4:
+            f = point_deformation(env, tet, q, common, positions, d)
+            start = start_of(env, tet, q, d)
+            p = piola(f, start, d, i) + pressure * dilatation_slope(f)
+            total += p
+            if q == 0:
+                own_0 = p
+            elif q == 1:
+                own_1 = p
+            elif q == 2:
+                own_2 = p
+            else:
+                own_3 = p
+            q += 1
+        m_0 = factor * (OTHER * total + OWN_LESS_OTHER * own_0)
+        m_1 = factor * (OTHER * total + OWN_LESS_OTHER * own_1)
+        m_2 = factor * (OTHER * total + OWN_LESS_OTHER * own_2)
+        m_3 = factor * (OTHER * total + OWN_LESS_OTHER * own_3)
+        constant = wp.float64(0.25) * factor * total
+        b_0 = d.gradients[rest, tet, 0]
+        b_1 = d.gradients[rest, tet, 1]
+        b_2 = d.gradients[rest, tet, 2]
+        b_3 = d.gradients[rest, tet, 3]
+        local_gradients[env, tet, 0] = (m_0 - constant) * b_0
+        local_gradients[env, tet, 1] = (m_1 - constant) * b_1
+        local_gradients[env, tet, 2] = (m_2 - constant) * b_2
+        local_gradients[env, tet, 3] = (m_3 - constant) * b_3
+        local_gradients[env, tet, 4] = m_1 * b_0 + m_0 * b_1
+        local_gradients[env, tet, 5] = m_2 * b_1 + m_1 * b_2
+        local_gradients[env, tet, 6] = m_2 * b_0 + m_0 * b_2
+        local_gradients[env, tet, 7] = m_3 * b_0 + m_0 * b_3
+        local_gradients[env, tet, 8] = m_3 * b_1 + m_1 * b_3
+        local_gradients[env, tet, 9] = m_3 * b_2 + m_2 * b_3
+        if not guarded(env, tet, positions, d):
+            return
+        q = int(0)
+        while q < GUARDED:
+            f = guarded_deformation(env, tet, q, positions, d)
+            push = corner_guard(wp.determinant(f))[1]
+            if push != wp.float64(0.0):
+                stress = (factor * GUARD_WEIGHT * d.moduli.mu[i] * push) * cofactor(f)
+                rows = guarded_gradients(env, tet, q, stress, d)
+                for a in range(d.nodes.shape[1]):
+                    local_gradients[env, tet, a] = local_gradients[env, tet, a] + row_of(rows, a)
+            q += 1
+
+    @wp.kernel(module=module)
+    def _quadratic_hessian_kernel(
+        active: wp.array(dtype=wp.int32),
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+        psd_modes: wp.array(dtype=wp.int32),
+        blocks: wp.array3d(dtype=wp.mat33d),
+    ):
+        env, lane = wp.tid()
+        if active[env] == 0:
+            return
+        stage = stage_points()
+        psd_mode = psd_modes[env]
+        count = d.nodes.shape[0]
+        own = lane / POINT_LANES
+        q = lane % POINT_LANES
+        if own < count:
+            i = modulus_index(env, own, d)
+            common = common_deformation(env, own, positions, d)
+            volume_part = volumetric(_mean_dilatation(env, own, common, positions, d))
+            modulus = volumetric_modulus(d.moduli, i)
+            if q == 0:
+                slope = _mean_slope(env, own, common, positions, d)
+                factor = _factor(env, own, d)
+                bulk = factor * modulus * lifted(volume_part[2], psd_mode)
+                put_element(stage, lane, wp.float64(0.25) * factor, bulk, slope)
+            f = point_deformation(env, own, q, common, positions, d)
+            pressure = modulus * volume_part[1]
+            h = hessian(f, start_of(env, own, q, d), d, i, pressure, psd_mode)
+            turn = wp.transpose(h.frame)
+            shapes = shape_gradients(env, own, q, OTHER, OWN_LESS_OTHER, turn, d)
+            put_point(stage, lane, h, shapes)
+        write_blocks(stage, env, lane, blocks)
+        written = written_elements(lane, count)
+        for tet in range(written[0], written[1]):
+            if guarded(env, tet, positions, d):
+                _add_guards(env, tet, positions, d, psd_mode, blocks)
+
+    return ElementKernels(
+        _quadratic_energy_kernel,
+        _quadratic_gradient_kernel,
+        _quadratic_hessian_kernel,
+        POINT_LANES,
+    )

@@ -1,0 +1,308 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Overlaps told by name, and those that the device finds: against known places and ipctk."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taccel_lab.bodies.bodies import Surface
+from taccel_lab.errors import InputError
+from taccel_lab.ipc.contact.gaps import point_triangle_distances
+from taccel_lab.ipc.contact.intersection import (
+    Intersection,
+    IntersectionKind,
+    find_intersections,
+    require_separated,
+)
+from taccel_lab.ipc.contact.overlap_search import OverlapSearch
+from taccel_lab.model import Model
+from taccel_lab.scene import (
+    AffineBody,
+    Ball,
+    Element,
+    KinematicBody,
+    Material,
+    Plane,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    TriangleMesh,
+    box_mesh,
+    sphere_mesh,
+)
+from taccel_lab.state import State, initial_state
+from tests.support.blocks import block_mesh, bumpy_body, everywhere, pose, scene
+from tests.verification.curved_tets import CURVED, curved
+
+MESH = block_mesh((4, 4, 2), (4e-3, 4e-3, 2e-3), jitter=0.2)
+
+
+def told(model: Model, state: State, mask: np.ndarray | None = None) -> list[list[Intersection]]:
+    """Overlaps of each environment, and that the device finds those of the mask, and no others;
+    inverted tets are not its business."""
+    found = find_intersections(model, state)
+    wanted = np.ones(model.env_count, dtype=bool) if mask is None else mask
+    chosen = wp.array(wanted.astype(np.int32), dtype=wp.int32)
+    overlapping = OverlapSearch(model).find(state, chosen).numpy() != 0
+    expected = [
+        any(item.kind is not IntersectionKind.INVERTED_TET for item in one) for one in found
+    ]
+    np.testing.assert_array_equal(overlapping, expected & wanted)
+    return found
+
+
+def intersections(shape: TriangleMesh | Ball, *poses: np.ndarray) -> list[list[Intersection]]:
+    """Overlaps of one body in as many environments as there are poses."""
+    model = scene(MESH, KinematicBody(shape), env_count=len(poses)).finalize()
+    return told(model, initial_state(model, np.stack(poses)[:, None]))
+
+
+def kinds(found: list[Intersection]) -> list[IntersectionKind]:
+    return [item.kind for item in found]
+
+
+PLACES = st.tuples(*[st.floats(-2.5e-3, 2.5e-3)] * 2, st.floats(-2.5e-3, 1.5e-3))
+TURNS = st.tuples(*[st.floats(-1, 1)] * 3, st.floats(0, 180))
+SHAPES = {
+    "ball": Ball(1e-3),
+    "box": box_mesh((1e-3, 1e-3, 1e-3)),
+    "large box": box_mesh((9e-3, 9e-3, 9e-3)),
+    "sphere": sphere_mesh(0.3e-3, 1e-4),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@given(places=st.lists(PLACES, min_size=4, max_size=4), turn=TURNS)
+@settings(max_examples=15, deadline=None)
+def test_any_place_of_a_body_in_or_around_a_gel(
+    name: str, places: list[tuple[float, float, float]], turn: tuple[float, float, float, float]
+) -> None:
+    axis = turn[:3] if np.linalg.norm(turn[:3]) > 0.1 else (0.0, 0.0, 1.0)
+    intersections(SHAPES[name], *(pose(*place, axis, turn[3]) for place in places))
+
+
+@pytest.mark.parametrize(
+    ("shape", "reach"),
+    [
+        (Ball(1e-3), 1e-3),
+        (box_mesh((1e-3, 1e-3, 1e-3)), 0.5e-3),
+        (box_mesh((9e-3, 9e-3, 1e-3)), 0.5e-3),
+    ],
+)
+def test_a_body_just_above_and_just_below_the_surface(
+    shape: TriangleMesh | Ball, reach: float
+) -> None:
+    above, below = intersections(
+        shape, pose(1e-4, 2e-4, reach + 1e-9), pose(1e-4, 2e-4, reach - 1e-9)
+    )
+    assert above == []
+    assert kinds(below) == [IntersectionKind.CROSSING]
+    assert below[0].first == "indenter" and below[0].second == "gel" and below[0].count > 0
+    assert np.abs(below[0].point_m[:2]).max() < 5e-3
+
+
+def test_bodies_that_do_not_cross_but_contain() -> None:
+    (swallowed,) = intersections(sphere_mesh(0.3e-3, 1e-4), pose(1e-4, 0, -1e-3))
+    assert kinds(swallowed) == [IntersectionKind.INSIDE]
+    (ball,) = intersections(Ball(0.3e-3), pose(1e-4, 0, -1e-3))
+    assert kinds(ball) == [IntersectionKind.INSIDE]
+    (around,) = intersections(box_mesh((9e-3, 9e-3, 9e-3)), pose(0, 0, -1e-3, (1, 0, 0), 20))
+    assert kinds(around) == [IntersectionKind.INSIDE]
+    (hollow,) = intersections(Ball(9e-3), pose(0, 0, -1e-3))
+    assert kinds(hollow) == [IntersectionKind.CROSSING]
+
+
+def test_a_needle_between_the_nodes_is_seen() -> None:
+    needle = TriangleMesh(
+        np.array([[0, 0, -1e-4], [1e-6, 0, 1e-3], [-1e-6, 1e-6, 1e-3], [0, -1e-6, 1e-3]]),
+        np.array([[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]]),
+    )
+    (found,) = intersections(needle, pose(3.1e-4, 2.7e-4, 0))
+    assert kinds(found) == [IntersectionKind.CROSSING]
+
+
+def test_inverted_tets_are_found() -> None:
+    model = scene(MESH, KinematicBody(Ball(1e-3)), env_count=2).finalize()
+    state = initial_state(model, everywhere(2, pose(0, 0, 5e-3)))
+    x = state.positions.numpy()
+    x[1, 62] -= [0, 0, 1.5e-3]
+    state.positions.assign(x)
+    first, second = told(model, state)
+    assert first == []
+    assert kinds(second) == [IntersectionKind.INVERTED_TET]
+    with pytest.raises(InputError, match="'gel' are inverted in environment 1"):
+        require_separated(model, state)
+
+
+@settings(max_examples=30)
+@given(
+    seed=st.integers(0, 1000),
+    x=st.floats(-2e-3, 2e-3),
+    z=st.floats(-1e-3, 3e-3),
+    angle=st.floats(0, 180),
+)
+def test_crossings_agree_with_ipctk(seed: int, x: float, z: float, angle: float) -> None:
+    import ipctk
+
+    body = bumpy_body(seed, 1e-3, 0.5)
+    placed = pose(x, 0.3e-3, z, (1, -2, 3), angle)
+    model = scene(MESH, KinematicBody(body)).finalize()
+    state = initial_state(model, placed[None, None])
+    (found,) = told(model, state)
+    both = np.concatenate([MESH.faces, body.faces + model.soft_count])
+    collision_mesh = ipctk.CollisionMesh(state.positions.numpy()[0], ipctk.edges(both), both)
+    expected = ipctk.has_intersections(collision_mesh, state.positions.numpy()[0])
+    assert (IntersectionKind.CROSSING in kinds(found)) == expected
+
+
+def test_distances_of_a_point_from_triangles_agree_with_ipctk() -> None:
+    import ipctk
+
+    rng = np.random.default_rng(0)
+    point, triangles = rng.normal(size=3), rng.normal(size=(500, 3, 3))
+    expected = [ipctk.point_triangle_distance(point, *t) ** 0.5 for t in triangles]
+    np.testing.assert_allclose(point_triangle_distances(point, triangles), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("shape", [Ball(1e-3), box_mesh((2e-3, 2e-3, 2e-3))])
+def test_a_bad_start_is_refused_with_its_place(shape: TriangleMesh | Ball) -> None:
+    model = scene(MESH, KinematicBody(shape, name="pin"), env_count=2).finalize()
+    good, bad = pose(0, 0, 1.1e-3), pose(1e-3, 0, 0.9e-3)
+    require_separated(model, initial_state(model, np.stack([good, good])[:, None]))
+    state = initial_state(model, np.stack([good, bad])[:, None])
+    with pytest.raises(InputError, match=r"'pin' starts inside 'gel' in environment 1.*gap"):
+        require_separated(model, state)
+
+
+def test_of_a_thousand_equal_environments_one_is_looked_at() -> None:
+    model = scene(MESH, KinematicBody(box_mesh((1e-3, 1e-3, 1e-3))), env_count=1000).finalize()
+    inside, above = pose(0, 0, 0.3e-3), pose(0, 0, 5e-3)
+    poses = np.stack([inside if env == 700 else above for env in range(1000)])
+    state = initial_state(model, poses[:, None])
+    started = time.process_time()
+    found = find_intersections(model, state)
+    assert time.process_time() - started < 1
+    assert [env for env, items in enumerate(found) if items] == [700]
+
+
+FREE = np.zeros(0, dtype=np.int64)
+DYNAMIC = TimeStepping(quasi_static=False)
+SOFT = Material(1e5, 0.4, 1000.0)
+
+
+def names(found: list[Intersection]) -> set[tuple[str, str, str]]:
+    return {(item.kind.value, item.first, item.second) for item in found}
+
+
+def in_scene(made: Scene, shifts: dict[str, list[float]]) -> set[tuple[str, str, str]]:
+    """Overlaps when bodies are moved by shifts from where they start."""
+    model = made.finalize()
+    state = initial_state(model)
+    x = state.positions.numpy()
+    for body in model.bodies:
+        x[:, body.node_slice] += shifts.get(body.name, [0.0, 0.0, 0.0])
+    state.positions.assign(x)
+    return names(told(model, state)[0])
+
+
+def test_any_two_bodies() -> None:
+    box = box_mesh((1e-3, 1e-3, 1e-3))
+    gels = [
+        SoftBody(
+            block_mesh((2, 2, 1), (2e-3, 2e-3, 1e-3)), SOFT, FREE, name=name, element=Element.LINEAR
+        )
+        for name in ("left", "right")
+    ]
+    gels[1] = replace(gels[1], initial_pose=pose(3e-3, 0, 0))
+    made = Scene(
+        gels,
+        KinematicBody(Ball(0.5e-3), name="ball"),
+        affine_bodies=[
+            AffineBody(box, name="cube", initial_pose=pose(0, 5e-3, 0)),
+            AffineBody(sphere_mesh(0.2e-3, 1e-4), name="pea", initial_pose=pose(0, 0, 5e-3)),
+        ],
+        planes=Plane((0, 0, -2e-3), name="floor"),
+        time=DYNAMIC,
+    )
+    far = {"ball": [9e-3, 9e-3, 9e-3]}
+    assert in_scene(made, far) == set()
+    assert in_scene(made, far | {"right": [-1.5e-3, 0, 0]}) == {("crossing", "right", "left")}
+    assert in_scene(made, far | {"cube": [0, -3.8e-3, 0]}) == {("crossing", "cube", "left")}
+    assert in_scene(made, far | {"pea": [0, 5e-3, -5e-3]}) == {("inside", "pea", "cube")}
+    assert in_scene(made, far | {"pea": [0, 0, -5.5e-3]}) == {("inside", "pea", "left")}
+    assert in_scene(made, far | {"cube": [0, 0, -1.6e-3]}) == {("below a plane", "cube", "floor")}
+    assert in_scene(made, far | {"left": [0, 0, -1.1e-3]}) == {("below a plane", "left", "floor")}
+    assert in_scene(made, {"ball": [0, 5e-3, 0.9e-3]}) == {("crossing", "ball", "cube")}
+    apart = replace(
+        made, affine_bodies=[replace(b, surface=Surface(2, 2)) for b in made.affine_bodies]
+    )
+    assert in_scene(apart, far | {"cube": [0, -3.8e-3, 0]}) == set(), "layers that never touch"
+    gone = Surface(environments=())
+    absent = replace(made, affine_bodies=[replace(b, surface=gone) for b in made.affine_bodies])
+    assert in_scene(absent, far | {"cube": [0, -3.8e-3, 0]}) == set(), "a body that is not there"
+
+
+def test_a_body_that_crosses_itself() -> None:
+    mesh = block_mesh((6, 1, 1), (6e-3, 1e-3, 0.5e-3))
+    strip = SoftBody(mesh, SOFT, FREE, self_contact=True, element=Element.LINEAR)
+    model = Scene(strip, time=DYNAMIC).finalize()
+    state = initial_state(model)
+    x = state.positions.numpy()[0]
+    for degrees, expected in ((340, set()), (372, {("crossing itself", "gel", "gel")})):
+        angle = x[:, 0] / 6e-3 * np.deg2rad(degrees)
+        radius = 1.3e-3 - x[:, 2]
+        state.positions.assign(
+            np.column_stack([radius * np.sin(angle), x[:, 1], radius * np.cos(angle)])[None]
+        )
+        found = names(told(model, state)[0])
+        assert {item for item in found if item[0] != "inverted tet"} == expected
+
+
+def test_masks_and_places_that_are_not_finite() -> None:
+    """The device leaves alone what is not asked for, and what is no place at all."""
+    model = scene(MESH, KinematicBody(Ball(1e-3)), env_count=3).finalize()
+    state = initial_state(model, everywhere(3, pose(0, 0, 0.5e-3)))
+    assert all(told(model, state, np.array([True, False, True])))
+    x = state.positions.numpy()
+    x[2, 0] = np.nan
+    state.positions.assign(x)
+    found = OverlapSearch(model).find(state, wp.full(3, 1, dtype=wp.int32)).numpy()
+    assert found.tolist() == [1, 1, 0]
+
+
+def test_a_curved_face_may_reach_into_a_ball_by_its_inset() -> None:
+    gel = SoftBody(MESH, SOFT, element=Element.QUADRATIC)
+    heights = 1e-3 + np.linspace(-4e-5, 1e-6, 12)
+    model = Scene(gel, KinematicBody(Ball(1e-3)), len(heights)).finalize()
+    state = initial_state(model, np.stack([pose(2e-4, 3e-4, z) for z in heights])[:, None])
+    found = told(model, state)
+    assert any(found) and not all(found)
+
+
+def test_a_quadratic_tet_can_turn_inside_out_at_a_corner() -> None:
+    soft = SoftBody(MESH, SOFT, element=Element.QUADRATIC)
+    model = Scene(soft).finalize()
+    state = initial_state(model)
+    assert find_intersections(model, state) == [[]]
+    x = state.positions.numpy()
+    middle = MESH.node_count + 40
+    ends = soft.nodal_mesh.edges[40]
+    x[0, middle] = x[0, ends[0]] + 0.2 * (x[0, ends[1]] - x[0, ends[0]])
+    state.positions.assign(x)
+    assert kinds(find_intersections(model, state)[0]) == [IntersectionKind.INVERTED_TET]
+
+
+def test_a_quadratic_tet_can_be_inside_out_between_corners_that_are_in_order() -> None:
+    soft = SoftBody(CURVED, SOFT, bonded_nodes=np.arange(4), element=Element.QUADRATIC)
+    model = Scene(soft).finalize()
+    state = initial_state(model)
+    assert find_intersections(model, state) == [[]]
+    state.positions.assign(state.positions.numpy() + curved(soft))
+    assert kinds(find_intersections(model, state)[0]) == [IntersectionKind.INVERTED_TET]

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ragged lists: an environment that needs more room gets it alone, or is given up alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taccel_lab.ipc.broad_phase.candidates import PairList
+from taccel_lab.ipc.device import ragged_lists
+from taccel_lab.ipc.device.ragged_lists import (
+    ListRoom,
+    claim_place,
+    grow_all,
+    overflows,
+    plan_rooms,
+)
+
+CPU = wp.get_device("cpu")
+
+
+@wp.kernel(enable_backward=False)
+def _append_kernel(
+    asked: wp.array(dtype=wp.int32), room: ListRoom, pairs: wp.array(dtype=wp.vec2i)
+):
+    """As many pairs (environment, number) as are asked for."""
+    env = wp.tid()
+    for number in range(asked[env]):
+        at = claim_place(env, room)
+        if at >= 0:
+            pairs[at] = wp.vec2i(env, number)
+
+
+@wp.kernel(enable_backward=False)
+def _look_kernel(room: ListRoom, missed: wp.array(dtype=wp.int32)):
+    env = wp.tid()
+    missed[env] = int(overflows(env, room))
+
+
+def append(pairs: PairList, asked: np.ndarray) -> None:
+    counts = wp.array(asked, dtype=wp.int32, device=CPU)
+    wp.launch(_append_kernel, dim=len(asked), inputs=[counts, pairs.room, pairs.pairs], device=CPU)
+
+
+def too_short(pairs: PairList) -> np.ndarray:
+    """Environments whose list was too short; those are emptied, and ask for more."""
+    short = wp.zeros(len(pairs.counts), dtype=wp.int32, device=CPU)
+    wp.launch(_look_kernel, dim=len(short), inputs=[pairs.room, short], device=CPU)
+    return short.numpy() != 0
+
+
+def assert_holds(pairs: PairList, asked: np.ndarray) -> None:
+    """Each environment has its own pairs, in the order in which they came."""
+    for env, count in enumerate(asked):
+        expected = np.column_stack([np.full(count, env), np.arange(count)])
+        np.testing.assert_array_equal(pairs.of(env, pairs.pairs), expected)
+
+
+SIZES = st.lists(st.tuples(st.integers(0, 60), st.integers(0, 400)), min_size=1, max_size=12)
+
+
+@given(sizes=SIZES, limit=st.integers(1, 300), spare=st.integers(0, 2000))
+def test_planned_rooms(sizes: list[tuple[int, int]], limit: int, spare: int) -> None:
+    """Rooms never shrink; who asks gets what is missing, or nothing, the most demanding first."""
+    rooms, peaks = np.array(sizes).T
+    rooms = np.minimum(rooms, limit)
+    most = int(rooms.sum()) + spare
+    planned = plan_rooms(rooms, peaks, limit, most)
+    assert planned.sum() <= most and (planned >= rooms).all() and (planned <= limit).all()
+    asks, refused = peaks > rooms, peaks > planned
+    enough = np.minimum(3 * peaks // 2, limit)
+    assert (planned[asks & ~refused] >= enough[asks & ~refused]).all()
+    # Nobody gets more than all others would but for a burst of its own.
+    if len(peaks) > 1:
+        second = np.sort(np.where(peaks <= limit, peaks, 0))[-2]
+        usual = min(3 * second // 2, limit) if asks.any() else 0
+        assert (planned <= np.maximum(np.maximum(rooms, usual), np.where(asks, enough, 0))).all()
+    # Whoever was refused without reaching the limit wanted at least as much as who was served.
+    short_of_memory = refused & (peaks <= limit)
+    if short_of_memory.any() and (asks & ~refused).any():
+        assert peaks[short_of_memory].min() >= peaks[asks & ~refused].max()
+    if not short_of_memory.any():
+        np.testing.assert_array_equal(refused, peaks > np.maximum(rooms, limit))
+
+
+def test_what_many_need_goes_to_all() -> None:
+    """Lest the lists move, and a step is taken again, for each of them in turn."""
+    rooms, peaks = np.full(64, 500), np.full(64, 300)
+    peaks[:3] = 510
+    np.testing.assert_array_equal(plan_rooms(rooms, peaks, 10_000, 10**9)[:3], 765)
+    assert plan_rooms(rooms, peaks, 10_000, 10**9).sum() == 3 * 765 + 61 * 500
+    peaks[:6] = 510
+    assert (plan_rooms(rooms, peaks, 10_000, 10**9) == 765).all()
+    # Not where memory is short.
+    assert plan_rooms(rooms, peaks, 10_000, 40_000).sum() == 6 * 765 + 58 * 500
+
+
+@given(bursts=st.lists(st.lists(st.integers(0, 30), min_size=4, max_size=4), max_size=6))
+def test_lists_hold_what_was_appended(bursts: list[list[int]]) -> None:
+    """Whatever is asked for, round after round; rooms follow one another without a gap."""
+    pairs = PairList(4, CPU, 3, 1000)
+    everyone = wp.full(4, 1, dtype=wp.int32, device=CPU)
+    for burst in map(np.array, bursts):
+        before = pairs.rooms
+        pairs.clear(everyone)
+        append(pairs, burst)
+        if pairs.fit():
+            pairs.clear(everyone)
+            append(pairs, burst)
+            assert not pairs.fit()
+        assert (pairs.rooms >= np.maximum(burst, before)).all()
+        starts = pairs.starts.numpy()
+        assert starts[0] == 0 and starts[-1] == pairs.capacity == len(pairs.pairs)
+        np.testing.assert_array_equal(np.diff(starts), pairs.rooms)
+        assert_holds(pairs, burst)
+
+
+def test_others_keep_their_entries_while_one_grows() -> None:
+    pairs = PairList(5, CPU, 8, 1000)
+    asked = np.array([5, 3, 400, 0, 4])
+    append(pairs, asked)
+    np.testing.assert_array_equal(too_short(pairs), asked == 400)
+    assert not grow_all([pairs]).any()
+    assert pairs.rooms.tolist() == [8, 8, 600, 8, 8]
+    assert pairs.pairs.capacity == 8 * (4 * 8 + 600), "bytes of vec2i: those of the one alone"
+    assert_holds(pairs, np.where(asked == 400, 0, asked))
+    append(pairs, np.where(asked == 400, 400, 0))
+    assert not too_short(pairs).any()
+    assert_holds(pairs, asked)
+
+
+def test_beyond_the_limit_there_is_no_room() -> None:
+    pairs = PairList(3, CPU, 4, 50)
+    append(pairs, np.array([50, 51, 2]))
+    assert too_short(pairs).tolist() == [True, True, False]
+    assert grow_all([pairs]).tolist() == [False, True, False]
+    assert pairs.rooms.tolist() == [50, 4, 4]
+    append(pairs, np.array([0, 60, 0]))
+    assert not pairs.fit(), "there is nothing to look for again"
+    assert pairs.counts.numpy().tolist() == [0, 0, 2]
+    # Who was refused may have few entries again.
+    append(pairs, np.array([0, 3, 0]))
+    assert not too_short(pairs).any() and not grow_all([pairs]).any()
+    assert pairs.counts.numpy().tolist() == [0, 3, 2]
+
+
+def test_without_memory_who_wants_most_stands_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    pairs = PairList(4, CPU, 10, 1 << 20)
+    monkeypatch.setattr(ragged_lists, "free_memory", lambda device: 100_000)
+    append(pairs, np.array([200, 5, 300_000, 2_000]))
+    assert too_short(pairs).tolist() == [True, False, True, True]
+    assert grow_all([pairs]).tolist() == [False, False, True, False]
+    assert pairs.rooms.tolist() == [300, 10, 10, 3000], "no more than is asked for"
+    assert pairs.pairs.capacity <= 100_000
+    # It may ask again once there is more.
+    monkeypatch.setattr(ragged_lists, "free_memory", lambda device: None)
+    append(pairs, np.array([0, 0, 300_000, 0]))
+    assert pairs.fit()
+    assert pairs.rooms.tolist() == [3000, 3000, 450_000, 3000]
+
+
+def test_places_are_counted_by_int32(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However much memory there is."""
+    monkeypatch.setattr(ragged_lists, "free_memory", lambda device: None)
+    monkeypatch.setattr(PairList, "most_entries", 1000)
+    pairs = PairList(2, CPU, 10, 1 << 20)
+    append(pairs, np.array([700, 500]))
+    assert too_short(pairs).all()
+    assert grow_all([pairs]).tolist() == [True, False]
+    assert pairs.rooms.tolist() == [10, 750]

@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Blocks outside of the pattern: assembly from nodes of every kind, and all solvers with them.
+
+Blocks outside of the pattern: assembly from nodes of every kind, and all solvers with them.
+
+Row lists of extra blocks in order: the same bits however the blocks were listed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import warp as wp
+
+from taccel_lab.ipc.linear.cg.block_cg import BlockCG
+from taccel_lab.ipc.linear.cg.pipelined_cg import PipelinedCG
+from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_block
+from taccel_lab.ipc.linear.system import METHODS, LinearSystem, Solver
+from taccel_lab.ipc.motion.unknowns import newton_system
+from taccel_lab.scene import (
+    AffineBody,
+    Element,
+    KinematicBody,
+    Material,
+    Scene,
+    SoftBody,
+    TimeStepping,
+    box_mesh,
+    sphere_mesh,
+)
+from tests.ipc.linear.systems import (
+    BACKENDS,
+    contact_system,
+    delaunay_pattern,
+    list_extra,
+    random_spd,
+)
+from tests.support.blocks import block_mesh
+
+CPU = wp.get_device("cpu")
+
+
+def springs_between(
+    rng: np.random.Generator, places: np.ndarray, n: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Blocks of stiff springs between rows that no element connects, and what each adds to both
+    diagonal blocks, [m, 3, 3] each."""
+    normals = rng.normal(size=(len(places), 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    stiffness = 10.0 ** rng.uniform(0, 3, len(places))
+    outer = stiffness[:, None, None] * normals[:, :, None] * normals[:, None, :]
+    return -outer, outer
+
+
+@pytest.mark.parametrize("method", BACKENDS)
+def test_solvers_with_extra_blocks(method: str) -> None:
+    rng = np.random.default_rng(3)
+    pattern = delaunay_pattern(rng, 60, 5)
+    n = pattern.free_count
+    envs = 3
+    values = np.stack([random_spd(rng, pattern, 30.0) for _ in range(envs)])
+    counts = np.array([25, 0, 7])
+    places = np.zeros((envs, 40, 2), dtype=np.int32)
+    blocks = np.zeros((envs, 40, 3, 3))
+    for env, count in enumerate(counts):
+        pairs = rng.integers(0, n, (count, 2))
+        pairs[:, 0] += (pairs[:, 0] == pairs[:, 1]) & (pairs[:, 0] < n - 1)
+        pairs = np.sort(pairs, axis=1)[:, ::-1]
+        off, on = springs_between(rng, pairs, n)
+        places[env, :count], blocks[env, :count] = pairs, off
+        for (i, j), block in zip(pairs, on, strict=True):
+            values[env, pattern.diagonal[i]] += block
+            values[env, pattern.diagonal[j]] += block
+    rhs = rng.normal(size=(envs, n, 3))
+
+    system = LinearSystem(pattern, envs, CPU, method=method)
+    system.values.assign(values)
+    system.rhs.assign(rhs)
+    extra = system.extra
+    extra.counts.assign(np.full(envs, 40))
+    assert extra.fit()
+    assert (extra.rooms == 60).all()
+    list_extra(
+        extra,
+        [part[:count] for part, count in zip(places, counts, strict=True)],
+        [part[:count] for part, count in zip(blocks, counts, strict=True)],
+    )
+    assert not extra.fit()
+    system.tolerances.fill_(1e-10)
+    system.solve(wp.full(envs, 1, dtype=wp.int32, device=CPU), 5000)
+    report = system.report()
+    assert not report.breakdown.any()
+    assert (report.relative_residual <= 1.1e-10).all()
+    for env, count in enumerate(counts):
+        full = pattern.dense(values[env : env + 1])[0]
+        for (i, j), block in zip(places[env, :count], blocks[env, :count], strict=True):
+            full[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] += block
+            full[3 * j : 3 * j + 3, 3 * i : 3 * i + 3] += block.T
+        assert np.linalg.eigvalsh(full)[0] > 0
+        expected = np.linalg.solve(full, rhs[env].ravel()).reshape(n, 3)
+        found = system.solution.numpy()[env]
+        np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())
+
+
+@wp.kernel
+def _add_pairs_kernel(
+    first: wp.array(dtype=wp.int32),
+    second: wp.array(dtype=wp.int32),
+    blocks: wp.array(dtype=wp.mat33d),
+    system: NewtonSystem,
+):
+    k = wp.tid()
+    add_block(0, first[k], second[k], blocks[k], system)
+
+
+def test_blocks_of_all_kinds_of_nodes_are_j_transposed_h_j() -> None:
+    """Soft, bonded, mounted, affine and kinematic nodes: H in terms of the unknowns, and the rest
+    on the right-hand side."""
+    rng = np.random.default_rng(1)
+    gel = SoftBody(
+        block_mesh((1, 1, 1), (1e-3,) * 3), Material(1e5, 0.4), mount="hand", element=Element.LINEAR
+    )
+    bodies = [AffineBody(box_mesh((2e-3, 1e-3, 1e-3))), AffineBody(sphere_mesh(1e-3, 1e-3))]
+    model = Scene(
+        gel,
+        [KinematicBody(None, name="hand"), KinematicBody(box_mesh((1e-3,) * 3))],
+        time=TimeStepping(quasi_static=False),
+        affine_bodies=bodies,
+    ).finalize()
+    count = model.node_count
+    # d node / d unknown, and d node / d prescribed motion.
+    jacobian = np.zeros((count, model.free_count))
+    free_index, parents = model.free_index.numpy(), model.parents.numpy()
+    weights = model.weights.numpy()
+    for node in range(count):
+        if free_index[node] >= 0:
+            jacobian[node, free_index[node]] = 1.0
+        elif parents[node] >= 0:
+            rows = free_index[parents[node] : parents[node] + 4]
+            jacobian[node, rows] = weights[node]
+    prescribed = ~jacobian.any(axis=1)
+    assert prescribed.sum() == 4 + 8 and (parents >= 0).sum() == 20
+    motion = np.where(prescribed[:, None], rng.normal(size=(count, 3)), 0.0)
+
+    pairs = np.stack(np.meshgrid(*2 * [rng.choice(count, 30, replace=False)]), -1).reshape(-1, 2)
+    upper = pairs[pairs[:, 0] <= pairs[:, 1]]
+    blocks = rng.normal(size=(len(upper), 3, 3))
+    hessian = np.zeros((count, 3, count, 3))
+    for (i, j), block in zip(upper, blocks, strict=True):
+        if i == j:
+            block = block + block.T
+        hessian[i, :, j] = block
+        hessian[j, :, i] = block.T
+    rows, columns = np.argwhere(np.abs(hessian).sum(axis=(1, 3)) > 0).T
+
+    linear = LinearSystem(model.pattern, 1, model.device)
+    displacements = wp.array(motion[None], dtype=wp.vec3d)
+    launches = 0
+    while True:
+        system = newton_system(model, linear, displacements)
+        linear.values.zero_()
+        linear.rhs.zero_()
+        linear.extra.clear()
+        wp.launch(
+            _add_pairs_kernel,
+            dim=len(rows),
+            inputs=[
+                wp.array(rows.astype(np.int32), dtype=wp.int32),
+                wp.array(columns.astype(np.int32), dtype=wp.int32),
+                wp.array(hessian[rows, :, columns], dtype=wp.mat33d),
+                system,
+            ],
+        )
+        launches += 1
+        if not linear.extra.fit():
+            break
+    assert launches == 2, "the list was too short at first"
+    full = model.pattern.dense(linear.values.numpy())[0]
+    extra = linear.extra
+    assert int(extra.counts.numpy()[0]) > 0
+    for (i, j), block in zip(extra.of(0, extra.places), extra.of(0, extra.values), strict=True):
+        assert i > j
+        full[3 * i : 3 * i + 3, 3 * j : 3 * j + 3] += block
+        full[3 * j : 3 * j + 3, 3 * i : 3 * i + 3] += block.T
+    expected = np.einsum("nr,naMb,Ms->rasb", jacobian, hessian, jacobian)
+    expected = expected.reshape(full.shape)
+    np.testing.assert_allclose(full, expected, atol=1e-12 * np.abs(expected).max())
+    pushed = -np.einsum("nr,naMb,Mb->ra", jacobian, hessian, motion)
+    np.testing.assert_allclose(linear.rhs.numpy()[0], pushed, atol=1e-12 * np.abs(pushed).max())
+
+
+LANES = 32
+CONTACTS = 200
+"""Each has eight blocks, in the columns of twenty nodes: more of a column than one lane adds up."""
+
+SOLVERS: dict[str, Callable[[LinearSystem], Solver]] = {
+    **METHODS,
+    "cg, many lanes": lambda system: BlockCG(system, system.clusters, LANES),
+    "pipelined, many lanes": lambda system: PipelinedCG(system, system.clusters, LANES),
+}
+
+
+def solve_listed(solver: str, seed: int, in_any_order: bool) -> np.ndarray:
+    """Solutions of two environments whose blocks are listed in an order of the seed."""
+    source, dense = contact_system(2, CONTACTS)
+    system = LinearSystem(
+        source.pattern, 2, CPU, source.clusters, method="cg", in_any_order=in_any_order
+    )
+    for name in ("values", "rhs"):
+        wp.copy(getattr(system, name), getattr(source, name))
+    rng = np.random.default_rng(seed)
+    places, blocks = [], []
+    for env in range(2):
+        # Multiples of one number add up exactly, as those that an assembly lists do.
+        listed = np.rint(source.extra.of(env, source.extra.values) * 2**24) / 2**24
+        order = rng.permutation(len(listed))
+        places.append(source.extra.of(env, source.extra.places)[order])
+        blocks.append(listed[order])
+    list_extra(system.extra, places, blocks)
+    system._solver = SOLVERS[solver](system)
+    system.tolerances.fill_(1e-8)
+    system.solve(wp.full(2, 1, dtype=wp.int32, device=CPU), 1000)
+    assert not system.report().breakdown.any()
+    solutions = system.solution.numpy()
+    for matrix, load, found in zip(dense, system.rhs.numpy(), solutions, strict=True):
+        left = load.ravel() - matrix @ found.ravel()
+        assert np.linalg.norm(left) <= 1e-6 * np.linalg.norm(load)
+    return solutions
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_bits_do_not_depend_on_the_order_of_the_list(many_lanes: None, solver: str) -> None:
+    first, *others = (solve_listed(solver, seed, True) for seed in range(4))
+    for other in others:
+        np.testing.assert_array_equal(other, first)
+
+
+def test_they_do_where_nobody_asks() -> None:
+    first, *others = (solve_listed("cg", seed, False) for seed in range(4))
+    assert any(not np.array_equal(other, first) for other in others)
