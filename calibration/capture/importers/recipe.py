@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recipe: how a project stores captures, as data. ``docs/captures.md`` explains its keys.
+"""A recipe: how a project stores captures, as data. ``docs/capture_import.md`` explains its keys.
 
 Paths are patterns with named fields (``path_pattern.py``). What a recipe states in numbers is told
 as assumed, with the reason: no file of the source says so.
