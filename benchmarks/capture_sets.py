@@ -56,8 +56,8 @@ class Case:
 def _colors(psnr: float, disc: float) -> tuple[Figure, ...]:
     ways = (
         ("label", "placed by label"),
-        ("tiles", "placed by even tiles, odd scored"),
-        ("self", "placed by itself"),
+        ("tiles", "checkerboard split"),
+        ("self", "self-registered"),
     )
     return (
         *(

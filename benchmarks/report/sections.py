@@ -159,14 +159,10 @@ def captures(document: Document) -> Iterator[str]:
             number(row["value"]),
             f"{'at least' if row['at_least'] else 'at most'} {row['goal']:g}",
             "met" if row["met"] else "**missed**",
-            row["verdict"] or "-",
-            "-" if row["fit_seconds"] is None else number(row["fit_seconds"], 2),
-            number(row["seconds"], 3),
         ]
         for row in document["rows"]
     ]
-    head = ["captures", "calibration", "figure", "value", "goal", "", "verdict", "fit [s]"]
-    yield markdown_table([*head, "command [s]"], rows)
+    yield markdown_table(["captures", "calibration", "figure", "value", "goal", ""], rows)
 
 
 def peers(results: Results) -> str:
@@ -243,10 +239,10 @@ def ratios(measured: list[dict[str, Any]], field: list[dict[str, Any]]) -> str:
 
 
 def stress(document: Document) -> Iterator[str]:
-    """Random scenes: outcomes by family."""
-    from taccel_lab.benchmarks.stress.summary import table as stress_table
+    """Random scenes: outcomes over all; the picture has them by family."""
+    from taccel_lab.benchmarks.stress.summary import total_table
 
-    yield stress_table(document["summary"]).strip()
+    yield total_table(document["summary"])
     yield picture(document, "stress", "Outcomes and Newton iterations by family")
 
 
