@@ -100,8 +100,8 @@ def remark_table() -> str:
         "```",
         "",
         "Codes in `report.json` and `--json` are stable. Errors make a verdict `weak`, warnings at",
-        "most `usable`. Brackets hold the severity and the blocks concerned. *Words in italics* stand",
-        "for figures and names.",
+        "most `usable`. Brackets hold the severity and the blocks concerned. *Words in italics*",
+        "stand for figures and names.",
     ]
     room = ""
     for name, kind in remark_kinds():

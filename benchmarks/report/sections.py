@@ -24,10 +24,9 @@ def origin(document: Document) -> str:
     device = run["device"]
     if device.startswith("CPU"):
         device = f"one thread of an {run['cpu']}"
-    packages = ", ".join(f"{name} {v}" for name, v in run["packages"].items())
     state = "" if document["complete"] else ", unfinished"
     return (
-        f"**{device}** ({run['date'][:10]}, commit `{run['commit']}`, {packages}; "
+        f"**{device}** ({run['date'][:10]}, commit `{run['commit']}`; "
         f"`benchmarks/results/{document['file']}`{state})"
     )
 
@@ -59,18 +58,16 @@ def speed(document: Document) -> Iterator[str]:
         [
             row["scene"] + (f", lag {row.get('lag', 0)}" if row.get("lag", 0) else ""),
             f"{row['envs']:,}",
-            row["steps"],
             spread(row["fps"]),
             number(row["ms_per_step"]["median"]),
             number(row["newton_mean"]),
             solved(row["residual"]),
             number(row["memory_mib_per_env"]),
-            number(row["launches_per_step"]),
         ]
         for row in document["rows"]
     ]
-    head = ["scene", "environments", "steps", "FPS, median (range)", "ms a step", "Newton a step"]
-    head += ["residual over contact force", "MiB an environment", "launches a step"]
+    head = ["scene", "environments", "FPS, median (range)", "ms a step", "Newton a step"]
+    head += ["residual over contact force", "MiB an environment"]
     yield markdown_table(head, rows)
     if document.get("startup"):
         starts = [

@@ -258,7 +258,7 @@ def test_asked_to_end_it_clears_away_what_is_unfinished(tmp_path: Path, earlier:
             (folder / "a.txt").write_text("old")
     before = sorted(path.name for path in tmp_path.rglob("*"))
     done = python(TERMINATED, out)
-    told = "asked to end; what was half written was removed\n"
+    told = "terminated; partial output removed\n"
     assert (done.returncode, done.stderr) == (143, told)
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
 
