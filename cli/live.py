@@ -52,7 +52,7 @@ class Live(CameraOptions):
     port: int = PORT
     """Port of the page on this machine; 0 takes any that is free."""
     browser: bool = True
-    """Open the page in this machine's browser."""
+    """Whether to open the page in this machine's browser."""
     json: bool = False
     """Print the last reading's figures and the time of each stage as JSON."""
 

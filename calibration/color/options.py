@@ -30,13 +30,13 @@ class ColorOptions(ColorTraining, BallPressOptions):
     """Settings of ``calibrate_color``."""
 
     register: bool = True
-    """Read the circles again with the colours of the other fitted presses, if there are 8 of
-    them."""
+    """Whether to read the circles again with the colours of the other fitted presses, if there
+    are 8."""
     surface: Literal["simulated", "each", "hertz"] = "simulated"
     """Gel surface under a press: a few presses are simulated and the rest interpolated; each is
     simulated; or a closed form."""
     cache: bool = True
-    """Use the user's cache folder for contacts and simulated presses."""
+    """Whether to use the user's cache folder for contacts and simulated presses."""
     drift: DriftMode = "auto"
     """Remove the drift of the light from each frame: on for cameras with automatic white
     balance. auto does so if it removes at least a quarter of the difference between untouched
@@ -45,5 +45,5 @@ class ColorOptions(ColorTraining, BallPressOptions):
     """Fits that each leave some of the fitted presses out: they name captures that are off, and
     their spread says how sure the model is; 0 skips them."""
     table: bool = True
-    """Fit Taxim's table too. The report shows its figures; polycalib.npz beside it is for
-    `taccel-lab export --to taxim --table`."""
+    """Whether to fit Taxim's table too. The report shows its figures; polycalib.npz beside it is
+    for `taccel-lab export --to taxim --table`."""

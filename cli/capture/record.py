@@ -47,7 +47,7 @@ class _Session(CameraOptions):
     port: int = PORT
     """Port of the page on this machine; 0 takes any that is free."""
     browser: bool = True
-    """Open the page in this machine's browser."""
+    """Whether to open the page in this machine's browser."""
     origin: str | None = None
     """Where and by whom, kept as provenance."""
     license: str | None = None

@@ -59,7 +59,7 @@ def caused(error: Exception, cause: BaseException) -> Exception:
         (KeyboardInterrupt(), 130, "interrupted"),
         (caused(ImportError("initialization failed"), KeyboardInterrupt()), 130, "interrupted"),
         (caused(InputError("not installed"), KeyboardInterrupt()), 130, "interrupted"),
-        (caused(RuntimeError("__set_name__"), app._Terminated()), 143, "asked to end"),
+        (caused(RuntimeError("__set_name__"), app._Terminated()), 143, "terminated"),
         (PermissionError(13, "Permission denied", "/out"), 2, "error: /out: Permission denied"),
         (OSError(28, "No space left on device"), 2, "error: No space left on device"),
         (OSError(30, "Read-only file system", b"/out"), 2, "error: /out: Read-only file system"),
