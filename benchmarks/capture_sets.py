@@ -56,8 +56,8 @@ class Case:
 def _colors(psnr: float, disc: float) -> tuple[Figure, ...]:
     ways = (
         ("label", "placed by label"),
-        ("tiles", "placed by even tiles, odd scored"),
-        ("self", "placed by itself"),
+        ("tiles", "checkerboard split"),
+        ("self", "self-registered"),
     )
     return (
         *(
@@ -128,7 +128,7 @@ class Captures(Suite):
         "real captures through the commands of calibration; goals beside the figures"
     )
     only: tuple[str, ...] = ()
-    """Commands to run: contacts, color, normals, camera, markers, material; all when left out."""
+    """Commands to run: contacts, color, normals, camera, markers, material. Default: all."""
 
     def settings(self) -> dict[str, Any]:
         return {"only": list(self.only)}

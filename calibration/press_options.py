@@ -22,6 +22,5 @@ class BallPressOptions:
     from both. A press without a given circle takes the one found. Held-out presses take no part:
     their given circles alone place them for the figures."""
     thickness: ThicknessMode = "auto"
-    """Thickness of the gel: auto fits one that nobody measured to how the gel sinks around the
-    balls and to their depth_mm, and refuses one that is stated and that they contradict; fit fits
-    it in any case."""
+    """Thickness of the gel: auto fits an unmeasured one to the sink-in around the balls and
+    their depth_mm, and rejects a stated one that they contradict. fit always fits it."""

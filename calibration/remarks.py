@@ -86,28 +86,33 @@ def remark_kinds() -> list[tuple[str, RemarkKind]]:
 
 
 def remark_table() -> str:
-    """docs/remarks.md: a table for each room, a row for each kind."""
+    """docs/remarks.md: a list for each block, an item for each kind."""
     lines = [
         "# Remarks of calibrations and checks",
         "",
         "<!-- Made by `python -m taccel_lab.calibration.remarks`; edit the tables in",
         "`calibration/<block>/remarks.py` instead. -->",
         "",
-        "Programs can rely on the codes, which `report.json` and the output of `--json` hold.",
-        "Errors make a verdict `weak`, warnings at most `usable`. *Words in italics* stand for",
-        "figures and names.",
+        "Look up a remark of a calibration or a finding of a check, by its code.",
+        "",
+        "```sh",
+        "taccel-lab capture check captures --json     # `remarks` with their codes",
+        "```",
+        "",
+        "Codes in `report.json` and `--json` are stable. Errors make a verdict `weak`, warnings at",
+        "most `usable`. Brackets hold the severity and the blocks concerned. *Words in italics*",
+        "stand for figures and names.",
     ]
     room = ""
     for name, kind in remark_kinds():
         if name != room:
             room = name
-            header = ["| code | severity | blocks | meaning |", "|---|---|---|---|"]
-            lines += ["", f"## {name}", "", *header]
+            lines += ["", f"## {name}", ""]
         severities = [kind.severity] if kind.graver is None else [kind.severity, kind.graver]
         meaning = _FIELD.sub(lambda field: f"*{field[1].replace('_', ' ')}*", kind.text)
         meaning = meaning.replace("**", "* *")
-        cells = (f"`{kind.code}`", " or ".join(severities), ", ".join(kind.blocks), meaning)
-        lines.append(f"| {' | '.join(cells)} |")
+        about = "; ".join(filter(None, [" or ".join(severities), ", ".join(kind.blocks)]))
+        lines.append(f"- `{kind.code}` ({about}): {meaning}")
     return "\n".join(lines) + "\n"
 
 

@@ -60,7 +60,7 @@ class PressSurfaces:
     """Makes the surfaces of presses in circles; one law of simulated presses serves later ones."""
 
     kind: Literal["simulated", "each", "hertz"]
-    """The simulation of the presses that span all others, from which the others are read where one
+    """Simulate the presses that span all others, and interpolate the rest where one
     law holds; the simulation of each; or a closed form (``surfaces.analytic``)."""
     profile: SensorProfile
     """The designed sensor, on the grid of the captures."""

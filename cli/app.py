@@ -31,10 +31,9 @@ DESCRIPTION = """Design and calibrate vision-based tactile sensors.
 From a parametric gel pad to simulated presses, a calibration to real captures block by block, and
 an exported sensor profile.
 
-taccel-lab COMMAND --help has the options of a command. With all of them: --quiet says nothing but
-errors and what is printed as a result; --device auto takes a GPU where there is one. taccel-lab
---version says which version this is, --tyro-print-completion bash (or zsh, tcsh) writes the
-completion of a shell."""
+taccel-lab COMMAND --help shows the options of a command. All commands take --quiet, which prints
+only results and errors. --device auto uses a GPU if there is one. taccel-lab --version prints the
+version, --tyro-print-completion bash (or zsh, tcsh) the completion of a shell."""
 
 
 class Command(Protocol):
@@ -207,9 +206,9 @@ def _exit_code(error: BaseException) -> int:
         raise error
     chain = list(_chain(error))
     if any(isinstance(one, _Terminated) for one in chain):
-        return _fail(143, "asked to end; what was half written was removed")
+        return _fail(143, "terminated; partial output removed")
     if any(isinstance(one, KeyboardInterrupt) for one in chain):
-        return _fail(130, "interrupted; what was half written was removed")
+        return _fail(130, "interrupted; partial output removed")
     if isinstance(error, InputError):
         return _fail(2, f"error: {error}")
     if isinstance(error, SimulationError):

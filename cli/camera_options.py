@@ -21,18 +21,18 @@ class CameraOptions:
     capture devices lists them); a number on macOS and Windows. The path of a video, of a folder of
     images or of a capture folder is replayed instead."""
     size: str | None = None
-    """WIDTHxHEIGHT that the camera is asked for; its own choice when left out."""
+    """Camera format, WIDTHxHEIGHT. Default: the camera's choice."""
     crop: str | None = None
-    """Part of the camera's images that is kept: LEFT,TOP,WIDTHxHEIGHT in pixels; the
-    same in live as when the captures were recorded."""
+    """Part of the camera's images to keep: LEFT,TOP,WIDTHxHEIGHT in pixels. Use the same for
+    record and live."""
     resize: str | None = None
-    """WIDTHxHEIGHT that what is kept is made smaller to, likewise."""
+    """Size to reduce it to, WIDTHxHEIGHT. Use the same for record and live."""
     exposure: float | None = None
-    """Exposure to lock at, in the camera's units; as it is when left out."""
+    """Exposure to lock, in the camera's units. Default: the present one."""
     gain: float | None = None
-    """Gain to lock at, likewise."""
+    """Gain to lock. Default: the present one."""
     white_balance: float | None = None
-    """White balance to lock at, likewise (mostly a temperature in kelvin)."""
+    """White balance to lock, usually a temperature in kelvin. Default: the present one."""
 
     def opener(self, paced: bool) -> Callable[[], Camera]:
         """Opens the camera; a replay keeps its frames' times when ``paced``. Raises InputError for

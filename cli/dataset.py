@@ -27,14 +27,13 @@ HELP = "Make data sets of simulated touches; check them, cut them down, export a
 
 @dataclass(frozen=True)
 class DatasetMake:
-    """Simulate the touches of a file and write images, markers, forces and what else it asks for.
+    """Simulate the touches of a file and write images, markers, forces and other channels.
 
-    The file says which sensors, objects and motions, what varies and which channels are kept
-    (docs/datasets.md). The same command goes on with what was stopped or killed. Shards are made
-    by any number of processes or machines, in one folder or in one each: --shard 3/8, or from
-    SLURM --shard $SLURM_ARRAY_TASK_ID/8 (--array=1-8), one process a GPU.
-    Files that are written do not depend on shards or processes; on the CPU they are equal to the
-    byte whenever they are made.
+    The file names sensors, objects, motions, variations and channels (docs/datasets.md). The same
+    command continues a stopped run. Any number of processes or machines can make shards, in one
+    folder or in one each: --shard 3/8, or from SLURM --shard $SLURM_ARRAY_TASK_ID/8 (--array=1-8),
+    one process a GPU. The files do not depend on shards or processes; on the CPU they are equal to
+    the byte.
 
     Example: taccel-lab dataset datasets/examples/mini_touches.toml --out out/mini
     """
@@ -42,16 +41,15 @@ class DatasetMake:
     spec: Positional[Path]
     """File of the data set (TOML)."""
     out: Path | None = None
-    """Folder of the data set, new or begun; out/NAME-OF-THE-FILE when left out."""
+    """Folder of the data set, new or begun. Default: out/NAME-OF-THE-FILE."""
     shard: str = "1/1"
     """Which part of the work, i/n from 1."""
     device: str = "cpu"
     """Device of the solver: cpu or cuda:0."""
     processes: int | None = None
-    """Processes that work side by side, 0 for this one alone; one a core when left out, this one
-    for a GPU."""
+    """Number of processes, 0 for this one alone. Default: one a core, or this one for a GPU."""
     limit: int | None = None
-    """Stop after so many parts; a later run goes on."""
+    """Stop after this number of parts; a later run continues."""
     check_only: bool = False
     """Read and check everything, say what would be made, and stop."""
     write: bool = True
@@ -159,8 +157,8 @@ class DatasetMake:
 class DatasetCheck:
     """Check files against their digests, and find empty, constant and NaN columns.
 
-    Exit code 1 where something is broken; warnings alone leave 0. Several folders are checked as
-    the one data set that they are shards of.
+    Exit code 1: something is broken; warnings alone leave 0. Several folders are checked as shards
+    of one data set.
     """
 
     folders: Positional[tuple[Path, ...]]
@@ -222,7 +220,7 @@ class DatasetExport:
     out: Path
     """Folder to write; an earlier one is replaced when everything is done."""
     fps: int = 10
-    """Of lerobot: frames a second that steps are called; touches have no time of their own."""
+    """For lerobot: nominal frames a second; touches have no time scale."""
     json: bool = False
     """Print what was written as JSON."""
 
@@ -254,7 +252,7 @@ class DatasetPage:
     out: Path
     """File to write."""
     touches: int = 12
-    """How many are shown, of all sensors, objects and motions in turn."""
+    """Number of touches shown, from all sensors, objects and motions in turn."""
     json: bool = False
     """Print what was written as JSON."""
 

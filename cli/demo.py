@@ -13,23 +13,24 @@ DEMO_AT_MM = (1.0, -0.5)
 
 @dataclass(frozen=True)
 class Demo:
-    """Real GelSight captures in, calibrated sensor profile and report out; takes some minutes.
+    """Calibrate a real GelSight and press it: captures in, profile and report out; takes some
+    minutes.
 
-    Does what taccel-lab calibrate all and taccel-lab press do, one after the other: checks the
-    captures, fits every block that they allow (a quarter of the presses is held out before any
-    image is read), writes profile and report, and presses the calibrated sensor at a place that was
-    never captured. The captures are the GelSight ball presses of the PyPI package taxim.
+    Runs calibrate all and press. It checks the captures, fits every block that they allow, and
+    writes profile and report. A quarter of the presses is held out before any image is read. Then
+    it presses the calibrated sensor at a position that was never captured. The captures are the
+    GelSight ball presses of the PyPI package taxim.
     """
 
     out: Path = Path("out/demo")
     """Folder to write: profile, report and press. An earlier one is replaced when everything is
     done."""
     captures: Path | None = None
-    """Capture folder (docs/captures.md); the captures of taxim when left out."""
+    """Capture folder (docs/captures.md). Default: the captures of taxim."""
     depth_mm: float = 0.8
     """Depth of the last press [mm]."""
     only: tuple[str, ...] = ()
-    """Blocks to fit, by name; all when left out."""
+    """Blocks to fit, by name. Default: all."""
     json: bool = False
     """Print the figures as JSON instead of summaries."""
 

@@ -21,13 +21,12 @@ if TYPE_CHECKING:
 class Depth:
     """Read height maps from tactile images with a calibrated profile.
 
-    A profile with a normals block (colour sensors) gives normals, which are integrated; one with a
-    depth_response block (grey sensors) gives depths. For every image, `<name>.npz` holds the
-    height and its standard deviation, `<name>.png` shows it and `<name>.json` says how deep, where
-    and how large. Heights are metres in the gel frame, zero on untouched gel, negative in a dent.
-    The +- is one standard deviation of the absolute depth: the reading, and what the calibration
-    may be off by. Images that are no press of this sensor are told with
-    their reason; the others are read all the same, and the exit code is 2.
+    A normals block (colour sensors) gives normals, which are integrated; a depth_response block
+    (grey sensors) gives depths. For every image, `<name>.npz` holds the height and its standard
+    deviation, `<name>.png` shows it, and `<name>.json` has depth, position and area. Heights are
+    metres in the gel frame, zero on untouched gel, negative in a dent. The +- is one standard
+    deviation of the absolute depth, calibration included. Images that cannot be a press of this
+    sensor are listed with the reason. The others are still read, and the exit code is 2.
     """
 
     profile: Positional[Path]
@@ -37,15 +36,15 @@ class Depth:
     out: Path
     """Folder to write: three files per image."""
     background: Path | None = None
-    """Image of the untouched sensor, where it is newer than the profile's own."""
+    """Image of the untouched sensor, if newer than the profile's."""
     mask: Path | None = None
-    """Grey image; pixels that are 0 are not read, and the surface goes on smoothly under them."""
+    """Grey image; pixels of value 0 are not read, and the surface spans them smoothly."""
     maps: Path | None = None
     """Rectification maps (.npz) of `taccel-lab calibrate camera --maps`, for raw images."""
     method: Literal["auto", "normals", "depth"] = "auto"
-    """Model to read with; auto takes normals where the profile has both."""
+    """Model to read with. auto: normals, if the profile has both."""
     drift: Literal["auto", "on", "off"] = "auto"
-    """Bring the light of each image to the background's first; auto does as the calibration did."""
+    """Bring the light of each image to the background's first. auto: as in the calibration."""
     json: bool = False
     """Print the figures as JSON instead of a line per image."""
 

@@ -54,8 +54,8 @@ class Design:
     mesher: Literal["structured", "tetwild"] = "structured"
     """structured: exact, repeatable, at once. tetwild: follows free-form edges, takes longer."""
     edge_mm: float | None = None
-    """Wanted edge length of the mesh [mm]; when left out 1, or the thickness of a thinner gel, or
-    0.8 or 0.6 of that where the mesh is sound only then."""
+    """Target edge length of the mesh [mm]. Default: 1, or the thickness of a thinner gel, or 0.8
+    or 0.6 of that if only then the mesh passes its gate."""
     parts: tuple[Literal["pad", "assembly", "mould", "drawing"], ...] = (
         "pad",
         "assembly",

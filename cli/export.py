@@ -14,8 +14,8 @@ from tyro.conf import Positional
 class Export:
     """Export a sensor profile for another simulator or tool.
 
-    The folder also gets export.json: what the files carry, what had to be left out and why, and
-    how far each approximation is off. docs/exporters.md describes the formats.
+    export.json in the folder states what the files carry, what is left out and why, and the error
+    of each approximation. docs/exporters.md describes the formats.
     """
 
     profile: Positional[Path]

@@ -19,12 +19,12 @@ if TYPE_CHECKING:
 class Force:
     """Read forces from tactile images with a profile that has a force model.
 
-    Force and moment on the object, in the gel frame (a press is +z), area in contact and its
-    middle, each with a standard deviation, and the force by patch of the image. With --out, for
-    every image `<name>.png` shows the patches and `<name>.json` holds all of it. Images unlike
-    those of the training (another sensor, deeper presses) are marked; exit code 1 when there are
-    any. Images that cannot be read, or have another size, are told with their reason; the others
-    are read all the same, and the exit code is 2.
+    Reads force and moment on the object in the gel frame (a press is +z), contact area and its
+    middle, and the force by patch of the image, with standard deviations. With --out, `<name>.png`
+    shows the patches of each image and `<name>.json` holds all of it. Images unlike the training
+    (another sensor, deeper presses) are marked, and the exit code is 1. Images that cannot be read,
+    or have another size, are listed with the reason. The others are still read, and the exit code
+    is 2.
     """
 
     profile: Positional[Path]
@@ -32,10 +32,9 @@ class Force:
     images: Positional[tuple[Path, ...]]
     """Tactile images (PNG or JPEG) of the profile's size."""
     out: Path | None = None
-    """Folder to write: two files per image; none when left out."""
+    """Folder to write: two files per image. Default: none."""
     background: Path | None = None
-    """Image of the untouched sensor, where it is newer than the profile's own, or of another
-    unit."""
+    """Image of the untouched sensor, if newer than the profile's, or of another unit."""
     json: bool = False
     """Print the figures as JSON instead of lines per image."""
 

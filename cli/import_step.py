@@ -43,9 +43,9 @@ class ImportStep:
     select: Path | None = None
     """TOML file with the options below as keys (contact, bond, window, normal, ...)."""
     contact: Annotated[tuple[str, ...], _SELECTOR] = field(default=())
-    """Faces that are touched. [name:contact]"""
+    """Touched faces. [name:contact]"""
     bond: Annotated[tuple[str, ...], _SELECTOR] = field(default=())
-    """Faces that are glued. [name:bond]"""
+    """Glued faces. [name:bond]"""
     window: Annotated[tuple[str, ...], _SELECTOR] = field(default=())
     """Glued faces that the camera looks through, or rect:18x14 to split off. [name:window]"""
     normal: str = ""
@@ -59,7 +59,7 @@ class ImportStep:
     unit: Literal["", "mm", "cm", "m", "um", "in"] = ""
     """Unit of the numbers, when the file declares a wrong one."""
     edge_mm: float = 2.0
-    """Wanted edge length of the mesh [mm]."""
+    """Target edge length of the mesh [mm]."""
     like: str = "flat_pad"
     """Sensor of the catalogue whose camera, lights, coating and material the profile takes."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE")] = field(default=())

@@ -27,33 +27,32 @@ PORT = 8092
 
 @dataclass(frozen=True, kw_only=True)
 class Live(CameraOptions):
-    """Show depth, normals and markers of a camera's frames as they come.
+    """Show depth, normals and markers of a camera's frames, live.
 
     Reads what the profile's blocks allow: depth and normals with normals (colour sensors) or
-    depth_response (grey ones), displacements with markers. Pixels beyond what was calibrated are
-    marked, and a depth of which most is beyond is refused. The time of each stage is measured.
+    depth_response (grey ones), displacements with markers. Pixels outside the training range are
+    marked. A depth with mostly such pixels is not shown. The time of each stage is measured.
     """
 
     profile: Positional[Path]
     """Profile folder of this sensor."""
     background: Literal["camera", "profile"] = "camera"
-    """The untouched gel: taken from the camera's first frames, when nothing may touch it, or that
-    of the profile."""
+    """The untouched gel: from the camera's first frames (do not touch it), or from the profile."""
     detail: int | None = None
-    """Depth is read from images made smaller by this factor, 1 to 4; the finest that this machine
-    reads in 30 ms when left out."""
+    """Reduce images by this factor before reading depth, 1 to 4. Default: the finest that this
+    machine reads in 30 ms."""
     frames: int | None = None
-    """Stop after so many frames; the page's button or Ctrl-C stop it when left out."""
+    """Stop after this number of frames. Default: stop by the page's button or Ctrl-C."""
     paced: bool = True
     """A replay keeps its frames' times; --no-paced shows them as fast as they are read."""
     page: bool = True
     """Show the page in the browser; --no-page reads and measures alone."""
     pictures_hz: float = 15.0
-    """How often the page is drawn at most."""
+    """Largest number of page updates a second."""
     port: int = PORT
     """Port of the page on this machine; 0 takes any that is free."""
     browser: bool = True
-    """Whether the page is opened in the browser of this machine."""
+    """Whether to open the page in this machine's browser."""
     json: bool = False
     """Print the last reading's figures and the time of each stage as JSON."""
 

@@ -25,8 +25,8 @@ class _Files:
     the one that the optical model predicts (predicted.png). Dots of the gel are written to
     markers.csv and drawn in markers.png."""
     out: Path
-    """Folder to write; an earlier one is replaced when everything is done. A press that stops on
-    its way leaves its finished steps there, and says where and why in press.json."""
+    """Folder to write; an earlier one is replaced when everything is done. A press that fails
+    leaves its finished steps, and the cause in press.json."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ class Press(PressOptions, _Files):
     """Press an indenter into a gel: height map, normals, image, force and wrench, mesh, figures.
 
     Lengths are in mm in the gel frame: x right and y down in the image, z out of the gel; the
-    origin is the middle of the contact face. What is about to be pressed is drawn first (scene.png)
-    and can be looked at while the press is computed. Example: taccel-lab press gelsight --indenter
-    sphere:2.0 --depth-mm 0.8 --shear-mm 0.3 0 --out out/press
+    origin is the middle of the contact face. The scene is drawn first (scene.png), before the press
+    is computed. Example: taccel-lab press gelsight --indenter sphere:2.0 --depth-mm 0.8 --shear-mm
+    0.3 0 --out out/press
     """
 
     json: bool = False

@@ -93,10 +93,10 @@ class ProfileValidate:
 
 @dataclass(frozen=True)
 class ProfileCompare:
-    """Compare two sensor profiles: every value that differs, and what they do.
+    """Compare two sensor profiles: every value that differs, and its effect.
 
-    Differences are measured in standard deviations where the blocks state their spread. Networks
-    are compared by their answers: the colour of every normal at five places of the image.
+    Differences are in standard deviations if the blocks state their spread. Networks are compared
+    by their outputs: the colour of every normal at five positions of the image.
     """
 
     a: Positional[Path]
@@ -104,7 +104,7 @@ class ProfileCompare:
     b: Positional[Path]
     """The other profile folder."""
     out: Path | None = None
-    """Folder for a report (HTML, JSON, pictures); none is written when left out."""
+    """Folder for a report (HTML, JSON, pictures). Default: none."""
     json: bool = False
     """Print the comparison as JSON instead of a table."""
 

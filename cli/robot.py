@@ -38,20 +38,21 @@ class RobotList:
 
 @dataclass(frozen=True)
 class RobotShow:
-    """Show a robot: joints with limits, links with masses and shapes, and what is refused."""
+    """Show a robot: joints with limits, links with masses and shapes, and what is rejected."""
 
     robot: Positional[str]
     """A URDF, MJCF or USD file (the last two by newton), or a robot of the catalogue, e.g.
     parallel_gripper."""
     package: tuple[tuple[str, Path], ...] = ()
-    """Name and folder of packages whose meshes a URDF file names, as package://NAME/...; those
-    beside or above the file are found without."""
+    """Name and folder of a package in a URDF's package://NAME/... paths. Packages beside or
+    above the file are found without."""
     as_drawn: bool = False
-    """Leave up_axis of Collada meshes out, as RViz does."""
+    """Ignore up_axis of Collada meshes, as RViz does."""
     json: bool = False
     """Print JSON instead of tables."""
     picture: Path | None = None
-    """Draw the shapes of its links, coordinates as near to 0 as they can be, into this PNG file."""
+    """Draw the shapes of its links into this PNG file, coordinates as close to 0 as the limits
+    allow."""
 
     def run(self) -> None:
         from rich.text import Text

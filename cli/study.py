@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 class Study:
     """Sweep a sensor's parameters: standard presses on every design, a table, a report.
 
-    The study file says which sensor, parameters, presses and metrics (docs/studies.md). Every
-    design becomes a row as soon as it is finished; the same command goes on with a study that was
-    stopped, and evaluates only what a changed file adds. Exit code 1: no design keeps the
-    constraints; the report says which one comes nearest.
+    The study file names sensor, parameters, presses and metrics (docs/studies.md). Every finished
+    design becomes a row. The same command continues a stopped study, and evaluates only what a
+    changed file adds. Exit code 1: no design meets the constraints; the report names the nearest
+    one.
 
     Example: taccel-lab study studies/examples/mini_thickness_hardness.toml --out out/mini
     """
@@ -36,18 +36,18 @@ class Study:
     study: Positional[Path | None] = None
     """Study file (TOML)."""
     out: Path | None = None
-    """Folder of the study, new or begun; out/NAME-OF-THE-FILE when left out."""
+    """Folder of the study, new or begun. Default: out/NAME-OF-THE-FILE."""
     processes: int | None = None
-    """Processes that work side by side; one a core when left out, one on a GPU."""
+    """Number of processes. Default: one a core, or one for a GPU."""
     device: str | None = None
-    """Device of the solver: cpu or cuda:0; the study file's when left out."""
+    """Device of the solver: cpu or cuda:0. Default: the study file's."""
     accuracy: Literal["fast", "default", "reference"] | None = None
-    """Of the presses, as of taccel-lab press; the study file's when left out."""
+    """Accuracy of the presses, as in taccel-lab press. Default: the study file's."""
     limit: int | None = None
-    """Stop after so many new designs; a later run goes on."""
+    """Stop after this number of new designs; a later run continues."""
     shard: str | None = None
-    """Part i of n, as 2/8: several runs, here or elsewhere, share the folder. Without --shard
-    afterwards, the same command does what is left and writes table and report."""
+    """Part i of n, such as 2/8; several runs share the folder. Afterwards the same command
+    without --shard finishes what is left and writes table and report."""
     submit: Literal["slurm", "local"] | None = None
     """Submit --shards jobs by submitit, to SLURM or as processes of this machine, and stop."""
     shards: int = 8
@@ -74,7 +74,7 @@ class Study:
         if self.limit is not None and self.limit < 1:
             raise InputError(f"limit must be at least 1, got {self.limit}")
         if self.shard is not None and (self.submit or self.report_only):
-            raise InputError("--shard goes with neither --submit nor --report-only")
+            raise InputError("--shard cannot be combined with --submit or --report-only")
         if self.shard is not None:
             Shard.parse(self.shard)
         if self.processes is not None and not 1 <= self.processes <= 1024:

@@ -61,10 +61,10 @@ class TaskRun:
     output: Path
     """Folder to write; an earlier one is replaced when everything is done."""
     seeds: int | None = None
-    """Run seeds 0 to N - 1; as many as the task's file says when left out."""
+    """Run seeds 0 to N - 1. Default: the task's number."""
     environments: int | None = None
-    """Seeds that one solver steps together; as the task's file says when left out. A GPU is quicker
-    with hundreds."""
+    """Seeds that one solver steps together. Default: the task's number. A GPU is quicker with
+    hundreds."""
     device: str = "cpu"
     """Device of the solver: cpu, cuda:0 or auto."""
     json: bool = False
@@ -119,7 +119,7 @@ class TaskRecord:
     device: str = "cpu"
     """Device of the solver: cpu, cuda:0 or auto."""
     json: bool = False
-    """Print what became of the seed as JSON."""
+    """Print the outcome of the seed as JSON."""
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes, print_json, working

@@ -13,14 +13,13 @@ from taccel_lab.report.page_options import PageOptions
 
 @dataclass(frozen=True)
 class View:
-    """Look at a result in the browser: gel with pressure, stress and displacement, sections, force
-    arrows, sensor image with markers, step by step.
+    """Look at a result in the browser, step by step: gel with pressure, stress and displacement,
+    sections, force arrows, sensor image with markers.
 
-    What SOURCE is, is found out by its content: a profile or a sensor of the catalogue (its parts),
-    a press (taccel-lab press; --states keeps every step), a study (its designs, sorted by any
-    metric), a data set (its touches), a recorded task (taccel-lab task record --states), or a task,
-    which then runs live. Ctrl-C closes the page, exit code 0. Needs the extra view:
-    pip install 'taccel-lab[view]'. Example: taccel-lab view out/press
+    The type of SOURCE is detected: a sensor or profile, a press (--states keeps every step), a
+    study, a data set, or a recorded task (taccel-lab task record --states). A task runs live.
+    Ctrl-C closes the page, exit code 0. Needs the extra view: pip install 'taccel-lab[view]'.
+    Example: taccel-lab view out/press
     """
 
     source: Positional[str]

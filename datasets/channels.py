@@ -220,7 +220,7 @@ def channels_of(names: tuple[str, ...]) -> list[Channel]:
 
 
 def check_channels(output: Output, sensor: Sensor) -> None:
-    """Refuse channels that a sensor has not."""
+    """Reject channels that a sensor lacks."""
     channels_of(output.channels)
     wanted = set(output.channels)
     if "rgb" in wanted and sensor.color is None and sensor.optics is None:
@@ -229,7 +229,7 @@ def check_channels(output: Output, sensor: Sensor) -> None:
             "leave rgb out of output.channels, or take a profile of taccel-lab calibrate color"
         )
     if wanted & {"rgb_levels"} and sensor.color is None:
-        raise InputError("rgb_levels needs a colour model, which its profile has not; rgb does not")
+        raise InputError("rgb_levels needs a colour model, which its profile lacks; rgb does not")
 
 
 def grid_record(grid: PixelGrid) -> dict[str, Any]:

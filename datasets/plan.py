@@ -107,7 +107,7 @@ class Plan:
         ``physics`` is that of the file's accuracy when None.
 
         Raises InputError for what cannot be: missing files, depths beyond the gel, channels that a
-        sensor has not, places where the gel cannot be meshed.
+        sensor lacks, places where the gel cannot be meshed.
         """
         self.spec, self.base = spec, base
         self.physics = physics or PHYSICS[Accuracy(spec.dataset.accuracy)]

@@ -212,7 +212,7 @@ class Output(StrictModel):
     channels: tuple[StrictStr, ...] = DEFAULT_CHANNELS
     """Names of ``taccel-lab dataset channels``."""
     size_px: tuple[Whole, Whole] | None = None
-    """Width and height of images; the camera's when left out."""
+    """Width and height of images. Default: the camera's."""
     patches: tuple[Annotated[Whole, Field(ge=1, le=256)], Annotated[Whole, Field(ge=1, le=256)]] = (
         8,
         6,

@@ -47,7 +47,7 @@ def metrics_table() -> str:
     """All metrics as a Markdown table."""
     from taccel_lab.studies.metrics import METRICS
 
-    head = ["metric", "unit", "better", "read from", "what it is"]
+    head = ["metric", "unit", "better", "read from", "meaning"]
     rows = [
         [
             f"`{name}`",

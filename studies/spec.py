@@ -72,7 +72,7 @@ class StudyBlock(StrictModel):
     metrics: list[MetricName] = Field(default_factory=list)
     """Columns of the table; the objective's and the constraints' are added."""
     presses: list[PlainName] = Field(default_factory=list)
-    """Standard presses; those that the metrics read when left out."""
+    """Standard presses. Default: those that the metrics read."""
     load_n: Load = LOAD_N
     """Normal load at which figures are read, where they are read at a load."""
     loads_n: list[Load] = Field(default_factory=list)
@@ -115,7 +115,7 @@ class ParameterRange(StrictModel):
     scale: Literal["linear", "log"] = "linear"
     """How a range is divided: equal steps, or equal ratios."""
     start: Number | None = None
-    """Where an optimiser begins; the family's default, or the middle, when left out."""
+    """Where an optimiser begins. Default: the family's default, or the middle."""
 
     @model_validator(mode="after")
     def _check_form(self) -> ParameterRange:
@@ -240,7 +240,7 @@ class Measured(StrictModel):
     indenter: StrictStr
     """One of the study's, such as ``sphere:2``."""
     design: dict[PlainName, Value] = Field(default_factory=dict)
-    """Values of swept parameters of the gel that was measured; all designs when left out."""
+    """Values of swept parameters of the gel that was measured. Default: all designs."""
     unit: Annotated[str, StringConstraints(max_length=80)] = ""
     """Which of several gels of this design; curves of one gel share their modulus."""
 

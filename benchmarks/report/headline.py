@@ -13,21 +13,20 @@ Row = dict[str, Any]
 
 
 def headline(results: Results) -> str:
-    """Image, slopes, force against truth, force against a finer mesh, speed."""
+    """Image, normals, measured force, force against a finer mesh, speed."""
     rows = [
         _of_captures(
             results,
             "PSNR, placed by label [dB]",
             "Image of a real ball press [dB PSNR]",
-            "[presses set aside by place](docs/calibration_color.md#figures) before any image was "
-            "read, placed where the label says, crop of 1.6 contact radii; the untouched image "
-            "scores 15.7 to 22",
+            "[held-out test set](docs/calibration_color.md#figures), placed by label, crop of 1.6 "
+            "contact radii; the untouched image scores 15.7 to 22",
         ),
         _of_captures(
             results,
             "normals, placed by label [deg]",
-            "Slopes read from real images [deg]",
-            "[the same presses](docs/calibration_depth.md), mean angle in the contact",
+            "Normals from real images, mean error [deg]",
+            "[the same presses](docs/calibration_depth.md), inside the contact",
         ),
         _measured_force(results),
         _mesh_error(results),
@@ -58,10 +57,10 @@ def _measured_force(results: Results) -> list[str]:
         return []
     value, goal = max(row["value"] for row in worst), worst[0]["goal"]
     return [
-        "Force that others measured on a GelSight Mini",
+        "Force against measurements on a GelSight Mini",
         f"{value:.1%} (goal {goal:.0%}: missed)" if value > goal else f"{value:.1%}",
-        "[one modulus and a zero](docs/calibration_material.md#accuracy), each point predicted "
-        "from the others, worst one",
+        "[one modulus and a zero](docs/calibration_material.md#accuracy), worst point predicted "
+        "from the others",
     ]
 
 
@@ -80,7 +79,7 @@ def _mesh_error(results: Results) -> list[str]:
         if ball in errors
     ]
     return [
-        "Force of a default `press`, error of its mesh",
+        "Mesh error of the force of a default `press`",
         "; ".join(said),
         "[against eight times as many nodes](docs/verification.md), ten sensors",
     ]
@@ -94,7 +93,7 @@ def _speed(results: Results) -> list[str]:
     many = max(set(together) & set(own))
     return [
         f"Steps a second, {many:,} environments on an H200",
-        f"{together[many]:,.0f} in step, {own[many]:,.0f} at their own pace with resets",
+        f"{together[many]:,.0f} in lockstep, {own[many]:,.0f} at their own pace with resets",
         "[two gels push a peg into a hole](docs/benchmarks.md#speed), residual 1e-4 of the contact "
         "force, forces read",
     ]

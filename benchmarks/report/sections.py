@@ -24,10 +24,9 @@ def origin(document: Document) -> str:
     device = run["device"]
     if device.startswith("CPU"):
         device = f"one thread of an {run['cpu']}"
-    packages = ", ".join(f"{name} {v}" for name, v in run["packages"].items())
     state = "" if document["complete"] else ", unfinished"
     return (
-        f"**{device}** ({run['date'][:10]}, commit `{run['commit']}`, {packages}; "
+        f"**{device}** ({run['date'][:10]}, commit `{run['commit']}`; "
         f"`benchmarks/results/{document['file']}`{state})"
     )
 
@@ -59,18 +58,16 @@ def speed(document: Document) -> Iterator[str]:
         [
             row["scene"] + (f", lag {row.get('lag', 0)}" if row.get("lag", 0) else ""),
             f"{row['envs']:,}",
-            row["steps"],
             spread(row["fps"]),
             number(row["ms_per_step"]["median"]),
             number(row["newton_mean"]),
             solved(row["residual"]),
             number(row["memory_mib_per_env"]),
-            number(row["launches_per_step"]),
         ]
         for row in document["rows"]
     ]
-    head = ["scene", "environments", "steps", "FPS, median (range)", "ms a step", "Newton a step"]
-    head += ["residual over contact force", "MiB an environment", "launches a step"]
+    head = ["scene", "environments", "FPS, median (range)", "ms a step", "Newton a step"]
+    head += ["residual over contact force", "MiB an environment"]
     yield markdown_table(head, rows)
     if document.get("startup"):
         starts = [
@@ -159,14 +156,10 @@ def captures(document: Document) -> Iterator[str]:
             number(row["value"]),
             f"{'at least' if row['at_least'] else 'at most'} {row['goal']:g}",
             "met" if row["met"] else "**missed**",
-            row["verdict"] or "-",
-            "-" if row["fit_seconds"] is None else number(row["fit_seconds"], 2),
-            number(row["seconds"], 3),
         ]
         for row in document["rows"]
     ]
-    head = ["captures", "calibration", "figure", "value", "goal", "", "verdict", "fit [s]"]
-    yield markdown_table([*head, "command [s]"], rows)
+    yield markdown_table(["captures", "calibration", "figure", "value", "goal", ""], rows)
 
 
 def peers(results: Results) -> str:
@@ -243,10 +236,10 @@ def ratios(measured: list[dict[str, Any]], field: list[dict[str, Any]]) -> str:
 
 
 def stress(document: Document) -> Iterator[str]:
-    """Random scenes: outcomes by family."""
-    from taccel_lab.benchmarks.stress.summary import table as stress_table
+    """Random scenes: outcomes over all; the picture has them by family."""
+    from taccel_lab.benchmarks.stress.summary import total_table
 
-    yield stress_table(document["summary"]).strip()
+    yield total_table(document["summary"])
     yield picture(document, "stress", "Outcomes and Newton iterations by family")
 
 

@@ -35,7 +35,7 @@ class Stress(Suite):
     seed: int = 0
     """Of the first scene; the same seed gives the same scenes."""
     families: tuple[str, ...] = ()
-    """Kinds of scenes; all when left out."""
+    """Kinds of scenes. Default: all."""
     jobs: int = 1
     """Processes at once."""
     seconds: float = SECONDS

@@ -80,24 +80,35 @@ def _all(results: Iterable[dict[str, Any]], name: str) -> list:
     return [value for result in results for value in result.get(name, [])]
 
 
+_HEAD = (
+    "| family | cases | converged | refused rightly | failed with a cause | out of time "
+    "| silent | broken | steps (in parts) | Newton a step: median / p95 / max "
+    "| processor seconds a case: median / max |",
+    "|---|" + "--:|" * 10,
+)
+
+
+def _line(name: str, row: dict[str, Any]) -> str:
+    causes = {cause: n for cause, n in row["outcomes"].items() if cause.isupper()}
+    failed = ", ".join(f"{n} {cause}" for cause, n in causes.items()) or "0"
+    return (
+        f"| {name} | {row['cases']} | {row['converged']} | {row['refused']} | {failed} "
+        f"| {row['budget']} | {row['silent']} | {row['broken']} "
+        f"| {row['steps']} ({row['steps_in_parts']}) "
+        f"| {row['newton_median']:.0f} / {row['newton_p95']:.0f} / {row['newton_max']:.0f} "
+        f"| {row['processor_s_median']:.2f} / {row['processor_s_max']:.1f} |"
+    )
+
+
+def total_table(summary: dict[str, Any]) -> str:
+    """Markdown: one row over all cases. A step counts once in each environment."""
+    return "\n".join([*_HEAD, _line("**all**", summary["total"])])
+
+
 def table(summary: dict[str, Any]) -> str:
     """Markdown: a row a family, then what failed. A step counts once in each environment."""
-    lines = [
-        "| family | cases | converged | refused rightly | failed with a cause | out of time "
-        "| silent | broken | steps (in parts) | Newton a step: median / p95 / max "
-        "| processor seconds a case: median / max |",
-        "|---|" + "--:|" * 10,
-    ]
-    for name, row in [*summary["families"].items(), ("**all**", summary["total"])]:
-        causes = {cause: n for cause, n in row["outcomes"].items() if cause.isupper()}
-        failed = ", ".join(f"{n} {cause}" for cause, n in causes.items()) or "0"
-        lines.append(
-            f"| {name} | {row['cases']} | {row['converged']} | {row['refused']} | {failed} "
-            f"| {row['budget']} | {row['silent']} | {row['broken']} "
-            f"| {row['steps']} ({row['steps_in_parts']}) "
-            f"| {row['newton_median']:.0f} / {row['newton_p95']:.0f} / {row['newton_max']:.0f} "
-            f"| {row['processor_s_median']:.2f} / {row['processor_s_max']:.1f} |"
-        )
+    families = [_line(name, row) for name, row in summary["families"].items()]
+    lines = [*_HEAD, *families, _line("**all**", summary["total"])]
     if summary["referees"]:
         said = ", ".join(f"{name} {count}" for name, count in summary["referees"].items())
         lines += ["", f"Referees that objected (cases): {said}."]

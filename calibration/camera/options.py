@@ -17,8 +17,8 @@ class CameraOptions:
     """Lenses to choose from by held-out error: one radial term, fisheye (4 coefficients), pinhole
     (5) or rational (8)."""
     folds: int = 5
-    """Parts that the views are split into to score the lenses."""
+    """Number of cross-validation folds of the views, to score the lenses."""
     refraction: Literal["auto", "media", "none"] = "auto"
     """Pose of the gel through the profile's window and gel (media) or with straight sight lines
-    (none); auto takes them where the profile describes flat ones, unless the board clearly speaks
-    against it. Needs views and a board on the gel; the report gives both poses."""
+    (none). auto: media if they are flat, unless the board contradicts them. Needs views and a
+    board on the gel; the report gives both poses."""

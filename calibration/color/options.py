@@ -12,15 +12,15 @@ from taccel_lab.calibration.press_options import BallPressOptions
 
 @dataclass(frozen=True, kw_only=True)
 class ColorTraining:
-    """What can be chosen of the fit of a network."""
+    """Options of the fit of a network."""
 
     position_bands: int = 0
-    """Bands of the positional encoding: sines and cosines of the pixel's place for light that
-    changes within parts of the image. 0 to 8; 0 gives the network the place alone."""
+    """Bands of the positional encoding: sines and cosines of the pixel's position, for light
+    that changes within parts of the image. 0 to 8; 0 gives the network the position alone."""
     steps: int = 2000
     """Optimiser steps of the fit."""
     batch_pixels: int = 1024
-    """Pixels of a step, whose number the time of a fit goes with."""
+    """Batch size in pixels; it sets the time of a fit."""
     seed: int = 0
     """Seed of the pixel draw, the initial weights and the batches."""
 
@@ -30,21 +30,20 @@ class ColorOptions(ColorTraining, BallPressOptions):
     """Settings of ``calibrate_color``."""
 
     register: bool = True
-    """Whether the circles are read again with the colours of the other fitted presses, where there
-    are 8 of them."""
+    """Whether to read the circles again with the colours of the other fitted presses, if there
+    are 8."""
     surface: Literal["simulated", "each", "hertz"] = "simulated"
-    """Gel surface under a press: the simulation of the presses that span all others, from which the
-    others are read where one law holds; the simulation of each; or a closed form."""
+    """Gel surface under a press: a few presses are simulated and the rest interpolated; each is
+    simulated; or a closed form."""
     cache: bool = True
-    """Whether contacts and simulated presses are kept in the user's cache folder, and taken from
-    there."""
+    """Whether to use the user's cache folder for contacts and simulated presses."""
     drift: DriftMode = "auto"
-    """Take the drift of the light off each frame: on for cameras with automatic white balance;
-    auto does it where that takes away at least a quarter of the difference between untouched gel
-    and background."""
+    """Remove the drift of the light from each frame: on for cameras with automatic white
+    balance. auto does so if it removes at least a quarter of the difference between untouched
+    gel and background."""
     ensemble: int = 3
     """Fits that each leave some of the fitted presses out: they name captures that are off, and
     their spread says how sure the model is; 0 skips them."""
     table: bool = True
-    """Whether Taxim's table is fitted too: the report shows its figures, and the table is written
-    beside it, as polycalib.npz, for `taccel-lab export --to taxim --table`."""
+    """Whether to fit Taxim's table too. The report shows its figures; polycalib.npz beside it is
+    for `taccel-lab export --to taxim --table`."""

@@ -85,8 +85,8 @@ def _files(result: ColorCalibration) -> dict[str, Callable[[Path], None]]:
 
 PLACED_BY = {
     "label": "placed by label",
-    "tiles": "by even tiles, odd scored",
-    "self": "placed by itself",
+    "tiles": "checkerboard split",
+    "self": "self-registered (optimistic)",
 }
 """Columns of the held-out presses by how they were placed."""
 

@@ -23,20 +23,20 @@ class CalibrateAll(CalibrationFiles):
 
     The captures are checked first (taccel-lab capture check). Then camera, scale, background,
     color, normals, depth, markers, material and spread are fitted in this order. Blocks without
-    captures are skipped, and the report says what would have to be captured. After a board on the
-    gel the images are rectified to what the profile's camera sees; the maps are in the report.
-    Each block is kept as it is finished, with its report, in <report>_unfinished: the same command
-    goes on there after a kill. Exits with 1 when the captures of a block cannot be used.
+    captures are skipped, and the report says what to capture. After a board on the gel the images
+    are rectified; the maps are in the report. Finished blocks are kept in <report>_unfinished,
+    where the same command continues after a crash. Exits with 1 when the captures of a block cannot
+    be used.
     """
 
     report: Path | None = None
     """Folder for the reports: one of the whole and one for each block; <out>_report when left
     out."""
     only: tuple[str, ...] = ()
-    """Blocks to fit, by name; all when left out."""
+    """Blocks to fit, by name. Default: all."""
     thickness: ThicknessMode = "auto"
-    """Thickness of the gel, as of color and normals: auto fits one that nobody measured, and
-    refuses one that is stated and that the presses contradict; fit fits it in any case."""
+    """Thickness of the gel, for color and normals: auto fits an unmeasured one, and rejects a
+    stated one that the presses contradict. fit always fits it."""
 
     def run(self) -> None:
         from taccel_lab.calibration.calibrate import calibrate

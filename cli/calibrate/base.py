@@ -60,19 +60,18 @@ class CalibrationFiles:
     out: Path
     """Profile folder to write."""
     base: Path | None = None
-    """Profile to extend; when left out, the one that the captures name as their sensor, or the
+    """Profile to extend. Default: the one that the captures name as their sensor, or the
     catalogue's design of it."""
     report: Path | None = None
-    """Folder for the report (HTML, pictures, JSON); <out>_report when left out."""
+    """Folder for the report (HTML, pictures, JSON). Default: <out>_report."""
     json: bool = False
     """Print the figures as JSON instead of a summary."""
 
 
 @dataclass(frozen=True)
 class BlockCommand(CalibrationFiles):
-    """Captures and a profile to extend in, the extended profile and a report out: what a row of
-    ``taccel_lab.calibration.blocks`` does. A command that takes the options of its fit inherits
-    them."""
+    """Run one row of ``taccel_lab.calibration.blocks``: captures and a profile in, the extended
+    profile and a report out. A command with options of its fit inherits them."""
 
     @classmethod
     def block_name(cls) -> str:

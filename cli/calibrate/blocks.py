@@ -74,25 +74,25 @@ class CalibrateColor(BlockCommand, ColorOptions):
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
     base: Path | None = None
-    """Profile of the designed sensor to extend; the catalogue's design of the sensor, turned as the
-    images are, when left out. A sensor that the catalogue does not know is taken as a flat pad."""
+    """Profile to extend. Default: the catalogue's design of the sensor, turned as the images
+    are. An unknown sensor becomes a flat pad."""
 
 
 @dataclass(frozen=True)
 class CalibrateDepth(BlockCommand, DepthOptions):
     """Fit the depth of a grey sensor (9DTact) to ball presses and write a profile.
 
-    Where such a gel is pressed it looks darker. The ball's shape gives the depth of every pixel
-    inside a contact; a monotone curve from the drop of the grey level to the depth is fitted to
-    them, with what left-out presses (or parts of a single one) say of it. Raw images of a lens
-    that distorts should be rectified: give --maps. `taccel-lab depth` then reads height maps.
+    Such a gel looks darker where it is pressed. The ball's shape gives the depth of every pixel
+    inside a contact. A monotone curve from grey level to depth is fitted, with its error on
+    left-out presses, or parts of a single one. Rectify raw images of a distorting lens with --maps.
+    `taccel-lab depth` then reads height maps.
     """
 
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md): background and [[presses]]."""
     base: Path | None = None
-    """Profile to extend; the catalogue's design of the captures' sensor when left out. Its camera
-    gives the scale where the captures state none."""
+    """Profile to extend. Default: the catalogue's design of the sensor. Its camera gives the
+    scale if the captures state none."""
 
 
 @dataclass(frozen=True)
@@ -100,16 +100,15 @@ class CalibrateMarkers(BlockCommand):
     """Find the dots painted on the gel, fit their grid and follow them through videos.
 
     Dots may be dark or bright, of any size, in a square, rectangular or hexagonal grid, with some
-    missing; nothing has to be tuned. The picture at rest is [markers] rest in captures.toml, or the
-    background, or else frames of the videos, [[markers.videos]], over which nothing moves; where
-    there are none the command refuses.
+    missing; nothing needs tuning. The picture at rest is [markers] rest in captures.toml, else the
+    background, else still frames of [[markers.videos]]. Without any of these the command fails.
     """
 
     base: Path | None = None
-    """Profile to extend; the catalogue's design of the sensor when left out. A profile with a
+    """Profile to extend. Default: the catalogue's design of the sensor. A profile with a
     calibrated camera or scale gives the millimetres."""
     tracks: Path | None = None
-    """File for the dots' places and displacements in every frame, pixels and millimetres:
+    """File for the dots' positions and displacements in every frame, pixels and millimetres:
     .json, .npz or .csv."""
 
     def check(self) -> None:
@@ -132,8 +131,8 @@ class CalibrateMarkers(BlockCommand):
 class CalibrateMaterial(BlockCommand):
     """Fit stiffness, Poisson's ratio, friction and damping to force records and write a profile.
 
-    Presses of the record's tool on the sensor's gel are simulated once and kept; the fit gives
-    each parameter with its 95 % interval, and the report says which ones the records leave open.
+    Presses of the record's tool on the sensor's gel are simulated once and cached. The fit gives
+    each parameter with its 95 % interval; the report names those that the records do not determine.
     """
 
     captures: Positional[Path]
@@ -141,16 +140,16 @@ class CalibrateMaterial(BlockCommand):
     model: (
         Literal["neo_hookean", "stable_neo_hookean", "st_venant_kirchhoff", "mooney_rivlin"] | None
     ) = None
-    """Law of the gel; that of the base profile when left out."""
+    """Material law of the gel. Default: the base profile's."""
     fix: tuple[str, ...] = ()
-    """Parameters that are held, as in nu=0.48 or e=3e5; of e [Pa], nu, mooney_ratio, friction."""
+    """Parameters to hold, such as nu=0.48 or e=3e5: e [Pa], nu, mooney_ratio, friction."""
     touch_sigma_mm: float | None = None
-    """How well the records know first touch [mm]; for few points 0.1 of a ball and 0.05 of a flat
-    punch, for many 0.2 when left out, 0 to trust them."""
+    """Uncertainty of first touch in the records [mm]. Default: for few points 0.1 (ball) or 0.05
+    (flat punch), for many 0.2. 0 trusts the records."""
     accuracy: Literal["fast", "default", "reference"] = "default"
-    """How closely presses are simulated: as those that are to reproduce the records."""
+    """Accuracy of the simulated presses, and of those that reproduce the records."""
     device: str = "cpu"
-    """Device of the presses: cpu, or cuda:0, which takes those of a table together."""
+    """Device of the presses: cpu, or cuda:0, which runs those of a table as one batch."""
 
     def check(self) -> None:
         """Refuse an unknown device and parameters that cannot be held."""
@@ -188,10 +187,10 @@ class CalibrateNormals(BlockCommand, NormalOptions):
 
 @dataclass(frozen=True)
 class CalibrateScale(BlockCommand):
-    """Measure mm/px along x and y from whatever of known length was captured.
+    """Measure mm/px along x and y from captures of known length.
 
     Boards on the gel, presses of a straight edge, markers of known pitch, landmarks, and ball
-    presses with depths each give a scale with its uncertainty; they are compared and, where they
+    presses with depths each give a scale with its uncertainty. They are compared and, if they
     agree, averaged. Ball presses without depths give an upper limit only.
     """
 

@@ -17,12 +17,11 @@ from taccel_lab.learning.force.options import ForceOptions
 class CalibrateForce(ForceOptions):
     """Train the model from images to forces on a data set of simulated touches and write a profile.
 
-    The data set (taccel-lab dataset) is made with the profile of your sensor and units drawn from
-    its spread; it needs rgb and patch_forces_n among its channels. Whole objects and units are held
-    out before an image is read; the report has the errors on them by depth, shear and place.
-    The training is kept every 10 s beside the profile to come: the same command goes on after an
-    interrupt and ends with the same model. `taccel-lab force` then reads images. Not part of
-    calibrate all.
+    Make the data set (taccel-lab dataset) with the profile of your sensor and units drawn from its
+    spread; it needs the channels rgb and patch_forces_n. Whole objects and units are held out
+    before an image is read; the report has their errors by depth, shear and position. The training
+    is saved every 10 s beside the new profile, and the same command continues it. `taccel-lab
+    force` then reads images. Not part of calibrate all.
     """
 
     datasets: Positional[tuple[Path, ...]]
@@ -30,9 +29,9 @@ class CalibrateForce(ForceOptions):
     out: Path
     """Profile folder to write."""
     profile: Path | None = None
-    """Profile to extend; the one that the data set was made with when left out."""
+    """Profile to extend. Default: the one of the data set."""
     report: Path | None = None
-    """Folder for the report (HTML, pictures, JSON); <out>_report when left out."""
+    """Folder for the report (HTML, pictures, JSON). Default: <out>_report."""
     json: bool = False
     """Print the figures as JSON instead of a summary."""
 

@@ -14,15 +14,14 @@ from tyro.conf import Positional
 class CalibrateRefit:
     """Correct an existing profile for aged lamps or a changed camera, from about 5 new frames.
 
-    Fits gain, offset and gradient of the background and the response of the colour model, a channel
-    each, and says how far frames that were left out of the fit are off before and after. Refuses
-    when the frames cannot tell, and when nothing is gained. Of four presses or more a quarter has
-    no part in it and is scored in the end. The profile stays of the same kind: the model's last
-    layer is scaled.
+    Fits gain, offset and gradient of the background and the response of the colour model, by
+    channel. Reports errors on left-out frames before and after. Rejects frames that do not
+    determine the correction, and corrections that gain nothing. Of four presses or more a quarter
+    is held out and scored. The model's last layer is scaled.
     """
 
     profile: Positional[Path]
-    """Profile folder to correct; it has a background, and a colour model that is to be kept."""
+    """Profile folder to correct, with a background and a colour model."""
     captures: Positional[Path]
     """Capture folder of today: 5 frames or more, at least 2 ball presses among them; the presses
     also need [indenter] radius_mm. The scale is the profile's."""
@@ -31,7 +30,7 @@ class CalibrateRefit:
     surface: Literal["simulated", "hertz"] = "simulated"
     """Gel surface under a press: the simulation, or a closed form, which is quick."""
     report: Path | None = None
-    """Folder for the report; <out>_report when left out."""
+    """Folder for the report. Default: <out>_report."""
     json: bool = False
     """Print the figures as JSON."""
 

@@ -32,7 +32,7 @@ class CaptureCheckCommand:
     captures: Positional[Path]
     """Capture folder with captures.toml, or captures in any layout that capture import reads."""
     report: Path | None = None
-    """Folder for a report with pictures (report.html); none is written when left out."""
+    """Folder for a report with pictures (report.html). Default: none."""
     json: bool = False
     """Print everything found as JSON."""
 

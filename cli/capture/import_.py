@@ -14,10 +14,9 @@ from tyro.conf import Positional
 class CaptureImport:
     """Write captures of another project's layout, or a plain folder, as a capture folder.
 
-    Image files are copied unchanged. What no file states and had to be assumed is printed, and
-    kept in captures.toml and in every profile that is calibrated with it; every file that is not
-    imported is told with the reason. A source of several sensors or sets becomes one folder for
-    each.
+    Image files are copied unchanged. Assumptions are printed, and kept in captures.toml and in
+    every profile that is calibrated with it. Skipped files are listed with the reason. A source of
+    several sensors or sets becomes one folder for each.
     """
 
     source: Positional[Path]
@@ -25,38 +24,37 @@ class CaptureImport:
     out: Positional[Path]
     """Capture folder to write."""
     layout: str = "auto"
-    """Layout of the source: auto, taxim, fots, 9dtact, feats, py3dcal, gs-sdk, cube-edges, rvsathu,
-    ruihangao, gelslim, osaka, markers or plain, or a recipe of your own, mine.toml (described in
-    docs/captures.md)."""
+    """Layout of the source: auto, taxim, fots, 9dtact, feats, py3dcal, gs-sdk, cube-edges,
+    rvsathu, ruihangao, gelslim, osaka, markers or plain, or your recipe, mine.toml
+    (docs/capture_import.md)."""
     sensor: str | None = None
-    """Sensor of the catalogue, or the folder of a profile; that of the layout when left out,
-    flat_pad for an unknown one."""
+    """Sensor of the catalogue, or a profile folder. Default: that of the layout; flat_pad if
+    unknown."""
     unit: str | None = None
     """Serial number or nickname of this particular sensor."""
     radius_mm: float | None = None
     """Radius of the ball of the presses or of the force record [mm]; replaces the layout's."""
     mm_per_px_x: float | None = None
-    """Scale along the image's rows [mm/px], where you have measured it."""
+    """Scale along the image's rows [mm/px], if you measured it."""
     mm_per_px_y: float | None = None
-    """Scale along the image's columns [mm/px]; that of the rows when left out."""
+    """Scale along the image's columns [mm/px]. Default: that of the rows."""
     background: str | None = None
     """Image of the untouched sensor, or "median" for the median of the presses."""
     edge_mm: float | None = None
     """Length of the edge of edge presses [mm]."""
     board: str | None = None
-    """The board of a 9DTact or of Osaka's views, or that all images of a plain folder are views
-    of, such as chessboard:6x6:2.5 (inner corners or dots along a row x rows, and their pitch in mm
-    where it is known; kinds chessboard, charuco, dots, pins)."""
+    """The board of a 9DTact, of Osaka's views or of all images of a plain folder, such as
+    chessboard:6x6:2.5. The numbers are inner corners or dots along a row x rows, and their pitch
+    in mm if known. Kinds: chessboard, charuco, dots, pins."""
     crop: str | None = None
-    """Background and presses are framed differently: the part of the presses that the background
-    shows, as LEFT,TOP,WIDTHxHEIGHT in pixels, or auto to find which part of one the other shows.
-    Both are cut to it; pixels of the presses keep their size."""
+    """For a background with another framing: its part of the presses, as LEFT,TOP,WIDTHxHEIGHT
+    in pixels, or auto. Both are cropped to it; pixels of the presses keep their size."""
     origin: str | None = None
-    """Where the captures come from, kept as provenance; what a README or MANIFEST in the source
-    says, or the address of its git clone, when left out, or else unknown."""
+    """Origin of the captures, kept as provenance. Default: from a README, MANIFEST or git clone,
+    else unknown."""
     license: str | None = None
-    """Licence of the captures, kept as provenance; that of a licence file or README in the source
-    when left out, or else unknown."""
+    """Licence of the captures, kept as provenance. Default: that of a licence file or README in
+    the source, else unknown."""
     json: bool = False
     """Print what was written as JSON."""
 

@@ -30,24 +30,24 @@ class _Session(CameraOptions):
     """Sensor of the catalogue (taccel-lab sensors list), or the folder of a profile; flat_pad for
     any other."""
     out: Path
-    """Capture folder to write, or to go on with."""
+    """Capture folder to write or to continue."""
     radius_mm: float | None = None
     """Radius of the ball [mm]: half of what callipers say."""
     mm_per_px_x: float | None = None
-    """Scale along the image's rows [mm/px], where you have measured it."""
+    """Scale along the image's rows [mm/px], if you measured it."""
     mm_per_px_y: float | None = None
-    """Scale along the image's columns [mm/px]; that of the rows when left out."""
+    """Scale along the image's columns [mm/px]. Default: that of the rows."""
     scale: Literal["stated", "catalogue", "later"] = "stated"
-    """Without a stated scale: catalogue takes the sensor's usual one, and notes that it is assumed;
-    later leaves it open, for an edge or a board."""
+    """Without a stated scale: catalogue uses the sensor's usual one, noted as assumed; later
+    leaves it open, for an edge or a board."""
     unit: str | None = None
-    """Serial number or nickname of this sensor; that of the camera when left out."""
+    """Serial number or nickname of this sensor. Default: the camera's."""
     page: bool = True
     """Show the page in the browser; with --no-page the terminal alone says what to do."""
     port: int = PORT
     """Port of the page on this machine; 0 takes any that is free."""
     browser: bool = True
-    """Whether the page is opened in the browser of this machine."""
+    """Whether to open the page in this machine's browser."""
     origin: str | None = None
     """Where and by whom, kept as provenance."""
     license: str | None = None
@@ -169,15 +169,15 @@ class _Session(CameraOptions):
 class CaptureRecord(_Session):
     """Record a capture folder from a camera: the untouched gel, then presses of a ball.
 
-    Switches automatic exposure, gain and white balance off and says where the camera does not hold
-    that. A page in the browser shows what changes, the contact found, what is covered, what to
-    press next, and lamps for saturation, blur and drift. A picture is taken when the contact stands
-    still; the limits are multiples of the noise of this camera's own untouched frames. Every
-    picture is on disk at once: the same command goes on after a kill, a lost camera is waited for.
+    Switches automatic exposure, gain and white balance off, and reports where the camera does not
+    hold that. A page in the browser shows the change, the contact, the coverage, what to press
+    next, and lamps for saturation, blur and drift. A picture is taken when the contact is still;
+    the limits adapt to this camera's noise. Every picture is saved at once. After a crash the same
+    command continues. If the camera disconnects, recording resumes when it returns.
     """
 
     presses: int | None = None
-    """Presses to take; as many as capture guide asks for when left out."""
+    """Number of presses. Default: that of capture guide."""
 
     def run(self) -> None:
         self.run_as(self.presses, quick=False)
@@ -187,8 +187,8 @@ class CaptureRecord(_Session):
 class CaptureQuick(_Session):
     """Record 20 presses of a ball, without a board and without a load cell.
 
-    The shortest way to depth maps of a sensor. What it leaves out is printed, shown on the page and
-    written into the folder. Without --mm-per-px-x the catalogue's usual scale is taken and noted as
+    The quickest way to depth maps of a sensor. What it leaves out is printed, shown on the page and
+    written into the folder. Without --mm-per-px-x the catalogue's usual scale is used and noted as
     assumed. Otherwise as capture record.
     """
 

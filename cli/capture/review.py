@@ -22,10 +22,10 @@ class CaptureReview:
     captures: Positional[Path]
     """Capture folder with captures.toml (docs/captures.md), or a Taxim dataPack.npz."""
     out: Path | None = None
-    """Folder to write: report.html, report.json, contacts.toml and one picture for each press;
-    <captures>_review when left out."""
+    """Folder to write: report.html, report.json, contacts.toml and one picture for each press.
+    Default: <captures>_review."""
     contacts: Path | None = None
-    """A contacts.toml to take into account; that of the capture folder when left out."""
+    """A contacts.toml. Default: that of the capture folder."""
     json: bool = False
     """Print the figures as JSON."""
 

@@ -15,7 +15,7 @@ class ForceOptions:
     """Settings of ``calibrate_force``."""
 
     steps: int = 6000
-    """Batches that are trained on; 64 images each take 0.3 s of a CPU core, 5 ms of a GPU."""
+    """Training batches; one of 64 images takes 0.3 s of a CPU core, 5 ms of a GPU."""
     batch: int = 64
     """Images in a batch."""
     learning_rate: float = 2e-3
@@ -25,13 +25,13 @@ class ForceOptions:
     seed: int = 0
     """Of weights, batches and drawn lights."""
     markers: Literal["auto", "on", "off"] = "auto"
-    """Whether the network sees moved markers, too; auto where profile and data set have them."""
+    """Marker displacements are an input too. auto: if profile and data set have them."""
     light: float = 1.0
-    """How far the light of an image differs from the background's in the training, times the spread
-    that the profile states (block perturbation); 0 for the same light."""
+    """Variation of the light in the training, times the profile's spread (block perturbation);
+    0: none."""
     stiffness: float | None = None
-    """Standard deviation of a unit's modulus, as a part of it, that is added to the stated errors;
-    what the profile states of it when left out."""
+    """Relative standard deviation of a unit's modulus, added to the stated errors. Default: the
+    profile's."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch"):

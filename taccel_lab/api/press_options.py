@@ -21,19 +21,19 @@ class PressOptions:
     depth_mm: float | None = None
     """Depth past first touch [mm]; or give the force."""
     force_n: float | None = None
-    """In place of a depth: press until the normal force is this, within 1 per cent [N]. The depth
-    is found by presses of their own, two to four; shear and twist follow at that depth, where the
-    force changes again."""
+    """In place of a depth: press until the normal force is this, within 1 per cent [N]. Two to
+    four extra presses find the depth. Shear and twist follow at that depth and change the force
+    again."""
     indenter: str = "sphere:2.0"
     """sphere:RADIUS, cylinder:RADIUS, box:XxY, roller:RADIUSxLENGTH, edge:ANGLExLENGTH[xRADIUS],
     grating:PITCHxRIDGESxLENGTH, pair:RADIUSxGAP or mesh:FILE[@AXIS] (STL, PLY, OBJ), in mm and
-    degrees. A file is placed by its own origin and axes, in mm: its origin comes to --at-mm, its x
-    points right and its y down in the image, and its -z side goes into the gel first, or what
-    @AXIS says, such as mesh:part.stl@+z. Its height above its origin does not matter."""
+    degrees. A file's origin comes to --at-mm, its x points right and its y down in the image.
+    Its -z side goes into the gel first, or the side of @AXIS, such as mesh:part.stl@+z. Its
+    height above its origin does not matter."""
     texture: Path | None = None
-    """Image whose grey is the height of the indenter's surface, white standing out most: laid over
-    it along z, columns along x and rows along y, and repeated. It shows in the signals; the solver
-    presses the indenter's own shape as the mean of it. Depth counts from its highest points."""
+    """Height map of the indenter's surface as a grey image, white highest. It is laid over the
+    indenter along z (columns along x, rows along y) and repeated. It shows in the signals; the
+    solver presses the indenter's smooth shape. Depth counts from its highest points."""
     texture_mm: tuple[float, float] = (0.05, 2.0)
     """Height from black to white, and width of the image on the indenter [mm]."""
     at_mm: tuple[float, float] = (0.0, 0.0)
@@ -43,7 +43,7 @@ class PressOptions:
     twist_deg: float = 0.0
     """Turn about +z at full depth [deg]."""
     friction: float | None = None
-    """Friction coefficient; the profile's when left out."""
+    """Friction coefficient. Default: the profile's."""
     step_mm: float = 0.2
     """Largest motion of a step [mm]."""
     step_deg: float = 2.0
@@ -52,12 +52,12 @@ class PressOptions:
     """fast: errors of a few per cent in less time. default: force within 3 per cent, heights within
     5 um. reference: to check the others, ten times as long. Each estimates its own error."""
     tolerance: float | None = None
-    """Force residual over the sum of the contact forces at which a step has converged; that of the
-    accuracy when left out."""
+    """Convergence tolerance: force residual over the sum of the contact forces. Default: that of
+    the accuracy."""
     dhat_mm: float | None = None
-    """Gap at which contact begins [mm]; that of the accuracy when left out."""
+    """Gap at which contact begins [mm]. Default: that of the accuracy."""
     element: Literal["linear", "quadratic"] | None = None
-    """linear: only to see what it costs: forces tens of per cent too large near nu 0.5."""
+    """linear: for comparison only; forces are tens of per cent too large near nu 0.5."""
     mesh: Literal["focused", "profile"] = "focused"
     """focused: fine around the contact. profile: the stored mesh as it is."""
     states: bool = False

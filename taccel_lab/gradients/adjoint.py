@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slopes of what comes of a motion over what went into it, by one adjoint solve a step.
+"""Gradients of a motion's outcome with respect to its inputs, by one adjoint solve a step.
 
 Step k ends where the forces on the unknowns balance, R_k(x_k, x_{k-1}; p) = 0, with x all nodes:
 those of gels that are free, and those that are prescribed, which follow from the poses and the

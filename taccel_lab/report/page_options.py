@@ -11,11 +11,11 @@ class PageOptions:
     """Where a page is served and how it looks."""
 
     host: str = "127.0.0.1"
-    """Address to listen at; 0.0.0.0 lets other machines in: whoever has the address that is printed
-    may do what the page can. A name of this machine: the page opens by that name, too."""
+    """Address to listen at. 0.0.0.0 lets other machines in: whoever has the printed address can
+    use the page. A name of this machine works too."""
     port: int = 8080
     """TCP port; 0 takes any that is free."""
     browser: bool = True
-    """Open the page in the browser of this machine (--no-browser: only say where it is)."""
+    """Open the page in this machine's browser (--no-browser: only print its address)."""
     dark: bool = False
     """Dark background."""

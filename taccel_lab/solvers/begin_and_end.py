@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Beginning and end of a step: what is where, and what of it stays."""
+"""Start and end of a step: set up, commit or roll back."""
 
 from __future__ import annotations
 

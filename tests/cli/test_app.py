@@ -59,7 +59,7 @@ def caused(error: Exception, cause: BaseException) -> Exception:
         (KeyboardInterrupt(), 130, "interrupted"),
         (caused(ImportError("initialization failed"), KeyboardInterrupt()), 130, "interrupted"),
         (caused(InputError("not installed"), KeyboardInterrupt()), 130, "interrupted"),
-        (caused(RuntimeError("__set_name__"), app._Terminated()), 143, "asked to end"),
+        (caused(RuntimeError("__set_name__"), app._Terminated()), 143, "terminated"),
         (PermissionError(13, "Permission denied", "/out"), 2, "error: /out: Permission denied"),
         (OSError(28, "No space left on device"), 2, "error: No space left on device"),
         (OSError(30, "Read-only file system", b"/out"), 2, "error: /out: Read-only file system"),
@@ -258,7 +258,7 @@ def test_asked_to_end_it_clears_away_what_is_unfinished(tmp_path: Path, earlier:
             (folder / "a.txt").write_text("old")
     before = sorted(path.name for path in tmp_path.rglob("*"))
     done = python(TERMINATED, out)
-    told = "asked to end; what was half written was removed\n"
+    told = "terminated; partial output removed\n"
     assert (done.returncode, done.stderr) == (143, told)
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
 

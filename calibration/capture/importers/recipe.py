@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recipe: how a project stores captures, as data. ``docs/captures.md`` explains its keys.
+"""A recipe: how a project stores captures, as data. ``docs/capture_import.md`` explains its keys.
 
 Paths are patterns with named fields (``path_pattern.py``). What a recipe states in numbers is told
 as assumed, with the reason: no file of the source says so.
@@ -125,14 +125,14 @@ class Set(StrictModel):
     """One sensor or set; it is there where any of its captures is."""
 
     part: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")] | None = None
-    """Folder below the target; that which sets it apart where there are several, when left out."""
+    """Folder below the target. Default: that which sets it apart where there are several,."""
     place: Literal["**"] | Folder = "."
     """Where patterns begin: a folder of the source, or the source itself if it is called so;
     ``**``: each folder with presses and a background, or with presses where none has both."""
     each: Pattern | None = None
     """A folder a set, whose fields stand for their text in all other patterns."""
     sensor: Sensor | None = None
-    """Of the catalogue; any flat gel when left out."""
+    """Of the catalogue. Default: any flat gel."""
     sensors_in_path: list[Sensor] = Field(default_factory=list)
     """Others, that it is where the source's path says so."""
     unit: Text | None = None

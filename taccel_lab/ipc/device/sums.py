@@ -3,7 +3,7 @@
 
 Sums and minima over the entries of an environment, on the device; sums in a fixed order.
 
-One thread block an environment (one thread on the CPU): each thread adds every so manyth entry,
+One thread block an environment (one thread on the CPU): each thread makes a strided partial sum,
 with compensation [Neumaier 1974], and the block adds its threads up as a tree. However many
 environments there are and whatever they hold, the sum of one of them is bitwise the same.
 
@@ -77,7 +77,7 @@ def block_total(value: wp.float64) -> wp.float64:
 
 @wp.func
 def lane_sum(env: int, lane: int, values: wp.array2d(dtype=wp.float64), count: int) -> wp.float64:
-    """Sum of every so manyth of the first entries of a row."""
+    """Strided partial sum of the first entries of a row."""
     total = wp.vec2d()
     for i in range(lane, count, wp.block_dim()):
         total = add_compensated(total, values[env, i])
@@ -88,7 +88,7 @@ def lane_sum(env: int, lane: int, values: wp.array2d(dtype=wp.float64), count: i
 def lane_list_sum(
     env: int, lane: int, values: wp.array(dtype=wp.float64), room: ListRoom
 ) -> wp.float64:
-    """Sum of every so manyth entry of a list."""
+    """Strided partial sum of a list."""
     total = wp.vec2d()
     for at in range(room.starts[env] + lane, list_end(env, room), wp.block_dim()):
         total = add_compensated(total, values[at])
@@ -145,7 +145,7 @@ def block_slope(
 def lane_lengths(
     env: int, lane: int, vectors: wp.array2d(dtype=wp.vec3d), first: int, end: int
 ) -> wp.float64:
-    """Sum of the lengths of every so manyth vector of a range."""
+    """Strided partial sum of the lengths of vectors of a range."""
     total = wp.vec2d()
     for i in range(first + lane, end, wp.block_dim()):
         total = add_compensated(total, wp.length(vectors[env, i]))

@@ -18,7 +18,7 @@ from tests.calibration.capture.made_up_layouts import picture
 from tests.support.capture_sets import write_image
 from tests.support.commands import run
 
-DOCS = Path(__file__).parents[3] / "docs" / "captures.md"
+DOCS = Path(__file__).parents[3] / "docs" / "capture_import.md"
 
 
 def recipe(folder: Path, text: str) -> str:

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pages and help texts are short, and in the English that an engineer speaks."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from taccel_lab.cli.app import DESCRIPTION, Group, command_tree
+from tests.support.prose import HISTORY, faults, help_of, sentences
+
+ROOT = Path(__file__).parents[1]
+REMARKS = "remarks.md"
+"""Made from tables of messages: their wording is not held here."""
+PAGES = sorted(
+    path
+    for path in (ROOT / "docs").rglob("*.md")
+    if "generated" not in path.parts and path.name != "changelog.md"
+)
+EVIDENCE = {"scores", "verification", "task_results", "ablations", "benchmarks"}
+"""Pages that may state commits and dates: they tell of measurements."""
+MOST_WORDS = 60_000
+COMMANDS = [
+    pytest.param(command, id=" ".join(words))
+    for name, entry in command_tree().items()
+    for words, command in (
+        [([name, word], inner) for word, inner in entry.commands.items()]
+        if isinstance(entry, Group)
+        else [([name], entry)]
+    )
+]
+
+
+@pytest.mark.parametrize(
+    "page",
+    [path for path in (ROOT / "README.md", *PAGES) if path.name != REMARKS],
+    ids=lambda path: path.name,
+)
+def test_pages_are_plain(page: Path) -> None:
+    history = () if page.stem in EVIDENCE else HISTORY
+    assert not faults(page.read_text(encoding="utf-8"), *history)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_is_plain(command: type) -> None:
+    assert not [fault for text in help_of(command) for fault in faults(text)]
+
+
+def test_help_of_groups_is_plain() -> None:
+    groups = [entry.help for entry in command_tree().values() if isinstance(entry, Group)]
+    assert not [fault for text in (DESCRIPTION, *groups) for fault in faults(text)]
+
+
+def test_pages_together_are_short() -> None:
+    count = sum(len(path.read_text(encoding="utf-8").split()) for path in PAGES)
+    assert count <= MOST_WORDS
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_pages_begin_with_a_command_and_a_picture(page: Path) -> None:
+    without = ("install", "notebooks", "python", "remarks")
+    if page.parent.name == "docs" and page.stem not in without:
+        head = " ".join(page.read_text(encoding="utf-8").split()[:250])
+        assert "```" in head and re.search(r"!\[.*?\]\(images/", head)
+
+
+def test_the_linter_finds_what_it_should() -> None:
+    assert faults("The number of pixels is told.\n")
+    assert faults("- " + "word " * 36 + "end.\n")
+    assert not faults("```sh\n# what it is told goes with " + "word " * 40 + "\n```\n")
+    assert not faults("See [this page](goes_with.md).\n")
+    assert sentences("One `a. B` here. Two, e.g. three.") == ["One CODE here.", "Two, e.g. three."]
