@@ -248,15 +248,6 @@ BALL_AGAINST_TRAVEL = RemarkKind(
     "is {stated:g} mm: the radius{diameter}, the scale or the travel is wrong",
     ("color", "normals", "scale", "material"),
 )
-OTHER_BALL = RemarkKind(
-    "other_ball",
-    Severity.WARNING,
-    "the colours over the contacts of {names} are those of {cause}, by one law for all presses: "
-    "with {factor:.2g} times the radius {gain:.1f} times less is left unexplained (told from "
-    "{limit:.1f} on). Of the other presses {levels_with:.2f} levels are left with these in the "
-    "fit, {levels_without:.2f} without. {advice}",
-    BY_COLOR,
-)
 BALL_RATIO = RemarkKind(
     "ball_ratio",
     Severity.ERROR,

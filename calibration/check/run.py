@@ -25,7 +25,6 @@ from taccel_lab.calibration.check.presses import (
     label_gaps,
 )
 from taccel_lab.calibration.check.targets import check_targets
-from taccel_lab.calibration.error_rates import quoted
 from taccel_lab.calibration.surfaces.design import design_remarks
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
@@ -151,7 +150,7 @@ def check_captures(
     grey = None if facts is None else facts.is_grey
     if background is not None and grey is not True:
         grey = is_grey(frames, thumb(background.image))
-    findings = worst_first([quoted(finding) for finding in findings])
+    findings = worst_first(findings)
     return CaptureCheck(
         folder=folder,
         findings=tuple(findings),
@@ -189,7 +188,6 @@ def press_findings(
         *check_balls(
             frames,
             grid if folder.mm_per_px is not None else None,
-            grid.width_px,
             folder.ball_radius_mm,
             None if facts is None else facts.thickness_mm,
         ),

@@ -9,7 +9,7 @@ from taccel_lab.report.remark import Severity
 PRESSES_LEFT_OUT = RemarkKind(
     "presses_left_out",
     Severity.WARNING,
-    "{lost} of {count} presses were left out: {names}. {reasons}. {rate}",
+    "{lost} of {count} presses were left out: {names}. {reasons}.{advice}",
 )
 PRESSES_REFUSED = RemarkKind(
     "presses_refused",
