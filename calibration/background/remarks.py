@@ -29,8 +29,3 @@ NEW_DUST = RemarkKind(
     "{specks} specks lie in the later frames and not in the background image: the gel has "
     "collected dust since. Clean it, or record a new background",
 )
-LITTLE_UNTOUCHED = RemarkKind(
-    "little_untouched",
-    Severity.WARNING,
-    "{names}: less than {least:.0%} of the frame looks like the background; left out",
-)

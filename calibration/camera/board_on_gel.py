@@ -164,12 +164,6 @@ def fit_on_gel(
         used = in_air if straight else refracted
     spread = scale_range(chosen, views, pitch)
     said = _remarks(chosen, fits, frame, spread, pitch, views, center)
-    if straight and in_air is not None and refracted is not None:
-        said.append(
-            remarks.NO_REFRACTION(
-                straight_px=in_air.fit.heldout_px, refracted_px=refracted.fit.heldout_px
-            )
-        )
     return OnGel(
         chosen,
         frame,
@@ -267,23 +261,13 @@ def _remarks(
 ) -> list[Remark]:
     said = []
     size = views[0].size_px
-    if spread[1] - spread[0] > DISTORTED:
+    if spread[1] - spread[0] > DISTORTED or abs(frame.shear) > MAX_SHEAR:
         said.append(remarks.DISTORTED(least=spread[0], largest=spread[1]))
-    if abs(frame.shear) > MAX_SHEAR:
-        said.append(remarks.SHEAR(angle=np.degrees(frame.shear)))
     pixel_pitch = pitch / frame.mm_per_px_x.value
     if chosen.heldout_px > LARGE_ERROR_PITCHES * pixel_pitch:
         share = chosen.heldout_px / pixel_pitch
         said.append(remarks.BOARD_ERROR(error_px=chosen.heldout_px, share=share))
-    found, expected = len(views[0].index), views[0].expected
-    if found < 0.8 * expected:
-        said.append(remarks.MISSING_POINTS(found=found, expected=expected))
     points = np.concatenate([view.uv_px for view in views])
     if not (points.min(axis=0) <= center).all() or not (points.max(axis=0) >= center).all():
         said.append(remarks.OFF_CENTER(u=center[0], v=center[1], width=size[0], height=size[1]))
-    poses = [fit for fit in fits if isinstance(fit.model, CameraPose)]
-    free = min((f.heldout_px for f in fits if not isinstance(f.model, CameraPose)), default=np.inf)
-    if poses and min(fit.heldout_px for fit in poses) > _POSE_WORSE * free:
-        best = min(fit.heldout_px for fit in poses)
-        said.append(remarks.POSE_DISAGREES(lens_px=best, free_px=free))
     return said

@@ -151,28 +151,16 @@ def _remarks(
     width = views[0].size_px[0]
     focal, sigma = chosen.fit.parameters[:2], chosen.fit.sigma[:2]
     spread = _spread_deg(chosen.fit)
-    if outliers:
-        total = len(outliers) + len(views)
-        said.append(
-            remarks.OUTLIER_VIEWS(
-                count=len(outliers),
-                total=total,
-                heldout_px=chosen.heldout_all_px,
-                robust_px=chosen.heldout_robust_px,
-                names="; ".join(outliers[:3]),
-                grave=len(outliers) > MAX_OUTLIER_SHARE * total,
-            )
-        )
-    if not chosen.fit.converged:
-        said.append(remarks.NOT_CONVERGED())
     if len(views) < 10:
         said.append(remarks.FEW_LENS_VIEWS(count=len(views)))
     if coverage < MIN_COVERAGE:
         said.append(remarks.LENS_COVERAGE(share=coverage))
     if tilt[1] < MIN_TILT_DEG:
-        said.append(remarks.NO_TILT(tilt=tilt[1]))
+        reason = f"no view is tilted by more than {tilt[1]:.1f} degrees"
+        said.append(remarks.VIEWS_ALIKE(reason=reason))
     elif spread < MIN_TILT_DEG:
-        said.append(remarks.VIEWS_ALIKE(spread=spread))
+        reason = f"all views show the board from one side, within {spread:.1f} degrees"
+        said.append(remarks.VIEWS_ALIKE(reason=reason))
     if (sigma > MAX_FOCAL_SIGMA * focal).any():
         said.append(
             remarks.FOCAL_UNCERTAIN(
@@ -181,9 +169,9 @@ def _remarks(
             )
         )
     usual = MAX_RMS_SHARE * width
-    # Views that are outliers have a remark of their own.
-    if chosen.heldout_robust_px > usual:
-        wrong = chosen.heldout_robust_px > WRONG_RMS * usual
+    # Views that are outliers are left out, and stand in the report.
+    if chosen.heldout_robust_px > usual or not chosen.fit.converged:
+        wrong = chosen.heldout_robust_px > WRONG_RMS * usual or not chosen.fit.converged
         said.append(
             remarks.LENS_ERROR(
                 error_px=chosen.heldout_robust_px,

@@ -31,7 +31,7 @@ from taccel_lab.report.remark import Remark
 
 MIN_MEDIAN_PRESSES = 7
 DARK_LEVELS = 8.0
-_DARK = (remarks.DARK_BACKGROUND(),)
+_MEDIAN = "The median of the presses stands in for it; --background median of import keeps it"
 FINE_THUMB_PX = 320
 
 
@@ -75,7 +75,9 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
                 f"{folder.source}: no background and {len(presses)} presses; give an image of the "
                 f"untouched sensor, or at least {MIN_MEDIAN_PRESSES} presses for their median"
             )
-        return BackgroundCheck(median_background(presses), True, (remarks.NO_BACKGROUND(),))
+        return BackgroundCheck(
+            median_background(presses), True, (remarks.NO_BACKGROUND(instead=_MEDIAN),)
+        )
     image = folder.background.image()
     if len(presses) < 3:
         return BackgroundCheck(image, False, ())
@@ -93,7 +95,9 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
     enough = len(presses) >= MIN_MEDIAN_PRESSES
     if _is_dark(folder, image):
         # Any part of any picture is as like a black one as another.
-        return BackgroundCheck(median_image if enough else image, enough, _DARK)
+        reason = "it is black, lamps off or the wrong file"
+        finding = remarks.BACKGROUND_DIFFERS(reason=reason, advice="")
+        return BackgroundCheck(median_image if enough else image, enough, (finding,))
     order, swapped, _ = best_channel_order(small, median)
     if order != (0, 1, 2) and swapped * CROP_GAIN < misfit:
         # Said by the check of channels, which sees all images against each other.
@@ -126,7 +130,11 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
         )
     else:
         crop, of_presses = None, True
-        finding = remarks.BACKGROUND_DIFFERS(misfit=misfit, own=own, advice=advice)
+        reason = (
+            f"{misfit:.0f} levels apart after exposure and white balance are fitted, the presses "
+            f"among themselves {own:.0f}; of another sensor, time or lamp setting"
+        )
+        finding = remarks.BACKGROUND_DIFFERS(reason=reason, advice=advice)
     chosen = median_image if enough else image
     return BackgroundCheck(chosen, enough, (finding,), crop, of_presses)
 
@@ -140,7 +148,7 @@ def _check_untouched(folder: CaptureFolder) -> list[Remark]:
     """Further images of the untouched sensor: how far it has drifted."""
     background = folder.require_background().image()
     if _is_dark(folder, background):
-        return [*_DARK]
+        return [remarks.BACKGROUND_DIFFERS(reason="it is black", advice="")]
     found = []
     for frame in folder.untouched:
         misfit = misfit_levels(thumb(frame.image()), thumb(background))
@@ -148,6 +156,4 @@ def _check_untouched(folder: CaptureFolder) -> list[Remark]:
             found.append(
                 remarks.UNTOUCHED_DIFFERS(name=frame.name, misfit=misfit, frames=[frame.name])
             )
-    if not folder.untouched and folder.presses:
-        found.append(remarks.ONE_BACKGROUND())
     return found

@@ -114,10 +114,10 @@ def _check_size(
         )
     if too_deep:
         found.append(
-            remarks.BALL_TOO_DEEP(
-                count=len(too_deep),
-                deepest=deepest,
-                gel=gel_thickness_mm,
+            remarks.BALL_CONTRADICTED(
+                diameter="",
+                evidence=f"{len(too_deep)} contacts of the stated ball would be up to "
+                f"{deepest:.1f} mm deep in a gel of {gel_thickness_mm:g} mm",
                 frames=too_deep,
             )
         )
@@ -163,12 +163,10 @@ def _check_travel(
     # Only a radius that is twice what contacts and travel allow is that of a diameter.
     doubled = 1 / TRAVEL_SLACK <= 2 * ratio <= 2 * TRAVEL_SLACK
     return [
-        remarks.BALL_AGAINST_TRAVEL(
-            count=len(ratios),
-            low=low,
-            high=high,
-            stated=ball_radius_mm,
+        remarks.BALL_CONTRADICTED(
             diameter=" (a diameter taken for it?)" if doubled else "",
+            evidence=f"contacts and travel of {len(ratios)} presses belong to a ball of "
+            f"{low:.2g} to {high:.2g} mm, stated is {ball_radius_mm:g} mm",
         )
     ]
 
@@ -199,7 +197,14 @@ def _check_stated_ratio(rates: np.ndarray, radii: np.ndarray, balls: np.ndarray)
     stated = last / first
     if 1 / ODD_RATE < seen / stated < ODD_RATE:
         return []
-    return [remarks.BALL_RATIO(first=first, last=last, stated=stated, seen=seen)]
+    return [
+        remarks.BALL_CONTRADICTED(
+            diameter="",
+            evidence=f"balls of {first:g} and {last:g} mm are stated, a ratio of {stated:.2f}; by "
+            f"the colours over their contacts it is {seen:.2f}",
+            blocks=("color", "normals", "scale"),
+        )
+    ]
 
 
 def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Remark]:
@@ -224,19 +229,19 @@ def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Remark]:
     found = check_ball(chosen, find_contacts(chosen))
     if found is None:
         return []
-    return [found.remark(remarks.BY_COLOR)]
+    return found.remarks(remarks.BY_COLOR)
 
 
 def check_size(size_px: tuple[int, int], usual_px: tuple[int, int], family: str) -> list[Remark]:
-    """Whether images are of the size that the sensor's usually have, lying or upright."""
+    """Whether images have the proportions of the sensor's usual ones, lying or upright."""
     (width, height), (usual_width, usual_height) = size_px, usual_px
     if sorted(size_px) == sorted(usual_px):
         return []
     longer = max(size_px) / min(size_px) * min(usual_px) / max(usual_px)
-    alike = abs(longer - 1) < SAME_PROPORTIONS
-    kind = remarks.SIZE_SCALED if alike else remarks.SIZE_OTHER
+    if abs(longer - 1) < SAME_PROPORTIONS:
+        return []
     return [
-        kind(
+        remarks.SIZE_OTHER(
             width=width,
             height=height,
             family=family,

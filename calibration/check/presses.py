@@ -113,38 +113,22 @@ def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap
 
 
 def _check_places(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:
-    """Labels outside of the image, and those that its border cuts."""
+    """Labels that can be of no press: outside of the image, or too small."""
     labels = {f.press.name: f.press.circle for f in frames if f.press.circle is not None}
-    wrong, cut = {}, {}
+    wrong = {}
     for name, circle in labels.items():
         try:
             check_place(circle, grid, name)
         except InputError as error:
             wrong[name] = str(error)
-            continue
-        if circle.beyond_px(grid) > 0:
-            cut[name] = circle.visible_share(grid)
-    found = []
-    if wrong:
-        found.append(
-            remarks.LABELS_IMPOSSIBLE(
-                wrong=len(wrong),
-                count=len(labels),
-                reason=next(iter(wrong.values())),
-                frames=list(wrong),
-            )
+    if not wrong:
+        return []
+    reason = next(iter(wrong.values()))
+    return [
+        remarks.LABELS_IMPOSSIBLE(
+            wrong=len(wrong), count=len(labels), reason=reason, frames=list(wrong)
         )
-    if cut:
-        found.append(
-            remarks.LABELS_CUT(
-                cut=len(cut),
-                count=len(labels),
-                names=name_some(list(cut)),
-                least=min(cut.values()),
-                frames=list(cut),
-            )
-        )
-    return found
+    ]
 
 
 def _check_labels(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:
@@ -276,22 +260,13 @@ def _check_duplicates(frames: Sequence[FrameFigures]) -> list[Remark]:
     same: dict[str, list[str]] = {}
     for frame in frames:
         same.setdefault(frame.press.sha256, []).append(frame.press.name)
-    copies = [names for names in same.values() if len(names) > 1]
-    findings = []
-    if copies:
-        names = [name for group in copies for name in group]
-        some = "; ".join(map(" = ".join, copies[:4]))
-        findings.append(remarks.DUPLICATES(names=some, frames=names))
-    near = _near_duplicates(frames)
-    if near:
-        findings.append(
-            remarks.NEAR_DUPLICATES(
-                count=len(near),
-                names=name_some([f"{a} and {b}" for a, b in near]),
-                frames=sorted({name for pair in near for name in pair}),
-            )
-        )
-    return findings
+    groups = [names for names in same.values() if len(names) > 1]
+    groups += [list(pair) for pair in _near_duplicates(frames)]
+    if not groups:
+        return []
+    names = sorted({name for group in groups for name in group})
+    some = name_some([" = ".join(group) for group in groups])
+    return [remarks.DUPLICATES(names=some, frames=names)]
 
 
 def _near_duplicates(frames: Sequence[FrameFigures]) -> list[tuple[str, str]]:

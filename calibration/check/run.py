@@ -137,7 +137,7 @@ def check_captures(
         try:
             background = check_background(folder)
         except InputError as fault:
-            findings.append(remarks.NO_MEDIAN(reason=fault))
+            findings.append(remarks.NO_BACKGROUND(instead=str(fault)))
     if background is not None:
         findings += background.findings
         grid = press_grid(folder, background.image)
@@ -208,6 +208,4 @@ def press_findings(
     if grey is not None and grey != facts.is_grey and facts.family != "flat_pad":
         have, want = ("grey", "coloured") if grey else ("coloured", "grey")
         findings.append(remarks.GREY_OR_COLOUR(found=have, family=facts.family, expected=want))
-    if background.is_median and not any(f.code == "no_background" for f in background.findings):
-        findings.append(remarks.MEDIAN_USED())
     return findings

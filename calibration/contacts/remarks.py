@@ -24,19 +24,6 @@ LABELS_SHIFTED = RemarkKind(
     "median; without that shift they differ by {left:.1f} px. Check how they were made, or use the "
     "found ones",
 )
-CIRCLES_FOUND = RemarkKind(
-    "circles_found",
-    Severity.INFO,
-    "found circles against {count} labels, median and 90th percentile: centre {center:.1f} and "
-    "{center_p90:.1f} px, radius {radius:.1f} and {radius_p90:.1f} px",
-)
-BALL_RADIUS_FITS = RemarkKind(
-    "ball_radius_fits",
-    Severity.INFO,
-    "the ball's radius fits the colours: the joint fit leaves {rms:.2f} levels with the stated "
-    "{stated:g} mm and {best_rms:.2f} with {best:.3g} mm; they allow {lowest:.3g} mm and more (a "
-    "ball that is stated too large does not show in the colours)",
-)
 WRONG_BALL_RADIUS = RemarkKind(
     "wrong_ball_radius",
     Severity.ERROR,

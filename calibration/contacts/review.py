@@ -15,7 +15,7 @@ from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.calibration.contacts.labels import LabelAgreement, compare_with_labels
 from taccel_lab.calibration.contacts.remarks import LABELS_SHIFTED, PRESSES_REFUSED
 from taccel_lab.calibration.contacts.result import DetectedContact, FoundContacts
-from taccel_lab.calibration.light.drift import drift_remark
+from taccel_lab.calibration.light.drift import drift_remarks
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 
@@ -145,8 +145,8 @@ def _remarks(
             )
         )
     if ball is not None:
-        remarks.append(ball.remark())
+        remarks += ball.remarks()
     drifts = [found.drifts[i] for i in sorted(found.drifts)]
     if len(drifts) > 1:
-        remarks.append(drift_remark(drifts, captures.background))
+        remarks += drift_remarks(drifts, captures.background)
     return tuple(remarks)

@@ -169,8 +169,4 @@ def _remarks(
         if share > UNSURE_SHARE:
             said.append(remarks.SCALE_UNSURE(axis=axis, share=share))
     said += stated_scale_remarks(folder, {axis: found.estimate for axis, found in axes.items()})
-    if len(axes) == 1:
-        said.append(remarks.ONE_AXIS(axis=next(iter(axes))))
-    if axes and max(found.freedom for found in axes.values()) == 0:
-        said.append(remarks.ONE_METHOD())
     return said

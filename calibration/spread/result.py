@@ -77,14 +77,13 @@ class SpreadCalibration(ResultSummary):
     def remarks(self) -> tuple[Remark, ...]:
         found = []
         frame_count = len(self.frame_drifts) if self.lights is self.frame_drifts else 0
-        for kind, count in (
-            (remarks.FEW_FRAMES, frame_count),
-            (remarks.FEW_UNITS, 0 if self.units is None else self.units.unit_count),
+        for what, count in (
+            ("frames", frame_count),
+            ("units", 0 if self.units is None else self.units.unit_count),
         ):
             if 0 < count < FEW:
-                found.append(kind(count=count, error=relative_error(count), enough=FEW))
-        if self.units is None:
-            found.append(remarks.NO_UNITS())
+                error = relative_error(count)
+                found.append(remarks.FEW_FRAMES(count=count, what=what, error=error, enough=FEW))
         return tuple(found)
 
     def figures(self) -> dict[str, Any]:
