@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.capture.importers import gs_sdk, markers, ninedtact, plain, taxim
+from taccel_lab.calibration.capture.importers import markers, ninedtact, plain, taxim
 from taccel_lab.calibration.capture.importers.crop import crop_draft
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.layout import Layout
@@ -26,7 +26,7 @@ LAYOUTS: dict[str, Layout] = {
     layout.name: layout
     # The most telling first: any folder of images is a plain one.
     for layout in (
-        *(part.LAYOUT for part in (taxim, ninedtact, gs_sdk)),
+        *(part.LAYOUT for part in (taxim, ninedtact)),
         *(recipe_layout(path) for path in sorted(RECIPES.glob("*.toml"))),
         *(part.LAYOUT for part in (markers, plain)),
     )
