@@ -130,13 +130,6 @@ def _report_study(given: Path, out: Path) -> None:
         _run(Study(given / "study.toml", out=given / "study", report_only=True, json=True))
 
 
-def _read_curve(given: Path, out: Path) -> None:
-    from taccel_lab.studies.measured_curve import read_curve
-    from taccel_lab.studies.spec import Measured
-
-    read_curve(Measured(file=str(given / "gel.csv"), indenter="sphere:2"))
-
-
 def _plan_dataset(given: Path, out: Path) -> None:
     from taccel_lab.cli.dataset import DatasetMake
 
@@ -243,7 +236,6 @@ READERS: dict[str, Reader] = {
     "taxim-pack": Reader(layouts.maker("taxim"), _import_pack),
     "study-file": Reader(results.study_file, _plan_study),
     "study-folder": Reader(results.study, _report_study, ("study/*",), own="study"),
-    "measured-curve": Reader(results.curve, _read_curve),
     "dataset-file": Reader(touches.file, _plan_dataset),
     "dataset-folder": Reader(touches.folder, _check_dataset, own="data"),
     "texture": Reader(captures.texture, _read_texture),
