@@ -54,15 +54,6 @@ NO_BACKGROUND = RemarkKind(
     "there is no image of the untouched gel. {instead}",
     BY_BACKGROUND,
 )
-BACKGROUND_IS_A_CROP = RemarkKind(
-    "background_is_a_crop",
-    Severity.ERROR,
-    "the background is framed differently: {inner} a part of the framing of the {outer}, enlarged: "
-    "{width} x {height} px of it from ({left}, {top}) px (misfit {misfit:.1f} levels there, "
-    "{whole_misfit:.1f} as it is). Record both alike, or crop the {outer} so: capture import "
-    "--crop {crop}.{advice}",
-    BY_BACKGROUND,
-)
 BACKGROUND_DIFFERS = RemarkKind(
     "background_differs",
     Severity.ERROR,

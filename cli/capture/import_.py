@@ -47,13 +47,9 @@ class CaptureImport:
     """The board of a 9DTact or of Osaka's views, or that all images of a plain folder are views
     of, such as chessboard:6x6:2.5 (inner corners or dots along a row x rows, and their pitch in mm
     where it is known; kinds chessboard, charuco, dots, pins)."""
-    crop: str | None = None
-    """Background and presses are framed differently: the part of the presses that the background
-    shows, as LEFT,TOP,WIDTHxHEIGHT in pixels, or auto to find which part of one the other shows.
-    Both are cut to it; pixels of the presses keep their size."""
     origin: str | None = None
     """Where the captures come from, kept as provenance; what a README or MANIFEST in the source
-    says, or the address of its git clone, when left out, or else unknown."""
+    says when left out, or else unknown."""
     license: str | None = None
     """Licence of the captures, kept as provenance; that of a licence file or README in the source
     when left out, or else unknown."""
@@ -82,7 +78,6 @@ class CaptureImport:
             background=self.background,
             edge_mm=self.edge_mm,
             board=self.board,
-            crop=self.crop,
             origin=self.origin,
             license=self.license,
         )

@@ -228,9 +228,6 @@ READERS: dict[str, Reader] = {
     **{f"import-{name}": Reader(layouts.maker(name), _importer("auto")) for name in layouts.NAMES},
     "import-recipe": Reader(layouts.own_recipe, _import_by_recipe),
     "import-as-plain": Reader(layouts.plain_with_mask, _importer("plain", background="bg.png")),
-    "import-crop": Reader(
-        layouts.maker("plain"), _importer("plain", crop="4,4,40x36"), options=("crop",)
-    ),
     "import-boards": Reader(layouts.boards, _importer("plain", board="chessboard:6x6:2.5")),
     "import-video": Reader(layouts.video_of_dots, _importer("markers")),
     "taxim-pack": Reader(layouts.maker("taxim"), _import_pack),

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.importers import markers, ninedtact, plain, taxim
-from taccel_lab.calibration.capture.importers.crop import crop_draft
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.importers.left_out import capture_folders, files_of
@@ -102,8 +101,6 @@ def read_drafts(
         draft.apply(options, source if source.is_dir() else source.parent)
         if draft.finish is not None:
             draft.finish(draft)
-        if options.crop is not None:
-            crop_draft(draft, options.crop)
         of = f"imported from {real_path(source).name}, layout {chosen.name}" + (
             f", part {draft.part}" if draft.part else ""
         )

@@ -189,7 +189,6 @@ def test_a_folder_whose_name_is_no_text(tmp_path: Path) -> None:
     [
         (ImportOptions(board="chessboard:6x6:2.5.1"), "the pitch: '2.5.1' is not a number"),
         (ImportOptions(board="chessboard:6x" + "9" * 5000), "kind:COLUMNSxROWS"),
-        (ImportOptions(crop="0,0,64x" + "4" * 5000), "LEFT,TOP,WIDTHxHEIGHT"),
     ],
 )
 def test_options_with_odd_numbers(tmp_path: Path, options: ImportOptions, words: str) -> None:
