@@ -23,6 +23,7 @@ from taccel_lab.calibration.light.untouched import (
     steady_pixels,
     untouched_pixels,
 )
+from taccel_lab.calibration.shared_remarks import TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
@@ -188,7 +189,8 @@ def _remarks(
     if from_presses:
         found.append(remarks.NO_UNTOUCHED_IMAGE(count=len(sources)))
     if len(sources) == 1:
-        found.append(remarks.SINGLE_FRAME())
+        wanted = "neither noise nor drift can be told; give more as untouched"
+        found.append(TOO_FEW(count=1, what="frame", wanted=wanted))
     if len(drifts) > 1:
         found += drift_remarks(drifts, reference)
     clipped = float(((reference <= 0.5) | (reference >= 254.5)).any(axis=-1).mean())

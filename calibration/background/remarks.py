@@ -12,11 +12,6 @@ NO_UNTOUCHED_IMAGE = RemarkKind(
     "no image of the untouched sensor: the background is the median of {count} presses; what they "
     "all touch is wrong. Record one",
 )
-SINGLE_FRAME = RemarkKind(
-    "single_frame",
-    Severity.WARNING,
-    "one frame: neither noise nor drift can be told; give more as untouched",
-)
 BACKGROUND_CLIPPED = RemarkKind(
     "background_clipped",
     Severity.WARNING,

@@ -23,6 +23,7 @@ from taccel_lab.calibration.camera.plane_fit import (
 )
 from taccel_lab.calibration.camera.plane_models import BentHomography, CameraPose, PlaneModel
 from taccel_lab.calibration.result import Estimate
+from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -266,7 +267,9 @@ def _remarks(
     pixel_pitch = pitch / frame.mm_per_px_x.value
     if chosen.heldout_px > LARGE_ERROR_PITCHES * pixel_pitch:
         share = chosen.heldout_px / pixel_pitch
-        said.append(remarks.BOARD_ERROR(error_px=chosen.heldout_px, share=share))
+        error = f"{chosen.heldout_px:.2f} px, {share:.1%} of its pitch"
+        advice = "the board is bent, or its dots are blurred"
+        said.append(HELDOUT_ERROR(what="points of the board", error=error, advice=advice))
     points = np.concatenate([view.uv_px for view in views])
     if not (points.min(axis=0) <= center).all() or not (points.max(axis=0) >= center).all():
         said.append(remarks.OFF_CENTER(u=center[0], v=center[1], width=size[0], height=size[1]))

@@ -20,6 +20,7 @@ from taccel_lab.calibration.camera.bundle import BundleFit
 from taccel_lab.calibration.camera.heldout import LensScore, compare_lenses, score_lenses
 from taccel_lab.calibration.camera.lens import LENSES, Lens, chosen_lenses
 from taccel_lab.calibration.camera.lens_fits import MIN_VIEWS, fit_lenses
+from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR, TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
@@ -152,7 +153,7 @@ def _remarks(
     focal, sigma = chosen.fit.parameters[:2], chosen.fit.sigma[:2]
     spread = _spread_deg(chosen.fit)
     if len(views) < 10:
-        said.append(remarks.FEW_LENS_VIEWS(count=len(views)))
+        said.append(TOO_FEW(count=len(views), what="views of the board", wanted=remarks.MORE_VIEWS))
     if coverage < MIN_COVERAGE:
         said.append(remarks.LENS_COVERAGE(share=coverage))
     if tilt[1] < MIN_TILT_DEG:
@@ -173,10 +174,10 @@ def _remarks(
     if chosen.heldout_robust_px > usual or not chosen.fit.converged:
         wrong = chosen.heldout_robust_px > WRONG_RMS * usual or not chosen.fit.converged
         said.append(
-            remarks.LENS_ERROR(
-                error_px=chosen.heldout_robust_px,
-                usual_px=usual,
-                cause="the points are not those of the board: check its kind, columns and rows"
+            HELDOUT_ERROR(
+                what="views of the board",
+                error=f"{chosen.heldout_robust_px:.2f} px, usual are less than {usual:.1f} px",
+                advice="the points are not those of the board: check its kind, columns and rows"
                 if wrong
                 else "the board is bent, or no model fits the lens",
                 grave=wrong,

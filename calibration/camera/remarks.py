@@ -21,18 +21,9 @@ SIZE_DIFFERS = RemarkKind(
     "{background_width}x{background_height} px: the scale holds for images of the board's size "
     "only",
 )
-STATED_SCALE_DIFFERS = RemarkKind(
-    "stated_scale_differs",
-    Severity.WARNING,
-    "the captures state mm_per_px_{axis} = {stated:g}, measured is {measured}: {off:+.1%}",
-)
 
 # The lens.
-FEW_LENS_VIEWS = RemarkKind(
-    "few_lens_views",
-    Severity.WARNING,
-    "only {count} views of the board; 20 or more, spread over the image, determine the distortion",
-)
+MORE_VIEWS = "20 or more, spread over the image, determine the distortion"
 LENS_COVERAGE = RemarkKind(
     "lens_coverage",
     Severity.WARNING,
@@ -51,12 +42,6 @@ FOCAL_UNCERTAIN = RemarkKind(
     "the focal length is known to {percent:.1f} % only; take more views with more tilt",
     graver=Severity.ERROR,
 )
-LENS_ERROR = RemarkKind(
-    "lens_error",
-    Severity.WARNING,
-    "held-out views are {error_px:.2f} px off, usual are less than {usual_px:.1f} px; {cause}",
-    graver=Severity.ERROR,
-)
 
 # Boards on the gel.
 DISTORTED = RemarkKind(
@@ -65,12 +50,6 @@ DISTORTED = RemarkKind(
     "the scale runs from {least:.2f} to {largest:.2f} of its value at the board's middle: mm/px "
     "hold about the middle of the raw image, and everywhere only in images that are rectified "
     "(--maps)",
-)
-BOARD_ERROR = RemarkKind(
-    "board_error",
-    Severity.WARNING,
-    "points of the board that were left out are {error_px:.2f} px off, {share:.1%} of its pitch; "
-    "the board is bent, or its dots are blurred",
 )
 OFF_CENTER = RemarkKind(
     "off_center",

@@ -39,13 +39,6 @@ ASSUMED = RemarkKind(
     "{count} values are assumed, no file states them: {assumed}. Correct what is wrong in "
     "captures.toml, and take out of [assumed] what you have checked",
 )
-GREY_OR_COLOUR = RemarkKind(
-    "grey_or_colour",
-    Severity.WARNING,
-    "the images are {found}, those of a {family} are {expected}: another sensor, or images that "
-    "were converted",
-    ("color", "normals", "depth"),
-)
 
 # The background.
 NO_BACKGROUND = RemarkKind(
@@ -118,20 +111,6 @@ NO_CONTACT = RemarkKind(
     ("color", "normals", "scale"),
     graver=Severity.ERROR,
 )
-LABELS_OFF = RemarkKind(
-    "labels_off",
-    Severity.WARNING,
-    "{off} of {count} labelled circles disagree with the images: centres by up to {largest:.0f} px "
-    "(median {median:.1f} px), radii by up to {radius:.0f} px; {names}. {advice}",
-    BY_COLOR,
-    graver=Severity.ERROR,
-)
-LABELS_IMPOSSIBLE = RemarkKind(
-    "labels_impossible",
-    Severity.ERROR,
-    "{wrong} of {count} labelled circles can be of no press: {reason}",
-    ("color", "normals", "depth"),
-)
 ONE_SPOT = RemarkKind(
     "one_spot",
     Severity.ERROR,
@@ -145,13 +124,6 @@ COVERAGE = RemarkKind(
     "the contacts cover {covered:.0%} of the gel; no press in {empty} of {parts} parts of the "
     "image{names}. The colour model is only valid where balls were",
     BY_COLOR,
-)
-FEW_PRESSES = RemarkKind(
-    "few_presses",
-    Severity.INFO,
-    "{count}; {enough} to 50 leave enough to hold some out and still cover the gel",
-    BY_COLOR,
-    graver=Severity.WARNING,
 )
 SAME_DEPTH = RemarkKind(
     "same_depth",
@@ -213,23 +185,9 @@ BOARD_NOT_FOUND = RemarkKind("board_not_found", Severity.ERROR, "{board} was not
 BOARD_WITHOUT_PITCH = RemarkKind(
     "board_without_pitch", Severity.ERROR, "{board} on the gel needs pitch_mm for a scale"
 )
-EDGE_LABELS_OFF = RemarkKind(
-    "edge_labels_off",
-    Severity.WARNING,
-    "{count} labelled edges are more than 15 % longer or shorter than the others, which say "
-    "{mm_per_px:.4f} mm/px: {names}",
-    ("scale",),
-)
 
 # Markers.
 NO_REST_FRAME = RemarkKind("no_rest_frame", Severity.ERROR, "{reason}", ("markers", "scale"))
-MARKER_LABELS_OFF = RemarkKind(
-    "marker_labels_off",
-    Severity.WARNING,
-    "{lost} of {count} measured dots, moved by their displacements, are more than {limit:g} px "
-    "from any dot of {name} (median {median:.1f} px)",
-    ("markers",),
-)
 VIDEO_SIZE = RemarkKind(
     "video_size",
     Severity.ERROR,

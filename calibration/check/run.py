@@ -25,6 +25,7 @@ from taccel_lab.calibration.check.presses import (
     label_gaps,
 )
 from taccel_lab.calibration.check.targets import check_targets
+from taccel_lab.calibration.shared_remarks import GREY_OR_COLOUR
 from taccel_lab.calibration.surfaces.design import design_remarks
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
@@ -207,5 +208,7 @@ def press_findings(
     grey = is_grey(frames, small)
     if grey is not None and grey != facts.is_grey and facts.family != "flat_pad":
         have, want = ("grey", "coloured") if grey else ("coloured", "grey")
-        findings.append(remarks.GREY_OR_COLOUR(found=have, family=facts.family, expected=want))
+        findings.append(
+            GREY_OR_COLOUR(found=have, expected=want, blocks=("color", "normals", "depth"))
+        )
     return findings

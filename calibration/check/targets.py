@@ -26,6 +26,7 @@ from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers.remarks import VIDEO_CUT_SHORT
 from taccel_lab.calibration.markers.rest import find_rest
+from taccel_lab.calibration.shared_remarks import LABELS_OFF, TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import Remark
 
@@ -72,7 +73,14 @@ def _check_board(board: BoardCaptures) -> list[Remark]:
             findings.append(remarks.BOARD_WITHOUT_PITCH(board=what, blocks=use))
         return findings
     if len(found.views) < GOOD_VIEWS:
-        findings.append(camera.FEW_LENS_VIEWS(count=len(found.views), blocks=use))
+        findings.append(
+            TOO_FEW(
+                count=len(found.views),
+                what=f"views of {what}",
+                wanted=camera.MORE_VIEWS,
+                blocks=use,
+            )
+        )
     points = np.concatenate([view.uv_px for view in found.views])
     width, height = found.views[0].size_px
     cells = {(int(u / width * 4), int(v / height * 4)) for u, v in points}
@@ -113,11 +121,12 @@ def _check_labels(markers: MarkerCaptures) -> list[Remark]:
     lost = int((gap > LABEL_DOT_PX).sum())
     if lost <= LABELS_LOST * len(gap):
         return []
-    return [
-        remarks.MARKER_LABELS_OFF(
-            lost=lost, count=len(gap), name=frame.name, limit=LABEL_DOT_PX, median=np.median(gap)
-        )
-    ]
+    how = (
+        f"moved by their displacements they are more than {LABEL_DOT_PX:g} px from any dot of "
+        f"{frame.name} (median {np.median(gap):.1f} px)"
+    )
+    figures = {"off": lost, "count": len(gap), "advice": "Measure them again", "how": how}
+    return [LABELS_OFF(what="measured dots", blocks=("markers",), **figures)]
 
 
 def _check_video(video: Video, rest: np.ndarray) -> list[Remark]:
@@ -158,10 +167,10 @@ def _check_edges(edges: Sequence[EdgeCapture]) -> list[Remark]:
             and abs(edge.entry.length_mm / edge.entry.line.length_px / middle - 1) > 0.15
         ]
         if off:
+            how = f"more than 15 % longer or shorter than {middle:.4f} mm/px says; {name_some(off)}"
+            figures = {"off": len(off), "count": len(scales), "advice": "Look at them"}
             findings.append(
-                remarks.EDGE_LABELS_OFF(
-                    count=len(off), mm_per_px=middle, names=name_some(off), frames=off
-                )
+                LABELS_OFF(what="labelled edges", how=how, frames=off, blocks=("scale",), **figures)
             )
     return findings
 

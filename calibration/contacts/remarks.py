@@ -11,19 +11,6 @@ PRESSES_LEFT_OUT = RemarkKind(
     Severity.WARNING,
     "{lost} of {count} presses were left out: {names}. {reasons}.{advice}",
 )
-PRESSES_REFUSED = RemarkKind(
-    "presses_refused",
-    Severity.WARNING,
-    "{lost} of {count} presses show no usable contact: {names}; the {file} written here leaves "
-    "them out",
-)
-LABELS_SHIFTED = RemarkKind(
-    "labels_shifted",
-    Severity.WARNING,
-    "the given circles all lie to one side of the found ones, by ({u:+.1f}, {v:+.1f}) px at the "
-    "median; without that shift they differ by {left:.1f} px. Check how they were made, or use the "
-    "found ones",
-)
 WRONG_BALL_RADIUS = RemarkKind(
     "wrong_ball_radius",
     Severity.ERROR,

@@ -34,19 +34,6 @@ GRID_BENT = RemarkKind(
 )
 
 # What the millimetres rest on.
-SCALE_ASSUMED = RemarkKind(
-    "scale_assumed",
-    Severity.WARNING,
-    "millimetres rest on {scale}, which nobody measured on this unit; state mm_per_px_x and "
-    "mm_per_px_y or the dots' pitch_x_mm in captures.toml, or give a profile with a calibrated "
-    "scale as --base",
-)
-MARKER_SCALE_DISAGREES = RemarkKind(
-    "marker_scale_disagrees",
-    Severity.WARNING,
-    "{other} gives {other_x:.4f} x {other_y:.4f} mm/px, {used} {used_x:.4f} x {used_y:.4f}: "
-    "{off_x_percent:+.1f} and {off_y_percent:+.1f} %; the latter was used",
-)
 
 # Videos.
 VIDEO_CUT_SHORT = RemarkKind("video_cut_short", Severity.WARNING, "a video ends early: {reason}")

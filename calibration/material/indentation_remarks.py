@@ -11,14 +11,13 @@ import numpy as np
 from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
 from taccel_lab.calibration.material.predicted_forces import HeldOut
 from taccel_lab.calibration.material.remarks import (
-    FEW_DEGREES_OF_FREEDOM,
     FRICTION_ASSUMED,
-    LAW_MISFIT,
     RECORDS_DISAGREE,
     TOUCH_SHIFT,
     YOUNG_UNCERTAIN,
 )
 from taccel_lab.calibration.result import Estimate
+from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR, TOO_FEW
 from taccel_lab.report.remark import Remark
 
 MISFIT = 0.05
@@ -42,7 +41,10 @@ def residual_remarks(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[
         residual = np.array(own) if own else residual
         rms = float(np.sqrt(np.mean(residual**2)))
         if rms > MISFIT:
-            remarks.append(LAW_MISFIT(name=item.name, rms=rms, grave=rms > BAD_MISFIT))
+            error = f"{rms:.1%} (root mean square above a tenth of the largest)"
+            advice = "check the radius, the gel's thickness and where the depth is counted from"
+            what, grave = f"forces of {item.name}", rms > BAD_MISFIT
+            remarks.append(HELDOUT_ERROR(what=what, error=error, advice=advice, grave=grave))
         touch = fit.touch_mm(i)
         if abs(touch) > 0.1 and abs(touch) > 3 * fit.solution.sigma_of(f"touch_{i}"):
             remarks.append(TOUCH_SHIFT(name=item.name, touch_mm=touch))
@@ -86,13 +88,12 @@ def few_degrees_of_freedom(fit: IndentationFit, predicted: Sequence[HeldOut]) ->
     miss = np.array([item.relative for item in predicted])
     inside = sum(a.interval_n[0] <= a.force_n <= a.interval_n[1] for a in predicted)
     return [
-        FEW_DEGREES_OF_FREEDOM(
+        TOO_FEW(
             count=count,
-            fitted=len(fit.solution.names),
-            rms=np.sqrt(np.mean(miss**2)),
-            worst=np.abs(miss).max(),
-            inside=inside,
-            predicted=len(predicted),
+            what=f"points for {len(fit.solution.names)} fitted numbers",
+            wanted=f"predicted from the others they are off by {np.sqrt(np.mean(miss**2)):.1%} "
+            f"(root mean square; {np.abs(miss).max():.1%} at most; {inside} of {len(predicted)} in "
+            "the 95 % interval stated for them). Record eight depths or more",
         )
     ]
 

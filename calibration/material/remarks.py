@@ -22,27 +22,11 @@ UNUSUAL_MODULUS = RemarkKind(
 )
 
 # The fit to indentations.
-LAW_MISFIT = RemarkKind(
-    "law_misfit",
-    Severity.WARNING,
-    "{name}: the simulated curve misses forces that it was not fitted to by {rms:.1%} (root mean "
-    "square above a tenth of the largest); check the radius, the gel's thickness and where the "
-    "depth is counted from",
-    graver=Severity.ERROR,
-)
 TOUCH_SHIFT = RemarkKind(
     "touch_shift",
     Severity.WARNING,
     "{name}: first touch lies {touch_mm:+.2f} mm from where the record counts its depth; the fit "
     "allows for it, but look at how touch was detected",
-)
-FEW_DEGREES_OF_FREEDOM = RemarkKind(
-    "few_degrees_of_freedom",
-    Severity.WARNING,
-    "{count} points and {fitted} fitted numbers: how close the fit comes to them says little. "
-    "Predicted from the others, points are off by {rms:.1%} (root mean square; {worst:.1%} at "
-    "most; {inside} of {predicted} in the 95 % interval stated for them). Record eight depths or "
-    "more",
 )
 RECORDS_DISAGREE = RemarkKind(
     "records_disagree",

@@ -14,9 +14,9 @@ from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
 from taccel_lab.calibration.capture.schema import LineEntry
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.robust_spread import spread_about_zero
-from taccel_lab.calibration.scale import remarks
 from taccel_lab.calibration.scale.edge_line import EdgeLine, find_edge
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.shared_remarks import TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import Remark
 
@@ -184,4 +184,8 @@ def _remarks(measured: Sequence[MeasuredEdge], used: np.ndarray) -> list[Remark]
     if len(chosen) >= 4 and not lacking:
         return []
     words = f", none along {' or '.join(lacking)}" if lacking else ""
-    return [remarks.FEW_EDGES(count=len(chosen), lacking=words, share=SQUARE_SIGMA)]
+    wanted = (
+        "8 or more, along x and along y, tell both scales; without, pixels are taken to be square "
+        f"within {SQUARE_SIGMA:.0%}"
+    )
+    return [TOO_FEW(count=len(chosen), what=f"presses of the edge{words}", wanted=wanted)]

@@ -17,7 +17,7 @@ import numpy as np
 from taccel_lab.calibration.light.drift import drift_spread
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.result import ResultSummary
-from taccel_lab.calibration.spread import remarks
+from taccel_lab.calibration.shared_remarks import TOO_FEW
 from taccel_lab.calibration.spread.units import UnitSpread
 from taccel_lab.errors import InputError
 from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
@@ -83,7 +83,11 @@ class SpreadCalibration(ResultSummary):
         ):
             if 0 < count < FEW:
                 error = relative_error(count)
-                found.append(remarks.FEW_FRAMES(count=count, what=what, error=error, enough=FEW))
+                wanted = (
+                    f"each standard deviation is itself uncertain by {error:.0%}; {FEW} or more "
+                    "would halve that"
+                )
+                found.append(TOO_FEW(count=count, what=what, wanted=wanted))
         return tuple(found)
 
     def figures(self) -> dict[str, Any]:

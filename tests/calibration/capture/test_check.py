@@ -37,7 +37,7 @@ def by_code(found: CaptureCheck) -> dict[str, Remark]:
     return {finding.code: finding for finding in found.findings}
 
 
-HARMLESS = {"few_presses"}
+HARMLESS = {"too_few"}
 
 
 EIGHT = spread_circles(8)
@@ -234,10 +234,10 @@ def test_labels_that_the_border_cuts_are_used_and_those_outside_are_told(tmp_pat
     circles = [ContactCircle(WIDTH - 6.0, 60.0, 15.0), *spread_circles(3)]
     maker = CaptureMaker(circles=circles)
     found = by_code(check(maker, tmp_path / "cut"))
-    assert "no_contact" not in found and "labels_impossible" not in found
+    assert "no_contact" not in found and "labels_off" not in found
     maker.labels[1] = ContactCircle(-4.0, 50.0, 20.0)
     maker.labels[2] = ContactCircle(WIDTH + 90.0, 50.0, 20.0)
-    impossible = by_code(check(maker, tmp_path / "outside"))["labels_impossible"]
+    impossible = by_code(check(maker, tmp_path / "outside"))["labels_off"]
     assert impossible.severity == Severity.ERROR and impossible.frames == ("p01", "p02")
     assert "reaches into the image" in impossible.message
 
