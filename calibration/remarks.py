@@ -82,11 +82,11 @@ def remark_kinds() -> list[tuple[str, RemarkKind]]:
         if not module.ispkg or importlib.util.find_spec(name) is None:
             continue
         found += [(module.name, kind) for kind in vars(importlib.import_module(name)).values()]
-    kinds: dict[str, tuple[str, RemarkKind]] = {}
+    kinds: list[tuple[str, RemarkKind]] = []
     for room, kind in found:  # A table may import what another one holds.
-        if isinstance(kind, RemarkKind):
-            kinds.setdefault(kind.code, (room, kind))
-    return list(kinds.values())
+        if isinstance(kind, RemarkKind) and all(kind is not known for _, known in kinds):
+            kinds.append((room, kind))
+    return kinds
 
 
 def remark_table() -> str:
