@@ -34,8 +34,6 @@ DISTORTED = 0.02
 """Change of scale under the board from which on the image counts as distorted."""
 MAX_SHEAR = 0.01
 LARGE_ERROR_PITCHES = 0.05
-_POSE_WORSE = 1.5
-"""A pose whose held-out error is this many times a free map's does not explain the board."""
 
 
 @dataclass(frozen=True)

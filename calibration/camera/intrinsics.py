@@ -34,7 +34,6 @@ MAX_RMS_SHARE = 2e-3
 """Error of reprojection that is still usual, in image widths: 1.3 px of 640."""
 WRONG_RMS = 3.0
 """Errors this many times as large are no lens: the points are not those of the board."""
-MAX_OUTLIER_SHARE = 0.2
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,8 @@ def _disagreements(
             remarks.append(
                 SCALE_DISAGREES(
                     scales=f"{other.description} {theirs[0]:.4f} x {theirs[1]:.4f} mm/px, "
-                    f"{chosen.description} {ours[0]:.4f} x {ours[1]:.4f}, which is used"
+                    f"{chosen.description} {ours[0]:.4f} x {ours[1]:.4f}, which is used "
+                    f"({100 * off[0]:+.1f} and {100 * off[1]:+.1f} %)"
                 )
             )
     return tuple(remarks)

@@ -90,7 +90,7 @@ def few_degrees_of_freedom(fit: IndentationFit, predicted: Sequence[HeldOut]) ->
     return [
         TOO_FEW(
             count=count,
-            what=f"points for {len(fit.solution.names)} fitted numbers",
+            what=f"points and {len(fit.solution.names)} fitted numbers",
             wanted=f"predicted from the others they are off by {np.sqrt(np.mean(miss**2)):.1%} "
             f"(root mean square; {np.abs(miss).max():.1%} at most; {inside} of {len(predicted)} in "
             "the 95 % interval stated for them). Record eight depths or more",
