@@ -22,7 +22,6 @@ IDENTITY = {
     "stress": ("family",),
     "study": ("designs",),
     "captures": ("set", "command", "figure"),
-    "check_errors": ("set", "case"),
     "images": ("size", "sensors"),
 }
 """What makes a row of a suite the same row."""

@@ -17,8 +17,6 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.block_findings import capture_findings, refusing_with
-from taccel_lab.calibration.contacts.labels import LabelAgreement
-from taccel_lab.calibration.contacts.remarks import CIRCLES_FOUND
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.press_options import BallPressOptions
 from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
@@ -98,22 +96,8 @@ def ball_presses(
         circle_sigmas_px=usable.sigmas_px,
         lost=tuple(lost_blocks(base, profile)),
         findings=tuple(findings),
-        remarks=(*usable.remarks, *_agreement(usable.agreement)),
+        remarks=tuple(usable.remarks),
     )
-
-
-def _agreement(agreement: LabelAgreement | None) -> list[Remark]:
-    if agreement is None:
-        return []
-    return [
-        CIRCLES_FOUND(
-            count=agreement.count,
-            center=agreement.center_median_px,
-            center_p90=agreement.center_p90_px,
-            radius=agreement.radius_median_px,
-            radius_p90=agreement.radius_p90_px,
-        )
-    ]
 
 
 def with_captured_background(

@@ -35,7 +35,7 @@ from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.recorded import with_session
 from taccel_lab.calibration.report.profile_page import profile_page
-from taccel_lab.calibration.report.remarks import BLOCK_UNFIT
+from taccel_lab.calibration.report.remarks import BLOCK
 from taccel_lab.calibration.result import CalibrationResult
 from taccel_lab.calibration.scale.result import ScaleCalibration
 from taccel_lab.calibration.spread.result import SpreadCalibration
@@ -147,7 +147,9 @@ class Calibration(Summary):
     def page(self) -> Page:
         """The whole: how each block ended, then the profile's own page."""
         page = profile_page(self.profile)
-        unfit = [BLOCK_UNFIT(block=o.name, state=o.state, reason=o.message) for o in self.unfit]
+        unfit = [
+            BLOCK(block=o.name, what=f"{o.state}: {o.message}", grave=True) for o in self.unfit
+        ]
         table = Table(
             "Calibrated blocks",
             ("block", "state", "verdict or reason", "seconds"),

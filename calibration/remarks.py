@@ -74,15 +74,19 @@ class RemarkKind:
 def remark_kinds() -> list[tuple[str, RemarkKind]]:
     """All kinds with the room of calibration whose table holds them, in the order of the tables."""
     import taccel_lab.calibration as calibration
+    from taccel_lab.calibration import shared_remarks
 
-    found = []
+    found = [("several", kind) for kind in vars(shared_remarks).values()]
     for module in pkgutil.iter_modules(calibration.__path__):
         name = f"{calibration.__name__}.{module.name}.remarks"
         if not module.ispkg or importlib.util.find_spec(name) is None:
             continue
-        table = vars(importlib.import_module(name))
-        found += [(module.name, kind) for kind in table.values() if isinstance(kind, RemarkKind)]
-    return found
+        found += [(module.name, kind) for kind in vars(importlib.import_module(name)).values()]
+    kinds: list[tuple[str, RemarkKind]] = []
+    for room, kind in found:  # A table may import what another one holds.
+        if isinstance(kind, RemarkKind) and all(kind is not known for _, known in kinds):
+            kinds.append((room, kind))
+    return kinds
 
 
 def remark_table() -> str:

@@ -232,19 +232,6 @@ class Constraint(StrictModel):
         return f"{self.metric} from {self.min:g} to {self.max:g}"
 
 
-class Measured(StrictModel):
-    """A measured curve of force over depth, laid over the designs that it belongs to."""
-
-    file: Annotated[StrictStr, StringConstraints(min_length=1, max_length=1000)]
-    """CSV, beside the study file unless the path is absolute."""
-    indenter: StrictStr
-    """One of the study's, such as ``sphere:2``."""
-    design: dict[PlainName, Value] = Field(default_factory=dict)
-    """Values of swept parameters of the gel that was measured. Default: all designs."""
-    unit: Annotated[str, StringConstraints(max_length=80)] = ""
-    """Which of several gels of this design; curves of one gel share their modulus."""
-
-
 class Output(StrictModel):
     """What is kept of each design besides its row."""
 
@@ -281,7 +268,6 @@ class StudySpec(StrictModel):
     constraints: list[Constraint] = Field(default_factory=list)
     press: dict[PlainName, dict[PlainName, Any]] = Field(default_factory=dict)
     """Settings of single presses other than the standard ones."""
-    measured: list[Measured] = Field(default_factory=list)
     output: Output = Output()
     run: Run = Run()
 
@@ -351,7 +337,6 @@ _TABLES: dict[str, type[StrictModel]] = {
     "objective": Objective,
     "objectives": Objective,
     "constraints": Constraint,
-    "measured": Measured,
     "output": Output,
     "run": Run,
 }
@@ -361,12 +346,11 @@ def load_spec(path: Path | str) -> StudySpec:
     """Read a study file. Raises InputError with every wrong key: what is there, what is allowed."""
     path = Path(path)
     spec = spec_of(read_toml(path), str(path))
-    beside = [m.model_copy(update={"file": str(path.parent / m.file)}) for m in spec.measured]
     sensor = spec.study.sensor
     if "/" in sensor:
         sensor = os.path.abspath(path.parent / sensor)
     study = spec.study.model_copy(update={"sensor": sensor})
-    return spec.model_copy(update={"measured": beside, "study": study})
+    return spec.model_copy(update={"study": study})
 
 
 def spec_of(table: dict[str, Any], source: str = "study") -> StudySpec:

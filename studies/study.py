@@ -22,7 +22,6 @@ from taccel_lab.sensors.registry import known_sensor, sensor_families
 from taccel_lab.studies.axis import Axis, axis_of, significant
 from taccel_lab.studies.bearable import require_bearable
 from taccel_lab.studies.design_point import DesignPoint, DesignResult
-from taccel_lab.studies.measured_curve import require_measured
 from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.readings import press_of, readings, split_name
 from taccel_lab.studies.spec import Objective, StudySpec, Tie, load_spec, require_known
@@ -204,10 +203,6 @@ def make_study(spec: StudySpec, kit: Kit) -> Study:
         with suppress(InputError):  # A design that cannot be is a row of its own, with the cause.
             gels.append(family.parameters(design.parameters))
     require_bearable(metrics.values(), presses, gels)
-    names = [*(axis.name for axis in axes), *spec.fixed]
-    require_measured(
-        spec.measured, presses.values(), names, [design.parameters for design in designs]
-    )
     return study
 
 

@@ -51,11 +51,6 @@ class Unknowns:
         self._nu = None if "poisson_ratio" in given else layer.poisson_ratio
         self._holds = "friction" not in given and layer.friction_coefficient > 0
 
-    @property
-    def modulus_factors(self) -> tuple[float, float]:
-        """Between which the modulus of a unit lies, over that of the design."""
-        return math.exp(-self._low), math.exp(self._high)
-
     def force_factors(self, record: PressRecord) -> tuple[float, float]:
         """Between which the forces of a press lie, over those of the record."""
         low = math.hypot(self._low, self._slipping(record))

@@ -15,7 +15,7 @@ from taccel_lab.calibration.base_profile import require_image_of
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.check.background import check_background
 from taccel_lab.calibration.light.average import RunningMean
-from taccel_lab.calibration.light.drift import drift_remark, drift_spread
+from taccel_lab.calibration.light.drift import drift_remarks, drift_spread
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.light.untouched import (
@@ -23,6 +23,7 @@ from taccel_lab.calibration.light.untouched import (
     steady_pixels,
     untouched_pixels,
 )
+from taccel_lab.calibration.shared_remarks import TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
@@ -188,17 +189,14 @@ def _remarks(
     if from_presses:
         found.append(remarks.NO_UNTOUCHED_IMAGE(count=len(sources)))
     if len(sources) == 1:
-        found.append(remarks.SINGLE_FRAME())
+        wanted = "neither noise nor drift can be told; give more as untouched"
+        found.append(TOO_FEW(count=1, what="frame", wanted=wanted))
     if len(drifts) > 1:
-        found.append(drift_remark(drifts, reference))
+        found += drift_remarks(drifts, reference)
     clipped = float(((reference <= 0.5) | (reference >= 254.5)).any(axis=-1).mean())
     if clipped > CLIPPED_SHARE:
         found.append(remarks.BACKGROUND_CLIPPED(clipped=clipped))
     specks = speck_count(new_dust)
     if specks:
         found.append(remarks.NEW_DUST(specks=specks))
-    crowded = [f.name for f in frames if f.seen_share < MIN_SEEN_SHARE]
-    if crowded:
-        names = ", ".join(crowded[:6])
-        found.append(remarks.LITTLE_UNTOUCHED(names=names, least=MIN_SEEN_SHARE))
     return tuple(found)

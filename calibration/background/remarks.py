@@ -12,11 +12,6 @@ NO_UNTOUCHED_IMAGE = RemarkKind(
     "no image of the untouched sensor: the background is the median of {count} presses; what they "
     "all touch is wrong. Record one",
 )
-SINGLE_FRAME = RemarkKind(
-    "single_frame",
-    Severity.WARNING,
-    "one frame: neither noise nor drift can be told; give more as untouched",
-)
 BACKGROUND_CLIPPED = RemarkKind(
     "background_clipped",
     Severity.WARNING,
@@ -28,9 +23,4 @@ NEW_DUST = RemarkKind(
     Severity.WARNING,
     "{specks} specks lie in the later frames and not in the background image: the gel has "
     "collected dust since. Clean it, or record a new background",
-)
-LITTLE_UNTOUCHED = RemarkKind(
-    "little_untouched",
-    Severity.WARNING,
-    "{names}: less than {least:.0%} of the frame looks like the background; left out",
 )

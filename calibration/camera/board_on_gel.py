@@ -23,6 +23,7 @@ from taccel_lab.calibration.camera.plane_fit import (
 )
 from taccel_lab.calibration.camera.plane_models import BentHomography, CameraPose, PlaneModel
 from taccel_lab.calibration.result import Estimate
+from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -33,8 +34,6 @@ DISTORTED = 0.02
 """Change of scale under the board from which on the image counts as distorted."""
 MAX_SHEAR = 0.01
 LARGE_ERROR_PITCHES = 0.05
-_POSE_WORSE = 1.5
-"""A pose whose held-out error is this many times a free map's does not explain the board."""
 
 
 @dataclass(frozen=True)
@@ -164,12 +163,6 @@ def fit_on_gel(
         used = in_air if straight else refracted
     spread = scale_range(chosen, views, pitch)
     said = _remarks(chosen, fits, frame, spread, pitch, views, center)
-    if straight and in_air is not None and refracted is not None:
-        said.append(
-            remarks.NO_REFRACTION(
-                straight_px=in_air.fit.heldout_px, refracted_px=refracted.fit.heldout_px
-            )
-        )
     return OnGel(
         chosen,
         frame,
@@ -267,23 +260,15 @@ def _remarks(
 ) -> list[Remark]:
     said = []
     size = views[0].size_px
-    if spread[1] - spread[0] > DISTORTED:
+    if spread[1] - spread[0] > DISTORTED or abs(frame.shear) > MAX_SHEAR:
         said.append(remarks.DISTORTED(least=spread[0], largest=spread[1]))
-    if abs(frame.shear) > MAX_SHEAR:
-        said.append(remarks.SHEAR(angle=np.degrees(frame.shear)))
     pixel_pitch = pitch / frame.mm_per_px_x.value
     if chosen.heldout_px > LARGE_ERROR_PITCHES * pixel_pitch:
         share = chosen.heldout_px / pixel_pitch
-        said.append(remarks.BOARD_ERROR(error_px=chosen.heldout_px, share=share))
-    found, expected = len(views[0].index), views[0].expected
-    if found < 0.8 * expected:
-        said.append(remarks.MISSING_POINTS(found=found, expected=expected))
+        error = f"{chosen.heldout_px:.2f} px, {share:.1%} of its pitch"
+        advice = "the board is bent, or its dots are blurred"
+        said.append(HELDOUT_ERROR(what="points of the board", error=error, advice=advice))
     points = np.concatenate([view.uv_px for view in views])
     if not (points.min(axis=0) <= center).all() or not (points.max(axis=0) >= center).all():
         said.append(remarks.OFF_CENTER(u=center[0], v=center[1], width=size[0], height=size[1]))
-    poses = [fit for fit in fits if isinstance(fit.model, CameraPose)]
-    free = min((f.heldout_px for f in fits if not isinstance(f.model, CameraPose)), default=np.inf)
-    if poses and min(fit.heldout_px for fit in poses) > _POSE_WORSE * free:
-        best = min(fit.heldout_px for fit in poses)
-        said.append(remarks.POSE_DISAGREES(lens_px=best, free_px=free))
     return said

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from taccel_lab.calibration.camera import remarks
 from taccel_lab.calibration.camera.board import hashes_by_name
 from taccel_lab.calibration.camera.board_on_gel import OnGel, fit_on_gel
@@ -152,37 +150,15 @@ def _remarks(
     said += [remarks.MAYBE_MIRRORED(reason=warning) for warning in detections.warnings]
     if intrinsics is not None:
         said += intrinsics.remarks
-        if on_gel is None:
-            said.append(remarks.NO_BOARD_ON_GEL())
     if on_gel is not None:
         said += on_gel.remarks
-        if intrinsics is None:
-            said.append(remarks.NO_VIEWS())
-        said += _depth_remarks(folder, base)
         said += _size_remarks(on_gel, folder)
         size, raw = (on_gel.grid.width_px, on_gel.grid.height_px), on_gel.views[0].size_px
         if size == raw:
             frame = on_gel.frame
             measured = {"x": frame.mm_per_px_x, "y": frame.mm_per_px_y}
             said += stated_scale_remarks(folder, measured)
-        else:
-            said.append(
-                remarks.CROPPED(width=size[0], height=size[1], raw_width=raw[0], raw_height=raw[1])
-            )
     return said
-
-
-def _depth_remarks(folder: CaptureFolder, base: SensorProfile) -> list[Remark]:
-    """How the depth that a board was pressed to moves the scale, with the designed camera."""
-    pressed = any(b.entry.on_gel and b.reference is not None for b in folder.boards)
-    if base.optics is None or not pressed or not _has_flat_media(base):
-        return []
-    media = media_before_gel(base)
-    air = min(media.planes_mm) - base.optics.position_mm[2]
-    layers = np.diff([*media.planes_mm, 0.0]) / np.array(media.indices[1:])
-    # Near the axis a layer looks thinner by its index, and mm/px goes as the distance that is seen.
-    seen_mm = air + float(layers.sum())
-    return [remarks.BOARD_PRESSED(share=0.1 / media.indices[-1] / seen_mm)]
 
 
 def _size_remarks(on_gel: OnGel, folder: CaptureFolder) -> list[Remark]:

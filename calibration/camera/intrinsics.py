@@ -20,6 +20,7 @@ from taccel_lab.calibration.camera.bundle import BundleFit
 from taccel_lab.calibration.camera.heldout import LensScore, compare_lenses, score_lenses
 from taccel_lab.calibration.camera.lens import LENSES, Lens, chosen_lenses
 from taccel_lab.calibration.camera.lens_fits import MIN_VIEWS, fit_lenses
+from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR, TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
@@ -33,7 +34,6 @@ MAX_RMS_SHARE = 2e-3
 """Error of reprojection that is still usual, in image widths: 1.3 px of 640."""
 WRONG_RMS = 3.0
 """Errors this many times as large are no lens: the points are not those of the board."""
-MAX_OUTLIER_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -151,28 +151,16 @@ def _remarks(
     width = views[0].size_px[0]
     focal, sigma = chosen.fit.parameters[:2], chosen.fit.sigma[:2]
     spread = _spread_deg(chosen.fit)
-    if outliers:
-        total = len(outliers) + len(views)
-        said.append(
-            remarks.OUTLIER_VIEWS(
-                count=len(outliers),
-                total=total,
-                heldout_px=chosen.heldout_all_px,
-                robust_px=chosen.heldout_robust_px,
-                names="; ".join(outliers[:3]),
-                grave=len(outliers) > MAX_OUTLIER_SHARE * total,
-            )
-        )
-    if not chosen.fit.converged:
-        said.append(remarks.NOT_CONVERGED())
     if len(views) < 10:
-        said.append(remarks.FEW_LENS_VIEWS(count=len(views)))
+        said.append(TOO_FEW(count=len(views), what="views of the board", wanted=remarks.MORE_VIEWS))
     if coverage < MIN_COVERAGE:
         said.append(remarks.LENS_COVERAGE(share=coverage))
     if tilt[1] < MIN_TILT_DEG:
-        said.append(remarks.NO_TILT(tilt=tilt[1]))
+        reason = f"no view is tilted by more than {tilt[1]:.1f} degrees"
+        said.append(remarks.VIEWS_ALIKE(reason=reason))
     elif spread < MIN_TILT_DEG:
-        said.append(remarks.VIEWS_ALIKE(spread=spread))
+        reason = f"all views show the board from one side, within {spread:.1f} degrees"
+        said.append(remarks.VIEWS_ALIKE(reason=reason))
     if (sigma > MAX_FOCAL_SIGMA * focal).any():
         said.append(
             remarks.FOCAL_UNCERTAIN(
@@ -181,14 +169,14 @@ def _remarks(
             )
         )
     usual = MAX_RMS_SHARE * width
-    # Views that are outliers have a remark of their own.
-    if chosen.heldout_robust_px > usual:
-        wrong = chosen.heldout_robust_px > WRONG_RMS * usual
+    # Views that are outliers are left out, and stand in the report.
+    if chosen.heldout_robust_px > usual or not chosen.fit.converged:
+        wrong = chosen.heldout_robust_px > WRONG_RMS * usual or not chosen.fit.converged
         said.append(
-            remarks.LENS_ERROR(
-                error_px=chosen.heldout_robust_px,
-                usual_px=usual,
-                cause="the points are not those of the board: check its kind, columns and rows"
+            HELDOUT_ERROR(
+                what="views of the board",
+                error=f"{chosen.heldout_robust_px:.2f} px, usual are less than {usual:.1f} px",
+                advice="the points are not those of the board: check its kind, columns and rows"
                 if wrong
                 else "the board is bent, or no model fits the lens",
                 grave=wrong,

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from taccel_lab.calibration.camera.remarks import STATED_SCALE_DIFFERS
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.result import Estimate
+from taccel_lab.calibration.shared_remarks import SCALE_DISAGREES
 from taccel_lab.profile import CameraBlock, SensorProfile
 from taccel_lab.report.remark import Remark
 
@@ -59,8 +59,8 @@ def stated_scale_remarks(folder: CaptureFolder, measured: Mapping[str, Estimate]
         off = stated - found.value
         if abs(off) > max(STATED_SIGMAS * found.sigma, STATED_SHARE * stated):
             remarks.append(
-                STATED_SCALE_DIFFERS(
-                    axis=axis, stated=stated, measured=found, off=off / found.value
+                SCALE_DISAGREES(
+                    scales=f"the captures state mm_per_px_{axis} = {stated:g}, measured is {found}"
                 )
             )
     return remarks

@@ -231,16 +231,16 @@ def _indentation(depth_mm: float, thickness_mm: float) -> Step:
     return Step(
         "material",
         "Force against depth",
-        "1 flat punch, 1 ball, 8 depths each, 1 hold of 30 s",
-        16,
+        "1 flat punch, 1 ball, 8 depths each",
+        15,
         "a micrometer or printer stage and a load cell (or kitchen scale), a flat round punch of "
         f"about {thickness_mm:.2g} mm radius (a ground pin; break its edge, no more) and a ball of "
         f"at most {0.5 * thickness_mm:.2g} mm radius",
         f"From first touch to {depth_mm:g} mm in 8 steps; read the force a few seconds after each "
-        "step. Then hold the deepest for 30 s and read once a second. Newtons and millimetres. "
-        "A record of each tool in the same folder. Set the zero with the punch, square to the gel: "
-        "at 0.05 N it is 0.01 mm in a gel of 0.3 MPa, a ball is 0.1 to 0.15 mm deep by then.",
-        "Young's modulus and its law; the hold gives damping. Published moduli differ tenfold. One "
+        "step. Newtons and millimetres. A record of each tool in the same folder. Set the zero "
+        "with the punch, square to the gel: at 0.05 N it is 0.01 mm in a gel of 0.3 MPa, a ball is "
+        "0.1 to 0.15 mm deep by then.",
+        "Young's modulus and its law. Published moduli differ tenfold. One "
         "tool gives Young's modulus only together with Poisson's ratio (5 to 15 %); a punch as "
         "wide as the gel is thick and a narrow ball give both (1 to 2 %), and a zero that is "
         "0.15 mm late makes the force of a ball at 0.5 mm half as large again.",

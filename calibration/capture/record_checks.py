@@ -59,10 +59,8 @@ def check_record(path: str, entry: RecordEntry, columns: dict[str, np.ndarray]) 
     depth = columns.get("depth_mm")
     if depth is not None:
         _check_depth(record, depth)
-    if entry.kind == "relaxation":
-        _check_order(record, "time_s", strictly=True)
     if entry.kind == "indentation" and depth is not None and normal is not None:
-        _check_order(record, "depth_mm", strictly=False)
+        _check_order(record)
         _check_rising(record, normal)
     if depth is not None and normal is not None:
         _check_force_unit(record, depth, normal)
@@ -71,11 +69,6 @@ def check_record(path: str, entry: RecordEntry, columns: dict[str, np.ndarray]) 
         ball = entry.tool.kind == "sphere" and entry.tool.radius_mm is not None
         with naming(path):
             require_loading(depth, normal, record.sigma(normal), ball=ball)
-    if entry.kind == "relaxation" and np.ptp(columns["force_n"]) <= 0:
-        raise InputError(
-            f"{path}: force_n is {columns['force_n'][0]:g} in every row, while the tool moves; was "
-            "the load cell read?"
-        )
     if entry.kind == "slide":
         _check_friction(record, columns["normal_n"], columns["tangential_n"])
 
@@ -117,20 +110,15 @@ def _check_depth(record: _Record, depth: np.ndarray) -> None:
         )
 
 
-def _check_order(record: _Record, name: str, *, strictly: bool) -> None:
-    steps = np.diff(record.columns[name])
-    wrong = np.flatnonzero(steps <= 0 if strictly else steps < 0)
+def _check_order(record: _Record) -> None:
+    values = record.columns["depth_mm"]
+    wrong = np.flatnonzero(np.diff(values) < 0)
     if len(wrong):
         row = int(wrong[0])
-        values = record.columns[name]
         raise InputError(
-            f"{record.path}: {name} falls from {values[row]:g} to {values[row + 1]:g} in row "
-            f"{row + 2}; a record of kind {record.entry.kind} "
-            + (
-                "runs forward in time"
-                if strictly
-                else "holds one loading in order: cut the unloading off, or sort the points"
-            )
+            f"{record.path}: depth_mm falls from {values[row]:g} to {values[row + 1]:g} in row "
+            f"{row + 2}; a record of kind {record.entry.kind} holds one loading in order: cut the "
+            "unloading off, or sort the points"
         )
 
 

@@ -22,7 +22,6 @@ from taccel_lab.files.table_file import read_table
 COLUMNS = {
     "indentation": ("depth_mm", "force_n"),
     "slide": ("shift_mm", "normal_n", "tangential_n"),
-    "relaxation": ("time_s", "depth_mm", "force_n"),
 }
 """Columns that each kind of record has to have."""
 AIR_MM, AIR_ROWS = 0.1, 3

@@ -11,11 +11,9 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.framing import (
-    CROP_GAIN,
+    CLEAR_GAIN,
     OTHER_FRAMING_LEVELS,
-    Crop,
     best_channel_order,
-    find_crop,
     misfit_levels,
     thumb,
 )
@@ -31,8 +29,7 @@ from taccel_lab.report.remark import Remark
 
 MIN_MEDIAN_PRESSES = 7
 DARK_LEVELS = 8.0
-_DARK = (remarks.DARK_BACKGROUND(),)
-FINE_THUMB_PX = 320
+_MEDIAN = "The median of the presses stands in for it; --background median of import keeps it"
 
 
 @dataclass(frozen=True)
@@ -43,10 +40,6 @@ class BackgroundCheck:
     """RGB uint8, shape [height_px, width_px, 3]: the background, or the median of the presses."""
     is_median: bool
     findings: tuple[Remark, ...]
-    crop: Crop | None = None
-    """Part of the one framing that the other shows."""
-    crop_of_presses: bool = True
-    """Whether it is a part of the presses' framing, not of the background's."""
 
 
 def median_background(presses: Sequence[Press]) -> np.ndarray:
@@ -75,7 +68,9 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
                 f"{folder.source}: no background and {len(presses)} presses; give an image of the "
                 f"untouched sensor, or at least {MIN_MEDIAN_PRESSES} presses for their median"
             )
-        return BackgroundCheck(median_background(presses), True, (remarks.NO_BACKGROUND(),))
+        return BackgroundCheck(
+            median_background(presses), True, (remarks.NO_BACKGROUND(instead=_MEDIAN),)
+        )
     image = folder.background.image()
     if len(presses) < 3:
         return BackgroundCheck(image, False, ())
@@ -83,7 +78,7 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
     small, median = thumb(image), thumb(median_image)
     misfit = misfit_levels(median, small)
     own = float(np.median([misfit_levels(thumb(press.image()), median) for press in presses[:20]]))
-    if misfit < OTHER_FRAMING_LEVELS or misfit < CROP_GAIN * own:
+    if misfit < OTHER_FRAMING_LEVELS or misfit < CLEAR_GAIN * own:
         picked = presses[:: max(1, len(presses) // MAX_COMPARED)][:MAX_COMPARED]
         pressed = find_pressed_background(image, picked, folder.mask)
         if pressed is not None:
@@ -92,43 +87,26 @@ def check_background(folder: CaptureFolder) -> BackgroundCheck:
         return BackgroundCheck(image, False, tuple(_check_untouched(folder)))
     enough = len(presses) >= MIN_MEDIAN_PRESSES
     if _is_dark(folder, image):
-        # Any part of any picture is as like a black one as another.
-        return BackgroundCheck(median_image if enough else image, enough, _DARK)
+        reason = "it is black, lamps off or the wrong file"
+        finding = remarks.BACKGROUND_DIFFERS(reason=reason, advice="")
+        return BackgroundCheck(median_image if enough else image, enough, (finding,))
     order, swapped, _ = best_channel_order(small, median)
-    if order != (0, 1, 2) and swapped * CROP_GAIN < misfit:
+    if order != (0, 1, 2) and swapped * CLEAR_GAIN < misfit:
         # Said by the check of channels, which sees all images against each other.
         return BackgroundCheck(np.ascontiguousarray(image), False, ())
-    longer = FINE_THUMB_PX
-    fine = thumb(image, longer), thumb(median_image, longer)
-    inner, outer = find_crop(*fine), find_crop(*fine[::-1])
-    height, width = image.shape[:2]
     advice = (
         " The median of the presses is used here, and as the background with capture import "
         "--background median"
         if enough
         else ""
     )
-    if min(inner.misfit_levels, outer.misfit_levels) * CROP_GAIN < misfit:
-        of_presses = inner.misfit_levels <= outer.misfit_levels
-        crop = inner if of_presses else outer
-        left, top, wide, high = crop.in_pixels(width, height)
-        finding = remarks.BACKGROUND_IS_A_CROP(
-            inner="the background shows" if of_presses else "the presses show",
-            outer="presses" if of_presses else "background",
-            width=wide,
-            height=high,
-            left=left,
-            top=top,
-            misfit=crop.misfit_levels,
-            whole_misfit=misfit,
-            crop=f"{left},{top},{wide}x{high}" if of_presses else "auto",
-            advice=advice,
-        )
-    else:
-        crop, of_presses = None, True
-        finding = remarks.BACKGROUND_DIFFERS(misfit=misfit, own=own, advice=advice)
+    reason = (
+        f"{misfit:.0f} levels apart after exposure and white balance are fitted, the presses "
+        f"among themselves {own:.0f}; of another sensor, framing, time or lamp setting"
+    )
+    finding = remarks.BACKGROUND_DIFFERS(reason=reason, advice=advice)
     chosen = median_image if enough else image
-    return BackgroundCheck(chosen, enough, (finding,), crop, of_presses)
+    return BackgroundCheck(chosen, enough, (finding,))
 
 
 def _is_dark(folder: CaptureFolder, background: np.ndarray) -> bool:
@@ -140,7 +118,7 @@ def _check_untouched(folder: CaptureFolder) -> list[Remark]:
     """Further images of the untouched sensor: how far it has drifted."""
     background = folder.require_background().image()
     if _is_dark(folder, background):
-        return [*_DARK]
+        return [remarks.BACKGROUND_DIFFERS(reason="it is black", advice="")]
     found = []
     for frame in folder.untouched:
         misfit = misfit_levels(thumb(frame.image()), thumb(background))
@@ -148,6 +126,4 @@ def _check_untouched(folder: CaptureFolder) -> list[Remark]:
             found.append(
                 remarks.UNTOUCHED_DIFFERS(name=frame.name, misfit=misfit, frames=[frame.name])
             )
-    if not folder.untouched and folder.presses:
-        found.append(remarks.ONE_BACKGROUND())
     return found

@@ -11,8 +11,7 @@ A radius on its own cannot be read from a contact circle. It shows where it cont
   (``taccel_lab.calibration.contacts.ball_radius``; a ball that is stated too large does not show
   there);
 - two balls: the colour changes over the contact's centre at a rate of 1/R, so that presses of two
-  balls differ as their radii do; and one law of colour (``color_law``) explains presses of another
-  ball better with slopes of that one.
+  balls differ as their radii do.
 """
 
 from __future__ import annotations
@@ -23,16 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.sensor_facts import SensorFacts
 from taccel_lab.calibration.check import remarks
-from taccel_lab.calibration.check.color_law import ColorLaw
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.ball_radius import check_ball
 from taccel_lab.calibration.contacts.fit import find_contacts
-from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.calibration.surfaces.design import fitted_parameters
 from taccel_lab.calibration.surfaces.view import view_remarks
 from taccel_lab.geometry import PixelGrid
@@ -44,17 +41,6 @@ CIRCLE_SHARE, FOUND_SIGMA_PX, LABEL_SIGMA_PX, SCALE_SHARE = 0.03, 1.0, 2.0, 0.02
 """Standard deviations of a contact's radius (share of it; at least so many pixels, as found and as
 labelled), and of a scale that somebody states. Found circles lie 2 px and 3 % off careful labels.
 """
-OTHER_GAIN, GAIN_SPREADS = 3.0, 3.0
-"""A press is of another ball where that explains it so many times better, and that much better than
-it does the presses of the set in general (standard deviations of the logarithms)."""
-OTHER_FACTOR = 1.3
-MIN_LAW_PRESSES = 8
-MOST_ODD = 0.4
-HARMFUL = 1.02
-"""Left of the other presses, with the odd ones in the fit over without, from which on it is worth
-to leave these out."""
-USUAL_BALL = 1.2
-"""Radius of a ball that nobody states, over that of its larger contacts."""
 TRAVEL_SLACK = 1.35
 """Factor left to both bounds: contact radii are known to 5 %, first touch less well."""
 ODD_RATE = 1.45
@@ -71,14 +57,11 @@ SCALE_FACTOR = 1.4
 def check_balls(
     frames: Sequence[FrameFigures],
     grid: PixelGrid | None,
-    width_px: int,
     ball_radius_mm: float | None,
     gel_thickness_mm: float | None,
 ) -> list[Remark]:
-    """Findings on the radius; ``grid`` only with a known scale, thickness of a known sensor, the
-    width is that of the images."""
+    """Findings on the radius; ``grid`` only with a known scale, thickness of a known sensor."""
     found = list(_check_rates(frames, ball_radius_mm))
-    found += _check_apparent(frames, grid, width_px, ball_radius_mm)
     if grid is not None and ball_radius_mm is not None:
         found += _check_size(frames, grid, ball_radius_mm, gel_thickness_mm)
         found += _check_travel(frames, grid, ball_radius_mm)
@@ -131,10 +114,10 @@ def _check_size(
         )
     if too_deep:
         found.append(
-            remarks.BALL_TOO_DEEP(
-                count=len(too_deep),
-                deepest=deepest,
-                gel=gel_thickness_mm,
+            remarks.BALL_CONTRADICTED(
+                diameter="",
+                evidence=f"{len(too_deep)} contacts of the stated ball would be up to "
+                f"{deepest:.1f} mm deep in a gel of {gel_thickness_mm:g} mm",
                 frames=too_deep,
             )
         )
@@ -180,12 +163,10 @@ def _check_travel(
     # Only a radius that is twice what contacts and travel allow is that of a diameter.
     doubled = 1 / TRAVEL_SLACK <= 2 * ratio <= 2 * TRAVEL_SLACK
     return [
-        remarks.BALL_AGAINST_TRAVEL(
-            count=len(ratios),
-            low=low,
-            high=high,
-            stated=ball_radius_mm,
+        remarks.BALL_CONTRADICTED(
             diameter=" (a diameter taken for it?)" if doubled else "",
+            evidence=f"contacts and travel of {len(ratios)} presses belong to a ball of "
+            f"{low:.2g} to {high:.2g} mm, stated is {ball_radius_mm:g} mm",
         )
     ]
 
@@ -209,68 +190,6 @@ def _check_rates(frames: Sequence[FrameFigures], ball_radius_mm: float | None) -
     return _check_stated_ratio(rates[known], radii[known], balls)
 
 
-def _check_apparent(
-    frames: Sequence[FrameFigures], grid: PixelGrid | None, width_px: int, ball_mm: float | None
-) -> list[Remark]:
-    """Presses whose colours are those of another ball than the one that the others tell of."""
-    kept = [(frame, frame.circle) for frame in frames]
-    seen = [(frame, circle) for frame, circle in kept if circle is not None]
-    if len(seen) < MIN_LAW_PRESSES:
-        return []
-    law = ColorLaw(
-        [frame for frame, _ in seen],
-        [circle for _, circle in seen],
-        _balls_px([frame for frame, _ in seen], [c for _, c in seen], grid, ball_mm),
-        width_px,
-    )
-    balls = [law.apparent_ball(i) for i in range(len(seen))]
-    gains = np.log([ball.gain for ball in balls])
-    # A law that explains a set badly gains from any freedom.
-    usual = float(np.median(gains)) + GAIN_SPREADS * spread_about_median(gains)
-    limit = max(OTHER_GAIN, float(np.exp(usual)))
-    odd = [
-        i
-        for i, ball in enumerate(balls)
-        if ball.gain > limit and abs(np.log(ball.factor)) > np.log(OTHER_FACTOR)
-    ]
-    if not odd or len(odd) > MOST_ODD * len(seen):
-        return []
-    names = [seen[i][0].press.name for i in odd]
-    worst = max((balls[i] for i in odd), key=lambda ball: ball.gain)
-    with_them, without = law.influence(odd)
-    harmful = with_them > HARMFUL * without
-    return [
-        remarks.OTHER_BALL(
-            names=name_some(names),
-            factor=worst.factor,
-            gain=worst.gain,
-            limit=limit,
-            cause="a wrong circle, or hardly a contact" if worst.at_end else "another ball",
-            levels_with=with_them,
-            levels_without=without,
-            advice="State radius_mm of these presses, or leave them out"
-            if harmful
-            else "Keep them: they do the others no harm",
-            frames=names,
-        )
-    ]
-
-
-def _balls_px(
-    frames: Sequence[FrameFigures],
-    circles: Sequence[ContactCircle],
-    grid: PixelGrid | None,
-    ball_mm: float | None,
-) -> list[float]:
-    """Radius of each press's ball in pixels; without ball or scale one that holds most contacts, as
-    the law only compares."""
-    usual = USUAL_BALL * float(np.percentile([circle.radius_px for circle in circles], 75))
-    stated = [_radius_mm(frame, ball_mm) for frame in frames]
-    if grid is None:
-        return [usual] * len(frames)
-    return [usual if radius is None else radius / grid.mm_per_px_x for radius in stated]
-
-
 def _check_stated_ratio(rates: np.ndarray, radii: np.ndarray, balls: np.ndarray) -> list[Remark]:
     """Whether presses of several balls differ as their stated radii do."""
     first, last = float(balls[0]), float(balls[-1])
@@ -278,7 +197,14 @@ def _check_stated_ratio(rates: np.ndarray, radii: np.ndarray, balls: np.ndarray)
     stated = last / first
     if 1 / ODD_RATE < seen / stated < ODD_RATE:
         return []
-    return [remarks.BALL_RATIO(first=first, last=last, stated=stated, seen=seen)]
+    return [
+        remarks.BALL_CONTRADICTED(
+            diameter="",
+            evidence=f"balls of {first:g} and {last:g} mm are stated, a ratio of {stated:.2f}; by "
+            f"the colours over their contacts it is {seen:.2f}",
+            blocks=("color", "normals", "scale"),
+        )
+    ]
 
 
 def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Remark]:
@@ -303,19 +229,19 @@ def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Remark]:
     found = check_ball(chosen, find_contacts(chosen))
     if found is None:
         return []
-    return [found.remark(remarks.BY_COLOR)]
+    return found.remarks(remarks.BY_COLOR)
 
 
 def check_size(size_px: tuple[int, int], usual_px: tuple[int, int], family: str) -> list[Remark]:
-    """Whether images are of the size that the sensor's usually have, lying or upright."""
+    """Whether images have the proportions of the sensor's usual ones, lying or upright."""
     (width, height), (usual_width, usual_height) = size_px, usual_px
     if sorted(size_px) == sorted(usual_px):
         return []
     longer = max(size_px) / min(size_px) * min(usual_px) / max(usual_px)
-    alike = abs(longer - 1) < SAME_PROPORTIONS
-    kind = remarks.SIZE_SCALED if alike else remarks.SIZE_OTHER
+    if abs(longer - 1) < SAME_PROPORTIONS:
+        return []
     return [
-        kind(
+        remarks.SIZE_OTHER(
             width=width,
             height=height,
             family=family,

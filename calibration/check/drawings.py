@@ -96,20 +96,13 @@ def draw_frames(
 
 @in_report_style
 def draw_framings(check: BackgroundCheck, background: np.ndarray) -> Figure:
-    """The background beside the median of the presses, with the part that both show."""
+    """The background beside the median of the presses."""
     figure, axes = new_figure(8.6, 1.0 + 4.0 * background.shape[0] / background.shape[1], 1, 2)
     figure.set_layout_engine("compressed")
     axes[0].imshow(background)
     axes[0].set_title("background as given")
     axes[1].imshow(check.image)
     axes[1].set_title("median of the presses")
-    if check.crop is not None:
-        from matplotlib.patches import Rectangle
-
-        height, width = background.shape[:2]
-        left, top, wide, high = check.crop.in_pixels(width, height)
-        panel = axes[1] if check.crop_of_presses else axes[0]
-        panel.add_patch(Rectangle((left, top), wide, high, fill=False, ec=ORANGE, lw=1.8))
     for panel in axes:
         panel.set_xlabel("u [px]")
     axes[0].set_ylabel("v [px]")

@@ -15,8 +15,8 @@ from taccel_lab.calibration.capture.sensor_facts import handedness
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
-from taccel_lab.calibration.light.drift import drift_remark
-from taccel_lab.report.remark import Remark, Severity
+from taccel_lab.calibration.light.drift import drift_remarks
+from taccel_lab.report.remark import Remark
 
 SATURATED_SHARE, VERY_SATURATED_SHARE = 0.05, 0.3
 SWAP_MIN_LEVELS, SWAP_RATIO = 6.0, 1.6
@@ -78,10 +78,8 @@ def _across(colors: np.ndarray) -> float:
 def _check_drift(frames: Sequence[FrameFigures], background: np.ndarray) -> list[Remark]:
     if len(frames) < 2:
         return []
-    found = drift_remark([frame.light for frame in frames], background)
-    if found.severity is Severity.INFO:
-        return []
-    return [replace(found, blocks=("color", "normals", "depth"))]
+    found = drift_remarks([frame.light for frame in frames], background)
+    return [replace(remark, blocks=("color", "normals", "depth")) for remark in found]
 
 
 def _check_saturation(frames: Sequence[FrameFigures]) -> list[Remark]:

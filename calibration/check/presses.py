@@ -14,9 +14,9 @@ from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.usable import too_many_lost
+from taccel_lab.calibration.shared_remarks import LABELS_OFF, TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.printable import counted
 from taccel_lab.report.remark import Remark
 
 LABEL_OFF_SHARE, LABEL_RADIUS_SHARE = 0.18, 0.3
@@ -29,7 +29,7 @@ LABELS_BAD_SHARE = 0.25
 OTHER_SIZE = 1.1
 MIN_SCALED = 4
 """Labels from which on a common factor between them and the contacts is looked for."""
-FEW_PRESSES, GOOD_PRESSES = 10, 30
+FEW_PRESSES = 10
 ONE_SPOT_RADII = 2.0
 """Presses are at one spot when their centres lie within this many contact radii."""
 GOOD_COVERAGE = 0.5
@@ -113,38 +113,25 @@ def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap
 
 
 def _check_places(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:
-    """Labels outside of the image, and those that its border cuts."""
+    """Labels that can be of no press: outside of the image, or too small."""
     labels = {f.press.name: f.press.circle for f in frames if f.press.circle is not None}
-    wrong, cut = {}, {}
+    wrong = {}
     for name, circle in labels.items():
         try:
             check_place(circle, grid, name)
         except InputError as error:
             wrong[name] = str(error)
-            continue
-        if circle.beyond_px(grid) > 0:
-            cut[name] = circle.visible_share(grid)
-    found = []
-    if wrong:
-        found.append(
-            remarks.LABELS_IMPOSSIBLE(
-                wrong=len(wrong),
-                count=len(labels),
-                reason=next(iter(wrong.values())),
-                frames=list(wrong),
-            )
+    if not wrong:
+        return []
+    figures = {"off": len(wrong), "count": len(labels), "advice": "Correct them"}
+    how = f"they can be of no press, {next(iter(wrong.values()))}"
+    blocks = ("color", "normals", "depth")
+    return [
+        LABELS_OFF(
+            what="labelled circles", how=how, frames=list(wrong), blocks=blocks, grave=True,
+            **figures,
         )
-    if cut:
-        found.append(
-            remarks.LABELS_CUT(
-                cut=len(cut),
-                count=len(labels),
-                names=name_some(list(cut)),
-                least=min(cut.values()),
-                frames=list(cut),
-            )
-        )
-    return found
+    ]  # fmt: skip
 
 
 def _check_labels(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:
@@ -164,19 +151,16 @@ def _check_labels(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remar
             f"They fit when they are divided by {scale:.2f}: were they made in images of "
             f"{width:.0f}x{height:.0f} px? {advice}"
         )
+    how = (
+        f"centres by up to {centers.max():.0f} px (median {np.median(centers):.1f} px), radii by "
+        f"up to {abs(worst_radius):.0f} px; {name_some(names)}"
+    )
     return [
-        remarks.LABELS_OFF(
-            off=len(off),
-            count=len(gaps),
-            largest=centers.max(),
-            median=np.median(centers),
-            radius=abs(worst_radius),
-            names=name_some(names),
-            advice=advice,
-            frames=names,
-            grave=many,
+        LABELS_OFF(
+            off=len(off), count=len(gaps), what="labelled circles", how=how, advice=advice,
+            frames=names, blocks=remarks.BY_COLOR, grave=many,
         )
-    ]
+    ]  # fmt: skip
 
 
 def _label_scale(frames: Sequence[FrameFigures], grid: PixelGrid) -> float | None:
@@ -233,10 +217,11 @@ def _check_spots(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark
 
 
 def _check_count(frames: Sequence[FrameFigures]) -> list[Remark]:
-    if len(frames) >= GOOD_PRESSES:
+    if len(frames) >= FEW_PRESSES:
         return []
-    count = counted(len(frames), "press", "presses")
-    return [remarks.FEW_PRESSES(count=count, enough=GOOD_PRESSES, grave=len(frames) < FEW_PRESSES)]
+    wanted = "30 to 50 leave enough to hold some out and still cover the gel"
+    count = len(frames)
+    return [TOO_FEW(count=count, what="presses", wanted=wanted, blocks=remarks.BY_COLOR)]
 
 
 def _check_depths(frames: Sequence[FrameFigures]) -> list[Remark]:
@@ -276,22 +261,13 @@ def _check_duplicates(frames: Sequence[FrameFigures]) -> list[Remark]:
     same: dict[str, list[str]] = {}
     for frame in frames:
         same.setdefault(frame.press.sha256, []).append(frame.press.name)
-    copies = [names for names in same.values() if len(names) > 1]
-    findings = []
-    if copies:
-        names = [name for group in copies for name in group]
-        some = "; ".join(map(" = ".join, copies[:4]))
-        findings.append(remarks.DUPLICATES(names=some, frames=names))
-    near = _near_duplicates(frames)
-    if near:
-        findings.append(
-            remarks.NEAR_DUPLICATES(
-                count=len(near),
-                names=name_some([f"{a} and {b}" for a, b in near]),
-                frames=sorted({name for pair in near for name in pair}),
-            )
-        )
-    return findings
+    groups = [names for names in same.values() if len(names) > 1]
+    groups += [list(pair) for pair in _near_duplicates(frames)]
+    if not groups:
+        return []
+    names = sorted({name for group in groups for name in group})
+    some = name_some([" = ".join(group) for group in groups])
+    return [remarks.DUPLICATES(names=some, frames=names)]
 
 
 def _near_duplicates(frames: Sequence[FrameFigures]) -> list[tuple[str, str]]:

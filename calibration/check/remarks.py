@@ -39,54 +39,18 @@ ASSUMED = RemarkKind(
     "{count} values are assumed, no file states them: {assumed}. Correct what is wrong in "
     "captures.toml, and take out of [assumed] what you have checked",
 )
-GREY_OR_COLOUR = RemarkKind(
-    "grey_or_colour",
-    Severity.WARNING,
-    "the images are {found}, those of a {family} are {expected}: another sensor, or images that "
-    "were converted",
-    ("color", "normals", "depth"),
-)
 
 # The background.
 NO_BACKGROUND = RemarkKind(
     "no_background",
     Severity.ERROR,
-    "there is no image of the untouched gel. The median of the presses stands in for it here; "
-    "capture import --background median makes it the background",
-    BY_BACKGROUND,
-)
-NO_MEDIAN = RemarkKind(
-    "no_median",
-    Severity.ERROR,
-    "nothing shows the untouched gel: {reason}",
-    BY_BACKGROUND,
-)
-MEDIAN_USED = RemarkKind(
-    "median_used",
-    Severity.INFO,
-    "checks of contacts were made against the median of the presses",
-)
-BACKGROUND_IS_A_CROP = RemarkKind(
-    "background_is_a_crop",
-    Severity.ERROR,
-    "the background is framed differently: {inner} a part of the framing of the {outer}, enlarged: "
-    "{width} x {height} px of it from ({left}, {top}) px (misfit {misfit:.1f} levels there, "
-    "{whole_misfit:.1f} as it is). Record both alike, or crop the {outer} so: capture import "
-    "--crop {crop}.{advice}",
+    "there is no image of the untouched gel. {instead}",
     BY_BACKGROUND,
 )
 BACKGROUND_DIFFERS = RemarkKind(
     "background_differs",
     Severity.ERROR,
-    "the background is not that of the presses: {misfit:.0f} levels apart after exposure and white "
-    "balance are fitted, the presses among themselves {own:.0f}. It is of another sensor, another "
-    "time or another lamp setting.{advice}",
-    BY_BACKGROUND,
-)
-DARK_BACKGROUND = RemarkKind(
-    "dark_background",
-    Severity.ERROR,
-    "the background is black: lamps off, or wrong file",
+    "the background is not that of the presses: {reason}.{advice}",
     BY_BACKGROUND,
 )
 UNTOUCHED_DIFFERS = RemarkKind(
@@ -94,12 +58,6 @@ UNTOUCHED_DIFFERS = RemarkKind(
     Severity.WARNING,
     "{name} is {misfit:.0f} levels from the background after exposure and white balance are "
     "fitted: the sensor has changed, or it is another one",
-    ("background",),
-)
-ONE_BACKGROUND = RemarkKind(
-    "one_background",
-    Severity.INFO,
-    "one image of the untouched sensor; five more at other times show noise and drift",
     ("background",),
 )
 BACKGROUND_PRESSED = RemarkKind(
@@ -153,27 +111,6 @@ NO_CONTACT = RemarkKind(
     ("color", "normals", "scale"),
     graver=Severity.ERROR,
 )
-LABELS_OFF = RemarkKind(
-    "labels_off",
-    Severity.WARNING,
-    "{off} of {count} labelled circles disagree with the images: centres by up to {largest:.0f} px "
-    "(median {median:.1f} px), radii by up to {radius:.0f} px; {names}. {advice}",
-    BY_COLOR,
-    graver=Severity.ERROR,
-)
-LABELS_CUT = RemarkKind(
-    "labels_cut",
-    Severity.INFO,
-    "the border of the image cuts {cut} of {count} labelled circles ({names}), down to {least:.0%} "
-    "of the contact: the part in the image is used",
-    ("color", "normals", "depth"),
-)
-LABELS_IMPOSSIBLE = RemarkKind(
-    "labels_impossible",
-    Severity.ERROR,
-    "{wrong} of {count} labelled circles can be of no press: {reason}",
-    ("color", "normals", "depth"),
-)
 ONE_SPOT = RemarkKind(
     "one_spot",
     Severity.ERROR,
@@ -187,13 +124,6 @@ COVERAGE = RemarkKind(
     "the contacts cover {covered:.0%} of the gel; no press in {empty} of {parts} parts of the "
     "image{names}. The colour model is only valid where balls were",
     BY_COLOR,
-)
-FEW_PRESSES = RemarkKind(
-    "few_presses",
-    Severity.INFO,
-    "{count}; {enough} to 50 leave enough to hold some out and still cover the gel",
-    BY_COLOR,
-    graver=Severity.WARNING,
 )
 SAME_DEPTH = RemarkKind(
     "same_depth",
@@ -212,16 +142,9 @@ BLURRED = RemarkKind(
 DUPLICATES = RemarkKind(
     "duplicates",
     Severity.WARNING,
-    "the same image is there several times: {names}. Figures on held-out frames would be of frames "
+    "the same press is there several times: {names}. Figures on held-out frames would be of frames "
     "that the fit has seen. Remove the copies",
     ("color", "normals", "depth"),
-)
-NEAR_DUPLICATES = RemarkKind(
-    "near_duplicates",
-    Severity.WARNING,
-    "{count} pairs of frames show the same press: {names}. A held-out frame has its twin among "
-    "those that are fitted unless both have labels: figures on held-out frames may be too good",
-    BY_COLOR,
 )
 
 # The ball's radius and the scale.
@@ -234,35 +157,11 @@ BALL_TOO_SMALL = RemarkKind(
     ("color", "normals", "scale"),
     graver=Severity.ERROR,
 )
-BALL_TOO_DEEP = RemarkKind(
-    "ball_too_deep",
+BALL_CONTRADICTED = RemarkKind(
+    "ball_contradicted",
     Severity.ERROR,
-    "{count} contacts of the stated ball would be up to {deepest:.1f} mm deep in a gel of {gel:g} "
-    "mm: radius or scale is wrong",
-    ("color", "normals", "scale"),
-)
-BALL_AGAINST_TRAVEL = RemarkKind(
-    "ball_against_travel",
-    Severity.ERROR,
-    "contacts and travel of {count} presses belong to a ball of {low:.2g} to {high:.2g} mm, stated "
-    "is {stated:g} mm: the radius{diameter}, the scale or the travel is wrong",
+    "the ball's radius{diameter}, the scale or the travel is wrong: {evidence}",
     ("color", "normals", "scale", "material"),
-)
-OTHER_BALL = RemarkKind(
-    "other_ball",
-    Severity.WARNING,
-    "the colours over the contacts of {names} are those of {cause}, by one law for all presses: "
-    "with {factor:.2g} times the radius {gain:.1f} times less is left unexplained (told from "
-    "{limit:.1f} on). Of the other presses {levels_with:.2f} levels are left with these in the "
-    "fit, {levels_without:.2f} without. {advice}",
-    BY_COLOR,
-)
-BALL_RATIO = RemarkKind(
-    "ball_ratio",
-    Severity.ERROR,
-    "balls of {first:g} and {last:g} mm are stated, a ratio of {stated:.2f}; by the colours over "
-    "their contacts it is {seen:.2f}. One of the radii is wrong, or the presses are mixed up",
-    ("color", "normals", "scale"),
 )
 SCALE_UNUSUAL = RemarkKind(
     "scale_unusual",
@@ -280,113 +179,30 @@ SIZE_OTHER = RemarkKind(
     "scale of these images (mm_per_px_x, mm_per_px_y), and give later images the same framing",
     ("scale", "background", "color", "normals", "depth"),
 )
-SIZE_SCALED = RemarkKind(
-    "size_scaled",
-    Severity.INFO,
-    "the images are {width}x{height} px, those of the catalogue's {family} "
-    "{usual_width}x{usual_height} px: the profile will be for images of {width}x{height} px",
-    ("scale", "background", "color", "normals", "depth"),
-)
 
 # Boards and edges.
 BOARD_NOT_FOUND = RemarkKind("board_not_found", Severity.ERROR, "{board} was not found: {reason}")
-BOARD_VIEWS_LOST = RemarkKind(
-    "board_views_lost",
-    Severity.WARNING,
-    "{board}: found in {found} of {count} images. {reason}",
-)
-BOARD_DOUBTFUL = RemarkKind(
-    "board_doubtful", Severity.WARNING, "{board} may be found wrongly: {reason}"
-)
-BOARD_POINTS_MISSING = RemarkKind(
-    "board_points_missing",
-    Severity.INFO,
-    "{board}: {count} views show not all {expected} points (fewest {fewest}): {names}",
-)
 BOARD_WITHOUT_PITCH = RemarkKind(
     "board_without_pitch", Severity.ERROR, "{board} on the gel needs pitch_mm for a scale"
 )
-FEW_VIEWS = RemarkKind(
-    "few_views",
-    Severity.INFO,
-    "{board}: {count} views; {enough} and more, tilted by up to 40 deg and reaching into every "
-    "corner, show the distortion",
-    graver=Severity.WARNING,
-)
-BOARD_COVERAGE = RemarkKind(
-    "board_coverage",
-    Severity.WARNING,
-    "{board}: the views cover {cells} of 16 parts of the image; distortion is unknown elsewhere",
-)
-EDGE_LABELS_OFF = RemarkKind(
-    "edge_labels_off",
-    Severity.WARNING,
-    "{count} labelled edges are more than 15 % longer or shorter than the others, which say "
-    "{mm_per_px:.4f} mm/px: {names}",
-    ("scale",),
-)
 
 # Markers.
-NO_MARKERS = RemarkKind(
-    "no_markers", Severity.ERROR, "{name} shows no grid of dots: {reason}", ("markers",)
-)
 NO_REST_FRAME = RemarkKind("no_rest_frame", Severity.ERROR, "{reason}", ("markers", "scale"))
-MARKER_PITCH_UNSTATED = RemarkKind(
-    "marker_pitch_unstated",
-    Severity.INFO,
-    "{count} dots at rest; their pitch in mm is not stated, so they give no scale",
-    ("scale",),
-)
-MARKER_LABELS_OFF = RemarkKind(
-    "marker_labels_off",
-    Severity.WARNING,
-    "{lost} of {count} measured dots, moved by their displacements, are more than {limit:g} px "
-    "from any dot of {name} (median {median:.1f} px)",
-    ("markers",),
-)
-NO_MARKER_VIDEOS = RemarkKind(
-    "no_marker_videos",
-    Severity.INFO,
-    "no video of moving dots: layout only, no tracking",
-    ("markers",),
-)
 VIDEO_SIZE = RemarkKind(
     "video_size",
     Severity.ERROR,
     "{video}: frames of {width}x{height} px, the image at rest has {rest_width}x{rest_height} px",
     ("markers",),
 )
-VIDEO_REPEATS = RemarkKind(
-    "video_repeats",
-    Severity.WARNING,
-    "{video}: {still:.0%} of its {count} frames repeat the one before: the recorder was faster "
-    "than the camera, or the video shows no motion",
-    ("markers",),
-)
 NO_MOTION = RemarkKind(
     "no_motion", Severity.WARNING, "{video}: nothing moves in {count} frames", ("markers",)
 )
-VIDEO_CUT_SHORT = RemarkKind(
-    "video_cut_short", Severity.WARNING, "a video ends early: {reason}", ("markers",)
-)
 
 # Force records.
-FEW_POINTS = RemarkKind(
-    "few_points",
-    Severity.WARNING,
-    "{record}: {count} points; {enough} and more separate modulus and law",
-    ("material",),
-)
 TOOL_UNKNOWN = RemarkKind(
     "tool_unknown",
     Severity.ERROR,
     "{record}: the radius of the {tool} is missing; give tool = {{ kind, radius_mm }}",
-    ("material",),
-)
-FORCE_SIGMA_UNSTATED = RemarkKind(
-    "force_sigma_unstated",
-    Severity.INFO,
-    "{record}: no force_sigma_n; the scatter of the fit stands in for it",
     ("material",),
 )
 MODULUS_UNUSUAL = RemarkKind(

@@ -25,7 +25,7 @@ from taccel_lab.calibration.check.presses import (
     label_gaps,
 )
 from taccel_lab.calibration.check.targets import check_targets
-from taccel_lab.calibration.error_rates import quoted
+from taccel_lab.calibration.shared_remarks import GREY_OR_COLOUR
 from taccel_lab.calibration.surfaces.design import design_remarks
 from taccel_lab.errors import InputError, naming
 from taccel_lab.geometry import PixelGrid
@@ -138,7 +138,7 @@ def check_captures(
         try:
             background = check_background(folder)
         except InputError as fault:
-            findings.append(remarks.NO_MEDIAN(reason=fault))
+            findings.append(remarks.NO_BACKGROUND(instead=str(fault)))
     if background is not None:
         findings += background.findings
         grid = press_grid(folder, background.image)
@@ -151,7 +151,7 @@ def check_captures(
     grey = None if facts is None else facts.is_grey
     if background is not None and grey is not True:
         grey = is_grey(frames, thumb(background.image))
-    findings = worst_first([quoted(finding) for finding in findings])
+    findings = worst_first(findings)
     return CaptureCheck(
         folder=folder,
         findings=tuple(findings),
@@ -189,7 +189,6 @@ def press_findings(
         *check_balls(
             frames,
             grid if folder.mm_per_px is not None else None,
-            grid.width_px,
             folder.ball_radius_mm,
             None if facts is None else facts.thickness_mm,
         ),
@@ -209,7 +208,7 @@ def press_findings(
     grey = is_grey(frames, small)
     if grey is not None and grey != facts.is_grey and facts.family != "flat_pad":
         have, want = ("grey", "coloured") if grey else ("coloured", "grey")
-        findings.append(remarks.GREY_OR_COLOUR(found=have, family=facts.family, expected=want))
-    if background.is_median and not any(f.code == "no_background" for f in background.findings):
-        findings.append(remarks.MEDIAN_USED())
+        findings.append(
+            GREY_OR_COLOUR(found=have, expected=want, blocks=("color", "normals", "depth"))
+        )
     return findings

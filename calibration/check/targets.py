@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from taccel_lab.calibration.camera import remarks as camera
 from taccel_lab.calibration.camera.find_boards import detect_views
 from taccel_lab.calibration.capture.folder import (
     BoardCaptures,
@@ -24,16 +24,14 @@ from taccel_lab.calibration.capture.video import cut_short
 from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.dots.marker_picture import find_markers
+from taccel_lab.calibration.markers.remarks import VIDEO_CUT_SHORT
 from taccel_lab.calibration.markers.rest import find_rest
+from taccel_lab.calibration.shared_remarks import LABELS_OFF, TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import Remark
 
-GOOD_VIEWS, FEW_VIEWS = 15, 6
+GOOD_VIEWS = 10
 BOARD_COVERAGE = 0.5
-STILL_LEVELS = 0.05
-"""Frames that differ less, at their strongest, are one frame stored twice."""
-MAX_STILL_SHARE = 0.3
-GOOD_POINTS = 5
 LABEL_DOT_PX, LABELS_LOST = 3.0, 0.1
 
 
@@ -57,46 +55,29 @@ def _check_board(board: BoardCaptures) -> list[Remark]:
         return [remarks.BOARD_NOT_FOUND(board=what, reason=fault, blocks=use)]
     findings = []
     if found.refused:
+        count, total = len(found.refused), len(board.frames)
+        seen = {view.name for view in found.views}
         findings.append(
-            remarks.BOARD_VIEWS_LOST(
-                board=what,
-                found=len(found.views),
-                count=len(board.frames),
-                reason=found.refused[0],
-                frames=[
-                    f.name for f in board.frames if f.name not in {v.name for v in found.views}
-                ],
+            camera.BOARDS_REFUSED(
+                count=count,
+                total=total,
+                reasons=found.refused[0],
+                frames=[frame.name for frame in board.frames if frame.name not in seen],
                 blocks=use,
+                grave=count * 3 > total,
             )
         )
-    findings += [
-        remarks.BOARD_DOUBTFUL(board=what, reason=text, blocks=use) for text in found.warnings
-    ]
-    partial = [view.name for view in found.views if len(view.index) < view.expected]
-    if partial:
-        fewest = min(len(view.index) for view in found.views)
-        findings.append(
-            remarks.BOARD_POINTS_MISSING(
-                board=what,
-                count=len(partial),
-                expected=found.views[0].expected,
-                fewest=fewest,
-                names=name_some(partial),
-                frames=partial,
-                blocks=use,
-            )
-        )
+    findings += [camera.MAYBE_MIRRORED(reason=text, blocks=use) for text in found.warnings]
     if entry.on_gel:
         if entry.pitch_mm is None:
             findings.append(remarks.BOARD_WITHOUT_PITCH(board=what, blocks=use))
         return findings
     if len(found.views) < GOOD_VIEWS:
         findings.append(
-            remarks.FEW_VIEWS(
-                board=what,
+            TOO_FEW(
                 count=len(found.views),
-                enough=GOOD_VIEWS,
-                grave=len(found.views) < FEW_VIEWS,
+                what=f"views of {what}",
+                wanted=camera.MORE_VIEWS,
                 blocks=use,
             )
         )
@@ -104,7 +85,7 @@ def _check_board(board: BoardCaptures) -> list[Remark]:
     width, height = found.views[0].size_px
     cells = {(int(u / width * 4), int(v / height * 4)) for u, v in points}
     if len(cells) < BOARD_COVERAGE * 16:
-        findings.append(remarks.BOARD_COVERAGE(board=what, cells=len(cells), blocks=use))
+        findings.append(camera.LENS_COVERAGE(share=len(cells) / 16, blocks=use))
     return findings
 
 
@@ -116,16 +97,12 @@ def _check_markers(markers: MarkerCaptures) -> list[Remark]:
         return [*findings, remarks.NO_REST_FRAME(reason=fault)]
     image = rest.frame.image()
     try:
-        picture = find_markers(image)
+        find_markers(image)
     except InputError as fault:
-        return [remarks.NO_MARKERS(name=rest.frame.name, reason=fault)]
+        return [remarks.NO_REST_FRAME(reason=f"{rest.frame.name} shows no grid of dots: {fault}")]
     findings += [replace(remark, blocks=("markers", "scale")) for remark in rest.remarks]
-    if markers.pitch_x_mm is None:
-        findings.append(remarks.MARKER_PITCH_UNSTATED(count=picture.dots.count))
     for video in markers.videos:
         findings += _check_video(video, image)
-    if not markers.videos:
-        findings.append(remarks.NO_MARKER_VIDEOS())
     return findings
 
 
@@ -137,22 +114,24 @@ def _check_labels(markers: MarkerCaptures) -> list[Remark]:
     try:
         near = find_markers(frame.image()).dots.uv_px
     except InputError as fault:
-        return [remarks.NO_MARKERS(name=frame.name, reason=fault)]
+        return [remarks.NO_REST_FRAME(reason=f"{frame.name} shows no grid of dots: {fault}")]
     u, v, du, dv = (markers.labels[name] for name in ("u_px", "v_px", "du_px", "dv_px"))
     given = np.column_stack([u + du, v + dv])
     gap = np.linalg.norm(given[:, None] - near[None], axis=-1).min(axis=1)
     lost = int((gap > LABEL_DOT_PX).sum())
     if lost <= LABELS_LOST * len(gap):
         return []
-    return [
-        remarks.MARKER_LABELS_OFF(
-            lost=lost, count=len(gap), name=frame.name, limit=LABEL_DOT_PX, median=np.median(gap)
-        )
-    ]
+    how = (
+        f"moved by their displacements they are more than {LABEL_DOT_PX:g} px from any dot of "
+        f"{frame.name} (median {np.median(gap):.1f} px)"
+    )
+    figures = {"off": lost, "count": len(gap), "advice": "Measure them again", "how": how}
+    return [LABELS_OFF(what="measured dots", blocks=("markers",), **figures)]
 
 
 def _check_video(video: Video, rest: np.ndarray) -> list[Remark]:
-    findings = _check_whole(video)
+    fault = cut_short(video)
+    findings = [] if fault is None else [VIDEO_CUT_SHORT(reason=fault, blocks=("markers",))]
     small = []
     for frame in video.frames():
         if frame.shape != rest.shape:
@@ -166,20 +145,10 @@ def _check_video(video: Video, rest: np.ndarray) -> list[Remark]:
                 )
             ]
         small.append(thumb(frame))
-    steps = np.array([float(np.abs(b - a).max()) for a, b in itertools.pairwise(small)])
-    still = float((steps < STILL_LEVELS).mean())
-    if still > MAX_STILL_SHARE:
-        findings.append(remarks.VIDEO_REPEATS(video=video.source, still=still, count=len(small)))
     moved = max(float(np.percentile(np.abs(image - small[0]), 99)) for image in small)
     if moved < 4.0:
         findings.append(remarks.NO_MOTION(video=video.source, count=len(small)))
     return findings
-
-
-def _check_whole(video: Video) -> list[Remark]:
-    """Whether as many frames decode as the file says it has."""
-    fault = cut_short(video)
-    return [] if fault is None else [remarks.VIDEO_CUT_SHORT(reason=fault)]
 
 
 def _check_edges(edges: Sequence[EdgeCapture]) -> list[Remark]:
@@ -198,24 +167,19 @@ def _check_edges(edges: Sequence[EdgeCapture]) -> list[Remark]:
             and abs(edge.entry.length_mm / edge.entry.line.length_px / middle - 1) > 0.15
         ]
         if off:
+            how = f"more than 15 % longer or shorter than {middle:.4f} mm/px says; {name_some(off)}"
+            figures = {"off": len(off), "count": len(scales), "advice": "Look at them"}
             findings.append(
-                remarks.EDGE_LABELS_OFF(
-                    count=len(off), mm_per_px=middle, names=name_some(off), frames=off
-                )
+                LABELS_OFF(what="labelled edges", how=how, frames=off, blocks=("scale",), **figures)
             )
     return findings
 
 
 def _check_record(record: ForceRecord) -> list[Remark]:
     entry, columns = record.entry, record.columns
-    rows = len(next(iter(columns.values())))
     findings = []
-    if rows < GOOD_POINTS:
-        findings.append(remarks.FEW_POINTS(record=record.source, count=rows, enough=GOOD_POINTS))
     if entry.tool.radius_mm is None and entry.tool.kind != "flat":
         findings.append(remarks.TOOL_UNKNOWN(record=record.source, tool=entry.tool.kind))
-    if entry.force_sigma_n is None and "sigma_n" not in columns:
-        findings.append(remarks.FORCE_SIGMA_UNSTATED(record=record.source))
     if entry.kind == "indentation" and entry.tool.radius_mm is not None:
         modulus = apparent_modulus_mpa(
             columns["depth_mm"], columns["force_n"], entry.tool.radius_mm

@@ -86,8 +86,6 @@ def _remarks(
     fields: list[FieldDifference],
     responses: ResponseDifference,
 ) -> list[Remark]:
-    if not fields and not (responses.background_l1_levels or responses.color_l1_levels):
-        return [remarks.EQUAL()]
     said = []
     if a.sensor.family != b.sensor.family:
         said.append(remarks.OTHER_FAMILY(a=a.sensor.family, b=b.sensor.family))

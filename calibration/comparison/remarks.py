@@ -6,7 +6,6 @@ from __future__ import annotations
 from taccel_lab.calibration.remarks import RemarkKind
 from taccel_lab.report.remark import Severity
 
-EQUAL = RemarkKind("equal", Severity.INFO, "the profiles hold the same values")
 OTHER_FAMILY = RemarkKind("other_family", Severity.WARNING, "different families: {a} and {b}")
 SIGNIFICANT = RemarkKind(
     "significant",

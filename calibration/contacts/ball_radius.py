@@ -16,7 +16,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet
 from taccel_lab.calibration.contacts.photometric import fit_contacts
-from taccel_lab.calibration.contacts.remarks import BALL_RADIUS_FITS, WRONG_BALL_RADIUS
+from taccel_lab.calibration.contacts.remarks import WRONG_BALL_RADIUS
 from taccel_lab.calibration.contacts.result import FoundContacts
 from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO
 from taccel_lab.report.remark import Remark
@@ -51,21 +51,24 @@ class BallCheck:
         """The stated radius is allowed."""
         return self.stated_mm >= self.lowest_mm and self.pinned <= self.count / 4
 
-    def remark(self, blocks: Sequence[str] = ()) -> Remark:
-        """What the check says, with figures; ``blocks`` are those that it concerns."""
+    def remarks(self, blocks: Sequence[str] = ()) -> list[Remark]:
+        """That the radius is wrong, with figures; ``blocks`` are those that it concerns."""
+        if self.consistent:
+            return []
         at = self.tried_mm.index(self.stated_mm)
         best = int(np.argmin(self.rms_levels))
-        kind = BALL_RADIUS_FITS if self.consistent else WRONG_BALL_RADIUS
-        return kind(
-            rms=self.rms_levels[at],
-            stated=self.stated_mm,
-            best_rms=self.rms_levels[best],
-            best=self.tried_mm[best],
-            lowest=self.lowest_mm,
-            pinned=self.pinned,
-            count=self.count,
-            blocks=blocks,
-        )
+        return [
+            WRONG_BALL_RADIUS(
+                rms=self.rms_levels[at],
+                stated=self.stated_mm,
+                best_rms=self.rms_levels[best],
+                best=self.tried_mm[best],
+                lowest=self.lowest_mm,
+                pinned=self.pinned,
+                count=self.count,
+                blocks=blocks,
+            )
+        ]
 
 
 def check_ball(captures: CaptureSet, found: FoundContacts) -> BallCheck | None:

@@ -9,33 +9,7 @@ from taccel_lab.report.remark import Severity
 PRESSES_LEFT_OUT = RemarkKind(
     "presses_left_out",
     Severity.WARNING,
-    "{lost} of {count} presses were left out: {names}. {reasons}. {rate}",
-)
-PRESSES_REFUSED = RemarkKind(
-    "presses_refused",
-    Severity.WARNING,
-    "{lost} of {count} presses show no usable contact: {names}; the {file} written here leaves "
-    "them out",
-)
-LABELS_SHIFTED = RemarkKind(
-    "labels_shifted",
-    Severity.WARNING,
-    "the given circles all lie to one side of the found ones, by ({u:+.1f}, {v:+.1f}) px at the "
-    "median; without that shift they differ by {left:.1f} px. Check how they were made, or use the "
-    "found ones",
-)
-CIRCLES_FOUND = RemarkKind(
-    "circles_found",
-    Severity.INFO,
-    "found circles against {count} labels, median and 90th percentile: centre {center:.1f} and "
-    "{center_p90:.1f} px, radius {radius:.1f} and {radius_p90:.1f} px",
-)
-BALL_RADIUS_FITS = RemarkKind(
-    "ball_radius_fits",
-    Severity.INFO,
-    "the ball's radius fits the colours: the joint fit leaves {rms:.2f} levels with the stated "
-    "{stated:g} mm and {best_rms:.2f} with {best:.3g} mm; they allow {lowest:.3g} mm and more (a "
-    "ball that is stated too large does not show in the colours)",
+    "{lost} of {count} presses were left out: {names}. {reasons}.{advice}",
 )
 WRONG_BALL_RADIUS = RemarkKind(
     "wrong_ball_radius",

@@ -13,9 +13,10 @@ from taccel_lab.calibration.capture.overrides import CONTACTS_NAME
 from taccel_lab.calibration.contacts.ball_radius import BallCheck, check_ball
 from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.calibration.contacts.labels import LabelAgreement, compare_with_labels
-from taccel_lab.calibration.contacts.remarks import LABELS_SHIFTED, PRESSES_REFUSED
+from taccel_lab.calibration.contacts.remarks import PRESSES_LEFT_OUT
 from taccel_lab.calibration.contacts.result import DetectedContact, FoundContacts
-from taccel_lab.calibration.light.drift import drift_remark
+from taccel_lab.calibration.light.drift import drift_remarks
+from taccel_lab.calibration.shared_remarks import LABELS_OFF
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 
@@ -127,26 +128,29 @@ def _remarks(
 ) -> tuple[Remark, ...]:
     remarks = []
     if found.refusals:
-        names = ", ".join(found.refusals[i].name for i in sorted(found.refusals)[:8])
+        refused = [found.refusals[i] for i in sorted(found.refusals)[:8]]
         remarks.append(
-            PRESSES_REFUSED(
+            PRESSES_LEFT_OUT(
                 lost=len(found.refusals),
                 count=len(captures.presses),
-                names=names,
-                file=CONTACTS_NAME,
+                names=", ".join(refusal.name for refusal in refused),
+                reasons=refused[0].message,
+                advice=f" The {CONTACTS_NAME} written here leaves them out",
             )
         )
     if agreement is not None and np.hypot(agreement.shift_u_px, agreement.shift_v_px) > SHIFT_PX:
-        remarks.append(
-            LABELS_SHIFTED(
-                u=-agreement.shift_u_px,
-                v=-agreement.shift_v_px,
-                left=agreement.center_median_shifted_px,
-            )
+        how = (
+            f"all lie to one side of the found ones, by ({-agreement.shift_u_px:+.1f}, "
+            f"{-agreement.shift_v_px:+.1f}) px at the median; without that shift they differ by "
+            f"{agreement.center_median_shifted_px:.1f} px"
         )
+        advice = "Check how they were made, or use the found ones"
+        count = agreement.count
+        figures = {"off": count, "count": count, "how": how, "advice": advice}
+        remarks.append(LABELS_OFF(what="given circles", **figures))
     if ball is not None:
-        remarks.append(ball.remark())
+        remarks += ball.remarks()
     drifts = [found.drifts[i] for i in sorted(found.drifts)]
     if len(drifts) > 1:
-        remarks.append(drift_remark(drifts, captures.background))
+        remarks += drift_remarks(drifts, captures.background)
     return tuple(remarks)

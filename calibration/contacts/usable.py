@@ -14,7 +14,6 @@ from taccel_lab.calibration.contacts.fusion import choose_circles, fuse_circles
 from taccel_lab.calibration.contacts.labels import LabelAgreement, compare_with_labels
 from taccel_lab.calibration.contacts.remarks import PRESSES_LEFT_OUT
 from taccel_lab.calibration.contacts.result import DetectedContact, Refusal
-from taccel_lab.calibration.error_rates import RATES
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
@@ -41,7 +40,7 @@ def usable_presses(
     contacts = [contact for contact in found.contacts if contact is not None]
     if not refusals:
         return captures, contacts, []
-    remark = left_out_remark(len(captures.presses), refusals, RATES["no_contact"].sentence())
+    remark = left_out_remark(len(captures.presses), refusals)
     kept = tuple(
         press
         for press, contact in zip(captures.presses, found.contacts, strict=True)
@@ -52,7 +51,7 @@ def usable_presses(
     return replace(captures, presses=kept, provenance=provenance), contacts, [remark]
 
 
-def left_out_remark(press_count: int, refusals: Sequence[Refusal], advice: str) -> Remark:
+def left_out_remark(press_count: int, refusals: Sequence[Refusal], advice: str = "") -> Remark:
     """Says which presses are left out and why; InputError with every reason where too many are."""
     if too_many_lost(press_count, [refusal.cut for refusal in refusals]):
         raise InputError("\n".join(refusal.message for refusal in refusals))
@@ -61,7 +60,7 @@ def left_out_remark(press_count: int, refusals: Sequence[Refusal], advice: str) 
         count=press_count,
         names=", ".join(refusal.name for refusal in refusals),
         reasons="; ".join(refusal.message for refusal in refusals),
-        rate=advice,
+        advice=advice and f" {advice}",
     )
 
 

@@ -12,7 +12,7 @@ from taccel_lab.calibration.base_profile import MEASURED, captures_on_pad, requi
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture.captures import CaptureSet, Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.depth.remarks import SCALE_OF_PROFILE
+from taccel_lab.calibration.shared_remarks import SCALE_NOT_MEASURED
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.remark import Remark
@@ -40,10 +40,9 @@ def grey_captures(
     same = (captures.grid.width_px, captures.grid.height_px) == (grid.width_px, grid.height_px)
     if folder.mm_per_px is not None and not (same and kind in MEASURED):
         return captures_on_pad(folder.ball_presses(), base), remarks
-    if folder.mm_per_px is None:
-        remarks.append(
-            SCALE_OF_PROFILE(mm_per_px=grid.mm_per_px_x, kind=kind, grave=kind not in MEASURED)
-        )
+    if folder.mm_per_px is None and kind not in MEASURED:
+        source = f"{grid.mm_per_px_x:.4g} mm/px of the profile ({kind})"
+        remarks.append(SCALE_NOT_MEASURED(source=source))
     captures = replace(captures, grid=grid) if same else captures
     return captures_on_pad(captures, base), remarks
 

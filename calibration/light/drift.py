@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.light.remarks import CHANNELS_DRIFT, LIGHT_DRIFTS, LIGHT_STEADY
+from taccel_lab.calibration.light.remarks import LIGHT_DRIFTS
 from taccel_lab.report.remark import Remark
 
 NOTABLE_LEVELS = 2.0
@@ -63,20 +63,24 @@ def drift_spread(drifts: Sequence[Light], background: np.ndarray) -> DriftSpread
     )
 
 
-def drift_remark(drifts: Sequence[Light], background: np.ndarray) -> Remark:
-    """One remark on the drift over the frames, with figures and what to do."""
+def drift_remarks(drifts: Sequence[Light], background: np.ndarray) -> list[Remark]:
+    """A remark on the drift over the frames, with figures and what to do; none where it is small.
+
+    Colours and normals take the light off each frame where that helps.
+    """
     found = drift_spread(drifts, background)
     changes = ", ".join(
         f"{name} {value:.1f}" for name, value in zip(CHANNELS, found.shift_levels, strict=True)
     )
     whole = max(found.shift_levels)
     if found.auto_white_balance:
-        kind = CHANNELS_DRIFT
+        cause = "The channels drift apart: switch the camera's automatic white balance off"
     elif whole > NOTABLE_LEVELS or max(map(abs, found.mean_shift_levels)) > 2 * NOTABLE_LEVELS:
-        kind = LIGHT_DRIFTS
+        cause = "Let lamps warm up, and record the background right before the presses"
     else:
-        kind = LIGHT_STEADY
-    return kind(frame_count=found.frame_count, changes=changes, largest=found.largest_levels)
+        return []
+    count, largest = found.frame_count, found.largest_levels
+    return [LIGHT_DRIFTS(frame_count=count, changes=changes, largest=largest, cause=cause)]
 
 
 def _triple(values: np.ndarray) -> tuple[float, float, float]:

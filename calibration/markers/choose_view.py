@@ -16,7 +16,7 @@ from taccel_lab.calibration.markers.gel_view import (
     grid_view,
     pixel_jacobian,
 )
-from taccel_lab.calibration.markers.remarks import MARKER_SCALE_DISAGREES, SCALE_ASSUMED
+from taccel_lab.calibration.shared_remarks import SCALE_DISAGREES, SCALE_NOT_MEASURED
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
@@ -66,7 +66,7 @@ def choose_view(
         return ChosenView(chosen, _disagreements(chosen, stated, size_px))
     assumed = grid_view(profile, size_px)
     assumed = replace(assumed, scale_sigma=max(assumed.scale_sigma, _ASSUMED_SIGMA))
-    return ChosenView(assumed, (SCALE_ASSUMED(scale=assumed.description),))
+    return ChosenView(assumed, (SCALE_NOT_MEASURED(source=assumed.description),))
 
 
 def _has_pose(profile: SensorProfile) -> bool:
@@ -131,15 +131,10 @@ def _disagreements(
         allowed = max(_AGREE, 2.0 * float(np.hypot(chosen.scale_sigma, other.scale_sigma)))
         if other is not chosen and np.abs(off).max() > allowed:
             remarks.append(
-                MARKER_SCALE_DISAGREES(
-                    other=other.description,
-                    other_x=theirs[0],
-                    other_y=theirs[1],
-                    used=chosen.description,
-                    used_x=ours[0],
-                    used_y=ours[1],
-                    off_x_percent=100 * off[0],
-                    off_y_percent=100 * off[1],
+                SCALE_DISAGREES(
+                    scales=f"{other.description} {theirs[0]:.4f} x {theirs[1]:.4f} mm/px, "
+                    f"{chosen.description} {ours[0]:.4f} x {ours[1]:.4f}, which is used "
+                    f"({100 * off[0]:+.1f} and {100 * off[1]:+.1f} %)"
                 )
             )
     return tuple(remarks)

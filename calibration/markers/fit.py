@@ -18,7 +18,7 @@ from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_marke
 from taccel_lab.calibration.markers.choose_view import choose_view
 from taccel_lab.calibration.markers.gel_view import GelView, pixel_jacobian
 from taccel_lab.calibration.markers.judgement import layout_remarks, track_remarks
-from taccel_lab.calibration.markers.remarks import MARKER_VIDEO_CUT_SHORT
+from taccel_lab.calibration.markers.remarks import VIDEO_CUT_SHORT
 from taccel_lab.calibration.markers.rest import Rest, find_rest, frames_before, video_name
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
 from taccel_lab.calibration.markers.track_figures import track_figures
@@ -73,7 +73,7 @@ def calibrate_markers(
         *chosen.remarks,
         *(remark for video in videos for remark in track_remarks(video.figures)),
         *(
-            MARKER_VIDEO_CUT_SHORT(reason=fault)
+            VIDEO_CUT_SHORT(reason=fault)
             for video in videos
             if (fault := cut_short(video.video)) is not None
         ),

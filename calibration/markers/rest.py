@@ -21,7 +21,7 @@ from scipy.stats import f as variance_ratio
 from taccel_lab.calibration.capture.folder import Frame, MarkerCaptures, Video
 from taccel_lab.calibration.dots.dots import DotFlag
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
-from taccel_lab.calibration.markers.remarks import REST_AMBIGUOUS, REST_DISAGREES, REST_FOUND
+from taccel_lab.calibration.markers.remarks import REST_AMBIGUOUS, REST_DISAGREES
 from taccel_lab.calibration.markers.still_frames import Stillness, Stretch, still_stretches
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import Remark
@@ -257,15 +257,7 @@ def _rest_of(
     chosen = even[0][0]
     video, stretch = videos[chosen.video], chosen.stretch
     name = video_name(video)
-    remarks = [
-        REST_FOUND(
-            name=name,
-            first=stretch.first,
-            last=stretch.last,
-            count=still[chosen.video].frames,
-            limit=still[chosen.video].limit_px,
-        )
-    ]
+    remarks = []
     rivals = [g for g in even[1:] if _frame_count(g) >= _RIVAL * _frame_count(even[0])]
     if rivals:
         rival = rivals[0][0]

@@ -7,9 +7,8 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
+from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.capture.folder import source_of
-from taccel_lab.calibration.material.damping_gain import damping_gain
 from taccel_lab.calibration.material.force_table import ForceTable, force_table
 from taccel_lab.calibration.material.friction import friction_of_records
 from taccel_lab.calibration.material.gel import Gel
@@ -20,10 +19,7 @@ from taccel_lab.calibration.material.indentation_points import (
     require_plausible,
 )
 from taccel_lab.calibration.material.options import MaterialOptions
-from taccel_lab.calibration.material.relaxation import DampingFit, check_relaxation, fit_damping
-from taccel_lab.calibration.material.remarks import FRICTION_UNSIMULATED, RELAXATION_MODULUS
 from taccel_lab.calibration.material.result import MaterialCalibration
-from taccel_lab.calibration.material.robust_statistics import combined
 from taccel_lab.calibration.material.sliding import SlideFit, fit_slide
 from taccel_lab.calibration.material.stiffness import KnownLaw, Stiffness, fit_stiffness
 from taccel_lab.calibration.result import Estimate
@@ -33,7 +29,7 @@ from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 
 _DEFAULTS = MaterialOptions()
-_KINDS = ("indentation", "slide", "relaxation")
+_KINDS = ("indentation", "slide")
 
 
 @dataclass(frozen=True)
@@ -87,11 +83,8 @@ def calibrate_material(
     if not points and not any(records.values()):
         raise InputError(
             f"{folder.source}: nothing that tells the material; give [[records]] of kind "
-            "indentation, slide or relaxation (docs/captures.md), or presses with depth_mm and "
-            "force_n"
+            "indentation or slide (docs/captures.md), or presses with depth_mm and force_n"
         )
-    for record in records["relaxation"]:
-        check_relaxation(record)
     slides = [fit_slide(record) for record in records["slide"]]
     captures = _Captures(folder, base, gel, options, progress, points, slides)
     started = time.perf_counter()
@@ -110,8 +103,7 @@ def calibrate_material(
                 known = _with_stiffness(captures, known, frictions)
     else:
         known = _with_stiffness(captures, known, _press_frictions(captures, known))
-    damping = [_damping(captures, known, record) for record in records["relaxation"]]
-    return _result(captures, known, damping, time.perf_counter() - started)
+    return _result(captures, known, time.perf_counter() - started)
 
 
 def _press_frictions(captures: _Captures, known: _Known) -> list[float]:
@@ -148,10 +140,9 @@ def _with_stiffness(captures: _Captures, known: _Known, frictions: Sequence[floa
     for mu in frictions:
         try:
             tables[mu] = _force_tables(captures, mu, law)
-        except SimulationError as error:
+        except SimulationError:
             if not tables:
                 raise
-            remarks.append(FRICTION_UNSIMULATED(friction=mu, reason=error))
     found = fit_stiffness(
         points, tables, law, start_pa=start, touch_sigma_mm=options.touch_sigma_mm
     )
@@ -192,46 +183,19 @@ def _with_friction(captures: _Captures, known: _Known) -> _Known:
     return replace(known, friction=friction, friction_remarks=tuple(remarks))
 
 
-def _damping(captures: _Captures, known: _Known, record: ForceRecord) -> DampingFit:
-    tool = captures.gel.tool(record.entry.tool, captures.folder.ball_radius_mm)
-    depth = record.columns["depth_mm"]
-    deepest = float(depth.max())
-    gel = known.gel(captures)
-    table = force_table(
-        gel, tool, (max(0.1 * deepest, float(depth.min())), deepest), free_nu=False,
-        free_ratio=False, friction=_used_friction(captures, known), progress=captures.progress,
-    )  # fmt: skip
-    # Two digits of the depth, so that similar records share presses.
-    gain = damping_gain(gel, tool, float(f"{deepest:.2g}"))
-    fit = fit_damping(record, tool, table, gain)
-    if known.young is None or 0.8 < fit.young_modulus_pa / known.young.value < 1.25:
-        return fit
-    remark = RELAXATION_MODULUS(
-        name=fit.name,
-        modulus_pa=fit.young_modulus_pa,
-        ratio=fit.young_modulus_pa / known.young.value,
-    )
-    return replace(fit, remarks=(*fit.remarks, remark))
-
-
-def _result(
-    captures: _Captures, known: _Known, damping: Sequence[DampingFit], seconds: float
-) -> MaterialCalibration:
+def _result(captures: _Captures, known: _Known, seconds: float) -> MaterialCalibration:
     stiffness, provenance = known.stiffness, captures.folder.provenance
-    times = [item.damping_time_s for item in damping if item.damping_time_s is not None]
-    fits = (*captures.slides, *damping)
-    inputs = {item.name: item.sha256 for item in (*captures.points, *fits)}
+    inputs = {item.name: item.sha256 for item in (*captures.points, *captures.slides)}
     if provenance.get("manifest_sha256"):
         inputs["captures.toml"] = provenance["manifest_sha256"]
     remarks = [r for item in captures.slides for r in item.remarks]
     remarks += () if stiffness is None else stiffness.remarks
-    remarks += [*known.friction_remarks, *(r for item in damping for r in item.remarks)]
+    remarks += known.friction_remarks
     estimates = {
         "young_modulus_pa": None if "e" in captures.options.fixed else known.young,
         "poisson_ratio": None if stiffness is None else stiffness.nu,
         "mooney_ratio": None if stiffness is None else stiffness.ratio,
         "friction_coefficient": known.friction,
-        "damping_time_s": combined(times) if times else None,
     }
     return MaterialCalibration(
         source=source_of(provenance, captures.folder.source),
@@ -243,7 +207,7 @@ def _result(
         used_friction=_used_friction(captures, known),
         physics=captures.options.physics,
         stiffness=stiffness,
-        fits=fits,
+        slides=captures.slides,
         inputs=inputs,
         remarks=tuple(remarks),
         seconds=seconds,

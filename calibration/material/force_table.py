@@ -83,11 +83,6 @@ class ForceTable:
         """Poisson's ratios of the table; equal where it is held."""
         return self.responses.second.low, self.responses.second.high
 
-    @property
-    def held_law(self) -> tuple[float, float]:
-        """Poisson's ratio and Mooney ratio of a table that holds them."""
-        return self.responses.second.low, self.responses.first.low
-
     def log_force(
         self, depth_mm: np.ndarray, poisson_ratio: float, mooney_ratio: float = 0.0
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -12,7 +12,8 @@ from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.material.ball_slide import simulate_ball_slide
 from taccel_lab.calibration.material.gel import Gel
 from taccel_lab.calibration.material.remarks import LEANING_UNKNOWN
-from taccel_lab.calibration.material.sliding import SlideFit, friction_of_slides
+from taccel_lab.calibration.material.robust_statistics import combined
+from taccel_lab.calibration.material.sliding import SlideFit
 from taccel_lab.calibration.result import NORMAL_95, Estimate
 from taccel_lab.progress import Progress
 from taccel_lab.report.remark import Remark
@@ -34,13 +35,13 @@ def friction_of_records(
     slid = [fit for fit in slides if fit.slid]
     if not slid:
         return None, []
-    ratio, remarks = friction_of_slides(slid)
-    mean, said = _without_leaning(gel, folder, slid, ratio, young_pa, progress)
+    ratio = combined([fit.friction for fit in slid])
+    mean, remarks = _without_leaning(gel, folder, slid, ratio, young_pa, progress)
     half = NORMAL_95 * mean.sigma
     # Two digits: presses with it are simulated, and the profile says what they had.
     stated = float(f"{mean.value:.2g}")
     ends = max(mean.value - half, 0.0), mean.value + half
-    return Estimate(stated, mean.sigma, "", ends), [*remarks, *said]
+    return Estimate(stated, mean.sigma, "", ends), remarks
 
 
 def _without_leaning(

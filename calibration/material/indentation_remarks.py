@@ -11,18 +11,13 @@ import numpy as np
 from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
 from taccel_lab.calibration.material.predicted_forces import HeldOut
 from taccel_lab.calibration.material.remarks import (
-    FEW_DEGREES_OF_FREEDOM,
     FRICTION_ASSUMED,
-    LAW_MISFIT,
-    LOAD_CELL_ZERO,
-    NOISE_UNDERSTATED,
-    PRESS_DEPTH,
     RECORDS_DISAGREE,
     TOUCH_SHIFT,
     YOUNG_UNCERTAIN,
-    YOUNG_WITH_NU,
 )
 from taccel_lab.calibration.result import Estimate
+from taccel_lab.calibration.shared_remarks import HELDOUT_ERROR, TOO_FEW
 from taccel_lab.report.remark import Remark
 
 MISFIT = 0.05
@@ -32,30 +27,12 @@ DISAGREEMENT = 0.1
 """Difference of the moduli of two records that is spoken of when it also exceeds their errors."""
 FEW = 2
 """Points beyond the fitted numbers from which residuals say something."""
-TOUCH_SAID_MM = 0.005
-"""Shift of first touch from which it is said where presses reproduce a record."""
 UNCERTAIN = 0.25
 """Relative half width of an interval that calls for a remark."""
-WANTED_SIGMA = 0.02
-"""Relative standard deviation of Young's modulus that a calibration is after."""
-CORRELATED = 0.9
-"""Correlation of two parameters from which one is hardly known without the other."""
-
-
-def young_with_nu(fit: IndentationFit) -> list[Remark]:
-    """That E is uncertain because nu is, and which second tool would separate them."""
-    names = fit.solution.names
-    sigma = fit.solution.sigma_of("ln_e")
-    if "nu" not in names or sigma <= WANTED_SIGMA:
-        return []
-    correlation = float(fit.solution.correlation[names.index("ln_e"), names.index("nu")])
-    if abs(correlation) < CORRELATED:
-        return []
-    return [YOUNG_WITH_NU(correlation=correlation, sigma=sigma)]
 
 
 def residual_remarks(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[Remark]:
-    """Remarks on residuals (of points that were held out, where there are), noise and touch."""
+    """Remarks on residuals (of points that were held out, where there are) and touch."""
     remarks = []
     for i, item in enumerate(fit.points):
         smallest = 0.1 * item.force_n.max()
@@ -64,30 +41,13 @@ def residual_remarks(fit: IndentationFit, predicted: Sequence[HeldOut]) -> list[
         residual = np.array(own) if own else residual
         rms = float(np.sqrt(np.mean(residual**2)))
         if rms > MISFIT:
-            remarks.append(LAW_MISFIT(name=item.name, rms=rms, grave=rms > BAD_MISFIT))
-        if item.zero is not None:
-            low, high = item.zero.interval95
-            remarks.append(
-                LOAD_CELL_ZERO(name=item.name, zero_n=item.zero.value, low_n=low, high_n=high)
-            )
+            error = f"{rms:.1%} (root mean square above a tenth of the largest)"
+            advice = "check the radius, the gel's thickness and where the depth is counted from"
+            what, grave = f"forces of {item.name}", rms > BAD_MISFIT
+            remarks.append(HELDOUT_ERROR(what=what, error=error, advice=advice, grave=grave))
         touch = fit.touch_mm(i)
-        if abs(touch) > TOUCH_SAID_MM:
-            low, high = fit.touch_interval_mm(i)
-            remarks.append(
-                PRESS_DEPTH(
-                    name=item.name,
-                    shift_mm=abs(touch),
-                    larger_or_smaller="larger" if touch < 0 else "smaller",
-                    touch_mm=touch,
-                    low_mm=low,
-                    high_mm=high,
-                )
-            )
         if abs(touch) > 0.1 and abs(touch) > 3 * fit.solution.sigma_of(f"touch_{i}"):
             remarks.append(TOUCH_SHIFT(name=item.name, touch_mm=touch))
-    remarks += young_with_nu(fit)
-    if fit.solution.misfit and fit.solution.chi2_per_dof is not None:
-        remarks.append(NOISE_UNDERSTATED(factor=math.sqrt(fit.solution.chi2_per_dof)))
     return remarks
 
 
@@ -128,13 +88,12 @@ def few_degrees_of_freedom(fit: IndentationFit, predicted: Sequence[HeldOut]) ->
     miss = np.array([item.relative for item in predicted])
     inside = sum(a.interval_n[0] <= a.force_n <= a.interval_n[1] for a in predicted)
     return [
-        FEW_DEGREES_OF_FREEDOM(
+        TOO_FEW(
             count=count,
-            fitted=len(fit.solution.names),
-            rms=np.sqrt(np.mean(miss**2)),
-            worst=np.abs(miss).max(),
-            inside=inside,
-            predicted=len(predicted),
+            what=f"points and {len(fit.solution.names)} fitted numbers",
+            wanted=f"predicted from the others they are off by {np.sqrt(np.mean(miss**2)):.1%} "
+            f"(root mean square; {np.abs(miss).max():.1%} at most; {inside} of {len(predicted)} in "
+            "the 95 % interval stated for them). Record eight depths or more",
         )
     ]
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.calibration.material.predicted_forces import force_interval_n
-from taccel_lab.calibration.material.relaxation import DampingFit
 from taccel_lab.calibration.material.sliding import SlideFit
 from taccel_lab.calibration.material.stiffness import Stiffness
 from taccel_lab.report.style import (
@@ -142,18 +141,4 @@ def draw_slide(fit: SlideFit) -> Figure:
     )
     axis.set_title(f"{fit.name}: {fit.friction.value:.3g} while sliding (black); dotted: break")
     axis.legend(fontsize=8, ncols=2)
-    return figure
-
-
-@in_report_style
-def draw_damping(fit: DampingFit) -> Figure:
-    """Force and depth over time, with the fit."""
-    figure, (upper, lower) = new_figure(7.0, 4.4, 2, 1, sharex=True, height_ratios=[2, 1])
-    upper.plot(fit.time_s, fit.force_n, ".", ms=3, color=BLUE, label="measured")
-    upper.plot(fit.time_s, fit.fitted_n, color=ORANGE, label="elastic and viscous fit")
-    upper.set_ylabel("force [N]")
-    upper.legend(fontsize=8)
-    upper.set_title(fit.name)
-    lower.plot(fit.time_s, fit.depth_mm, color=GREY)
-    lower.set(xlabel="time [s]", ylabel="depth [mm]")
     return figure

@@ -3,12 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.calibration.material.pictures import (
-    draw_damping,
     draw_indentation,
     draw_profiles,
     draw_slide,
@@ -17,19 +15,13 @@ from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.report.page import Page, Picture, Table
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 _TITLES = {
     "young_modulus_pa": "Young's modulus [Pa]",
     "poisson_ratio": "Poisson's ratio",
     "mooney_ratio": "Mooney ratio",
     "friction_coefficient": "coefficient of friction",
-    "damping_time_s": "damping time [s]",
-}
-
-_DRAWINGS: dict[str, tuple[Callable[..., Figure], str]] = {
-    "slides": (draw_slide, "Friction along each stroke."),
-    "damping": (draw_damping, "Force over time."),
 }
 
 
@@ -157,9 +149,9 @@ def material_page(result: MaterialCalibration) -> Page:
                 "mu = 2 (c10 + c01) and the bulk modulus, of small strains.",
             )
         )
-    for i, fit in enumerate(result.fits):
-        draw, note = _DRAWINGS[fit.group]
-        pictures.append(Picture(f"{fit.group}{i}", partial(draw, fit), note))
+    for i, slide in enumerate(result.slides):
+        drawn = partial(draw_slide, slide)
+        pictures.append(Picture(f"slides{i}", drawn, "Friction along each stroke."))
     found = ", ".join(_TITLES[name].split(" [")[0] for name in result.estimates) or "nothing"
     return Page(
         title="Material of the gel",

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
+from taccel_lab.calibration.material.sliding import SlideFit
 from taccel_lab.calibration.material.stiffness import Stiffness
 from taccel_lab.calibration.result import Estimate, ResultSummary
 from taccel_lab.errors import InputError
@@ -14,30 +15,6 @@ from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.presses.physics import PressPhysics
 from taccel_lab.profile import FittedWith, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
-
-
-class RecordFit(Protocol):
-    """What one record of another kind than indentation says."""
-
-    @property
-    def group(self) -> str:
-        """Under which name its figures stand."""
-        ...
-
-    def figures(self) -> dict[str, Any]:
-        """What was found, ready for JSON."""
-        ...
-
-    def residuals(self) -> dict[str, float]:
-        """What the fit leaves over."""
-        ...
-
-    def valid_region(self) -> dict[str, tuple[float, float]]:
-        """Depths, forces or speeds of the record."""
-        ...
-
-
-GROUPS = ("slides", "damping")
 
 
 @dataclass(frozen=True, repr=False)
@@ -57,8 +34,7 @@ class MaterialCalibration(ResultSummary):
     physics: PressPhysics
     stiffness: Stiffness | None
     """What the indentations say; None without any."""
-    fits: Sequence[RecordFit]
-    """Of the other records."""
+    slides: Sequence[SlideFit]
     inputs: dict[str, str]
     remarks: tuple[Remark, ...]
     seconds: float
@@ -87,8 +63,8 @@ class MaterialCalibration(ResultSummary):
                 found[name] = float(min(low, least)), float(max(high, most))
         return found
 
-    def _parts(self) -> list[Stiffness | RecordFit]:
-        return [*([] if self.stiffness is None else [self.stiffness]), *self.fits]
+    def _parts(self) -> list[Stiffness | SlideFit]:
+        return [*([] if self.stiffness is None else [self.stiffness]), *self.slides]
 
     def mooney_rivlin_pa(self) -> dict[str, float]:
         """c10, c01 and the bulk modulus of small strains [Pa]; c01 is 0 of other laws."""
@@ -119,9 +95,7 @@ class MaterialCalibration(ResultSummary):
         }
         if self.stiffness is not None:
             figures |= self.stiffness.figures()
-        for group in GROUPS:
-            figures[group] = [fit.figures() for fit in self.fits if fit.group == group]
-        return figures
+        return figures | {"slides": [fit.figures() for fit in self.slides]}
 
     def held(self) -> dict[str, float]:
         """Parameters of the law that were not fitted, with the values they were held at."""

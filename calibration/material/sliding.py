@@ -18,16 +18,9 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.capture import ForceRecord
-from taccel_lab.calibration.material.remarks import (
-    FRICTION_BY_LOAD,
-    NEVER_SLID,
-    OFFSET_UNDETERMINED,
-    PARTLY_SLID,
-    STICK_SLIP,
-)
-from taccel_lab.calibration.material.robust_statistics import combined, robust_regression
+from taccel_lab.calibration.material.remarks import NEVER_SLID
+from taccel_lab.calibration.material.robust_statistics import robust_regression
 from taccel_lab.calibration.result import Estimate
-from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import Remark
 
@@ -39,9 +32,6 @@ STILL_CLIMBING = 0.1
 """A stroke whose tangential force still grows by this part over the slide has not slid fully."""
 LOAD_RANGE = 0.2
 """Spread of the normal force, as a part of it, from which it tells slope and offset apart."""
-DROP_SIGMAS = 6.0
-DROP_PART = 0.03
-"""A fall from one row to the next by this many sigmas and this part of the force is a slip."""
 MAX_FRICTION = 5.0
 
 
@@ -79,10 +69,6 @@ class SlideFit:
     """Mean coefficient while sliding; of a record that never slides the least that it can be."""
     offset_n: float
     """Tangential force at no load."""
-    static_friction: float | None
-    """Mean coefficient just before slips, where the tool sticks and slips."""
-    slip_mm: float | None
-    """Mean travel from slip to slip."""
     slid: bool
     normal_range_n: tuple[float, float]
     strokes: tuple[Stroke, ...]
@@ -91,8 +77,6 @@ class SlideFit:
     remarks: tuple[Remark, ...]
     sign: int = 1
     """1: positive tangential force along the motion; -1: against it."""
-
-    group = "slides"
 
     def residuals(self) -> dict[str, float]:
         """Of a tool that slid."""
@@ -109,7 +93,6 @@ class SlideFit:
             "friction": self.friction.value,
             "sigma": self.friction.sigma,
             "slid": self.slid,
-            "static_friction": self.static_friction,
             "offset_n": self.offset_n,
         }
 
@@ -141,18 +124,6 @@ def fit_slide(record: ForceRecord) -> SlideFit:
     if not sliding:
         return _never_slid(record, name, strokes, load)
     return _slid(record, name, strokes, sliding, load)
-
-
-def friction_of_slides(fits: Sequence[SlideFit]) -> tuple[Estimate, list[Remark]]:
-    """One coefficient of several records that slid, and whether it goes with the load."""
-    remarks = []
-    value = np.array([fit.friction.value for fit in fits])
-    load = np.array([np.mean(fit.normal_range_n) for fit in fits])
-    if len(fits) >= 3 and np.ptp(load) > LOAD_RANGE * load.mean():
-        power = float(np.polyfit(np.log(load), np.log(value), 1)[0])
-        if abs(power) > 0.1:
-            remarks.append(FRICTION_BY_LOAD(power=power, low_n=load.min(), high_n=load.max()))
-    return combined([fit.friction for fit in fits]), remarks
 
 
 def _check(source: str, shift: np.ndarray, normal: np.ndarray) -> None:
@@ -231,8 +202,8 @@ def _never_slid(
     )
     remark = NEVER_SLID(name=name, least=least)
     return SlideFit(
-        name, record.source, record.sha256, Estimate(least, math.inf), 0.0, None, None,
-        False, load, tuple(strokes), math.nan, (remark,),
+        name, record.source, record.sha256, Estimate(least, math.inf), 0.0, False, load,
+        tuple(strokes), math.nan, (remark,),
     )  # fmt: skip
 
 
@@ -253,7 +224,6 @@ def _slid(
         columns = np.column_stack([columns, np.ones(len(normal))])
     fit = robust_regression(columns, tangential)
     slope, offset = float(fit.values[0]), float(fit.values[1]) if two_unknowns else 0.0
-    remarks: list[Remark] = []
     sign = 1 if slope >= 0 else -1
     value = abs(slope)
     if value > MAX_FRICTION:
@@ -267,14 +237,6 @@ def _slid(
             f"{record.source}: tangential over normal force is only {value:.2g} while the tool "
             "slides; no gel is that slippery. Are both forces in newtons, and not swapped?"
         )
-    if not two_unknowns:
-        remarks.append(OFFSET_UNDETERMINED(name=name, offset_n=0.01 * normal.mean()))
-    static, slip = _slips(sliding, sign, offset)
-    if static is not None:
-        remarks.append(STICK_SLIP(name=name, slip_mm=slip, static=static, friction=value))
-    partly = [s for s in strokes if s.climbing]
-    if partly:
-        remarks.append(PARTLY_SLID(name=name, left_out=len(partly), count=len(strokes)))
     level = float(np.abs(tangential - offset).mean())
     return SlideFit(
         name,
@@ -282,36 +244,10 @@ def _slid(
         record.sha256,
         fit.estimate(value, np.eye(columns.shape[1])[0]),
         offset,
-        static,
-        slip,
         True,
         load,
         tuple(strokes),
         float(np.sqrt(np.mean(fit.residuals**2))) / level,
-        tuple(remarks),
+        (),
         sign,
     )
-
-
-def _slips(
-    sliding: Sequence[Stroke], sign: int, offset_n: float
-) -> tuple[float | None, float | None]:
-    """Coefficient before slips and travel between them; None where the tool slides evenly."""
-    before, apart = [], []
-    for stroke in sliding:
-        keep = stroke.slides
-        ratio = stroke.direction * sign * (stroke.tangential_n[keep] - offset_n)
-        ratio = ratio / stroke.normal_n[keep]
-        steps = np.diff(ratio)
-        if len(steps) < MIN_STROKE:
-            continue
-        spread = spread_about_median(steps)
-        limit = max(DROP_SIGMAS * spread, DROP_PART * float(np.median(ratio)))
-        falls = np.flatnonzero(steps < -limit)
-        if len(falls) < 3:
-            continue
-        before += [float(ratio[i]) for i in falls]
-        apart += np.diff(stroke.travel_mm[keep][falls]).tolist()
-    if not before:
-        return None, None
-    return float(np.mean(before)), float(np.mean(apart))

@@ -31,15 +31,8 @@ from taccel_lab.calibration.material.indentation_remarks import (
     residual_remarks,
     young_uncertain,
 )
-from taccel_lab.calibration.material.likelihood import Profile
 from taccel_lab.calibration.material.predicted_forces import HeldOut, force_interval_n, held_out
-from taccel_lab.calibration.material.remarks import (
-    MOONEY_RATIO_UNDETERMINED,
-    NU_EXCLUDED,
-    NU_UNDETERMINED,
-    YOUNG_GIVEN_NU,
-)
-from taccel_lab.calibration.remarks import RemarkKind
+from taccel_lab.calibration.material.remarks import YOUNG_GIVEN_NU
 from taccel_lab.calibration.result import NORMAL_95, Estimate
 from taccel_lab.report.remark import Remark
 
@@ -254,13 +247,8 @@ def fit_stiffness(
     ratio_determined = law.free_ratio and profiles["mooney_ratio"].closed
     held = law.poisson_ratio
     if law.free_nu and not nu_determined:
-        remarks.append(_undetermined(profiles["nu"], NU_UNDETERMINED, free.tables[0].nu_range))
-        held, said = _held_nu(profiles["nu"], held)
-        remarks += said
-    if law.free_ratio and not ratio_determined:
-        remarks.append(
-            _undetermined(profiles["mooney_ratio"], MOONEY_RATIO_UNDETERMINED, (0.0, 1.0))
-        )
+        # The base's, moved into the interval where the data exclude it.
+        held = min(max(held, profiles["nu"].interval[0]), profiles["nu"].interval[1])
     if not nu_determined:
         # What the profile will hold decides which friction goes with it.
         likeliest = min(tables, key=lambda mu: fit(mu, False, ratio_determined, held).misfit)
@@ -327,24 +315,6 @@ def _young(found: IndentationFit, left: Sequence[IndentationFit]) -> Estimate:
     low, high = min(a for a, _ in ends), max(b for _, b in ends)
     value = found.young_modulus_pa
     return Estimate(value, value * math.log(high / low) / (2 * NORMAL_95), "Pa", (low, high))
-
-
-def _undetermined(profile: Profile, kind: RemarkKind, bounds: tuple[float, float]) -> Remark:
-    if profile.bound is None:
-        return kind(
-            verb="do not determine", bounds=f"(any from {bounds[0]:g} to {bounds[1]:g} fits)"
-        )
-    side = "above" if profile.open_high else "below"
-    return kind(verb="only show that", bounds=f"is {side} {profile.bound:.3g}")
-
-
-def _held_nu(profile: Profile, base: float) -> tuple[float, list[Remark]]:
-    """The base's Poisson's ratio, moved into the interval where the data exclude it."""
-    low, high = profile.interval
-    held = min(max(base, low), high)
-    if held == base:
-        return base, []
-    return held, [NU_EXCLUDED(base=base, low=low, high=high, held=held)]
 
 
 def _young_given_nu(found: IndentationFit, low: float, high: float) -> Remark:

@@ -248,18 +248,11 @@ def _remarks(
     mask: np.ndarray | None,
 ) -> tuple[Remark, ...]:
     change, sigma = fit.change, fit.sigma
-    values = ", ".join(
-        f"{name} {r:.3f} ± {s:.3f}"
-        for name, r, s in zip(CHANNELS, change.response, sigma.response, strict=True)
-    )
-    before, after = (float(np.mean([getattr(e, n) for e in errors])) for n in ("before", "after"))
-    found = [remarks.RESPONSE(values=values, after=after, before=before)]
+    found = []
     rough = sigma.response / np.maximum(change.response, 1e-3)
     if rough.max() > ROUGH_RESPONSE_SIGMA:
         name = CHANNELS[int(np.argmax(rough))]
         found.append(remarks.ROUGH_RESPONSE(percent=100 * rough.max(), channel=name))
-    if len(frames) < 5:
-        found.append(remarks.REFIT_FEW_FRAMES(count=len(frames)))
     worse = [error.name for error in errors if error.after > error.before + 0.5]
     if worse:
         found.append(remarks.SOME_WORSE(names=", ".join(worse)))

@@ -6,22 +6,11 @@ from __future__ import annotations
 from taccel_lab.calibration.remarks import RemarkKind
 from taccel_lab.report.remark import Severity
 
-RESPONSE = RemarkKind(
-    "response",
-    Severity.INFO,
-    "the colour change is now {values} of what it was; left-out frames are off by {after:.2f} "
-    "levels instead of {before:.2f}",
-)
 ROUGH_RESPONSE = RemarkKind(
     "rough_response",
     Severity.WARNING,
     "the frames disagree by {percent:.0f} % on the response of {channel}: more presses, in "
     "steadier light, would tell it better",
-)
-REFIT_FEW_FRAMES = RemarkKind(
-    "refit_few_frames",
-    Severity.WARNING,
-    "{count} frames: the standard deviations are rough; 5 or more are better",
 )
 SOME_WORSE = RemarkKind(
     "some_worse",

@@ -54,23 +54,13 @@ def _remarks(profile: SensorProfile) -> list[Remark]:
     for key, block in blocks.items():
         where = block.provenance
         if where.verdict == "weak":
-            found.append(remarks.WEAK_BLOCK(block=key))
+            found.append(remarks.BLOCK_STATE(block=key, what="weak", grave=True))
         elif where.verdict == "usable":
-            found.append(remarks.USABLE_BLOCK(block=key))
+            found.append(remarks.BLOCK_STATE(block=key, what="with reservations"))
         elif where.kind == "assumed" and key in CORE:
-            found.append(remarks.ASSUMED_BLOCK(block=key, how=_how_to_measure(key)))
+            what = f"assumed, not measured; {_how_to_measure(key)}"
+            found.append(remarks.BLOCK(block=key, what=what))
     found += _block_remarks(blocks)
-    for key in ("background", "color"):
-        if key not in blocks and profile.depth_response is None:
-            found.append(remarks.MISSING_BLOCK(block=key))
-    found += [
-        remarks.QUICK_SESSION(
-            keys=", ".join(session.blocks),
-            left_out=", ".join(text.partition(":")[0] for text in session.left_out),
-        )
-        for session in profile.sensor.recorded
-        if session.left_out
-    ]
     return found
 
 
@@ -91,7 +81,7 @@ def _block_remarks(blocks: dict[str, Block]) -> list[Remark]:
         severity, _, message = text.partition(": ")
         if severity not in list(Severity):
             severity, message = Severity.INFO, text
-        remark = remarks.BLOCK_REMARK(block=", ".join(of), remark=message)
+        remark = remarks.BLOCK(block=", ".join(of), what=message)
         found.append(replace(remark, severity=Severity(severity)))
     return found
 

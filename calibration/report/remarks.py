@@ -6,24 +6,11 @@ from __future__ import annotations
 from taccel_lab.calibration.remarks import RemarkKind
 from taccel_lab.report.remark import Severity
 
-BLOCK_UNFIT = RemarkKind("block_unfit", Severity.ERROR, "{block} {state}: {reason}")
-WEAK_BLOCK = RemarkKind("weak_block", Severity.ERROR, "{block}: calibrated, but weak")
-USABLE_BLOCK = RemarkKind("usable_block", Severity.WARNING, "{block}: usable, with reservations")
-ASSUMED_BLOCK = RemarkKind(
-    "assumed_block", Severity.WARNING, "{block}: assumed, not measured; {how}"
+BLOCK_STATE = RemarkKind(
+    "block_state", Severity.WARNING, "{block}: calibrated, but {what}", graver=Severity.ERROR
 )
-BLOCK_REMARK = RemarkKind("block_remark", Severity.INFO, "{block}: {remark}")
-"""As grave as the block's own remark says."""
-MISSING_BLOCK = RemarkKind(
-    "missing_block",
-    Severity.INFO,
-    "{block}: missing, so no calibrated pictures; taccel-lab calibrate {block}",
-)
-QUICK_SESSION = RemarkKind(
-    "quick_session",
-    Severity.INFO,
-    "{keys}: recorded in a quick session, which leaves out {left_out}; see Recordings",
-)
+BLOCK = RemarkKind("block", Severity.WARNING, "{block}: {what}", graver=Severity.ERROR)
+"""Why a block is not calibrated, or what its own remark says, as grave as that."""
 BLOCKS_DROPPED = RemarkKind(
     "blocks_dropped",
     Severity.WARNING,

@@ -17,7 +17,8 @@ from scipy.stats import chi2
 
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
-from taccel_lab.calibration.scale.remarks import CONTACTS_EXCEED_BALL, SCALE_DISAGREES
+from taccel_lab.calibration.scale.remarks import CONTACTS_EXCEED_BALL
+from taccel_lab.calibration.shared_remarks import SCALE_DISAGREES
 from taccel_lab.report.remark import Remark
 
 DISAGREES = 0.01
@@ -80,7 +81,8 @@ def agreement_remarks(
                 for estimate in estimates
                 if (found := estimate.along(axis)) is not None
             )
-            remarks.append(SCALE_DISAGREES(axis=axis, pairs=said, scales=each))
+            scales = f"along {axis} {each} ({said})"
+            remarks.append(SCALE_DISAGREES(scales=scales, grave=True))
     combined = axes.get("x")
     for estimate in estimates:
         if estimate.upper_x is None or combined is None:

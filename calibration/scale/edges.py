@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -15,9 +14,9 @@ from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
 from taccel_lab.calibration.capture.schema import LineEntry
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.robust_spread import spread_about_zero
-from taccel_lab.calibration.scale import remarks
 from taccel_lab.calibration.scale.edge_line import EdgeLine, find_edge
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
+from taccel_lab.calibration.shared_remarks import TOO_FEW
 from taccel_lab.errors import InputError
 from taccel_lab.report.remark import Remark
 
@@ -103,7 +102,6 @@ def scale_from_edges(
     covariance = _covariance(measured, used, scale, left)
     sigma = np.sqrt(np.diag(covariance))
     chosen = [edge for edge, ok in zip(measured, used, strict=True) if ok]
-    remarks = _remarks(measured, used, scale)
     return ScaleEstimate(
         "edge",
         Estimate(float(scale[0]), float(sigma[0]), "mm/px"),
@@ -126,7 +124,7 @@ def scale_from_edges(
             ],
             "edge_rms_mm": float(np.sqrt(np.mean(left[used] ** 2))),
         },
-        remarks=tuple(remarks),
+        remarks=tuple(_remarks(measured, used)),
         refused=tuple(refused),
     )
 
@@ -178,25 +176,16 @@ def _covariance(
     return covariance + np.outer(scale, scale) * shared**2
 
 
-def _short(source: str) -> str:
-    return "/".join(Path(source).parts[-2:])
-
-
-def _remarks(measured: Sequence[MeasuredEdge], used: np.ndarray, scale: np.ndarray) -> list[Remark]:
-    said = []
+def _remarks(measured: Sequence[MeasuredEdge], used: np.ndarray) -> list[Remark]:
     chosen = [edge for edge, ok in zip(measured, used, strict=True) if ok]
-    if len(chosen) < len(measured):
-        names = [_short(edge.name) for edge, ok in zip(measured, used, strict=True) if not ok]
-        said.append(
-            remarks.EDGES_SHORT(short=len(names), count=len(measured), names=", ".join(names[:5]))
-        )
-    if len(chosen) < 4:
-        said.append(remarks.FEW_EDGES(count=len(chosen)))
     angles = np.radians([edge.line.angle_deg for edge in chosen])
-    for kind, share in (
-        (remarks.EDGES_NOT_ALONG_X, np.cos(angles) ** 2),
-        (remarks.EDGES_NOT_ALONG_Y, np.sin(angles) ** 2),
-    ):
-        if share.max(initial=0.0) < 0.5:
-            said.append(kind(share=SQUARE_SIGMA))
-    return said
+    along = {"x": np.cos(angles) ** 2, "y": np.sin(angles) ** 2}
+    lacking = [axis for axis, share in along.items() if share.max(initial=0.0) < 0.5]
+    if len(chosen) >= 4 and not lacking:
+        return []
+    words = f", none along {' or '.join(lacking)}" if lacking else ""
+    wanted = (
+        "8 or more, along x and along y, tell both scales; without, pixels are taken to be square "
+        f"within {SQUARE_SIGMA:.0%}"
+    )
+    return [TOO_FEW(count=len(chosen), what=f"presses of the edge{words}", wanted=wanted)]

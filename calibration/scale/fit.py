@@ -18,6 +18,7 @@ from taccel_lab.calibration.scale.landmarks import scale_from_landmarks
 from taccel_lab.calibration.scale.pitches import scale_from_boards, scale_from_markers
 from taccel_lab.calibration.scale.result import STATED, ScaleCalibration
 from taccel_lab.calibration.scale.spheres import measure_contacts, scale_from_spheres
+from taccel_lab.calibration.shared_remarks import SCALE_NOT_MEASURED
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
@@ -115,7 +116,7 @@ def _stated(folder: CaptureFolder, mm_per_px: tuple[float, float]) -> ScaleEstim
         inputs={"captures": folder.provenance["manifest_sha256"]}
         if "manifest_sha256" in folder.provenance
         else {},
-        remarks=(remarks.SCALE_STATED(share=STATED_ERROR),),
+        remarks=(SCALE_NOT_MEASURED(source="the scale that the captures state"),),
     )
 
 
@@ -169,8 +170,4 @@ def _remarks(
         if share > UNSURE_SHARE:
             said.append(remarks.SCALE_UNSURE(axis=axis, share=share))
     said += stated_scale_remarks(folder, {axis: found.estimate for axis, found in axes.items()})
-    if len(axes) == 1:
-        said.append(remarks.ONE_AXIS(axis=next(iter(axes))))
-    if axes and max(found.freedom for found in axes.values()) == 0:
-        said.append(remarks.ONE_METHOD())
     return said

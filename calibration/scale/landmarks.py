@@ -9,7 +9,7 @@ import numpy as np
 from taccel_lab.calibration.capture.folder import LandmarkCapture
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
-from taccel_lab.calibration.scale.remarks import LANDMARKS_OFF
+from taccel_lab.calibration.shared_remarks import LABELS_OFF
 from taccel_lab.errors import InputError
 
 CLICK_SIGMA_PX = 1.0
@@ -40,7 +40,9 @@ def scale_from_landmarks(capture: LandmarkCapture, method: str = "landmarks") ->
     sigma = np.sqrt(variance)
     remarks = []
     if rms > 3 * CLICK_SIGMA_PX:
-        remarks.append(LANDMARKS_OFF(name=capture.frame.name, error_px=rms))
+        how = f"{capture.frame.name}: {rms:.1f} px off the map that they define"
+        figures = {"off": 1, "count": len(points), "how": how, "advice": "One of them is mistaken"}
+        remarks.append(LABELS_OFF(what="landmarks", **figures))
     return ScaleEstimate(
         method,
         Estimate(float(scale[0]), float(sigma[0]), "mm/px"),

@@ -27,7 +27,7 @@ from taccel_lab.calibration.contacts.fit import detect_contact
 from taccel_lab.calibration.result import NORMAL_95, Estimate
 from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
-from taccel_lab.calibration.scale.remarks import DEPTHS_DISAGREE, SPHERES_LIMIT
+from taccel_lab.calibration.scale.remarks import DEPTHS_DISAGREE
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -109,7 +109,6 @@ def scale_from_spheres(
             "largest_radius_px": max(contact.radius_px for contact in contacts),
             "upper_limit_by_ball_mm": {f"{ball:g}": limit for ball, limit in limits.items()},
         },
-        remarks=(SPHERES_LIMIT(limit=upper),),
         refused=tuple(refused),
     )
     with_depth = [contact for contact in contacts if contact.press.depth_mm]
@@ -158,7 +157,7 @@ def _with_depths(
     x = Estimate(value, total, "mm/px", (float(low), float(high)))
     y = Estimate(value * ratio, total * ratio, "mm/px", (float(low) * ratio, float(high) * ratio))
     correlation = float(np.corrcoef(shape, radius)[0, 1]) if len(contacts) > 2 else 1.0
-    remarks = [*estimate.remarks]
+    remarks = []
     if correlation < 0.5:
         remarks.append(DEPTHS_DISAGREE(correlation=correlation))
     return replace(

@@ -17,7 +17,7 @@ import numpy as np
 from taccel_lab.calibration.light.drift import drift_spread
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.result import ResultSummary
-from taccel_lab.calibration.spread import remarks
+from taccel_lab.calibration.shared_remarks import TOO_FEW
 from taccel_lab.calibration.spread.units import UnitSpread
 from taccel_lab.errors import InputError
 from taccel_lab.profile import PerturbationBlock, Provenance, SensorProfile
@@ -77,14 +77,17 @@ class SpreadCalibration(ResultSummary):
     def remarks(self) -> tuple[Remark, ...]:
         found = []
         frame_count = len(self.frame_drifts) if self.lights is self.frame_drifts else 0
-        for kind, count in (
-            (remarks.FEW_FRAMES, frame_count),
-            (remarks.FEW_UNITS, 0 if self.units is None else self.units.unit_count),
+        for what, count in (
+            ("frames", frame_count),
+            ("units", 0 if self.units is None else self.units.unit_count),
         ):
             if 0 < count < FEW:
-                found.append(kind(count=count, error=relative_error(count), enough=FEW))
-        if self.units is None:
-            found.append(remarks.NO_UNITS())
+                error = relative_error(count)
+                wanted = (
+                    f"each standard deviation is itself uncertain by {error:.0%}; {FEW} or more "
+                    "would halve that"
+                )
+                found.append(TOO_FEW(count=count, what=what, wanted=wanted))
         return tuple(found)
 
     def figures(self) -> dict[str, Any]:

@@ -129,7 +129,7 @@ class CalibrateMarkers(BlockCommand):
 
 @dataclass(frozen=True)
 class CalibrateMaterial(BlockCommand):
-    """Fit stiffness, Poisson's ratio, friction and damping to force records and write a profile.
+    """Fit stiffness, Poisson's ratio and friction to force records and write a profile.
 
     Presses of the record's tool on the sensor's gel are simulated once and cached. The fit gives
     each parameter with its 95 % interval; the report names those that the records do not determine.

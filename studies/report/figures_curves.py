@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Curves of all designs, tool by tool, and measured ones over what was simulated."""
+"""Curves of all designs, tool by tool."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.report.html import format_number
-from taccel_lab.report.style import BLUE, GREY, ORANGE, in_report_style, new_figure
+from taccel_lab.report.style import BLUE, GREY, in_report_style, new_figure
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.report.figures import color_norm, parameter_label, plain_log_ticks
 from taccel_lab.studies.runner import Outcome
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_TOOLS = 6
-MOST_GELS = 12
 _COLUMNS = 3
 _DASHES = ("-", "--", ":", "-.")
 
@@ -120,42 +118,3 @@ def _dashes(outcome: Outcome, names: list[str]) -> dict[Any, str]:
     """A dash for each value of a parameter; none where there are too many to tell apart."""
     values = sorted({row.parameters[name] for name in names for row in outcome.done})
     return dict(zip(values, _DASHES, strict=False)) if 1 < len(values) <= len(_DASHES) else {}
-
-
-@in_report_style
-def draw_measured(gels: list[dict[str, Any]]) -> Figure:
-    """Measured forces from the fitted touch on, the fit, and what the study file predicts."""
-    shown = [(gel, curve) for gel in gels for curve in gel["curves"]][:MOST_GELS]
-    columns = min(_COLUMNS, len(shown))
-    rows = -(-len(shown) // columns)
-    figure, panels = new_figure(3.5 * columns, 2.9 * rows + 0.5, rows, columns, squeeze=False)
-    for panel, (gel, curve) in zip(panels.flat, shown, strict=False):
-        panel.grid(True)
-        panel.set_axisbelow(True)
-        depth = np.array(curve["depth_mm"]) - curve["offset_mm"]
-        predicted = np.array(curve["predicted_n"])
-        low, high = gel["design_factors"]
-        panel.fill_between(
-            depth, low * predicted, high * predicted, color=GREY, alpha=0.2, linewidth=0,
-            label="design: hardness and units",
-        )  # fmt: skip
-        panel.plot(depth, predicted, "--", color=GREY, label="design")
-        panel.plot(depth, curve["fitted_n"], color=BLUE, label="fit")
-        panel.plot(depth, curve["force_n"], "o", color=ORANGE, markersize=3.5, label="measured")
-        name = Path(curve["file"]).stem
-        panel.set_title(
-            f"{name}, {curve['indenter']}\n{gel['modulus_mpa']:.3g} MPa, zero "
-            f"{curve['offset_mm'] * 1e3:+.0f} um, rms {curve['relative_rms']:.1%}",
-            fontsize=9,
-        )
-        panel.set_ylim(0, 1.25 * max(*curve["force_n"], *curve["fitted_n"]))
-        panel.set_xlabel("depth from fitted touch [mm]", fontsize=9)
-        panel.set_ylabel("force [N]", fontsize=9)
-        panel.tick_params(labelsize=8)
-    for panel in list(panels.flat)[len(shown) :]:
-        panel.set_visible(False)
-    handles, labels = panels[0][0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside lower center", ncols=min(4, 2 * columns), fontsize=9
-    )
-    return figure

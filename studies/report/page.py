@@ -47,7 +47,6 @@ def study_page(outcome: Outcome) -> Page:
     )
     tables = (
         _compared(outcome, values),
-        _measured(values),
         _effects(outcome, values, found),
         _failures(values),
         _gaps(values),
@@ -102,39 +101,6 @@ def _compared(outcome: Outcome, values: Values) -> Table | None:
         bounds = " and ".join(values["constraints"])
         caption = f"Ranked by {values['goal']}" + (f", among designs with {bounds}." * bool(bounds))
     return Table("Best and worst designs", ["", *(word for word, _ in ends)], rows, caption)
-
-
-def _measured(values: Values) -> Table | None:
-    rows = [
-        (
-            values["names"][gel["design"]] + (f", unit {gel['unit']}" if gel["unit"] else ""),
-            gel["modulus_mpa"],
-            _range(gel["interval_mpa"]),
-            gel["design_modulus_mpa"],
-            curve["file"].split("/")[-1],
-            curve["indenter"],
-            curve["offset_mm"],
-            _range(curve["offset_interval_mm"]),
-            curve["modulus_alone_mpa"],
-            curve["rms_n"],
-            100 * curve["relative_rms"],
-            curve["contact_rms_mm"],
-            "; ".join(curve["remarks"]),
-        )
-        for gel in values["measured"]
-        for curve in gel["curves"]
-    ]
-    if not rows and not values["measured_problems"]:
-        return None
-    columns = (
-        "gel", "E [MPa]", "95 %", "E of the design [MPa]", "curve", "tool", "zero [mm]", "95 %",
-        "E alone [MPa]", "rms [N]", "rms [%]", "contact rms [mm]", "remarks",
-    )  # fmt: skip
-    return Table("Measured gels", columns, rows, " ".join(values["measured_problems"]))
-
-
-def _range(ends: tuple[float, float]) -> str:
-    return f"{format_number(ends[0])} to {format_number(ends[1])}"
 
 
 def _effects(outcome: Outcome, values: Values, found: dict[str, Sensitivity]) -> Table | None:
@@ -293,14 +259,6 @@ def _picture(
 def _pictures(outcome: Outcome, values: Values, found: dict[str, Sensitivity]) -> Iterator[Picture]:
     """Every figure that there is something to show in."""
 
-    if values["measured"]:
-        yield _picture(
-            "measured",
-            lambda: figures_curves.draw_measured(values["measured"]),
-            "Measured forces from the fitted touch on. Blue: the simulated curve times one modulus "
-            "a gel. Dashes: the design as the study file has it, with what its hardness and units "
-            "leave open.",
-        )
     if figures_curves.tool_curves(outcome):
         yield _picture(
             "force_depth",

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.measured_fit import fit_measured
 from taccel_lab.studies.ranking import (
     directed,
     is_feasible,
@@ -22,7 +21,6 @@ from taccel_lab.studies.report.pareto import pareto_front
 from taccel_lab.studies.report.sensitivity import Sensitivity, sensitivity
 from taccel_lab.studies.runner import Outcome
 from taccel_lab.studies.table import table_rows
-from taccel_lab.studies.unknowns import Unknowns
 from taccel_lab.version import __version__
 
 COMPARED = 3
@@ -82,7 +80,6 @@ def report_values(outcome: Outcome) -> dict[str, Any]:
         ],
         "gaps": _gaps(done),
         "curves": _curves(outcome),
-        **_measured(outcome),
         "cost": _cost(outcome),
         "designs": table_rows(study, rows),
     }
@@ -207,25 +204,6 @@ def _curves(outcome: Outcome) -> list[dict[str, Any]]:
         for name in straight
         for curve in row.curves.get(name) or []
     ]
-
-
-def _measured(outcome: Outcome) -> dict[str, Any]:
-    """Measured gels beside their designs, and measured curves that nothing can be said of."""
-    study = outcome.study
-    gels, problems = fit_measured(study, outcome.done) if study.spec.measured else ([], [])
-    found = []
-    for gel in gels:
-        row = next(row for row in outcome.done if row.id == gel.design)
-        known = Unknowns(
-            study.family.parameters(row.parameters),
-            row.parameters,
-            0.01 * study.spec.study.unit_spread_percent,
-        )
-        swept = {axis.name: row.parameters[axis.name] for axis in study.axes}
-        found.append(
-            {**gel.to_json(), "parameters": swept, "design_factors": known.modulus_factors}
-        )
-    return {"measured": found, "measured_problems": problems}
 
 
 def _cost(outcome: Outcome) -> dict[str, Any]:

@@ -68,7 +68,6 @@ def study_verdict(outcome: Outcome, values: dict[str, Any]) -> StudyVerdict:
             f"{values['optimiser']}."
         )
     sentences += _strongest(values)
-    sentences += [_measured_sentence(gel) for gel in values["measured"]]
     return StudyVerdict(good, headline, tuple(sentences), tuple(remarks))
 
 
@@ -79,16 +78,6 @@ def _best_sentence(outcome: Outcome, values: dict[str, Any]) -> str:
     return (
         f"The {values['goal']}, {format_number(row.figures[metric])} {unit}, "
         f"has {values['names'][row.id]}."
-    )
-
-
-def _measured_sentence(gel: dict[str, Any]) -> str:
-    names = ", ".join(f"{k} {format_number(v)}" for k, v in gel["parameters"].items())
-    unit = f", unit {gel['unit']}" if gel["unit"] else ""
-    low, high = (format_number(end) for end in gel["interval_mpa"])
-    return (
-        f"The measured gel of {names}{unit} has {format_number(gel['modulus_mpa'])} MPa "
-        f"({low} to {high}), {format_number(gel['ratio'])} times what the study file makes it."
     )
 
 

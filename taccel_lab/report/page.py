@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from taccel_lab.report.mesh_view import MeshView
 
 MOST_TO_DO = 3
-VERDICT_CODES = ("weak_block", "usable_block")
+VERDICT_CODES = ("block_state",)
 """Of remarks that only repeat a block's verdict."""
 
 

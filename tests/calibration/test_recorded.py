@@ -37,8 +37,6 @@ def test_the_profile_and_its_page_say_how_captures_were_recorded(tmp_path: Path)
     told = {row[0]: row[1] for row in table.rows}
     assert told["camera"] == str(path) and told["blocks"] == "background"
     assert [row[1] for row in table.rows if row[0] == "left out"] == list(QUICK_LEAVES_OUT)
-    (remark,) = [remark for remark in page.remarks if remark.code == "quick_session"]
-    assert "leaves out scale, lens, force, presses, markers, time" in remark.message
 
     # Another session's background takes the block over; what nobody recorded says nothing.
     both = session.model_copy(update={"blocks": ("background", "color")})

@@ -130,13 +130,6 @@ def _report_study(given: Path, out: Path) -> None:
         _run(Study(given / "study.toml", out=given / "study", report_only=True, json=True))
 
 
-def _read_curve(given: Path, out: Path) -> None:
-    from taccel_lab.studies.measured_curve import read_curve
-    from taccel_lab.studies.spec import Measured
-
-    read_curve(Measured(file=str(given / "gel.csv"), indenter="sphere:2"))
-
-
 def _plan_dataset(given: Path, out: Path) -> None:
     from taccel_lab.cli.dataset import DatasetMake
 
@@ -235,15 +228,11 @@ READERS: dict[str, Reader] = {
     **{f"import-{name}": Reader(layouts.maker(name), _importer("auto")) for name in layouts.NAMES},
     "import-recipe": Reader(layouts.own_recipe, _import_by_recipe),
     "import-as-plain": Reader(layouts.plain_with_mask, _importer("plain", background="bg.png")),
-    "import-crop": Reader(
-        layouts.maker("plain"), _importer("plain", crop="4,4,40x36"), options=("crop",)
-    ),
     "import-boards": Reader(layouts.boards, _importer("plain", board="chessboard:6x6:2.5")),
     "import-video": Reader(layouts.video_of_dots, _importer("markers")),
     "taxim-pack": Reader(layouts.maker("taxim"), _import_pack),
     "study-file": Reader(results.study_file, _plan_study),
     "study-folder": Reader(results.study, _report_study, ("study/*",), own="study"),
-    "measured-curve": Reader(results.curve, _read_curve),
     "dataset-file": Reader(touches.file, _plan_dataset),
     "dataset-folder": Reader(touches.folder, _check_dataset, own="data"),
     "texture": Reader(captures.texture, _read_texture),

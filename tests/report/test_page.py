@@ -84,7 +84,7 @@ def test_the_page_of_a_profile_tells_each_block_and_its_evidence(tmp_path: Path)
 def test_the_verdict_is_followed_by_three_things_to_do_at_most(tmp_path: Path) -> None:
     remarks = [
         Remark(Severity.INFO, "a", "just so"),
-        Remark(Severity.WARNING, "usable_block", "color: usable, with reservations"),
+        Remark(Severity.WARNING, "block_state", "color: usable, with reservations"),
         *(Remark(Severity.WARNING, "b", f"warning {k}") for k in range(4)),
         Remark(Severity.ERROR, "c", "the worst"),
     ]

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.capture.importers import gs_sdk, markers, ninedtact, plain, taxim
-from taccel_lab.calibration.capture.importers.crop import crop_draft
+from taccel_lab.calibration.capture.importers import markers, ninedtact, plain, taxim
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.importers.left_out import capture_folders, files_of
@@ -26,7 +25,7 @@ LAYOUTS: dict[str, Layout] = {
     layout.name: layout
     # The most telling first: any folder of images is a plain one.
     for layout in (
-        *(part.LAYOUT for part in (taxim, ninedtact, gs_sdk)),
+        *(part.LAYOUT for part in (taxim, ninedtact)),
         *(recipe_layout(path) for path in sorted(RECIPES.glob("*.toml"))),
         *(part.LAYOUT for part in (markers, plain)),
     )
@@ -102,8 +101,6 @@ def read_drafts(
         draft.apply(options, source if source.is_dir() else source.parent)
         if draft.finish is not None:
             draft.finish(draft)
-        if options.crop is not None:
-            crop_draft(draft, options.crop)
         of = f"imported from {real_path(source).name}, layout {chosen.name}" + (
             f", part {draft.part}" if draft.part else ""
         )

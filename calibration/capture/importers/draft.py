@@ -73,9 +73,6 @@ class ImportOptions:
     board: str | None = None
     """``chessboard:6x6:2.5``: the board of the layout, or that all images of a plain folder are
     views of (inner corners or dots along a row x rows, and the pitch in mm where it is known)."""
-    crop: str | None = None
-    """``LEFT,TOP,WIDTHxHEIGHT`` [px], the part of the presses that the background shows, or
-    ``auto``."""
     origin: str | None = None
     """Where the captures come from; kept as ``source``."""
     license: str | None = None

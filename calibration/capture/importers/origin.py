@@ -9,8 +9,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from taccel_lab.calibration.capture.importers.git_clone import Clone
-from taccel_lab.calibration.capture.importers.left_out import capture_folders, files_of
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import real_path
 from taccel_lab.files.text_file import read_text
@@ -54,34 +52,19 @@ class Origin:
 def read_origin(path: Path) -> Origin:
     """Origin of the captures in ``path``, a folder or a file.
 
-    Looked at are licence files, READMEs and MANIFESTs of the folder, of those directly below it,
-    and of those above it as far as they are one git clone that tracks all files of the captures:
-    what was put into a clone beside its files is not the clone's. A licence file counts before what
-    a README says. The source is what a line ``Source: ...`` of a README or MANIFEST says, or else
-    the address that such a clone is from.
+    Looked at are licence files, READMEs and MANIFESTs of the folder and of those directly below
+    it, none above: captures that were put into a project's folder are not under its licence. A
+    licence file counts before what a README says. The source is what a line ``Source: ...`` of a
+    README or MANIFEST says.
     """
     path = real_path(path)
     folder = path if path.is_dir() else path.parent
-    clone = Clone.around(folder)
-    written = capture_folders(folder)
-    files = [file for file in files_of(path) if written.isdisjoint(file.parents)]
-    if clone is not None and not clone.tracks([path] if path.is_file() else files):
-        clone = None
-    above = [] if clone is None or clone.root == folder else _parents(folder, clone.root)
     below = [p for p in sorted(folder.iterdir()) if p.is_dir() and p.name[0] != "."]
-    places = [folder, *above, *below]
+    places = [folder, *below]
     found_license = _first(_licenses(places), folder)
     found_source = _first(_said(places, "source"), folder)
     files = {file for _, file in (found_license, found_source) if file is not None}
-    source = found_source[0]
-    if source == UNKNOWN and clone is not None:
-        source = _quoted(clone.remote() or UNKNOWN)
-    return Origin(source, found_license[0], frozenset(files))
-
-
-def _parents(folder: Path, clone: Path) -> list[Path]:
-    above = folder.parents
-    return list(above[: list(above).index(clone) + 1])
+    return Origin(found_source[0], found_license[0], frozenset(files))
 
 
 def _first(found: Iterator[tuple[str, Path]], folder: Path) -> tuple[str, Path | None]:

@@ -37,7 +37,7 @@ def by_code(found: CaptureCheck) -> dict[str, Remark]:
     return {finding.code: finding for finding in found.findings}
 
 
-HARMLESS = {"one_background", "few_presses"}
+HARMLESS = {"too_few"}
 
 
 EIGHT = spread_circles(8)
@@ -105,7 +105,7 @@ FAULTS: list[Row] = [
     # What is spoilt, how, the finding's code and severity, words of it, its frames (if it has any).
     ("auto white balance",
      lambda: spoilt(range(0, 15, 2), lambda image: drift(image, [1.08, 1.0, 0.93])),
-     "channels_drift", WARNING, (), ()),
+     "light_drifts", WARNING, (), ()),
     ("auto exposure", lambda: spoilt(range(0, 15, 2), lambda image: drift(image, 0.9)),
      "light_drifts", WARNING, (), ()),
     ("saturation",
@@ -137,10 +137,8 @@ FAULTS: list[Row] = [
      "background_differs", ERROR, (), ()),
     ("ball smaller than its contacts", lambda: CaptureMaker(radius_mm=1.0, labelled=False),
      "ball_too_small", ERROR, ("the ball 1 mm",), ()),
-    ("another ball in some presses", lambda: of_balls([4, 10], 4.5),
-     "other_ball", WARNING, (), ("p04", "p10")),
     ("wrong ratio of two balls", lambda: of_balls(range(8), 4.0, 1.6),
-     "ball_ratio", ERROR, (), ()),
+     "ball_contradicted", ERROR, (), ()),
     # 25.3 x 19.0 mm of a pad of 25.25 x 20.75 mm.
     ("view up to the pad's edge",
      lambda: eight(sensor="gelsight_mini", mm_per_px=0.1585),
@@ -167,17 +165,16 @@ def test_a_fault_is_found_by_its_name(
     assert finding.severity == severity and not (severity == ERROR and found.usable)
     assert all(word in finding.message for word in words), finding.message
     assert not frames or finding.frames == frames
-    assert code != "channels_drift" or "color" in finding.blocks
+    assert code != "light_drifts" or "color" in finding.blocks
 
 
 @pytest.mark.parametrize(
     ("maker", "code"),
     [
-        (lambda: spoilt(range(0, 15, 2), lambda image: drift(image, 0.9)), "channels_drift"),
         (lambda: spoilt([1, 5, 9], lambda image: image[::-1, ::-1]), "channels_swapped"),
         (lambda: eight(sensor="gelsight_mini"), "lamps_reversed"),
-        (lambda: of_balls(range(8), 4.0, 4.0), "ball_ratio"),
-        (lambda: CaptureMaker(labelled=False), "ball_ratio"),
+        (lambda: of_balls(range(8), 4.0, 4.0), "ball_contradicted"),
+        (lambda: CaptureMaker(labelled=False), "ball_contradicted"),
         (lambda: eight(sensor="gelsight_mini", mm_per_px=0.1585),
          "scale_past_pad"),
     ],
@@ -195,10 +192,9 @@ def test_duplicates(tmp_path: Path) -> None:
     folder = maker.write(tmp_path)
     (folder / "p04.png").write_bytes((folder / "p02.png").read_bytes())
     codes = by_code(check_captures(load_capture_folder(folder), fit_ball=False))
-    assert codes["duplicates"].frames == ("p02", "p04")
-    assert set(codes["duplicates"].blocks) == {"color", "normals", "depth"}
     # p05 shows the same press with other noise.
-    assert set(codes["near_duplicates"].frames) == {"p02", "p04", "p05"}
+    assert codes["duplicates"].frames == ("p02", "p04", "p05")
+    assert set(codes["duplicates"].blocks) == {"color", "normals", "depth"}
 
 
 def test_labels_that_disagree(tmp_path: Path) -> None:
@@ -228,7 +224,7 @@ def test_labels_of_images_of_another_size_are_told_so(tmp_path: Path) -> None:
 
 def test_a_black_background_is_called_black(tmp_path: Path) -> None:
     found = check(eight(background=np.zeros((HEIGHT, WIDTH, 3))), tmp_path)
-    assert "dark_background" in by_code(found) and "background_is_a_crop" not in by_code(found)
+    assert "background_differs" in by_code(found)
     state = {block.command: str(block.readiness) for block in found.blocks}
     assert state["background"] == state["color"] == "blocked"
     assert all(frame.contact is not None for frame in found.frames)
@@ -238,12 +234,12 @@ def test_labels_that_the_border_cuts_are_used_and_those_outside_are_told(tmp_pat
     circles = [ContactCircle(WIDTH - 6.0, 60.0, 15.0), *spread_circles(3)]
     maker = CaptureMaker(circles=circles)
     found = by_code(check(maker, tmp_path / "cut"))
-    assert "no_contact" not in found and "labels_impossible" not in found
-    assert found["labels_cut"].frames == ("p00",)
-    assert "cuts 1 of 4 labelled circles (p00), down to 73%" in found["labels_cut"].message
+    assert "no_contact" not in found and "labels_off" not in found
     maker.labels[1] = ContactCircle(-4.0, 50.0, 20.0)
     maker.labels[2] = ContactCircle(WIDTH + 90.0, 50.0, 20.0)
-    impossible = by_code(check(maker, tmp_path / "outside"))["labels_impossible"]
+    outside = check(maker, tmp_path / "outside").findings
+    (impossible,) = [found for found in outside if "of no press" in found.message]
+    assert impossible.code == "labels_off"
     assert impossible.severity == Severity.ERROR and impossible.frames == ("p01", "p02")
     assert "reaches into the image" in impossible.message
 
@@ -305,15 +301,10 @@ def crop_and_enlarge(image: np.ndarray, left: int, top: int, wide: int, high: in
     return cv2.resize(part, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
 
 
-def test_background_is_a_crop(tmp_path: Path) -> None:
-    maker = eight(background=crop_and_enlarge(gel(), 20, 15, 120, 90))
-    found = check(maker, tmp_path)
-    finding = by_code(found)["background_is_a_crop"]
+def test_a_background_of_another_framing_gives_way_to_the_median(tmp_path: Path) -> None:
+    found = check(eight(background=crop_and_enlarge(gel(), 20, 15, 120, 90)), tmp_path)
+    finding = by_code(found)["background_differs"]
     assert "--background median" in finding.message and not found.usable
-    crop = found.background.crop if found.background is not None else None
-    assert crop is not None
-    assert crop.in_pixels(WIDTH, HEIGHT) == pytest.approx((20, 15, 120, 90), abs=3)
-    # The contacts are judged against the median of the presses instead.
     assert all(frame.contact is not None for frame in found.frames)
 
 
@@ -339,7 +330,7 @@ def test_a_contact_a_little_wider_than_its_ball_is_an_error_of_circles(
         for frame, circle in zip(frames, circles, strict=True)
     ]
     grid = PixelGrid(WIDTH, HEIGHT, 0.1, 0.1)
-    found = check_balls(wide, grid, WIDTH, 2.0, None)
+    found = check_balls(wide, grid, 2.0, None)
     assert ("ball_too_small" in {finding.code for finding in found}) == told
 
 
@@ -354,21 +345,19 @@ def test_ball_against_travel(tmp_path: Path, stated: float, wrong: bool, doubled
     # Travel between those of an elastic gel (a^2 = R d) and of one that does not rise (2 R d).
     maker.extra = [f"depth_mm = {(0.1 * c.radius_px) ** 2 / (1.4 * 2.0):.4f}" for c in circles]
     codes = by_code(check(maker, tmp_path))
-    assert ("ball_against_travel" in codes) == wrong
+    assert ("ball_contradicted" in codes) == wrong
     if wrong:
-        message = codes["ball_against_travel"].message
+        message = codes["ball_contradicted"].message
         assert f"stated is {stated:g} mm" in message and ("diameter" in message) == doubled
 
 
-@pytest.mark.parametrize(
-    ("stated", "code"), [(2.0, "ball_radius_fits"), (1.55, "wrong_ball_radius")]
-)
-def test_ball_against_slopes(tmp_path: Path, stated: float, code: str) -> None:
+@pytest.mark.parametrize("stated", [2.0, 1.55])
+def test_ball_against_slopes(tmp_path: Path, stated: float) -> None:
     maker = CaptureMaker(radius_mm=stated, labelled=False)
     maker.images, maker.circles = maker.images[:8], maker.circles[:8]
     maker.labels, maker.extra = maker.labels[:8], maker.extra[:8]
     found = check_captures(maker.load(tmp_path))
-    assert code in by_code(found)
+    assert ("wrong_ball_radius" in by_code(found)) == (stated < 2.0)
     assert found.usable == (stated == 2.0)
 
 

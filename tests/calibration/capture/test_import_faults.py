@@ -36,9 +36,9 @@ def source(tmp_path: Path) -> Path:
     return folder
 
 
-def taken(source: Path, crop: str | None = None) -> tuple[CaptureFolder, str]:
+def taken(source: Path) -> tuple[CaptureFolder, str]:
     """The one folder that is made of it, and its manifest."""
-    (captures,) = imported(source, crop=crop)
+    (captures,) = imported(source)
     return captures, (source.parent / "out" / "captures.toml").read_text(encoding="utf-8")
 
 
@@ -52,14 +52,13 @@ def test_broken_files_are_left_out_and_named(source: Path) -> None:
     assert "# left out, 1 file (p2.png): is not an image" in manifest
 
 
-@pytest.mark.parametrize("crop", [None, "1,1,60,40"])
 @pytest.mark.parametrize("name", ["p1.png", "background.png"])
-def test_what_a_link_names_is_not_taken_in(source: Path, name: str, crop: str | None) -> None:
+def test_what_a_link_names_is_not_taken_in(source: Path, name: str) -> None:
     """The folder that is written is one that people publish."""
     (source / name).rename(source.parent / "private.png")
     (source / name).symlink_to("../private.png")
     with pytest.raises(InputError, match=rf"{name} is a link out of .*; put the file itself there"):
-        taken(source, crop)
+        taken(source)
     assert not (source.parent / "out").exists()
 
 
@@ -161,69 +160,3 @@ def test_rvsathu_with_another_background(tmp_path: Path) -> None:
     (source / "bg.png").unlink()
     captures, manifest = taken(source)
     assert captures.background is None and "background_real.png is missing; give" in manifest
-
-
-@pytest.mark.parametrize("crop", ["auto", "20,15,120x90"])
-def test_background_of_another_framing(source: Path, crop: str) -> None:
-    height, width = gel().shape[:2]
-    part = gel()[15:105, 20:140]
-    write_image(source / "background.png", levels(cv2.resize(part, (width, height))))
-    (source / "circles.csv").write_text(
-        "file,cx,cy,r\n"
-        + "".join(f"p{i}.png,{c.u_px},{c.v_px},{c.radius_px}\n" for i, c in enumerate(CIRCLES))
-    )
-    mask = np.full((height, width, 3), 255, dtype=np.uint8)
-    mask[30:40, 60:80] = 0  # As the presses show it.
-    write_image(source / "mask.png", mask)
-    captures, manifest = taken(source, crop=crop)
-    assert captures.mask is not None
-    assert not captures.mask[18:22, 45:55].any() and captures.mask[:10].all()
-    size = captures.require_background().image().shape
-    assert size[:2] == pytest.approx((90, 120), abs=2)
-    assert "mm per pixel are as before" in manifest
-    inside = [
-        c for c in CIRCLES
-        if 22 + c.radius_px < c.u_px < 138 - c.radius_px
-        and 17 + c.radius_px < c.v_px < 103 - c.radius_px
-    ]  # fmt: skip
-    assert 0 < len(inside) <= len(captures.presses) < len(CIRCLES)
-    found = [p.circle for p in captures.presses if p.circle is not None]
-    for circle in inside:
-        at = (circle.u_px - 20, circle.v_px - 15)
-        assert min(np.hypot(f.u_px - at[0], f.v_px - at[1]) for f in found) < 2.1
-    near = read_image(source / "p0.png")[15:105, 20:140].astype(float)
-    shown = captures.require_background().image().astype(float)
-    shown = cv2.resize(shown, (120, 90))
-    assert np.median(np.abs(near - shown)) < 4
-
-
-def test_presses_that_show_a_part_of_the_background(source: Path) -> None:
-    height, width = gel().shape[:2]
-    for i, circle in enumerate(CIRCLES):
-        part = press(circle)[15:105, 20:140]
-        write_image(source / f"p{i}.png", levels(cv2.resize(part, (width, height))))
-    mask = np.full((height, width, 3), 255, dtype=np.uint8)
-    mask[:, :20] = 0
-    write_image(source / "mask.png", mask)
-    captures, manifest = taken(source, crop="auto")
-    assert captures.mask is not None
-    np.testing.assert_array_equal(captures.mask, mask[..., 0] > 0)
-    assert len(captures.presses) == len(CIRCLES) and "which the presses show" in manifest
-    wanted = cv2.resize(levels(gel())[15:105, 20:140], (width, height)).astype(float)
-    off = np.abs(captures.require_background().image() - wanted)
-    assert np.median(off) < 3
-
-
-@pytest.mark.parametrize(
-    ("crop", "message"),
-    [
-        ("12", "LEFT,TOP,WIDTHxHEIGHT"),
-        ("100,0,900x90", "is no part of pictures"),
-        ("0,0,20x20", "smaller than 32x32"),
-        ("auto", "found no part that fits"),
-    ],
-)
-def test_crops_that_are_none(source: Path, crop: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        taken(source, crop=crop)
-    assert not (source.parent / "out").exists()

@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture import import_captures, load_capture_folder
@@ -113,88 +109,13 @@ def test_licence(tmp_path: Path, files: dict[str, str], license: str) -> None:
     assert read_origin(tmp_path).license.startswith(license)
 
 
-def clone_of(folder: Path, *tracked: Path, version: int = 2, form: str = "sha1") -> None:
-    """A git clone of an address, whose index holds some files."""
-    git = shutil.which("git")
-    if git is None:
-        pytest.skip("git is not installed")
-    address = "https://name:secret@example.org/a/b.git"
-    names = [str(path.relative_to(folder)) for path in tracked]
-    for words in (
-        ["init", "-q", f"--object-format={form}"],
-        ["remote", "add", "origin", address],
-        ["config", "index.version", str(version)],
-        ["add", "-f", "--", *names],
-        ["update-index", f"--index-version={version}"],
-    ):
-        subprocess.run([git, "-C", str(folder), *words], check=True)
-
-
-@pytest.mark.parametrize(
-    ("version", "form"), [(2, "sha1"), (3, "sha1"), (4, "sha1"), (4, "sha256")]
-)
-def test_a_clone_speaks_for_the_files_that_it_tracks(
-    tmp_path: Path, version: int, form: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    license, below = tmp_path / "LICENSE", tmp_path / "x" / "y"
-    license.write_text(MIT)
+def test_a_project_speaks_for_no_captures_below_it(tmp_path: Path) -> None:
+    (tmp_path / "LICENSE").write_text(MIT)
+    (tmp_path / "README.md").write_text("Source: our bench\n")
+    below = tmp_path / "x" / "y"
     below.mkdir(parents=True)
-    images = [below / f"{'p' * i}{i}.png" for i in range(1, 12)]
-    for image in images:
-        image.write_bytes(b"")
-    clone_of(tmp_path, license, *images, version=version, form=form)
-    monkeypatch.setenv("PATH", "")  # Nothing of it needs git.
-    origin = read_origin(below)
-    assert origin.source == "https://example.org/a/b.git"
-    assert origin.license == "MIT (../../LICENSE says)"
-    assert read_origin(images[3]).license == origin.license
-    (tmp_path / "x" / "README.md").write_text("Source: our bench\n")
-    assert read_origin(below).source == "our bench (../README.md says)"
-    # What is put beside its files is not the clone's: a project's licence is none of captures.
-    (below / "mine.png").write_bytes(b"")
-    assert (
-        read_origin(below)
-        == read_origin(below / "mine.png")
-        == Origin(UNKNOWN, UNKNOWN, frozenset())
-    )
-    (below / "LICENSE.txt").write_text(MIT)
-    assert read_origin(below).license == "MIT (LICENSE.txt says)"
-
-
-def test_a_work_tree_is_a_clone(tmp_path: Path) -> None:
-    clone, tree = tmp_path / "clone", tmp_path / "tree"
-    (clone / "x").mkdir(parents=True)
-    for path in (image := clone / "x" / "p.png"), (license := clone / "LICENSE"):
-        path.write_text(MIT)
-    clone_of(clone, image, license)
-    by = ["-c", "user.name=a", "-c", "user.email=a@b"]
-    for words in ["commit", "-qm", "x"], ["worktree", "add", "-q", str(tree)]:
-        subprocess.run(["git", "-C", str(clone), *by, *words], check=True, capture_output=True)
-    assert read_origin(tree / "x") == Origin(
-        "https://example.org/a/b.git", "MIT (../LICENSE says)", frozenset([tree / "LICENSE"])
-    )
-
-
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(at=st.integers(0, 10**6), byte=st.integers(0, 255), cut=st.booleans())
-def test_a_damaged_index_says_nothing_wrong(tmp_path: Path, at: int, byte: int, cut: bool) -> None:
-    if not (tmp_path / ".git").exists():
-        (tmp_path / "LICENSE").write_text(MIT)
-        (tmp_path / "x").mkdir()
-        (tmp_path / "x" / "p.png").write_bytes(b"")
-        clone_of(tmp_path, tmp_path / "x" / "p.png", tmp_path / "LICENSE", version=4)
-        (tmp_path / "whole").write_bytes((tmp_path / ".git" / "index").read_bytes())
-    whole = bytearray((tmp_path / "whole").read_bytes())
-    at %= len(whole)
-    if cut:
-        del whole[at:]
-    else:
-        whole[at] = byte
-    (tmp_path / ".git" / "index").write_bytes(whole)
-    (tmp_path / "x" / "other.png").write_bytes(b"")
-    assert read_origin(tmp_path / "x").license == UNKNOWN
-    (tmp_path / "x" / "other.png").unlink()
-    assert read_origin(tmp_path / "x").license in (UNKNOWN, "MIT (../LICENSE says)")
+    assert read_origin(below) == Origin(UNKNOWN, UNKNOWN, frozenset())
+    assert read_origin(tmp_path).source == "our bench (README.md says)"
 
 
 def test_a_given_board_replaces_the_settings(tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ import pytest
 from taccel_lab.calibration.capture import import_captures, load_capture_folder
 from taccel_lab.calibration.capture.importers import ImportOptions
 from taccel_lab.errors import InputError
-from taccel_lab.files.yaml_file import YAML_LIMIT_BYTES
 from tests.calibration.capture.made_up_layouts import (
     cube_edges,
     feats,
@@ -32,7 +31,6 @@ from tests.calibration.capture.made_up_layouts import (
 
 Make = Callable[[Path], None]
 BOARD = "camera_calibration: {row_points: 7, col_points: 9, grid_distance: 2.5}\n"
-CATALOG = "experiment_reldir,diameter(mm)\n"
 
 
 def refused(source: Path, options: ImportOptions | None = None) -> str:
@@ -75,13 +73,8 @@ FAULTS: list[tuple[Make, str, str | bytes | None, str]] = [
     (ninedtact, "shape_config.yaml", "camera_calibration: {row_points: 7, col_points: 9}",
      "grid_distance of"),
     (gs_sdk, "gsmini.yaml", "ppmm: true\n", "ppmm is True; a number is needed"),
-    (gs_sdk, "gsmini.yaml", "ppmm: 15.8\n", "ppmm is 15.8; gs_sdk"),
+    (gs_sdk, "gsmini.yaml", "ppmm: 15.8\n", "mm_per_px_x"),
     (gs_sdk, "gsmini.yaml", "ppmm: [1,", "gsmini.yaml cannot be read as YAML"),
-    (gs_sdk, "catalog.csv", CATALOG + "4.760mm/0,4.7_6\n", "line 2: column diameter(mm): '4.7_6'"),
-    (gs_sdk, "catalog.csv", CATALOG + "x,1\n", "x/gelsight.png does not exist"),
-    (gs_sdk, "catalog.csv", CATALOG + "../other,4.76\n", "'..' leads out of it"),
-    (gs_sdk, "catalog.csv", CATALOG + "/etc,4.76\n", "not by an absolute path"),
-    (gs_sdk, "catalog.csv", CATALOG + "x" * 5000 + ",4.76\n", "File name too long"),
     (gs_sdk, "4.760mm/0/label.npz", "x", "label.npz is not a"),
     (gs_sdk, "4.760mm/0/label.npz", saved(center=np.zeros(2), radius="x"),
      "radius has type <U1; real numbers"),
@@ -144,15 +137,6 @@ def test_settings_of_the_9dtact_are_taken(tmp_path: Path) -> None:
     assert captures.ball_radius_mm == 2.5
 
 
-@pytest.mark.parametrize("size", [0, YAML_LIMIT_BYTES + 1])
-def test_settings_of_others_beside_the_captures_are_left_out(tmp_path: Path, size: int) -> None:
-    source = source_of(gs_sdk, tmp_path)
-    (source / "compose.yaml").write_text("x: &x {}\ny: {<<: *x}\n" + "#" * size)
-    (out,) = import_captures(source, tmp_path / "out")
-    assert load_capture_folder(out).mm_per_px == (0.0634, 0.0634)
-    assert "# left out, 1 file (compose.yaml): not used: " in (out / "captures.toml").read_text()
-
-
 def test_a_bare_file_name_of_two_images(tmp_path: Path) -> None:
     source = tmp_path / "source"
     for name in ("bg", "a/1", "b/1"):
@@ -205,7 +189,6 @@ def test_a_folder_whose_name_is_no_text(tmp_path: Path) -> None:
     [
         (ImportOptions(board="chessboard:6x6:2.5.1"), "the pitch: '2.5.1' is not a number"),
         (ImportOptions(board="chessboard:6x" + "9" * 5000), "kind:COLUMNSxROWS"),
-        (ImportOptions(crop="0,0,64x" + "4" * 5000), "LEFT,TOP,WIDTHxHEIGHT"),
     ],
 )
 def test_options_with_odd_numbers(tmp_path: Path, options: ImportOptions, words: str) -> None:

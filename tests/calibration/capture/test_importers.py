@@ -77,12 +77,8 @@ def test_fots_has_three_sets(tmp_path: Path) -> None:
     assert dots.markers.rest is None and dots.markers.labels_frame is not None
 
 
-@pytest.mark.parametrize("cataloged", [True, False])
-def test_gs_sdk_balls_and_scale(tmp_path: Path, cataloged: bool) -> None:
-    source = source_of(gs_sdk, tmp_path)
-    if not cataloged:
-        (source / "catalog.csv").unlink()
-    (captures,) = imported(source)
+def test_gs_sdk_balls_and_scale(tmp_path: Path) -> None:
+    (captures,) = imported(source_of(gs_sdk, tmp_path))
     assert captures.mm_per_px == (0.0634, 0.0634)
     assert captures.ball_radii_mm() == {2.38: 2, 3.175: 1}
     assert [press.name for press in captures.presses] == ["4.760mm_0", "4.760mm_1", "6.350mm_2"]

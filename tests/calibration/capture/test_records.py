@@ -98,18 +98,6 @@ def test_unknown_tool_is_given_the_benefit_of_the_doubt() -> None:
         indentation(DEPTH_MM, hertz_n(14.0))
 
 
-def test_relaxation_runs_forward() -> None:
-    columns = {
-        "time_s": np.array([0.0, 1.0, 1.0, 2.0]),
-        "depth_mm": np.full(4, 1.0),
-        "force_n": np.array([1.5, 1.4, 1.35, 1.3]),
-    }
-    with pytest.raises(InputError, match=r"time_s falls from 1 to 1 in row 3.*forward in time"):
-        check_record("r.csv", entry("relaxation"), columns)
-    columns["time_s"][2:] = [1.5, 2.0]
-    check_record("r.csv", entry("relaxation"), columns)
-
-
 def test_slide_with_columns_swapped() -> None:
     columns = {
         "shift_mm": np.linspace(0, 3, 5),
@@ -212,22 +200,7 @@ def test_rows_that_stand_twice_count_once(tmp_path: Path) -> None:
         assert np.array_equal(twice.columns[name], values)
 
 
-@pytest.mark.parametrize(
-    ("kind", "columns"),
-    [
-        (
-            "relaxation",
-            {"time_s": np.arange(6.0), "depth_mm": np.arange(6.0), "force_n": np.ones(6)},
-        ),
-    ],
-)  # fmt: skip
-def test_a_load_cell_that_was_not_read(kind: str, columns: dict[str, np.ndarray]) -> None:
-    with pytest.raises(InputError, match=r"r\.csv: .* is 1 in every row"):
-        check_record("r.csv", entry(kind), columns)
-
-
 def test_kind_is_told_by_the_columns(tmp_path: Path) -> None:
     assert kind_of_record(write(tmp_path, "depth_mm, force_n\n")) == "indentation"
-    assert kind_of_record(write(tmp_path, "time_s,depth_mm,force_n\n")) == "relaxation"
     assert kind_of_record(write(tmp_path, "shift_mm,normal_n,tangential_n\n")) == "slide"
     assert kind_of_record(write(tmp_path, "a,b\n")) is None

@@ -201,7 +201,9 @@ def test_a_ball_that_is_too_small_shows() -> None:
     small = with_circles(captures, [None] * 6, ball_radius_mm=0.65 * BALL_MM)
     wrong = check_ball(small, find_contacts(small))
     assert wrong is not None and not wrong.consistent
-    assert wrong.remark().code == "wrong_ball_radius" and "mm" in wrong.remark().message
+    (remark,) = wrong.remarks()
+    assert remark.code == "wrong_ball_radius" and "mm" in remark.message
+    assert right.remarks() == []
     assert 0.65 * BALL_MM < wrong.lowest_mm
 
 

@@ -20,7 +20,6 @@ from taccel_lab.calibration.depth.curve import (
 from taccel_lab.calibration.depth.fit import fit_depth
 from taccel_lab.calibration.depth.grey_contact import find_grey_contact
 from taccel_lab.calibration.depth.options import DepthOptions
-from taccel_lab.calibration.depth.remarks import curve_remarks
 from taccel_lab.calibration.depth.report import depth_page
 from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
@@ -110,7 +109,7 @@ def test_one_press_is_judged_by_its_eighths() -> None:
     result = fit_depth(captures_of(CIRCLES[:1], noise=1.0), DepthOptions(zero="rim"))
     assert result.left_out == "eighth of the contact"
     assert result.left_out_mm.mean() < 0.05
-    assert any(remark.code == "depth_few_presses" for remark in result.remarks)
+    assert any(remark.code == "too_few" for remark in result.remarks)
 
 
 def codes(result: DepthCalibration) -> dict[str, str]:
@@ -137,26 +136,23 @@ def test_a_dark_patch_that_the_border_cuts_is_read_where_its_label_puts_it() -> 
 
 def test_labels_off_the_dark_patch_are_weak() -> None:
     captures = captures_of(CIRCLES, noise=0.5)
-    assert (
-        not {"depth_labels_off", "depth_one_spot", "depth_large_error"}
-        & codes(fit_depth(captures)).keys()
-    )
+    assert not {"labels_off", "too_few", "heldout_error"} & codes(fit_depth(captures)).keys()
     moved = [replace(circle, u_px=circle.u_px - 9) for circle in CIRCLES]
     result = fit_depth(with_circles(captures, moved))
-    assert codes(result)["depth_labels_off"] == "error"
+    assert codes(result)["labels_off"] == "error"
     far = replace(CIRCLES[0], u_px=160.0, v_px=110.0)
     lost = replace(captures, presses=(replace(captures.presses[0], circle=far),))
-    with pytest.raises(InputError, match="given circles lie away from the dark patch"):
+    with pytest.raises(InputError, match="given circles disagree with the images"):
         fit_depth(lost)
 
 
 def test_presses_at_one_spot_or_that_answer_differently_are_told() -> None:
-    assert codes(fit_depth(captures_of([CIRCLES[0]] * 3, noise=0.5)))["depth_one_spot"] == "warning"
+    assert codes(fit_depth(captures_of([CIRCLES[0]] * 3, noise=0.5)))["too_few"] == "warning"
     # One press under a third of the light of the others: no curve fits both.
     captures = captures_of(CIRCLES[:2])
     dim = captures.background - 0.35 * (captures.background - captures.presses[1].image())
     result = fit_depth(with_images(captures, {1: dim}))
-    assert codes(result)["depth_large_error"] in ("warning", "error")
+    assert codes(result)["heldout_error"] in ("warning", "error")
 
 
 def test_sunk_rim_adds_to_every_depth() -> None:
@@ -315,16 +311,6 @@ def test_travel_of_a_press_settles_the_zero() -> None:
     deeper = known.response.depth_mm[1:] - rim.response.depth_mm[1:]
     assert deeper == pytest.approx(0.2, abs=1e-6)
     # No image leaves it open any more: what first touch may be off by is left.
-    assert known.zero_sigma_mm == pytest.approx(0.05) and "zero_at_no_drop" not in codes(known)
+    assert known.zero_sigma_mm == pytest.approx(0.05) and "zero_unsure" not in codes(known)
     with pytest.raises(InputError, match="zero travel needs depth_mm"):
         fit_depth(captures, DepthOptions(zero="travel"))
-
-
-def test_a_zero_on_the_other_side_of_the_rim_is_said_to_be_there() -> None:
-    presses = captures_of([ContactCircle(60 + 40 * i, 70.0, 18.0) for i in range(3)])
-    result = fit_depth(presses)
-    drops = [np.zeros((GRID.height_px, GRID.width_px))] * 3
-    for rim, side in ((-0.2, "0.20 mm below the rim"), (0.27, "0.27 mm above the rim")):
-        moved = replace(result, presses=tuple(replace(p, rim_depth_mm=rim) for p in result.presses))
-        messages = [r.message for r in curve_remarks(moved, drops) if r.code == "zero_at_no_drop"]
-        assert len(messages) == 1 and side in messages[0] and "-0." not in messages[0]

@@ -194,4 +194,4 @@ def test_the_check_looks_where_measured_dots_are(tmp_path: Path) -> None:
         return {finding.code for finding in check_captures(load_capture_folder(folder)).findings}
 
     assert codes((12.0, -5.0)) == {"no_rest_frame"}
-    assert codes((0.0, 0.0)) == {"no_rest_frame", "marker_labels_off"}
+    assert codes((0.0, 0.0)) == {"no_rest_frame", "labels_off"}

@@ -183,4 +183,4 @@ def test_a_calibrated_pose_is_looked_through_as_it_was_fitted(bent: bool) -> Non
     assert isinstance(chosen, GridView)
     # And where nothing was measured, that is said.
     assumed = choose_view(folder, profile, layout, size)
-    assert [remark.code for remark in assumed.remarks] == ["scale_assumed"]
+    assert [remark.code for remark in assumed.remarks] == ["scale_not_measured"]

@@ -133,12 +133,12 @@ def test_what_tracks_cannot_tell_is_said() -> None:
     true = np.repeat(REST[None], 6, axis=0)
     true[3:] += (0.48 * PITCH, 0.0)
     codes = {r.code: r.severity for r in track_remarks(track_figures("jump", follow(true)))}
-    assert codes["motion_aliases"] is Severity.ERROR
+    assert codes["fast_motion"] is Severity.ERROR
     slow = there_and_back(shear, 12, 0.8)
     slow[5] -= 5000.0
-    remarks = {r.code: r.message for r in track_remarks(track_figures("dark", follow(slow)))}
-    assert "are seen in frame 5 (counted" in remarks["frames_unseen"]
-    assert "motion_aliases" not in remarks
+    dark = track_figures("dark", follow(slow))
+    assert dark.unseen_frames == (5,)
+    assert [remark.code for remark in track_remarks(dark)] == ["markers_lost"]
 
 
 def test_unseen_markers_do_not_slow_the_common_motion() -> None:
@@ -155,7 +155,7 @@ def test_unseen_markers_do_not_slow_the_common_motion() -> None:
     figures = track_figures("covered", jumped)
     assert figures.common_step_in_pitches == pytest.approx(0.48, rel=0.02)
     codes = {r.code: r.severity for r in track_remarks(figures)}
-    assert codes["motion_aliases"] is Severity.ERROR
+    assert codes["fast_motion"] is Severity.ERROR
 
 
 def test_a_marker_that_leaves_for_long_is_lost() -> None:

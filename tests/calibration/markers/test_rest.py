@@ -65,9 +65,7 @@ def press(start: float, end: float, count: int) -> list[np.ndarray]:
 )
 def test_rest_is_found_where_it_is(points: list[np.ndarray], first: int, last: int) -> None:
     found = find_rest(captures(drawn(points)))
-    (remark,) = found.remarks
-    assert remark.code == "rest_found"
-    assert f"frames {first} to {last} of {len(points)}" in remark.message
+    assert found.remarks == ()
     assert first <= found.starts[0] <= last
     layout = find_markers(found.frame.image()).layout_px
     assert layout is not None
@@ -108,8 +106,8 @@ def test_two_layouts_that_stand_still_are_told() -> None:
     away = REST + (6.0, 2.0)
     between = [REST + np.array([6.0, 2.0]) * t for t in np.linspace(0, 1, 9)[1:-1]]
     found = find_rest(captures(drawn([*hold(REST, 14), *between, *hold(away, 10)])))
-    assert [remark.code for remark in found.remarks] == ["rest_found", "rest_ambiguous"]
-    assert "6.3" in found.remarks[1].message
+    (remark,) = found.remarks
+    assert remark.code == "rest_ambiguous" and "6.3" in remark.message
 
 
 def test_a_stated_picture_is_taken_and_a_contradiction_told() -> None:

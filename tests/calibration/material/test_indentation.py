@@ -22,13 +22,11 @@ from taccel_lab.calibration.material.force_table import (
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
 from taccel_lab.calibration.material.indentation_points import IndentationPoints
-from taccel_lab.calibration.material.indentation_remarks import young_with_nu
 from taccel_lab.calibration.material.press_plans import GelBench, PressPlan, simulate
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
 from taccel_lab.presses.physics import PressPhysics
 from taccel_lab.profile import SensorProfile
-from taccel_lab.report.remark import Severity
 from tests.calibration.material.made_up import COARSE, COARSER, DEFAULT, FAST, layer_table, points
 
 DEPTH = np.linspace(0.15, 1.4, 12)
@@ -317,21 +315,8 @@ def test_a_narrow_and_a_wide_ball_tell_the_modulus_without_poisson_ratio(
         low, high = fit.young_interval_pa
         hits += low <= MODULUS <= high
         errors.append(fit.young_modulus_pa / MODULUS - 1)
-        assert young_with_nu(fit) == []
     assert np.sqrt(np.mean(np.square(errors))) < 0.02
     assert hits >= 36
-
-
-def test_one_ball_leaves_the_modulus_to_poisson_ratio_and_says_so(
-    tool: Tool, table: ForceTable, truth: np.ndarray
-) -> None:
-    rng = np.random.default_rng(4)
-    given = [points(tool, DEPTH, truth * (1 + 0.01 * rng.standard_normal(12)))]
-    free = fitted(given, [table])
-    (remark,) = young_with_nu(free)
-    assert remark.code == "young_with_nu" and remark.severity is Severity.INFO
-    assert "two tools" in remark.message and "correlation -0.9" in remark.message
-    assert young_with_nu(fitted(given, [table], **KNOWN)) == []
 
 
 def test_few_points_do_not_tell_poisson_ratio(

@@ -98,11 +98,11 @@ def test_held_out_points_lie_in_their_intervals(tool: Tool, table: ForceTable) -
 def test_few_points_that_fit_are_not_called_good(tool: Tool, table: ForceTable) -> None:
     found = fitted(points(tool, FEW, table.force_n(FEW, MODULUS, 0.48)), {0.0: table})
     assert np.abs(found.fit.relative_residuals(0)).max() < 0.01
-    (said,) = [remark for remark in found.remarks if remark.code == "few_degrees_of_freedom"]
+    (said,) = [remark for remark in found.remarks if remark.code == "too_few"]
     assert said.severity is Severity.WARNING and "3 points and 2 fitted numbers" in said.message
     assert judge(found.remarks) is not Verdict.GOOD
     many = fitted(points(tool, MANY, table.force_n(MANY, MODULUS, 0.48)), {0.0: table})
-    assert "few_degrees_of_freedom" not in {remark.code for remark in many.remarks}
+    assert "too_few" not in {remark.code for remark in many.remarks}
 
 
 def test_points_choose_the_friction_that_explains_them(tool: Tool, table: ForceTable) -> None:

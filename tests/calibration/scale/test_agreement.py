@@ -138,7 +138,6 @@ def test_scale_in_x_and_y_and_an_edge_that_touched_in_part() -> None:
     assert found.x.value > found.y.value
     used = [edge["used"] for edge in found.evidence["edges"]]
     assert used == [False] + [True] * 6
-    assert any(remark.code == "edges_short" for remark in found.remarks)
 
 
 def test_edges_along_one_axis_only_say_so() -> None:
@@ -146,7 +145,7 @@ def test_edges_along_one_axis_only_say_so() -> None:
     found = scale_from_edges(*measure_edges(captured(images), BACKGROUND, None))
     assert found.x is not None and found.y is not None
     assert found.y.sigma > 2 * found.x.sigma
-    assert any(remark.code == "edges_not_along_y" for remark in found.remarks)
+    assert any(remark.code == "too_few" for remark in found.remarks)
 
 
 def test_a_drawn_line_stands_in_for_an_edge_that_is_not_found() -> None:
@@ -362,4 +361,4 @@ def test_a_stated_scale_is_taken_with_a_warning_and_checked_by_the_ball(tmp_path
         result = calibrated(tmp_path)
         assert result.scale == (0.05, 0.051)
         codes = [remark.code for remark in result.remarks]
-        assert "scale_stated" in codes and ("contacts_exceed_ball" in codes) is contradicts
+        assert "scale_not_measured" in codes and ("contacts_exceed_ball" in codes) is contradicts

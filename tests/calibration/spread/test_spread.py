@@ -102,7 +102,7 @@ def test_units_are_compared_by_what_was_measured() -> None:
     assert gains == pytest.approx(np.array([0.9, 1.0, 1.1])[:, None].repeat(3, 1), abs=0.01)
     result = spread([], units)
     assert result.values()["gain_rgb"] == pytest.approx((0.1, 0.1, 0.1), abs=0.005)
-    assert [r.code for r in result.remarks] == ["few_units"]
+    assert [r.code for r in result.remarks] == ["too_few"]
     assumed = spread_of_units([unit(b, e, ASSUMED) for b, e in ((1.0, 1e5), (1.1, 2e5))])
     assert assumed.young_modulus_relative is None
 

@@ -58,14 +58,6 @@ def table(given: Path) -> None:
     write_table(TableFile(TaximTable(3, grad), (320, 240), {"l1": 2.5}), given / TABLE_FILE)
 
 
-def curve(given: Path) -> None:
-    """A measured curve of a ball, with a title and its way back."""
-    depth = np.concatenate([np.linspace(0, 0.5, 12), np.linspace(0.4, 0, 5)])
-    rows = [f"{d:.4f},{2.0 * d**1.5:.5f},{2.4 * d**0.5:.3f}" for d in depth]
-    text = "\n".join(["depth_mm,force_n,contact_diameter_mm", *rows])
-    (given / "gel.csv").write_text(text + "\n")
-
-
 def study_file(given: Path) -> None:
     (given / "study.toml").write_text(STUDY)
 
