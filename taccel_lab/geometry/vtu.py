@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import atomic_file
 from taccel_lab.geometry.quadratic import QuadraticMesh
 from taccel_lab.geometry.tet_mesh import TetMesh
-from taccel_lab.output import atomic_file
 
 
 def write_mesh_vtu(

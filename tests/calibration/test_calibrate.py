@@ -24,8 +24,8 @@ from taccel_lab.calibration.check.findings import COMMANDS
 from taccel_lab.calibration.check.run import CaptureCheck
 from taccel_lab.calibration.spread.fit import SpreadOptions
 from taccel_lab.errors import InputError
+from taccel_lab.files import images
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile, load_profile
-from taccel_lab.reading import images
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.support.small_captures import write_captures
 
