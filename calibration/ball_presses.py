@@ -19,7 +19,7 @@ from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.block_findings import capture_findings, refusing_with
 from taccel_lab.calibration.contacts.labels import LabelAgreement
 from taccel_lab.calibration.contacts.remarks import CIRCLES_FOUND
-from taccel_lab.calibration.press_circles import PressCircles
+from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.press_options import BallPressOptions
 from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
@@ -44,8 +44,6 @@ class BallPresses:
     """Where the training presses are taken to be, in order."""
     circle_sigmas_px: list[tuple[float, float]]
     """Standard deviations of their centres along an axis and of their radii."""
-    shared: PressCircles
-    """These circles, which blocks share, and those of the held-out presses."""
     lost: tuple[Remark, ...]
     """Blocks of the profile that do not go with the captures' grid."""
     findings: tuple[Remark, ...]
@@ -81,14 +79,12 @@ def ball_presses(
     with refusing_with(findings):
         captures, profile = presses_on_camera(folder, base)
         split = captures.split(options.holdout_every)
-        heldout = captures.only(split.heldout) if split.heldout else None
-        shared = folder.once.of(
+        usable = folder.once.of(
             ("circles", captures.grid, split, options.circles),
-            lambda: PressCircles.of(
-                captures.only(split.train), heldout, options, cache=cache, progress=progress
+            lambda: usable_circles(
+                captures.only(split.train), options.circles, cache=cache, progress=progress
             ),
         )
-        usable = shared.usable
         sigmas_px = [radius for _, radius in usable.sigmas_px]
         gel = gel_thickness(
             usable.captures, usable.circles, sigmas_px, profile, options.thickness,
@@ -103,7 +99,6 @@ def ball_presses(
         training=usable.captures,
         circles=usable.circles,
         circle_sigmas_px=usable.sigmas_px,
-        shared=shared,
         lost=tuple(lost_blocks(base, profile)),
         findings=tuple(findings),
         remarks=(*usable.remarks, *_agreement(usable.agreement)),

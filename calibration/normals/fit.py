@@ -3,18 +3,17 @@
 
 All figures are those of held-out presses, chosen before any image was read and read when the model
 is frozen: in the circles given with them, and in those as the training presses say that labels lie.
-The networks of the profile are then trained on with all presses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from functools import partial
 
 import numpy as np
 
-from taccel_lab.calibration.ball_presses import BallPresses, ball_presses
+from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.base_profile import stated_scale_share
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
@@ -33,7 +32,6 @@ from taccel_lab.calibration.normals.network_fit import (
     InverseFitOptions,
     fit_normal_model,
     fold_of,
-    trained_on,
 )
 from taccel_lab.calibration.normals.options import NormalOptions, NormalTraining
 from taccel_lab.calibration.normals.practice import ImageNoise, Practice
@@ -75,7 +73,7 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_model import NormalModel
-from taccel_lab.signals.rest_surface import RestSurface, flat_rest, rest_surface
+from taccel_lab.signals.rest_surface import flat_rest, rest_surface
 
 PIXEL_BASELINE = InverseFitOptions(
     scales_px=(0.0,), slopes=False, members=1, hidden=(32, 32, 32), steps=600
@@ -83,7 +81,6 @@ PIXEL_BASELINE = InverseFitOptions(
 """The colour change and position of a pixel alone, as in gs_sdk with its background subtracted."""
 
 
-Placed = tuple[ContactCircle, PressSurface]
 CHECKED = 16
 """Practice presses that the networks never see and heights are judged by."""
 
@@ -133,7 +130,6 @@ def calibrate_normals(
         colors=ColorModel.from_profile(profile),
         scale_share=stated_scale_share(profile.camera),
         thickness_share=by_gel,
-        placed=partial(_placed, presses, pad, rest),
         progress=progress,
     )
     remarks = joined(presses.findings, (*presses.remarks, *found.remarks))
@@ -158,7 +154,6 @@ def fit_normals(
     colors: ColorModel | None = None,
     scale_share: float = 0.0,
     thickness_share: float = 0.0,
-    placed: Callable[[], Mapping[str, Placed]] | None = None,
     progress: Progress = silent,
 ) -> NormalCalibration:
     """Fit the inverse model to ``captures`` and score it on ``heldout``.
@@ -180,8 +175,6 @@ def fit_normals(
         colors: Colours of the sensor, for the same; fitted to ``captures`` when None.
         scale_share: Standard deviation of the scale of the pixel grid, as a share of it.
         thickness_share: That of depths by the thickness of ``pad``, as a share of them.
-        placed: Circle and surface of held-out presses by name, asked for when these are scored: the
-            networks of the profile are then trained on with all presses.
         progress: Told of the fit's steps.
     """
     if len(circles) != len(captures.presses) or (
@@ -252,21 +245,6 @@ def fit_normals(
     if items:
         unseen_balls = map(partial(_heldout_ball, scene), items, wanted)
         fit = replace(fit, model=widened(fit.model, unseen_balls, scene))
-    final, more = None, []
-    if items and placed is not None:
-        found = placed()
-        more = [
-            replace(
-                item.frame,
-                circle=found[item.frame.name][0],
-                surface=found[item.frame.name][1],
-                circle_sigma_px=placed_px,
-            )
-            for item in items
-            if item.frame.name in found
-        ]
-        if more:
-            final = with_cone(trained_on(fit, more, scene, progress), [*training, *more], scene)
     baseline_deg = None
     if baseline and items:
         plain = fit_normal_model(training, scene, replace(PIXEL_BASELINE, seed=options.seed))
@@ -274,7 +252,6 @@ def fit_normals(
         baseline_deg = float(np.mean([item.used.mean_deg for item in scores]))
     result = NormalCalibration(
         fit=fit,
-        final=final,
         scene=replace(scene, background=captures.background, mask=captures.mask),
         heldout=tuple(items),
         failures=failures,
@@ -287,28 +264,14 @@ def fit_normals(
         frozen_along_factor=frozen.along_factor,
         flat_noise_levels=(choice.captured_levels, choice.corrected_levels),
         train_names=tuple(frame.name for frame in training),
-        inputs={"background": captures.background_sha256}
-        | {frame.name: frame.sha256 for frame in (*training, *more)},
+        inputs={"background": captures.background_sha256} | {f.name: f.sha256 for f in training},
         source=source_of(captures.provenance, captures.source),
         provenance=captures.provenance,
         circles=circle_source,
         surfaces="left out" if surfaces is None else surfaces[0].provider,
-        valid_region=_valid_region([*training, *more], scene),
+        valid_region=_valid_region(training, scene),
     )
     return replace(result, remarks=remarks_of(result, training, scene))
-
-
-def _placed(presses: BallPresses, pad: BondedLayer, rest: RestSurface) -> dict[str, Placed]:
-    """Circles and surfaces of the held-out presses."""
-    if presses.heldout is None:
-        return {}
-    grid, ball_mm = presses.captures.grid, presses.captures.ball_radius_mm
-    circles = presses.shared.of_heldout
-    return {
-        press.name: (circle, ball_surface(circle, press.radius_mm or ball_mm, grid, pad, rest))
-        for press in presses.heldout.presses
-        if (circle := circles.get(press.name)) is not None
-    }
 
 
 def _frames(

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -66,10 +66,6 @@ BETA = 0.5
 gives up on what is hard, 1 least squares, which lets the hardest pixels rule."""
 MOST_PRACTICE = 10_000
 """Practice presses; each takes half a second."""
-ON_STEPS = 25
-"""Steps of a training that goes on with more presses, of a hundred of the first."""
-ON_RATE = 0.3
-"""Its learning rate against the first one's."""
 WARM_UP = 0.15
 """Share of the steps in which the learning rate rises."""
 
@@ -121,8 +117,6 @@ class InverseFit:
     """Step whose weights each member keeps."""
     options: InverseFitOptions
     seconds: float
-    training: _Training = field(repr=False, compare=False)
-    """What ``trained_on`` goes on from."""
 
 
 def default_scales_px(frames: Sequence[InverseFrame]) -> tuple[float, ...]:
@@ -166,42 +160,7 @@ def fit_normal_model(
         stopped_at=tuple(int(step) for step in state.best_step),
         options=options,
         seconds=time.perf_counter() - started,
-        training=state,
     )
-
-
-def trained_on(
-    fit: InverseFit,
-    more: Sequence[InverseFrame],
-    scene: Scene,
-    progress: Progress = silent,
-) -> NormalModel:
-    """The networks of ``fit`` trained on, with presses that it had not seen among the others.
-
-    A member leaves its share of these out as well. It keeps the weights that it had where none do
-    better on what it leaves out. What the model expects of its errors stays as it was measured.
-    """
-    old, config, options = fit.training, fit.training.config, fit.options
-    options = replace(
-        options,
-        steps=max(1, options.steps * ON_STEPS // 100),
-        learning_rate=ON_RATE * options.learning_rate,
-    )
-    rng = np.random.default_rng(options.seed)
-    samples = [draw_samples(frame, scene, config, options.samples, rng) for frame in more]
-    checks = [_check_samples(frame, scene, config, options, rng) for frame in more]
-    circles = [
-        circle_angle_rad(frame, scene, check.normals)
-        for frame, check in zip(more, checks, strict=True)
-    ]
-    with one_thread():
-        state = _Training(
-            config, [*old.samples, *samples], [*old.checks, *checks],
-            [*old.circles_rad, *circles], options, old.practice, fit.model.weights,
-        )  # fmt: skip
-        state.run(progress)
-        model, _ = state.finish([frame.name for frame in more])
-    return NormalModel(fit.model.config, model.weights)
 
 
 def _train(
@@ -267,10 +226,8 @@ class _Training:
         circles_rad: Sequence[np.ndarray],
         options: InverseFitOptions,
         practice: Sequence[Samples] = (),
-        start: Mapping[str, np.ndarray] | None = None,
     ) -> None:
         self.config, self.options = config, options
-        self.samples, self.practice = samples, practice
         whole = join([*samples, *practice])
         self.practised = sum(len(part.features) for part in practice)
         self.inputs = torch.from_numpy(config.normalise(whole.features))
@@ -289,15 +246,11 @@ class _Training:
         self.generator = torch.Generator().manual_seed(options.seed)
         self.shapes = expected_shapes(config)
         weights = initial_weights(self.shapes, self.generator)
-        if start is not None:
-            weights = {name: value.copy() for name, value in start.items()}
         self.layers = trainable(layer_tensors(config, weights))
         self.curve: list[tuple[int, float, float]] = []
         self.best_error = np.full(members, np.inf)
         self.best_step = np.zeros(members, dtype=int)
         self.best = [(w.detach().clone(), b.detach().clone()) for w, b in self.layers]
-        if start is not None:
-            self._keep_best(0)
 
     def run(self, progress: Progress) -> None:
         options, chord = self.options, torch.empty(0)

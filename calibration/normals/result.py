@@ -19,7 +19,6 @@ from taccel_lab.calibration.result import ResultSummary, mean_figures
 from taccel_lab.calibration.thickness.fit import GelThickness
 from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
-from taccel_lab.signals.normal_model import NormalModel
 
 
 @dataclass(frozen=True, repr=False)
@@ -34,9 +33,6 @@ class NormalCalibration(ResultSummary):
     """Held-out presses that could not be read, and why: they count as a flat guess."""
     split: PressSplit | None
     """How the held-out presses were chosen; None where there are none."""
-    final: NormalModel | None
-    """The networks of ``fit`` trained on with the held-out presses, when it had been scored without
-    them; None where there are none."""
     baseline_deg: float | None
     """Mean held-out error of the single-pixel baseline in the circles as used [degrees]."""
     reliability: Reliability | None
@@ -62,11 +58,6 @@ class NormalCalibration(ResultSummary):
     """What gave the normals of the skirt."""
     valid_region: dict[str, tuple[float, float]]
     remarks: tuple[Remark, ...] = ()
-
-    @property
-    def of_profile(self) -> NormalModel:
-        """The model that the profile gets."""
-        return self.fit.model if self.final is None else self.final
 
     def heldout_means(self, circles: Literal["given", "used"]) -> dict[str, float]:
         """Mean figures of the held-out presses, failures as flat guesses."""
@@ -119,7 +110,6 @@ class NormalCalibration(ResultSummary):
             "curve": self.fit.curve,
             "stopped_at": self.fit.stopped_at,
             "fit_seconds": self.fit.seconds,
-            "final_presses": len(self.inputs) - 1,
         }
 
     def _widened(self) -> dict[str, list[float]]:
@@ -141,9 +131,9 @@ class NormalCalibration(ResultSummary):
         )
         return profile.with_block(
             NormalsBlock(
-                architecture=self.of_profile.config.to_dict(), provenance=self._provenance()
+                architecture=self.fit.model.config.to_dict(), provenance=self._provenance()
             ),
-            self.of_profile.weights,
+            self.fit.model.weights,
         )
 
     def _provenance(self) -> Provenance:
@@ -179,8 +169,6 @@ class NormalCalibration(ResultSummary):
                 f"{options.practice if self.practised else 0} other presses; circles: "
                 f"{self.circles}; skirt: {self.surfaces}; light drift "
                 + ("taken off" if config.light_drift else "left in")
-                + "; then trained on with the held-out presses, which figures are without"
-                * (self.final is not None)
             ),
             source=self.source,
             inputs=self.inputs,

@@ -17,12 +17,8 @@ from taccel_lab.calibration.normals.network_fit import InverseFitOptions, fit_no
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.report import normals_page
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import InverseFrame, SampleOptions, Scene
-from taccel_lab.calibration.normals.score import (
-    angle_between_deg,
-    ball_depth_mm,
-    score_heldout,
-)
+from taccel_lab.calibration.normals.samples import SampleOptions, Scene
+from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_mm
 from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
 from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, press_layer
 from taccel_lab.errors import InputError
@@ -164,44 +160,6 @@ def test_held_out_images_reach_nothing_that_is_fitted_and_none_is_lost() -> None
         (other.used.mean_deg + other.used.flat_deg) / 2
     )
     assert "normals_heldout_failed" in {remark.code for remark in lost.remarks}
-
-
-def test_the_profile_gets_networks_of_all_presses_beside_the_frozen_figures() -> None:
-    captures, surfaces = synthetic_captures(12, noise=3.0)
-    split, circles = captures.split(4), circles_of(captures)
-    held = {captures.presses[i].name: (circles[i], surfaces[i]) for i in split.heldout}
-    asked: list[str] = []
-
-    def placed() -> dict[str, tuple[ContactCircle, PressSurface]]:
-        asked.append("placed")
-        return held
-
-    found = calibrated(captures, surfaces, placed=placed)
-    frozen = calibrated(captures, surfaces)
-    assert asked and found.heldout_means("used") == frozen.heldout_means("used")
-    assert frozen.final is None and found.final is not None
-    for name, weight in frozen.fit.model.weights.items():
-        assert np.array_equal(weight, found.fit.model.weights[name])
-    block = found.apply_to(flat_profile(GRID)).normals
-    assert block is not None and set(held) < set(block.provenance.inputs)
-    assert (
-        block.provenance.residuals["heldout_mean_deg"] == frozen.heldout_means("used")["mean_deg"]
-    )
-    # Presses that neither has seen are read no worse.
-    fresh, _ = synthetic_captures(6, seed=5, noise=3.0)
-    errors = []
-    for model in (frozen.fit.model, found.of_profile):
-        scores = [
-            score_heldout(
-                model,
-                InverseFrame(press.name, press.image().astype(np.float32), circle, "", None),
-                None,
-                found.scene,
-            ).used.mean_deg
-            for press, circle in zip(fresh.presses, circles_of(fresh), strict=True)
-        ]
-        errors.append(float(np.mean(scores)))
-    assert errors[1] < 1.02 * errors[0]
 
 
 def test_drifting_light_is_taken_off() -> None:
