@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Captures and simulated surfaces to the profile blocks ``background`` and ``color``.
 
-All that is chosen or scored rests on the training presses; then the model is frozen, and the
-held-out presses are read, placed and scored (``taccel_lab.calibration.color.heldout``). The model
-of the profile is fitted after that, to all of them.
+All that is chosen or fitted rests on the training presses; then the model is frozen, and the
+held-out presses are read, placed and scored (``taccel_lab.calibration.color.heldout``).
 """
 
 from __future__ import annotations
@@ -205,10 +204,8 @@ class _Fitting:
             self.progress(SCORING, 0, 1)
             held, failures = score_heldout(heldout, fit, shift, library)
             self.progress(SCORING, 1, 1)
-        final = None if heldout is None else self._fit_all(heldout.captures, held, library)
         return ColorCalibration(
             fit=fit,
-            final=final,
             heldout=held,
             failures=failures,
             split=None if heldout is None else heldout.split,
@@ -226,26 +223,6 @@ class _Fitting:
             table=table,
             table_scores=[] if table is None else self._table_scores(table, fit, held),
         )
-
-    def _fit_all(
-        self, heldout: CaptureSet, held: Sequence[HeldoutPress], library: RadialSurfaces
-    ) -> ColorFit | None:
-        """The model of all presses, the held-out ones where the frozen model puts them; None where
-        none of these can be used."""
-        if not held:
-            return None
-        sha256 = {press.name: press.sha256 for press in heldout.presses}
-        frames = list(self.frames)
-        for item in held:
-            at = item.placed["label" if "label" in item.placed else "tiles"].circle
-            circle = item.placed["self"].circle
-            (surface,) = moved_surfaces([item.surface], [at], [circle], library)
-            frames.append(ColorFrame(item.name, item.captured, circle, surface, sha256[item.name]))
-        captures = self.captures
-        return fit_color_model(
-            frames, captures.background, captures.grid, self.options,
-            mask=captures.mask, progress=self.progress,
-        )  # fmt: skip
 
     def _choose_drift(self) -> None:
         if self.drift is None:

@@ -89,18 +89,10 @@ class ColorCalibration(ResultSummary):
     """Taxim's table, fitted to the training presses; None if not asked."""
     table_scores: list[PressScore] = field(default_factory=list)
     """Held-out presses rendered by the table."""
-    final: ColorFit | None = None
-    """The fit to all presses, made when ``fit`` was scored without the held-out ones; None where
-    nothing was held out."""
     gel: GelThickness | None = None
     """What the presses say of the gel's thickness; None where it is known and they agree."""
     remarks: tuple[Remark, ...] = ()
     """What a person has to know before the model is used."""
-
-    @property
-    def of_profile(self) -> ColorFit:
-        """The fit that the profile gets."""
-        return self.fit if self.final is None else self.final
 
     @property
     def train_names(self) -> list[str]:
@@ -184,7 +176,6 @@ class ColorCalibration(ResultSummary):
             "loss_curve": self.fit.loss_curve,
             "fit_seconds": self.fit.seconds,
             "drift_removed": self.drift_corrected,
-            "final_presses": len(self.of_profile.disc_l1_train),
         }
         if self.gel is not None:
             found["gel_thickness"] = self.gel.figures()
@@ -235,17 +226,16 @@ class ColorCalibration(ResultSummary):
         # An old background or model may be of another image size; both are replaced.
         profile = profile.without("background", "color")
         return profile.with_block(
-            BackgroundBlock(provenance=self._background_provenance()), self.of_profile.background
+            BackgroundBlock(provenance=self._background_provenance()), self.fit.background
         ).with_block(
             ColorBlock(
-                architecture=self.of_profile.model.config.to_dict(),
-                provenance=self._color_provenance(),
+                architecture=self.fit.model.config.to_dict(), provenance=self._color_provenance()
             ),
-            self.of_profile.model.weights,
+            self.fit.model.weights,
         )
 
     def _inputs(self) -> dict[str, str]:
-        return {"background": self.captures.background_sha256} | self.of_profile.inputs
+        return {"background": self.captures.background_sha256} | self.fit.inputs
 
     def _source(self) -> str:
         return source_of(self.captures.provenance, self.captures.source)
@@ -313,10 +303,5 @@ class ColorCalibration(ResultSummary):
                 f"{len(self.split.heldout) + len(self.split.gone)} presses held out by "
                 f"{self.split.by} (SHA-256 of their names {self.split.sha256[:16]}), placed by "
                 f"{self.placement}, {len(self.failures)} failed"
-            )
-        if self.final is not None:
-            parts.append(
-                f"then fitted again to all {len(self.final.disc_l1_train)} presses; figures are of "
-                "the fit without the held-out ones"
             )
         return "; ".join(parts)
