@@ -77,8 +77,11 @@ def ball_presses(
     with refusing_with(findings):
         captures, profile = presses_on_camera(folder, base)
         split = captures.split(options.holdout_every)
-        usable = usable_circles(
-            captures.only(split.train), options.circles, cache=cache, progress=progress
+        usable = folder.once.of(
+            ("circles", captures.grid, split, options.circles),
+            lambda: usable_circles(
+                captures.only(split.train), options.circles, cache=cache, progress=progress
+            ),
         )
         sigmas_px = [radius for _, radius in usable.sigmas_px]
         gel = gel_thickness(

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from taccel_lab.calibration.camera.pictures import (
 )
 from taccel_lab.calibration.camera.result import CameraCalibration
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.files.images import read_image
 from taccel_lab.report.page import Page, Picture, Table
 
 
@@ -49,7 +47,7 @@ def camera_page(result: CameraCalibration, folder: CaptureFolder) -> Page:
         ]
     if result.on_gel is not None:
         tables += _gel_tables(result)
-        image = read_image(Path(result.on_gel.views[0].source))
+        image = _image(folder, result.on_gel.views[0].source)
         pictures += [
             Picture(
                 "board_on_gel",
@@ -64,7 +62,7 @@ def camera_page(result: CameraCalibration, folder: CaptureFolder) -> Page:
             ),
         ]
     elif result.intrinsics is not None:
-        image = read_image(Path(result.intrinsics.views[0].source))
+        image = _image(folder, result.intrinsics.views[0].source)
         pictures.append(
             Picture(
                 "rectified",
@@ -80,6 +78,11 @@ def camera_page(result: CameraCalibration, folder: CaptureFolder) -> Page:
         pictures,
         result.figures(),
     )
+
+
+def _image(folder: CaptureFolder, source: str) -> np.ndarray:
+    frames = (frame for board in folder.boards for frame in board.frames)
+    return next(frame for frame in frames if frame.source == source).image()
 
 
 def _summary(result: CameraCalibration) -> str:

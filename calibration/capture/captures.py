@@ -6,10 +6,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from taccel_lab.calibration.capture.once import Once
 from taccel_lab.calibration.capture.split import PressSplit, split_presses
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -104,6 +105,7 @@ class Press:
     """Normal force, where a cell measured it [N]."""
     checked: bool = False
     """A person has corrected the circle (``contacts.toml``): it wins over any detection."""
+    once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
 
     def image(self) -> np.ndarray:
         """The image, RGB uint8, shape [height_px, width_px, 3]."""

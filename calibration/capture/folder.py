@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet, Press
+from taccel_lab.calibration.capture.once import Once
 from taccel_lab.calibration.capture.schema import (
     BoardEntry,
     EdgeEntry,
@@ -99,6 +100,7 @@ class MarkerCaptures:
     load, and the way from there to where they are in ``labels_frame``."""
     labels_frame: Frame | None = None
     """Image of the measured dots, where it is not the one at rest."""
+    once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -174,6 +176,7 @@ class CaptureFolder:
     """What no file states, by the name of the value: what was taken, and why."""
     recorded: RecordedEntry | None = None
     """How it was recorded, where taccel-lab did that."""
+    once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
 
     def split(self, holdout_every: int = HOLDOUT_EVERY) -> PressSplit:
         """Presses to fit and to hold out, by names and labels alone (``split_presses``)."""

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +20,11 @@ from taccel_lab.calibration.capture.overrides import CONTACTS_NAME, override_pre
 from taccel_lab.calibration.capture.records import load_record
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, CaptureManifest
 from taccel_lab.calibration.capture.taxim_pack import load_taxim_folder
-from taccel_lab.calibration.capture.video import load_markers
+from taccel_lab.calibration.capture.video import image_frame, load_markers
 from taccel_lab.errors import InputError
-from taccel_lab.files.images import image_size, read_grey, read_image
+from taccel_lab.files.images import read_grey
 from taccel_lab.files.inner_path import inner_path
+from taccel_lab.files.kept_images import KeptImages
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.sensors.registry import profile_folder
 
@@ -36,14 +36,14 @@ _Sized = tuple[str, tuple[int, int]]
 def load_captures(path: Path | str) -> CaptureSet:
     """The ball presses of a capture folder, or of a Taxim ``dataPack.npz``.
 
-    Every file is read and checked once; the images of the presses are then read again on demand.
+    Every file is read and checked.
     Raises InputError naming the file, what was found and what is allowed.
     """
     return load_capture_folder(path).ball_presses()
 
 
 def load_capture_folder(path: Path | str) -> CaptureFolder:
-    """Load everything that ``captures.toml`` names, checked; images are read again on demand.
+    """Load everything that ``captures.toml`` names, checked; each image is decoded once.
 
     ``path`` is the folder, its manifest, or a Taxim ``dataPack.npz``.
 
@@ -84,10 +84,11 @@ def _sensor(manifest_path: Path, name: str) -> str:
 def _load_folder(manifest_path: Path) -> CaptureFolder:
     manifest = CaptureManifest.read(manifest_path)
     folder = manifest_path.parent
+    images = KeptImages()
     background = like = None
     if manifest.background is not None:
-        background = _frame(folder, manifest.background)
-        width, height = image_size(Path(background.source))
+        background = image_frame(images, folder, manifest.background)
+        height, width = background.image().shape[:2]
         like = background.source, (width, height)
         if min(height, width) < MIN_SIZE_PX:
             raise InputError(
@@ -96,7 +97,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
             )
     presses = []
     for entry in manifest.presses:
-        frame = _frame(folder, entry.image, like)
+        frame = _frame(images, folder, entry.image, like)
         circle = None
         if entry.contact is not None:
             circle = ContactCircle(**entry.contact.model_dump())
@@ -135,7 +136,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         sensor=_sensor(manifest_path, manifest.sensor),
         unit=manifest.unit,
         background=background,
-        untouched=tuple(_frame(folder, name, like) for name in manifest.untouched),
+        untouched=tuple(_frame(images, folder, name, like) for name in manifest.untouched),
         mask=_load_mask(folder, manifest.mask, like),
         mm_per_px=None if scale[0] is None or scale[1] is None else (scale[0], scale[1]),
         ball_radius_mm=None if manifest.indenter is None else manifest.indenter.radius_mm,
@@ -143,21 +144,24 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
         boards=tuple(
             BoardCaptures(
                 entry,
-                tuple(_frame(folder, name) for name in entry.images),
-                background if entry.reference is None else _frame(folder, entry.reference),
+                tuple(image_frame(images, folder, name) for name in entry.images),
+                background
+                if entry.reference is None
+                else image_frame(images, folder, entry.reference),
             )
             for entry in manifest.boards
         ),
         edges=tuple(
-            EdgeCapture(entry, _frame(folder, entry.image, like)) for entry in manifest.edges
+            EdgeCapture(entry, _frame(images, folder, entry.image, like))
+            for entry in manifest.edges
         ),
         landmarks=tuple(
-            LandmarkCapture(entry, _frame(folder, entry.image, like))
+            LandmarkCapture(entry, _frame(images, folder, entry.image, like))
             for entry in manifest.landmarks
         ),
         markers=None
         if manifest.markers is None
-        else load_markers(folder, manifest.markers, background),
+        else load_markers(images, folder, manifest.markers, background),
         records=tuple(load_record(folder, entry) for entry in manifest.records),
         provenance=provenance,
         heldout=_heldout(manifest, manifest_path),
@@ -193,11 +197,12 @@ def _load_mask(folder: Path, name: str | None, like: _Sized | None) -> np.ndarra
     return grey > 0
 
 
-def _frame(folder: Path, name: str, like: _Sized | None = None) -> Frame:
-    """An image file, read once to check it and, where given, that its size is that of ``like``."""
-    path = inner_path(folder, name)
-    _check_size(image_size(path), path, like)
-    return Frame(path.stem, str(path), file_sha256(path), partial(read_image, path))
+def _frame(images: KeptImages, folder: Path, name: str, like: _Sized | None) -> Frame:
+    """An image file of the size of ``like``, where that is given."""
+    frame = image_frame(images, folder, name)
+    height, width = frame.image().shape[:2]
+    _check_size((width, height), Path(frame.source), like)
+    return frame
 
 
 def _check_size(size: tuple[int, int], path: Path, like: _Sized | None) -> None:

@@ -4,18 +4,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-
-import numpy as np
 
 from taccel_lab.calibration.capture.folder import Frame, MarkerCaptures, Video
 from taccel_lab.calibration.capture.records import read_columns
 from taccel_lab.calibration.capture.schema import MarkersEntry, VideoEntry
 from taccel_lab.errors import InputError
-from taccel_lab.files.images import image_size, read_image
 from taccel_lab.files.inner_path import inner_path
+from taccel_lab.files.kept_images import KeptImages
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.files.videos import count_frames, read_frames
 
@@ -23,15 +20,19 @@ LOST_SHARE = 0.95
 """Share of the frames that a file states, of which as many have to decode."""
 
 
-def load_markers(folder: Path, entry: MarkersEntry, background: Frame | None) -> MarkerCaptures:
+def load_markers(
+    images: KeptImages, folder: Path, entry: MarkersEntry, background: Frame | None
+) -> MarkerCaptures:
     """The dots at rest and their videos; InputError when there is no picture of dots at all."""
-    rest = background if entry.rest is None else _frame(folder, entry.rest)
-    of_labels = None if entry.labels_image is None else _frame(folder, entry.labels_image)
+    rest = background if entry.rest is None else image_frame(images, folder, entry.rest)
+    of_labels = None
+    if entry.labels_image is not None:
+        of_labels = image_frame(images, folder, entry.labels_image)
     if rest is None and of_labels is None and not entry.videos:
         raise InputError(
             f"{folder}: markers need an image at rest (markers.rest or background), or a video"
         )
-    videos = tuple(load_video(folder, video) for video in entry.videos)
+    videos = tuple(load_video(images, folder, video) for video in entry.videos)
     labels = {} if entry.labels is None else read_columns(inner_path(folder, entry.labels))
     missing = {"u_px", "v_px", "du_px", "dv_px"} - labels.keys()
     if labels and missing:
@@ -39,13 +40,14 @@ def load_markers(folder: Path, entry: MarkersEntry, background: Frame | None) ->
     return MarkerCaptures(rest, entry.pitch_x_mm, entry.pitch_y_mm, videos, labels, of_labels)
 
 
-def _frame(folder: Path, name: str) -> Frame:
+def image_frame(images: KeptImages, folder: Path, name: str) -> Frame:
+    """An image file; InputError where it cannot be decoded."""
     path = inner_path(folder, name)
-    image_size(path)
-    return Frame(path.stem, str(path), file_sha256(path), partial(read_image, path))
+    images.read(path)
+    return Frame(path.stem, str(path), file_sha256(path), partial(images.read, path))
 
 
-def load_video(folder: Path, entry: VideoEntry) -> Video:
+def load_video(images: KeptImages, folder: Path, entry: VideoEntry) -> Video:
     """One motion; InputError when it does not decode or holds fewer than two frames."""
     if (entry.file is None) == (not entry.frames):
         raise InputError(f"{folder}: a video needs either a file or frames, and not both")
@@ -58,7 +60,7 @@ def load_video(folder: Path, entry: VideoEntry) -> Video:
     if len(paths) < 2:
         raise InputError(f"{folder}: a video needs at least 2 frames, found {len(paths)}")
     digest = hashlib.sha256("".join(file_sha256(path) for path in paths).encode()).hexdigest()
-    return Video(entry, str(paths[0]), digest, len(paths), partial(_read_images, paths))
+    return Video(entry, str(paths[0]), digest, len(paths), lambda: map(images.read, paths))
 
 
 def cut_short(video: Video) -> str | None:
@@ -76,7 +78,3 @@ def _expand(folder: Path, name: str) -> list[Path]:
     wild = any(c in name for c in "*?[")
     paths = sorted(folder.glob(name)) if wild else [folder / name]
     return [inner_path(folder, path.relative_to(folder).as_posix()) for path in paths]
-
-
-def _read_images(paths: list[Path]) -> Iterator[np.ndarray]:
-    return (read_image(path) for path in paths)

@@ -56,11 +56,15 @@ def median_background(presses: Sequence[Press]) -> np.ndarray:
 
 
 def check_background(folder: CaptureFolder) -> BackgroundCheck:
-    """Judge the background against the median of the presses.
+    """Judge the background against the median of the presses, once a folder.
 
     Raises:
         InputError: There is none, and too few presses for their median.
     """
+    return folder.once.of("background", lambda: _judged(folder))
+
+
+def _judged(folder: CaptureFolder) -> BackgroundCheck:
     presses = folder.presses
     if folder.background is None:
         if len(presses) < MIN_MEDIAN_PRESSES:

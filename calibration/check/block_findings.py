@@ -14,9 +14,6 @@ from taccel_lab.report.remark import Remark, Severity
 
 RANK = {Severity.INFO: 0, Severity.WARNING: 1, Severity.ERROR: 2}
 
-_last: list[CaptureCheck] = []
-"""The last check: blocks that are fitted to one folder, one after the other, share it."""
-
 
 def capture_findings(
     folder: CaptureFolder, block: str, progress: Progress = silent
@@ -26,24 +23,13 @@ def capture_findings(
     A fit to captures that contradict themselves can leave small residuals: the check holds them
     against the ball, the sensor and each other.
     """
-    # A grey sensor has no slopes by colour to hold the ball against.
-    found = capture_check(folder, progress, fit_ball=block != "depth")
+    found = capture_check(folder, progress)
     return [finding for finding in found.findings if block in finding.blocks]
 
 
-def capture_check(
-    folder: CaptureFolder, progress: Progress = silent, *, fit_ball: bool = True
-) -> CaptureCheck:
-    """The check of ``folder``, made once while the same folder is asked for again and again.
-
-    One that has the ball fitted serves those that do not ask for it: what it says more is of other
-    blocks.
-    """
-    if _last and _last[0].folder is folder and (_last[0].ball_fitted or not fit_ball):
-        return _last[0]
-    found = check_captures(folder, progress=progress, fit_ball=fit_ball)
-    _last[:] = [found]
-    return found
+def capture_check(folder: CaptureFolder, progress: Progress = silent) -> CaptureCheck:
+    """The check of ``folder``, which its blocks share."""
+    return folder.once.of("check", lambda: check_captures(folder, progress=progress))
 
 
 @contextmanager

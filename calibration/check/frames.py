@@ -11,8 +11,8 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle, Press
 from taccel_lab.calibration.capture.framing import thumb
-from taccel_lab.calibration.contacts.fit import detect_contact
 from taccel_lab.calibration.contacts.result import CutContactError, DetectedContact
+from taccel_lab.calibration.contacts.seen import seen_contact
 from taccel_lab.calibration.contacts.working_size import WorkingSize
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.light import Light
@@ -96,16 +96,9 @@ def _measure(
     light = fit_light(small, background_small)
     contact, fault, cut = None, "", False
     try:
-        contact = detect_contact(
-            image,
-            background,
-            grid,
-            mask=mask,
-            name=press.name,
-            label=press.circle,
-        )
+        contact = seen_contact(press, background, grid, mask)
     except InputError as error:
-        fault = str(error).removeprefix(f"{press.name}: ")
+        fault = str(error).removeprefix(f"{press.source}: ")
         cut = isinstance(error, CutContactError)
     circle = contact.circle if contact is not None else press.circle
     size = WorkingSize(grid)

@@ -51,8 +51,6 @@ class CaptureCheck:
     """Of the presses; its scale is made up where none is stated."""
     background: BackgroundCheck | None = None
     notes: tuple[str, ...] = field(default_factory=tuple)
-    ball_fitted: bool = False
-    """Whether the ball's radius was held against the slopes that colours show."""
 
     @property
     def usable(self) -> bool:
@@ -118,7 +116,7 @@ def check_captures(
     """Judge everything in a folder; ``notes`` are what an importer assumed.
 
     ``fit_ball`` holds the ball's radius against the slopes that colours show, which takes several
-    seconds.
+    seconds; a grey sensor shows none.
 
     Raises:
         InputError: A file cannot be read.
@@ -134,6 +132,7 @@ def check_captures(
         )
     frames: list[FrameFigures] = []
     grid, background = None, None
+    grey = None if facts is None else facts.is_grey
     if folder.presses:
         try:
             background = check_background(folder)
@@ -144,14 +143,17 @@ def check_captures(
         grid = press_grid(folder, background.image)
         frames = measure_presses(folder.presses, background.image, folder.mask, grid, progress)
         findings += press_findings(folder, frames, background, grid, facts)
-        if fit_ball and not any(finding.code in SPOILS_SLOPES for finding in findings):
+        if grey is not True:
+            grey = is_grey(frames, thumb(background.image))
+        spoilt = grey or any(finding.code in SPOILS_SLOPES for finding in findings)
+        if fit_ball and not spoilt:
             findings += check_slopes(folder, background.image)
     elif folder.background is None and not folder.presses and not _has_other(folder):
         findings.append(remarks.EMPTY())
     grey = None if facts is None else facts.is_grey
     if background is not None and grey is not True:
         grey = is_grey(frames, thumb(background.image))
-    findings = worst_first(findings)
+    findings = worst_first([quoted(finding) for finding in findings])
     return CaptureCheck(
         folder=folder,
         findings=tuple(findings),
@@ -160,7 +162,6 @@ def check_captures(
         grid=grid,
         background=background,
         notes=notes,
-        ball_fitted=fit_ball,
     )
 
 

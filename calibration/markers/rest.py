@@ -68,18 +68,13 @@ def video_name(video: Video) -> str:
     return parts[-1] if video.entry.file is not None else "/".join(parts[-2:])
 
 
-_last: list[tuple[MarkerCaptures, Rest]] = []
-
-
 def find_rest(markers: MarkerCaptures) -> Rest:
-    """The picture at rest, found once while the same captures are asked for again.
+    """The picture at rest, found once.
 
     Raises:
         InputError: None is stated, and the videos show none.
     """
-    if not _last or _last[0][0] is not markers:
-        _last[:] = [(markers, _find(markers))]
-    return _last[0][1]
+    return markers.once.of("rest", lambda: _find(markers))
 
 
 def _find(markers: MarkerCaptures) -> Rest:

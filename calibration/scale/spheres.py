@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 
 from taccel_lab.calibration.capture.captures import Press
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.contacts.fit import detect_contact
+from taccel_lab.calibration.contacts.seen import seen_contact
 from taccel_lab.calibration.result import NORMAL_95, Estimate
 from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.calibration.scale.estimate import ScaleEstimate
@@ -37,8 +37,6 @@ ONE_SIDED_95 = 1.645
 MIN_SIGMA_PX = 1.0
 """A circle is not known better than this, whatever the fit says."""
 MIN_DEPTHS = 3
-_UNIT = 0.05
-"""mm/px that contacts are looked for with; only its ratio between x and y has an effect."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,7 @@ def measure_contacts(
     refused: list[str] = []
     background = folder.require_background().image()
     height, width = background.shape[:2]
-    grid = PixelGrid(width, height, _UNIT, _UNIT * ratio)
+    grid = PixelGrid(width, height, 1.0, ratio)
     for press in folder.presses:
         ball = press.radius_mm or folder.ball_radius_mm
         if ball is None:
@@ -73,9 +71,7 @@ def measure_contacts(
             found.append(BallContact(press, ball, press.circle.radius_px, MIN_SIGMA_PX, True))
             continue
         try:
-            contact = detect_contact(
-                press.image(), background, grid, mask=folder.mask, name=press.source
-            )
+            contact = seen_contact(press, background, grid, folder.mask)
         except InputError as error:
             refused.append(str(error))
             continue

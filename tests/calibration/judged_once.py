@@ -28,7 +28,7 @@ def detect_once(patch: pytest.MonkeyPatch) -> None:
     def detected(*given: Any, **named: Any) -> Any:
         return _remembered(known, (given, named), lambda: detect_contact(*given, **named))
 
-    patch.setattr("taccel_lab.calibration.check.frames.detect_contact", detected)
+    patch.setattr("taccel_lab.calibration.contacts.seen.detect_contact", detected)
 
 
 def judge_slopes_once(patch: pytest.MonkeyPatch) -> None:

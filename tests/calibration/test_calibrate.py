@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from taccel_lab.calibration.check.findings import COMMANDS
 from taccel_lab.calibration.check.run import CaptureCheck
 from taccel_lab.calibration.spread.fit import SpreadOptions
 from taccel_lab.errors import InputError
+from taccel_lab.files import images
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile, load_profile
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.support.small_captures import write_captures
@@ -251,17 +253,36 @@ def test_one_check_serves_all_blocks(
     assert len(made) == 1
 
 
-def test_a_check_is_made_again_for_other_captures_and_with_the_ball(
+def test_a_check_goes_with_its_captures_and_is_made_again_for_others(
     captures: Path, made: list[str]
 ) -> None:
     folder = load_capture_folder(captures)
-    block_findings.capture_check(folder, fit_ball=False)
     first = block_findings.capture_check(folder)
-    assert len(made) == 2
-    assert block_findings.capture_check(folder, fit_ball=False) is first
+    assert block_findings.capture_check(folder) is first
     assert block_findings.capture_findings(folder, "color") == [
         finding for finding in first.findings if "color" in finding.blocks
     ]
+    assert len(made) == 1
+    # Another folder in between takes nothing from the first.
+    other = load_capture_folder(captures)
+    block_findings.capture_check(other)
+    assert block_findings.capture_check(folder) is first
     assert len(made) == 2
-    block_findings.capture_check(load_capture_folder(captures))
+    # What is changed of the captures is checked anew.
+    block_findings.capture_check(replace(folder, mm_per_px=(0.1, 0.1)))
     assert len(made) == 3
+
+
+def test_every_image_is_decoded_once(captures: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    decoded: Counter[str] = Counter()
+    real = images.read_apart
+
+    def counted(what: str, *arguments: Any, **options: Any) -> Any:
+        decoded[what] += 1
+        return real(what, *arguments, **options)
+
+    monkeypatch.setattr(images, "read_apart", counted)
+    found = calibrate(captures, only=("background", "spread"))
+    assert [o.state for o in found.blocks] == [State.DONE, State.DONE]
+    files = {str(path) for path in captures.glob("*.png")}
+    assert decoded == Counter(dict.fromkeys(files, 1))
