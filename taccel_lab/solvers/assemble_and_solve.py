@@ -13,7 +13,18 @@ from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.motion.unknowns import begin_rhs, newton_system, newton_systems, spread_solution
 from taccel_lab.model.kinematics import turn_within
 from taccel_lab.solvers.env_phase import stop
-from taccel_lab.solvers.env_progress import EnvProgress, Rules, lower_flags
+from taccel_lab.solvers.env_progress import (
+    Balance,
+    Clearance,
+    Counts,
+    Curvature,
+    Flags,
+    Phases,
+    Prescribed,
+    Rules,
+    Search,
+    lower_flags,
+)
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.step_launches import StepLaunches
 
@@ -41,7 +52,14 @@ STUCK_ABOVE = 0.7
 
 
 @wp.func
-def projection(env: int, p: EnvProgress, r: Rules) -> int:
+def projection(
+    env: int,
+    prescribed: Prescribed,
+    balance: Balance,
+    curvature: Curvature,  # out
+    search: Search,
+    r: Rules,
+) -> int:
     """Whether the next matrix is projected to a positive definite one (PSD_*).
 
     Far from the solution it has to be, or directions would lead up. Near it the projection is what
@@ -50,42 +68,51 @@ def projection(env: int, p: EnvProgress, r: Rules) -> int:
     a saddle, where a bar buckles or a gel snaps over an edge, projected matrices are so much
     stiffer than the body that whole steps hardly lower the residual.
     """
-    if p.projected[env] > 0:
-        p.projected[env] -= 1
+    if curvature.projected[env] > 0:
+        curvature.projected[env] -= 1
         return PSD_CLAMP
     one = wp.float64(1.0)
-    if p.progress[env] < one or p.alpha[env] < one or p.cuts[env] > 0:
+    if prescribed.progress[env] < one or search.alpha[env] < one or search.cuts[env] > 0:
         return PSD_CLAMP
-    near = r.relative_tolerance * p.excess[env] < wp.float64(EXACT_BELOW)
-    stuck = p.residual[env] > wp.float64(STUCK_ABOVE) * p.last_residual[env]
+    near = r.relative_tolerance * balance.excess[env] < wp.float64(EXACT_BELOW)
+    stuck = balance.residual[env] > wp.float64(STUCK_ABOVE) * balance.last_residual[env]
     if near or stuck:
         return PSD_NONE
     return PSD_CLAMP
 
 
 @wp.func
-def boosted(env: int, p: EnvProgress) -> wp.float64:
+def boosted(
+    env: int, prescribed: Prescribed, balance: Balance, curvature: Curvature, search: Search
+) -> wp.float64:
     """Multiple of the next direction: one, but on the way down from a saddle.
 
     There the exact matrix was not positive definite, and the projected one is so much stiffer than
     the body that whole steps lead away by a few percent more each, up to twenty times in a row.
     """
     one = wp.float64(1.0)
-    if p.projected[env] == 0 or p.progress[env] < one:
+    if curvature.projected[env] == 0 or prescribed.progress[env] < one:
         return one
-    if p.alpha[env] < one or p.cuts[env] > 0:
+    if search.alpha[env] < one or search.cuts[env] > 0:
         return one
-    if p.residual[env] < wp.float64(STUCK_ABOVE) * p.last_residual[env]:
+    if balance.residual[env] < wp.float64(STUCK_ABOVE) * balance.last_residual[env]:
         return one
-    return wp.min(wp.float64(BOOST) * p.boost[env], wp.float64(LARGEST_BOOST))
+    return wp.min(wp.float64(BOOST) * curvature.boost[env], wp.float64(LARGEST_BOOST))
 
 
 @wp.kernel
 def _aim_step_kernel(
-    p: EnvProgress,
+    phases: Phases,
+    counts: Counts,
+    prescribed: Prescribed,  # out
+    clearance: Clearance,  # out
+    balance: Balance,  # out
+    curvature: Curvature,  # out
+    search: Search,
+    flags: Flags,  # out
     r: Rules,
-    linear_tolerances: wp.array(dtype=wp.float64),
-    renewed: wp.array(dtype=wp.int32),
+    linear_tolerances: wp.array(dtype=wp.float64),  # out
+    renewed: wp.array(dtype=wp.int32),  # out
 ):
     """How far the frames try to go next, and how well the system has to be solved.
 
@@ -95,59 +122,61 @@ def _aim_step_kernel(
     """
     env = wp.tid()
     if env == 0:
-        p.rounds[0] += 1
-        lower_flags(p)
-    p.moving[env] = 0
-    p.bend[env] = wp.float64(0.0)
-    p.reach[env] = p.margin[env]
-    if p.active[env] == 0:
+        flags.rounds[0] += 1
+        lower_flags(flags)
+    prescribed.moving[env] = 0
+    clearance.bend[env] = wp.float64(0.0)
+    clearance.reach[env] = clearance.margin[env]
+    if phases.active[env] == 0:
         return
     one = wp.float64(1.0)
-    progress = p.progress[env]
+    progress = prescribed.progress[env]
     goal = one
-    if p.stride[env] < one:
-        goal = progress + p.stride[env] * (one - progress)
-    gap = wp.min(p.min_distance[env], r.dhat)
-    for body in range(p.turns.shape[1]):
-        turn = wp.max(p.turns[env, body], wp.float64(1.0e-300))
-        share = turn_within(p.radii[env, body], gap) / turn
+    if prescribed.stride[env] < one:
+        goal = progress + prescribed.stride[env] * (one - progress)
+    gap = wp.min(balance.min_distance[env], r.dhat)
+    for body in range(prescribed.turns.shape[1]):
+        turn = wp.max(prescribed.turns[env, body], wp.float64(1.0e-300))
+        share = turn_within(prescribed.radii[env, body], gap) / turn
         goal = wp.min(goal, progress + share)
-    p.goal[env] = goal
+    prescribed.goal[env] = goal
     if progress < one:
-        p.moving[env] = 1
-    p.boost[env] = boosted(env, p)
-    p.psd_mode[env] = projection(env, p, r)
-    renewed[env] = 1 - p.newton[env] % 2
+        prescribed.moving[env] = 1
+    curvature.boost[env] = boosted(env, prescribed, balance, curvature, search)
+    curvature.psd_mode[env] = projection(env, prescribed, balance, curvature, search, r)
+    renewed[env] = 1 - counts.newton[env] % 2
     linear_tolerances[env] = LINEAR_TOLERANCE
-    if progress < one or p.newton[env] == 0:
-        whole = wp.float64(0.3) / wp.max(p.excess[env], wp.float64(1.0e-300))
+    if progress < one or counts.newton[env] == 0:
+        whole = wp.float64(0.3) / wp.max(balance.excess[env], wp.float64(1.0e-300))
         linear_tolerances[env] = wp.clamp(whole, wp.float64(1.0e-6), LINEAR_TOLERANCE)
-    p.last_residual[env] = p.residual[env]
+    balance.last_residual[env] = balance.residual[env]
 
 
 @wp.kernel
 def _count_solve_kernel(
     iterations: wp.array(dtype=wp.int32),
     breakdown: wp.array(dtype=wp.int32),
-    extra: ListRoom,
-    p: EnvProgress,
+    extra: ListRoom,  # out
+    phases: Phases,  # out
+    counts: Counts,  # out
+    curvature: Curvature,  # out
 ):
     """After a breakdown the last iterate still descends, unless there is none: then an exact matrix
     is projected in the next iteration, and this one stays where it is."""
     env = wp.tid()
-    if p.active[env] == 0:
+    if phases.active[env] == 0:
         return
     if overflows(env, extra):
-        stop(env, _CONTACT_OVERFLOW, p)
+        stop(env, _CONTACT_OVERFLOW, phases)
         return
-    p.cg[env] += iterations[env]
-    p.newton[env] += 1
+    counts.cg[env] += iterations[env]
+    counts.newton[env] += 1
     if breakdown[env] == 0:
         return
-    if p.psd_mode[env] == PSD_NONE:
-        p.projected[env] = PROJECTED_AFTER
+    if curvature.psd_mode[env] == PSD_NONE:
+        curvature.projected[env] = PROJECTED_AFTER
     elif iterations[env] == 0:
-        stop(env, _LINE_SEARCH, p)
+        stop(env, _LINE_SEARCH, phases)
 
 
 def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] = ()) -> None:
@@ -156,15 +185,17 @@ def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] =
     s, p = run.s, run.p
     linear = s.linear
     _assemble(run, beside)
-    linear.solve(p.active, s.config.max_cg_iterations)
+    linear.solve(p.phases.active, s.config.max_cg_iterations)
 
     def count() -> None:
         solved = [linear.iterations, linear.breakdown, linear.extra.room]
-        run.decide(_count_solve_kernel, *solved, p)
+        run.decide(_count_solve_kernel, *solved, p.phases, p.counts, p.curvature)
 
     def spread() -> None:
         # Not by ``active``, from which counting takes those that stop.
-        spread_solution(run.model, p.underway, linear.solution, s.displacements, p.boost)
+        spread_solution(
+            run.model, p.roster.underway, linear.solution, s.displacements, p.curvature.boost
+        )
 
     run.together([count, spread])
 
@@ -178,9 +209,30 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
     elements = [*s.elastic, *s.viscosity]
 
     def aim() -> None:
-        run.decide(_aim_step_kernel, p, run.rules, s.linear.tolerances, s.linear.renewed)
+        run.decide(
+            _aim_step_kernel,
+            p.phases,
+            p.counts,
+            p.prescribed,
+            p.clearance,
+            p.balance,
+            p.curvature,
+            p.search,
+            p.flags,
+            run.rules,
+            s.linear.tolerances,
+            s.linear.renewed,
+        )
         path = (s.start_poses, s.end_poses)
-        s.frame_nodes.aim(p.active, p.moving, path, x, s.displacements, p.goal, s.target_poses)
+        s.frame_nodes.aim(
+            p.phases.active,
+            p.prescribed.moving,
+            path,
+            x,
+            s.displacements,
+            p.prescribed.goal,
+            s.target_poses,
+        )
         if s.joints is not None:
             s.joints.set_frames(run.state.poses, s.target_poses)
 
@@ -191,33 +243,33 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
             s.linear.rhs.zero_()
 
     def start_rhs() -> None:
-        begin_rhs(run.model, p.active, s.reduced, s.linear.rhs, keep=bits_count)
+        begin_rhs(run.model, p.phases.active, s.reduced, s.linear.rhs, keep=bits_count)
 
     def of_elements() -> None:
         for part in elements:
-            part.write_hessians(p.active, x, p.psd_mode)
+            part.write_hessians(p.phases.active, x, p.curvature.psd_mode)
 
     def of_contact(part: NewtonSystem) -> None:
-        s.contact.add_hessian(p.active, x, part, p.psd_mode)
+        s.contact.add_hessian(p.phases.active, x, part, p.curvature.psd_mode)
 
     def of_friction(part: NewtonSystem) -> None:
         if s.friction is not None:
-            s.friction.add_hessian(p.active, run.motion(), part, p.sharpness)
+            s.friction.add_hessian(p.phases.active, run.motion(), part, p.curvature.sharpness)
 
     def of_affine() -> None:
         if s.affine is not None:
-            s.affine.add_hessian(p.active, x, system, p.psd_mode)
+            s.affine.add_hessian(p.phases.active, x, system, p.curvature.psd_mode)
 
     def gather() -> None:
         for part in elements:
-            part.gather_hessians(p.active, system)
+            part.gather_hessians(p.phases.active, system)
         for term in (s.joints, s.inertia):
             if term is not None:
-                term.add_hessian(p.active, x, system)
+                term.add_hessian(p.phases.active, x, system)
 
     def gather_rim() -> None:
         for part in elements:
-            part.gather_rim(p.moving, system)
+            part.gather_rim(p.prescribed.moving, system)
 
     # What adds by atomics first; what gathers in order adds to that.
     if not bits_count:

@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import warp as wp
 
-from taccel_lab.solvers.env_progress import EnvProgress
+from taccel_lab.solvers.env_progress import Phases
 
 wp.set_module_options({"enable_backward": False})
 
@@ -41,24 +41,35 @@ _RESTING = wp.constant(int(EnvPhase.RESTING))
 
 
 @wp.func
-def enter(env: int, phase: int, p: EnvProgress):
+def enter(
+    env: int,
+    phase: int,
+    phases: Phases,  # out
+):
     """Take part in what only some environments do."""
-    p.phase[env] = phase
-    p.inner[env] = 1
+    phases.phase[env] = phase
+    phases.inner[env] = 1
 
 
 @wp.func
-def leave(env: int, p: EnvProgress):
+def leave(
+    env: int,
+    phases: Phases,  # out
+):
     """Go on like all others."""
-    p.phase[env] = STEPPING
-    p.inner[env] = 0
+    phases.phase[env] = STEPPING
+    phases.inner[env] = 0
 
 
 @wp.func
-def stop(env: int, status: int, p: EnvProgress):
+def stop(
+    env: int,
+    status: int,
+    phases: Phases,  # out
+):
     """End the step of an environment."""
-    p.status[env] = status
-    p.phase[env] = _RESTING
-    p.active[env] = 0
-    p.inner[env] = 0
-    p.fresh[env] = 0
+    phases.status[env] = status
+    phases.phase[env] = _RESTING
+    phases.active[env] = 0
+    phases.inner[env] = 0
+    phases.fresh[env] = 0

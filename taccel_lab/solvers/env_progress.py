@@ -33,9 +33,12 @@ class Rules:
     has_friction: wp.int32
 
 
+# Arrays of a part have shape [env_count] unless they say otherwise; masks are 0 or 1.
+
+
 @wp.struct
-class EnvProgress:
-    """Arrays of shape [env_count]; masks are 0 or 1."""
+class Roster:
+    """Who is to take a step, and what has become of it: masks for the host and for the state."""
 
     who: wp.array(dtype=wp.int32)
     """Mask of the environments that are to take a step."""
@@ -43,8 +46,6 @@ class EnvProgress:
     """Mask of those that are read from the user's state first."""
     writes: wp.array(dtype=wp.int32)
     """Mask of those that are written to it once their step has converged."""
-    fresh: wp.array(dtype=wp.int32)
-    """Mask of those that begin it in this call."""
     underway: wp.array(dtype=wp.int32)
     """Mask of those whose step is not closed: they go on with it in the next call."""
     done: wp.array(dtype=wp.int32)
@@ -53,36 +54,40 @@ class EnvProgress:
     """Mask of those whose step is rolled back in this call."""
     again: wp.array(dtype=wp.int32)
     """Mask of those that take the step before again: it begins where that began."""
-    phase: wp.array(dtype=wp.int32)
-    """``env_phase.EnvPhase``; of what follows from it, the next two are masks for kernels."""
-    active: wp.array(dtype=wp.int32)
-    """Mask of those that are at it: in any phase but RESTING."""
-    inner: wp.array(dtype=wp.int32)
-    """Mask of those that take part in what only some do: in a phase beyond STEPPING."""
-    moving: wp.array(dtype=wp.int32)
-    """Mask of those whose frames are still on their way."""
-    near: wp.array(dtype=wp.int32)
-    """Mask of those whose way may meet something, and is checked by CCD."""
-    flying: wp.array(dtype=wp.int32)
-    """Mask of those whose start is free flight alone."""
-    turning: wp.array(dtype=wp.int32)
-    """Mask of those in which a frame turns in this step."""
     inverted_before: wp.array(dtype=wp.int32)
     """Mask of those with an inverted element at the start, in materials that bear it."""
     inverted_after: wp.array(dtype=wp.int32)
     """The same at the end."""
     refused: wp.array(dtype=wp.int32)
     """Mask of those in which BDF2 met an impact."""
+
+
+@wp.struct
+class Phases:
+    """Where each environment stands in its step (``env_phase``)."""
+
+    fresh: wp.array(dtype=wp.int32)
+    """Mask of those that begin it in this call."""
+    phase: wp.array(dtype=wp.int32)
+    """``env_phase.EnvPhase``; of what follows from it, the next two are masks for kernels."""
+    active: wp.array(dtype=wp.int32)
+    """Mask of those that are at it: in any phase but RESTING."""
+    inner: wp.array(dtype=wp.int32)
+    """Mask of those that take part in what only some do: in a phase beyond STEPPING."""
+    flying: wp.array(dtype=wp.int32)
+    """Mask of those whose start is free flight alone."""
     status: wp.array(dtype=wp.int32)
     """``EnvStatus``."""
-    untouched: wp.array(dtype=wp.int32)
-    """Mask of those that began the step without a contact."""
+
+
+@wp.struct
+class Counts:
+    """How often what was done in a step; for reports, and against limits."""
+
     newton: wp.array(dtype=wp.int32)
     cg: wp.array(dtype=wp.int32)
     lags: wp.array(dtype=wp.int32)
     joint_rounds: wp.array(dtype=wp.int32)
-    cuts: wp.array(dtype=wp.int32)
-    """Cuts of the present line search."""
     searches: wp.array(dtype=wp.int32)
     """Searches for pairs in this step."""
     ccd_passes: wp.array(dtype=wp.int32)
@@ -90,6 +95,51 @@ class EnvProgress:
     starts_tried: wp.array(dtype=wp.int32)
     starts_taken: wp.array(dtype=wp.int32)
     """Starts away from where the environment is, of this step."""
+
+
+@wp.struct
+class Prescribed:
+    """The prescribed motion of kinematic bodies, and how much of it is done."""
+
+    moving: wp.array(dtype=wp.int32)
+    """Mask of those whose frames are still on their way."""
+    turning: wp.array(dtype=wp.int32)
+    """Mask of those in which a frame turns in this step."""
+    progress: wp.array(dtype=wp.float64)
+    """Part of the prescribed motion that is done."""
+    goal: wp.array(dtype=wp.float64)
+    """Progress that the present search direction aims at."""
+    stride: wp.array(dtype=wp.float64)
+    """Part of the remaining motion that the next one asks for."""
+    trial_progress: wp.array(dtype=wp.float64)
+    turns: wp.array2d(dtype=wp.float64)
+    """Angle by which each frame turns in the step [rad], shape [env_count, kinematic_count]."""
+    radii: wp.array2d(dtype=wp.float64)
+    """Reach of each frame [m], shape [env_count, kinematic_count]."""
+
+
+@wp.struct
+class Clearance:
+    """How far the way ahead is free of collisions, and how far pairs are searched for."""
+
+    near: wp.array(dtype=wp.int32)
+    """Mask of those whose way may meet something, and is checked by CCD."""
+    limit: wp.array(dtype=wp.float64)
+    """Collision-free fraction of the search direction, or of a turning trial's path."""
+    margin: wp.array(dtype=wp.float64)
+    """Reach of the broad phase [m]."""
+    reach: wp.array(dtype=wp.float64)
+    """Reach of the broad phase along the search direction [m]."""
+    bend: wp.array(dtype=wp.float64)
+    """Largest angle by which the search direction turns an affine body [rad]."""
+    flight_turn_sq: wp.array(dtype=wp.float64)
+    """Square of the largest angle by which an affine body turns in free flight."""
+
+
+@wp.struct
+class Balance:
+    """Forces that are not in balance, what is allowed of them, and how friction settles."""
+
     body_residuals: wp.array2d(dtype=wp.float64)
     """Sum of the magnitudes of the force residual of each body [N], [env_count, body_count]."""
     body_forces: wp.array2d(dtype=wp.float64)
@@ -100,30 +150,28 @@ class EnvProgress:
     """Largest force residual of a body [N]."""
     excess: wp.array(dtype=wp.float64)
     """Largest force residual of a body over what is allowed that body."""
+    last_residual: wp.array(dtype=wp.float64)
+    """``residual`` one iteration earlier; infinite after friction was frozen anew."""
     contact_force: wp.array(dtype=wp.float64)
     """Sum of the contact forces on one side [N]."""
     min_distance: wp.array(dtype=wp.float64)
     """Smallest gap [m]."""
     violation: wp.array(dtype=wp.float64)
     """Largest violation of a joint [m]."""
-    smallest_step: wp.array(dtype=wp.float64)
-    progress: wp.array(dtype=wp.float64)
-    """Part of the prescribed motion that is done."""
-    goal: wp.array(dtype=wp.float64)
-    """Progress that the present search direction aims at."""
-    stride: wp.array(dtype=wp.float64)
-    """Part of the remaining motion that the next one asks for."""
-    trial_progress: wp.array(dtype=wp.float64)
+    rounding: wp.array(dtype=wp.float64)
+    """Residual that rounding makes in joints [N]."""
     lag_change: wp.array(dtype=wp.float64)
     """Largest ``excess`` since friction was last frozen anew."""
     damping: wp.array(dtype=wp.float64)
     """Longest step while freezing alternates."""
-    margin: wp.array(dtype=wp.float64)
-    """Reach of the broad phase [m]."""
-    rounding: wp.array(dtype=wp.float64)
-    """Residual that rounding makes in joints [N]."""
-    energy_rounding: wp.array(dtype=wp.float64)
-    """Rounding of the elastic energy, however small it is [J]."""
+    untouched: wp.array(dtype=wp.int32)
+    """Mask of those that began the step without a contact."""
+
+
+@wp.struct
+class Curvature:
+    """What of the curvature the next matrix has, and how long its direction is taken."""
+
     sharpness: wp.array(dtype=wp.float64)
     """How much of the curvature of friction the next direction counts, see ``friction_hessian``."""
     psd_mode: wp.array(dtype=wp.int32)
@@ -132,20 +180,19 @@ class EnvProgress:
     """Iterations for which matrices are projected in any case."""
     boost: wp.array(dtype=wp.float64)
     """Multiple of Newton's direction that is searched along."""
-    last_residual: wp.array(dtype=wp.float64)
-    """``residual`` one iteration earlier; infinite after friction was frozen anew."""
-    bend: wp.array(dtype=wp.float64)
-    """Largest angle by which the search direction turns an affine body [rad]."""
-    reach: wp.array(dtype=wp.float64)
-    """Reach of the broad phase along the search direction [m]."""
-    joint_energy_rounding: wp.array(dtype=wp.float64)
-    """Rounding of the energy of joints [J]."""
-    limit: wp.array(dtype=wp.float64)
-    """Collision-free fraction of the search direction, or of a turning trial's path."""
+
+
+@wp.struct
+class Search:
+    """The line search: its energies and the fraction that it tries."""
+
     alpha: wp.array(dtype=wp.float64)
     """Fraction of the search direction that is tried."""
-    slope: wp.array(dtype=wp.float64)
-    """Derivative of the energy along the search direction [J]."""
+    cuts: wp.array(dtype=wp.int32)
+    """Cuts of the present line search."""
+    smallest_step: wp.array(dtype=wp.float64)
+    derivative: wp.array(dtype=wp.float64)
+    """Directional derivative of the energy along the search direction [J]."""
     before: wp.array(dtype=wp.float64)
     """Energy where the search starts [J]."""
     after: wp.array(dtype=wp.float64)
@@ -154,12 +201,18 @@ class EnvProgress:
     """Energy at the positions without friction [J]."""
     base_after: wp.array(dtype=wp.float64)
     """Energy of the trial without friction [J]."""
-    turns: wp.array2d(dtype=wp.float64)
-    """Angle by which each frame turns in the step [rad], shape [env_count, kinematic_count]."""
-    radii: wp.array2d(dtype=wp.float64)
-    """Reach of each frame [m], shape [env_count, kinematic_count]."""
+    energy_rounding: wp.array(dtype=wp.float64)
+    """Rounding of the elastic energy, however small it is [J]."""
+    joint_energy_rounding: wp.array(dtype=wp.float64)
+    """Rounding of the energy of joints [J]."""
+
+
+@wp.struct
+class Flags:
+    """What holds for all environments of a call together: arrays of shape [1]."""
+
     any_flight: wp.array(dtype=wp.int32)
-    """Whether the start of any environment is free flight alone, shape [1] like all below."""
+    """Whether the start of any environment is free flight alone."""
     rounds: wp.array(dtype=wp.int32)
     """Iterations of this call so far."""
     most_rounds: wp.array(dtype=wp.int32)
@@ -189,30 +242,36 @@ _REPORTED = {
 """Names of the figures of a report here, where they differ."""
 NO_LIMIT = 2**30
 """Rounds of a call that ends when all environments are through."""
-_FOR_ALL = (
-    "any_flight",
-    "rounds",
-    "most_rounds",
-    "running",
-    "searching",
-    "freezing",
-    "closing",
-    "reopened",
-)
 
 
 @wp.func
-def lower_flags(p: EnvProgress):
+def lower_flags(
+    flags: Flags,  # out
+):
     """No environment has asked for anything yet; a kernel that does this raises none of them."""
-    p.running[0] = 0
-    p.searching[0] = 0
-    p.freezing[0] = 0
-    p.closing[0] = 0
-    p.reopened[0] = 0
+    flags.running[0] = 0
+    flags.searching[0] = 0
+    flags.freezing[0] = 0
+    flags.closing[0] = 0
+    flags.reopened[0] = 0
 
 
-class EnvProgressArrays:
-    """The arrays of an ``EnvProgress``."""
+PARTS = {
+    "roster": Roster,
+    "phases": Phases,
+    "counts": Counts,
+    "prescribed": Prescribed,
+    "clearance": Clearance,
+    "balance": Balance,
+    "curvature": Curvature,
+    "search": Search,
+    "flags": Flags,
+}
+"""Structs by name; a kernel takes those that it uses, under these names and in this order."""
+
+
+class EnvProgress:
+    """The parts, on the device, with what the host knows of them."""
 
     def __init__(
         self,
@@ -222,28 +281,29 @@ class EnvProgressArrays:
         radii_m: np.ndarray,
         device: wp.Device,
     ) -> None:
-        self.data = EnvProgress()
-        """For kernels."""
+        self.roster, self.phases, self.counts = Roster(), Phases(), Counts()
+        self.prescribed, self.clearance, self.balance = Prescribed(), Clearance(), Balance()
+        self.curvature, self.search, self.flags = Curvature(), Search(), Flags()
         self.report = ReportBlock.zeros(env_count, device)
-        """What a report needs, on the memory of ``data``."""
+        """What a report needs, on the memory of the parts."""
         reported = {_REPORTED.get(name, name): a for name, a in self.report.arrays.items()}
-        for name, array in reported.items():
-            setattr(self.data, name, array)
-        given = (*reported, *_FOR_ALL, "carriers")
-        for name, member in EnvProgress.vars.items():
-            if name not in given and member.type.ndim == 1:
-                zeros = wp.zeros(env_count, dtype=member.type.dtype, device=device)
-                setattr(self.data, name, zeros)
         radii = np.tile(radii_m, (env_count // len(radii_m), 1))
-        self.data.radii = wp.array(radii, dtype=wp.float64, device=device)
-        self.data.turns = wp.zeros_like(self.data.radii)
-        for name in ("body_residuals", "body_forces"):
-            sums = wp.zeros((env_count, body_count), dtype=wp.float64, device=device)
-            setattr(self.data, name, sums)
-        self.data.carriers = wp.array(carriers, dtype=wp.int32, device=device)
-        for name in _FOR_ALL:
-            setattr(self.data, name, wp.zeros(1, dtype=wp.int32, device=device))
-        self.data.most_rounds.fill_(NO_LIMIT)
+        sums = (env_count, body_count)
+        given = reported | {
+            "carriers": wp.array(carriers, dtype=wp.int32, device=device),
+            "radii": wp.array(radii, dtype=wp.float64, device=device),
+            "turns": wp.zeros(radii.shape, dtype=wp.float64, device=device),
+            "body_residuals": wp.zeros(sums, dtype=wp.float64, device=device),
+            "body_forces": wp.zeros(sums, dtype=wp.float64, device=device),
+        }
+        for part, kind in PARTS.items():
+            length = 1 if kind is Flags else env_count
+            for name, member in kind.vars.items():
+                array = given.get(name)
+                if array is None:
+                    array = wp.zeros(length, dtype=member.type.dtype, device=device)
+                setattr(getattr(self, part), name, array)
+        self.flags.most_rounds.fill_(NO_LIMIT)
         self.underway = np.zeros(env_count, dtype=bool)
         """Environments whose step goes on in the next call (``ready_steps``), on the host."""
         self.again = np.zeros(env_count, dtype=bool)
@@ -251,7 +311,8 @@ class EnvProgressArrays:
 
     def drop(self, who: np.ndarray, mask: wp.array) -> None:
         """Environments of ``who`` (bool, and ``mask`` on the device) are in no step any more."""
-        for mine in (self.data.underway, self.data.active, self.data.inner, self.data.phase):
+        phases = self.phases
+        for mine in (self.roster.underway, phases.active, phases.inner, phases.phase):
             zero_rows(mask, mine)
         self.underway &= ~who
         self.again &= ~who

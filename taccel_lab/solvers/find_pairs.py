@@ -10,7 +10,7 @@ import warp as wp
 
 from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
 from taccel_lab.solvers.env_phase import stop
-from taccel_lab.solvers.env_progress import EnvProgress
+from taccel_lab.solvers.env_progress import Counts, Phases
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.step_launches import StepLaunches
 
@@ -22,22 +22,23 @@ _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
 @wp.kernel
 def _count_search_kernel(
     searched: wp.array(dtype=wp.int32),
-    node_faces: ListRoom,
-    edge_edges: ListRoom,
-    covered: wp.array(dtype=wp.float64),
-    p: EnvProgress,
+    node_faces: ListRoom,  # out
+    edge_edges: ListRoom,  # out
+    covered: wp.array(dtype=wp.float64),  # out
+    phases: Phases,  # out
+    counts: Counts,  # out
 ):
     """Count a search; stop environments whose pairs did not fit: the host makes room."""
     env = wp.tid()
     if searched[env] == 0:
         return
-    p.searches[env] += 1
+    counts.searches[env] += 1
     # Both, as a list that was too short is emptied.
     first = overflows(env, node_faces)
     second = overflows(env, edge_edges)
     if first or second:
         covered[env] = wp.float64(0.0)
-        stop(env, _CONTACT_OVERFLOW, p)
+        stop(env, _CONTACT_OVERFLOW, phases)
 
 
 def find_pairs(run: StepLaunches, mask: wp.array, poses: wp.array, reach: wp.array) -> None:
@@ -47,6 +48,6 @@ def find_pairs(run: StepLaunches, mask: wp.array, poses: wp.array, reach: wp.arr
 
     def count() -> None:
         rooms = [part.room for part in s.candidates.lists]
-        run.decide(_count_search_kernel, s.pairs.stale, *rooms, s.pairs.covered, p)
+        run.decide(_count_search_kernel, s.pairs.stale, *rooms, s.pairs.covered, p.phases, p.counts)
 
     s.pairs.cover(mask, state.positions, s.displacements, state.poses, poses, reach, count)

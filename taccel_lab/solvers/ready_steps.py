@@ -59,7 +59,7 @@ class ReadySteps:
         started = time.perf_counter()
         solver, state, progress = self.solver, self.state, self.solver.progress
         with solver.at_work():
-            p, count = progress.data, solver.model.env_count
+            count = solver.model.env_count
             who = ~progress.underway if who is None else checked_mask(who, count).copy()
             if (who & progress.underway).any():
                 env = int(np.flatnonzero(who & progress.underway)[0])
@@ -72,10 +72,10 @@ class ReadySteps:
             separate = solver.find_separate(state)
             overlapping = who & ~separate
             who &= separate
-            p.again.zero_()
-            p.most_rounds.fill_(self.iterations)
+            progress.roster.again.zero_()
+            progress.flags.most_rounds.fill_(self.iterations)
             report = solver.attempt_once(who | progress.again, who, np.ones_like(who))
-            p.most_rounds.fill_(NO_LIMIT)
+            progress.flags.most_rounds.fill_(NO_LIMIT)
             progress.underway |= who
             status = np.where(progress.underway, report.status, int(EnvStatus.SKIPPED))
             progress.again[:] = solver.prepare_again(status)

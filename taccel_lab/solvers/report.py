@@ -117,7 +117,8 @@ class StepReport:
     of a body [N]."""
     residual_ratio: np.ndarray
     """The largest of a body over what is allowed that body, at most 1 where the step converged.
-    ``SolverIPC.progress.data`` has ``body_residuals`` and ``body_forces``, [env_count, body_count].
+    ``SolverIPC.progress.balance`` has ``body_residuals`` and ``body_forces``,
+    [env_count, body_count].
     """
     contact_force_n: np.ndarray
     """Sum of the magnitudes of the nodal contact forces on one side, the scale of the tolerance

@@ -20,7 +20,17 @@ from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_slope, launch_rows
 from taccel_lab.ipc.motion.trial import Trial
 from taccel_lab.ipc.potentials.energy import WrittenEnergies, block_base, block_friction
 from taccel_lab.solvers.env_phase import SEARCHING, enter, leave, stop
-from taccel_lab.solvers.env_progress import EnvProgress, Rules
+from taccel_lab.solvers.env_progress import (
+    Balance,
+    Clearance,
+    Counts,
+    Curvature,
+    Flags,
+    Phases,
+    Prescribed,
+    Rules,
+    Search,
+)
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.step_launches import StepLaunches
 
@@ -33,29 +43,46 @@ SHARPENING = 0.5
 
 
 @wp.func
-def begin_trial(env: int, collisions: ListRoom, p: EnvProgress):
+def begin_trial(
+    env: int,
+    collisions: ListRoom,  # out
+    prescribed: Prescribed,  # out
+    search: Search,
+):
     """How far the frames are in the next trial, whose collisions are not known yet."""
     collisions.counts[env] = 0
-    progress = p.progress[env] + p.alpha[env] * (p.goal[env] - p.progress[env])
+    progress = prescribed.progress[env] + search.alpha[env] * (
+        prescribed.goal[env] - prescribed.progress[env]
+    )
     if progress > wp.float64(1.0 - 1.0e-12):
         progress = wp.float64(1.0)
-    p.trial_progress[env] = progress
+    prescribed.trial_progress[env] = progress
 
 
 @wp.func
-def is_curved(env: int, smallest_bend: wp.float64, p: EnvProgress) -> bool:
+def is_curved(
+    env: int, smallest_bend: wp.float64, prescribed: Prescribed, clearance: Clearance
+) -> bool:
     """Whether trials leave the chord that CCD checked."""
-    return p.turning[env] != 0 or p.bend[env] > smallest_bend
+    return prescribed.turning[env] != 0 or clearance.bend[env] > smallest_bend
 
 
 @wp.func
-def search_on(env: int, collisions: ListRoom, smallest_bend: wp.float64, p: EnvProgress):
+def search_on(
+    env: int,
+    collisions: ListRoom,  # out
+    smallest_bend: wp.float64,
+    counts: Counts,  # out
+    prescribed: Prescribed,  # out
+    clearance: Clearance,  # out
+    search: Search,
+):
     """Try the fraction ``alpha``; ``near`` if its path is to be checked."""
-    begin_trial(env, collisions, p)
-    if is_curved(env, smallest_bend, p):
-        p.near[env] = 1
-        p.limit[env] = wp.float64(1.0)
-        p.ccd_passes[env] += 1
+    begin_trial(env, collisions, prescribed, search)
+    if is_curved(env, smallest_bend, prescribed, clearance):
+        clearance.near[env] = 1
+        clearance.limit[env] = wp.float64(1.0)
+        counts.ccd_passes[env] += 1
 
 
 @wp.kernel
@@ -67,10 +94,16 @@ def _open_search_kernel(
     direction: wp.array2d(dtype=wp.vec3d),
     energies: WrittenEnergies,
     base_known: int,
-    collisions: ListRoom,
+    collisions: ListRoom,  # out
     largest_turn: wp.float64,
     smallest_bend: wp.float64,
-    p: EnvProgress,
+    phases: Phases,  # out
+    counts: Counts,  # out
+    prescribed: Prescribed,  # out
+    clearance: Clearance,  # out
+    balance: Balance,
+    search: Search,  # out
+    flags: Flags,  # out
 ):
     """Slope and energy where the search starts; the first trial takes the collision-free fraction.
 
@@ -83,23 +116,23 @@ def _open_search_kernel(
     if base_known == 0:
         base = block_base(env, lane, energies)
         if lane == 0:
-            p.base[env] = base
+            search.base[env] = base
     friction = block_friction(env, lane, energies)
     if lane == 0:
-        p.slope[env] = slope
-        p.before[env] = p.base[env] + friction
-        p.near[env] = 0
-        p.cuts[env] = 0
-        alpha = wp.min(p.limit[env], p.damping[env])
-        alpha = wp.min(alpha, largest_turn / wp.max(p.bend[env], wp.float64(1.0e-300)))
-        p.alpha[env] = alpha
+        search.derivative[env] = slope
+        search.before[env] = search.base[env] + friction
+        clearance.near[env] = 0
+        search.cuts[env] = 0
+        alpha = wp.min(clearance.limit[env], balance.damping[env])
+        alpha = wp.min(alpha, largest_turn / wp.max(clearance.bend[env], wp.float64(1.0e-300)))
+        search.alpha[env] = alpha
         if alpha > wp.float64(0.0):
-            enter(env, SEARCHING, p)
-            search_on(env, collisions, smallest_bend, p)
-            wp.atomic_add(p.searching, 0, 1)
+            enter(env, SEARCHING, phases)
+            search_on(env, collisions, smallest_bend, counts, prescribed, clearance, search)
+            wp.atomic_add(flags.searching, 0, 1)
         else:
             # Surfaces that touch show in their gap: this direction is far too long.
-            stop(env, _LINE_SEARCH, p)
+            stop(env, _LINE_SEARCH, phases)
 
 
 @wp.func
@@ -117,7 +150,14 @@ def adapted_stride(stride: wp.float64, fraction: wp.float64) -> wp.float64:
 
 
 @wp.func
-def is_good(env: int, smallest_bend: wp.float64, p: EnvProgress, r: Rules) -> bool:
+def is_good(
+    env: int,
+    smallest_bend: wp.float64,
+    prescribed: Prescribed,
+    clearance: Clearance,
+    search: Search,
+    r: Rules,
+) -> bool:
     """Whether a trial lowers the energy.
 
     While frames are still on their way the energy may rise: they do work. A body that turns leaves
@@ -127,64 +167,88 @@ def is_good(env: int, smallest_bend: wp.float64, p: EnvProgress, r: Rules) -> bo
     body is the square of one.
     """
     one = wp.float64(1.0)
-    before = p.before[env]
-    after = p.after[env]
-    rounding = p.energy_rounding[env] + p.joint_energy_rounding[env]
+    before = search.before[env]
+    after = search.after[env]
+    rounding = search.energy_rounding[env] + search.joint_energy_rounding[env]
     rounding += wp.float64(1.0e-13) * wp.abs(before)
     rounding += r.affine_energy_rounding * wp.sqrt(wp.abs(before))
-    descent = wp.float64(1.0e-4) * p.alpha[env] * wp.min(p.slope[env], wp.float64(0.0))
+    descent = (
+        wp.float64(1.0e-4) * search.alpha[env] * wp.min(search.derivative[env], wp.float64(0.0))
+    )
     good = wp.isfinite(after)
-    if p.progress[env] >= one and not (after <= before + descent + rounding):
+    if prescribed.progress[env] >= one and not (after <= before + descent + rounding):
         good = False
-    if is_curved(env, smallest_bend, p) and p.limit[env] < one:
+    if is_curved(env, smallest_bend, prescribed, clearance) and clearance.limit[env] < one:
         good = False
     return good
 
 
 @wp.func
-def accept(env: int, p: EnvProgress):
+def accept(
+    env: int,
+    phases: Phases,  # out
+    prescribed: Prescribed,  # out
+    curvature: Curvature,  # out
+    search: Search,  # out
+):
     """Take over a trial."""
     one = wp.float64(1.0)
-    alpha = p.alpha[env]
-    leave(env, p)
-    p.base[env] = p.base_after[env]
-    p.progress[env] = p.trial_progress[env]
-    p.smallest_step[env] = wp.min(p.smallest_step[env], alpha)
-    p.stride[env] = adapted_stride(p.stride[env], alpha)
-    if p.cuts[env] > 0 and p.progress[env] >= one:
-        p.sharpness[env] = wp.float64(0.0)
+    alpha = search.alpha[env]
+    leave(env, phases)
+    search.base[env] = search.base_after[env]
+    prescribed.progress[env] = prescribed.trial_progress[env]
+    search.smallest_step[env] = wp.min(search.smallest_step[env], alpha)
+    prescribed.stride[env] = adapted_stride(prescribed.stride[env], alpha)
+    if search.cuts[env] > 0 and prescribed.progress[env] >= one:
+        curvature.sharpness[env] = wp.float64(0.0)
     else:
-        p.sharpness[env] = wp.min(p.sharpness[env] + wp.float64(SHARPENING), one)
+        curvature.sharpness[env] = wp.min(curvature.sharpness[env] + wp.float64(SHARPENING), one)
 
 
 @wp.func
 def judge_trial(
-    env: int, collisions: ListRoom, smallest_bend: wp.float64, p: EnvProgress, r: Rules
+    env: int,
+    collisions: ListRoom,  # out
+    smallest_bend: wp.float64,
+    phases: Phases,  # out
+    counts: Counts,  # out
+    prescribed: Prescribed,  # out
+    clearance: Clearance,  # out
+    curvature: Curvature,  # out
+    search: Search,  # out
+    flags: Flags,  # out
+    r: Rules,
 ):
     """Accept a trial, or halve its fraction."""
-    p.near[env] = 0
+    clearance.near[env] = 0
     if overflows(env, collisions):
-        stop(env, _CONTACT_OVERFLOW, p)
-    elif is_good(env, smallest_bend, p, r):
-        accept(env, p)
+        stop(env, _CONTACT_OVERFLOW, phases)
+    elif is_good(env, smallest_bend, prescribed, clearance, search, r):
+        accept(env, phases, prescribed, curvature, search)
     else:
-        p.alpha[env] = wp.float64(0.5) * p.alpha[env]
-        p.cuts[env] += 1
-        if p.cuts[env] >= r.max_cuts:
-            stop(env, _LINE_SEARCH, p)
+        search.alpha[env] = wp.float64(0.5) * search.alpha[env]
+        search.cuts[env] += 1
+        if search.cuts[env] >= r.max_cuts:
+            stop(env, _LINE_SEARCH, phases)
         else:
-            search_on(env, collisions, smallest_bend, p)
-    if p.phase[env] != SEARCHING:
-        wp.atomic_sub(p.searching, 0, 1)
+            search_on(env, collisions, smallest_bend, counts, prescribed, clearance, search)
+    if phases.phase[env] != SEARCHING:
+        wp.atomic_sub(flags.searching, 0, 1)
 
 
 @wp.kernel
 def _judge_trial_kernel(
     searching: wp.array(dtype=wp.int32),
     energies: WrittenEnergies,
-    collisions: ListRoom,
+    collisions: ListRoom,  # out
     smallest_bend: wp.float64,
-    p: EnvProgress,
+    phases: Phases,  # out
+    counts: Counts,  # out
+    prescribed: Prescribed,  # out
+    clearance: Clearance,  # out
+    curvature: Curvature,  # out
+    search: Search,  # out
+    flags: Flags,  # out
     r: Rules,
 ):
     """The energy of a trial, and what comes of it; threads as in ``_open_search_kernel``."""
@@ -194,9 +258,21 @@ def _judge_trial_kernel(
     base = block_base(env, lane, energies)
     friction = block_friction(env, lane, energies)
     if lane == 0:
-        p.base_after[env] = base
-        p.after[env] = base + friction
-        judge_trial(env, collisions, smallest_bend, p, r)
+        search.base_after[env] = base
+        search.after[env] = base + friction
+        judge_trial(
+            env,
+            collisions,
+            smallest_bend,
+            phases,
+            counts,
+            prescribed,
+            clearance,
+            curvature,
+            search,
+            flags,
+            r,
+        )
 
 
 def find_turning_points(run: StepLaunches) -> list[Callable[[], None]]:
@@ -206,14 +282,22 @@ def find_turning_points(run: StepLaunches) -> list[Callable[[], None]]:
     if s.affine is None:
         return []
     x, forces = run.state.positions, s.contact_gradient
-    return [lambda: find_pivots(run.model, run.p.active, x, forces, s.pivots)]
+    return [lambda: find_pivots(run.model, run.p.phases.active, x, forces, s.pivots)]
 
 
 def bend_direction(run: StepLaunches) -> None:
     """How far steps along the direction lead off straight ways, where affine bodies turn."""
     s, p, x = run.s, run.p, run.state.positions
     if s.affine is not None:
-        measure_turns(run.model, p.active, s.pivots, x, s.displacements, p.bend, p.reach)
+        measure_turns(
+            run.model,
+            p.phases.active,
+            s.pivots,
+            x,
+            s.displacements,
+            p.clearance.bend,
+            p.clearance.reach,
+        )
 
 
 def energies_at_start(run: StepLaunches) -> list[Callable[[], None]]:
@@ -223,8 +307,8 @@ def energies_at_start(run: StepLaunches) -> list[Callable[[], None]]:
     """
     s, state = run.s, run.state
     if s.joints is None:
-        return [lambda: run.friction_energy(run.p.active, state.positions, state.poses)]
-    return run.all_energies(run.p.active, state.positions, state.poses)
+        return [lambda: run.friction_energy(run.p.phases.active, state.positions, state.poses)]
+    return run.all_energies(run.p.phases.active, state.positions, state.poses)
 
 
 def search_line(run: StepLaunches) -> None:
@@ -236,18 +320,22 @@ def search_line(run: StepLaunches) -> None:
     s, p = run.s, run.p
     gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
     known = int(s.joints is None)
-    rules = [s.collisions.room, LARGEST_TURN, SMALLEST_TURN, p]
-    start = [p.active, *gradients, s.displacements, run.energies, known]
-    launch_rows(_open_search_kernel, [*start, *rules], [])
+    rules = [s.collisions.room, LARGEST_TURN, SMALLEST_TURN]
+    parts = [p.phases, p.counts, p.prescribed, p.clearance, p.balance, p.search, p.flags]
+    start = [p.phases.active, *gradients, s.displacements, run.energies, known]
+    launch_rows(_open_search_kernel, [*start, *rules, *parts], [])
 
     def judge() -> None:
         evaluate_trial(run)
-        rules = [s.collisions.room, SMALLEST_TURN, p, run.rules]
-        launch_rows(_judge_trial_kernel, [p.inner, run.energies, *rules], [])
+        rules = [s.collisions.room, SMALLEST_TURN]
+        parts = [p.phases, p.counts, p.prescribed, p.clearance, p.curvature, p.search, p.flags]
+        launch_rows(
+            _judge_trial_kernel, [p.phases.inner, run.energies, *rules, *parts, run.rules], []
+        )
 
     # All that search have a first trial: a loop around it would only have to be entered.
     judge()
-    wp.capture_while(p.searching, judge)
+    wp.capture_while(p.flags.searching, judge)
 
 
 def evaluate_trial(run: StepLaunches) -> None:
@@ -259,27 +347,29 @@ def evaluate_trial(run: StepLaunches) -> None:
     """
     s, p, x = run.s, run.p, run.state.positions
     trial = Trial()
-    trial.mask, trial.curved, trial.fractions = p.inner, p.near, p.alpha
+    trial.mask, trial.curved, trial.fractions = p.phases.inner, p.clearance.near, p.search.alpha
     trial.positions, trial.displacements = x, s.displacements
     trial.result, trial.paths = s.trial, s.path
     path = (s.start_poses, s.end_poses)
 
     def place_affine_bodies() -> None:
         if s.affine is not None:
-            place_affine(run.model, p.bend, s.pivots, trial)
+            place_affine(run.model, p.clearance.bend, s.pivots, trial)
 
     run.together(
         [
             lambda: s.straight_nodes.place(trial),
-            lambda: s.frame_nodes.place(trial, path, p.trial_progress, s.trial_poses),
+            lambda: s.frame_nodes.place(trial, path, p.prescribed.trial_progress, s.trial_poses),
             place_affine_bodies,
         ]
     )
     checks = []
     if run.model.kinematic or s.affine is not None:
-        checks = limit_checks(run.model, p.near, s.candidates, x, s.path, p.limit)
-    energies = run.energy_parts(p.inner, s.trial, s.trial_poses)
-    searches = s.collisions.searches(p.inner, s.trial, s.candidates)
+        checks = limit_checks(
+            run.model, p.clearance.near, s.candidates, x, s.path, p.clearance.limit
+        )
+    energies = run.energy_parts(p.phases.inner, s.trial, s.trial_poses)
+    searches = s.collisions.searches(p.phases.inner, s.trial, s.candidates)
     run.together([*searches, *checks, *energies])
-    s.collisions.settle(p.inner)
-    s.contact.write_energies(p.inner, s.trial)
+    s.collisions.settle(p.phases.inner)
+    s.contact.write_energies(p.phases.inner, s.trial)

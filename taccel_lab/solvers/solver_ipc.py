@@ -124,7 +124,7 @@ class SolverIPC(SolverParts):
             self.follow_parameters()
             separate = self.find_separate(state)
             self.begin(state)
-            self.progress.data.again.fill_(int(again))
+            self.progress.roster.again.fill_(int(again))
             # The same array as in the step before where all go on: nothing to compare.
             able = separate if who is self._everyone else separate & who
             report = self._attempt(able, dt, whole=True)
@@ -224,7 +224,7 @@ class SolverIPC(SolverParts):
             return
         mask = device_mask(self._everyone, self.model.env_count, self.model.device)
         self.progress.drop(self._everyone, mask)
-        self.progress.data.most_rounds.fill_(NO_LIMIT)
+        self.progress.flags.most_rounds.fill_(NO_LIMIT)
         for part in self.lists:
             part.renew()
         self.pairs.forget(mask)
@@ -252,7 +252,7 @@ class SolverIPC(SolverParts):
             self.graph.clear()
             self._moves = self.model.moves
         if self._changes != self.model.changes:
-            rounding = self.progress.data.energy_rounding
+            rounding = self.progress.search.energy_rounding
             rounding.zero_()
             everyone = wp.full(self.model.env_count, 1, dtype=wp.int32, device=self.model.device)
             for part in self.elastic:
@@ -364,7 +364,7 @@ class SolverIPC(SolverParts):
         for name, mask in (("who", who), ("reads", reads), ("writes", writes)):
             known = self._masks.get(name)
             if known is not mask and (known is None or not np.array_equal(mask, known)):
-                getattr(self.progress.data, name).assign(mask.astype(np.int32))
+                getattr(self.progress.roster, name).assign(mask.astype(np.int32))
                 self._masks[name] = mask
         self.graph.launch(self)
         block = self.progress.report.copy()
@@ -408,7 +408,7 @@ class SolverIPC(SolverParts):
     def _evaluate_forces(self, who: np.ndarray) -> None:
         """Forces of the user's state where ``who``, bool, [env_count]."""
         run, work = StepLaunches(self), self.work
-        mask = run.p.active
+        mask = run.p.phases.active
         mask.assign(who.astype(np.int32))
         self.rows.read(mask)
         self.displacements.zero_()

@@ -23,7 +23,7 @@ from taccel_lab.ipc.potentials.friction import FrictionPotential
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.env_progress import EnvProgressArrays, make_rules
+from taccel_lab.solvers.env_progress import EnvProgress, make_rules
 from taccel_lab.solvers.state_rows import StateRows
 from taccel_lab.state import State, StepHistory
 
@@ -134,7 +134,7 @@ class SolverParts:
         """Range of each body in the nodes, vec2i, shape [body_count]."""
         soft = len(scene.soft_bodies)
         carriers = [soft + i if i >= 0 else -1 for i in scene.carriers]
-        self.progress = EnvProgressArrays(
+        self.progress = EnvProgress(
             model.env_count,
             len(model.bodies),
             carriers if any(i >= 0 for i in carriers) else [],
@@ -153,7 +153,7 @@ class SolverParts:
     @property
     def active(self) -> wp.array:
         """Mask of the environments that a step works on, int32, shape [env_count]."""
-        return self.progress.data.active
+        return self.progress.phases.active
 
     def _scratch(self) -> Scratch:
         """Memory of the elements, which are idle during a solve."""

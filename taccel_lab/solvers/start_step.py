@@ -23,7 +23,15 @@ from taccel_lab.ipc.potentials.energy import sum_energies
 from taccel_lab.model.embedding import embed_vertices
 from taccel_lab.model.env_rows import copy_rows
 from taccel_lab.solvers.env_phase import STARTING, STAYING, enter, leave, stop
-from taccel_lab.solvers.env_progress import EnvProgress
+from taccel_lab.solvers.env_progress import (
+    Clearance,
+    Counts,
+    Flags,
+    Phases,
+    Prescribed,
+    Roster,
+    Search,
+)
 from taccel_lab.solvers.find_pairs import find_pairs
 from taccel_lab.solvers.limit_step import limit_step
 from taccel_lab.solvers.report import EnvStatus
@@ -40,87 +48,114 @@ _SMALL_TURN_SQ = 1e-6
 
 
 @wp.kernel
-def _choose_momentum_kernel(p: EnvProgress):
+def _choose_momentum_kernel(
+    roster: Roster,
+    phases: Phases,  # out
+    prescribed: Prescribed,
+    flags: Flags,  # out
+):
     """Choose the environments whose frames have yet to move; not in a step that is taken again,
     which has had its momentum."""
     env = wp.tid()
     if env == 0:
-        p.any_flight[0] = 0
-    fresh = p.fresh[env] != 0 and p.again[env] == 0
-    if fresh and p.progress[env] < wp.float64(1.0):
-        enter(env, STARTING, p)
+        flags.any_flight[0] = 0
+    fresh = phases.fresh[env] != 0 and roster.again[env] == 0
+    if fresh and prescribed.progress[env] < wp.float64(1.0):
+        enter(env, STARTING, phases)
 
 
 @wp.kernel
-def _choose_flight_kernel(bends: wp.array(dtype=wp.float64), least: wp.float64, p: EnvProgress):
+def _choose_flight_kernel(
+    turns: wp.array(dtype=wp.float64),
+    least: wp.float64,
+    phases: Phases,  # out
+    flags: Flags,  # out
+):
     """Where frames are not in a steady motion, choose the environments in which a body flies."""
     env = wp.tid()
-    if p.fresh[env] != 0 and p.inner[env] == 0 and bends[env] > least:
-        enter(env, STARTING, p)
-        p.flying[env] = 1
-        p.any_flight[0] = 1
+    if phases.fresh[env] != 0 and phases.inner[env] == 0 and turns[env] > least:
+        enter(env, STARTING, phases)
+        phases.flying[env] = 1
+        flags.any_flight[0] = 1
 
 
 @wp.kernel
-def _keep_free_kernel(collisions: ListRoom, p: EnvProgress):
+def _keep_free_kernel(
+    collisions: ListRoom,  # out
+    phases: Phases,  # out
+    counts: Counts,  # out
+    prescribed: Prescribed,  # out
+    clearance: Clearance,  # out
+    search: Search,
+):
     """Of the chosen, keep those with nothing in the way; aim their frames at the end. Where frames
     turned out not to be steady the mask alone was cleared."""
     env = wp.tid()
-    if p.fresh[env] == 0:
+    if phases.fresh[env] == 0:
         return
-    p.near[env] = 0
-    if p.inner[env] == 0:
-        leave(env, p)
+    clearance.near[env] = 0
+    if phases.inner[env] == 0:
+        leave(env, phases)
         return
-    p.starts_tried[env] += 1
-    p.goal[env] = wp.float64(1.0)
-    if p.flying[env] != 0:
-        p.goal[env] = p.progress[env]
-    if p.limit[env] < wp.float64(1.0):
-        leave(env, p)
+    counts.starts_tried[env] += 1
+    prescribed.goal[env] = wp.float64(1.0)
+    if phases.flying[env] != 0:
+        prescribed.goal[env] = prescribed.progress[env]
+    if clearance.limit[env] < wp.float64(1.0):
+        leave(env, phases)
         return
-    begin_trial(env, collisions, p)
+    begin_trial(env, collisions, prescribed, search)
 
 
 @wp.kernel
-def _accept_kernel(collisions: ListRoom, p: EnvProgress):
+def _accept_kernel(
+    collisions: ListRoom,  # out
+    phases: Phases,  # out
+    counts: Counts,  # out
+    prescribed: Prescribed,  # out
+    search: Search,  # out
+):
     """Of the chosen, keep those without an inverted element; free flight must lower the energy."""
     env = wp.tid()
-    if p.inner[env] == 0:
+    if phases.inner[env] == 0:
         return
     if overflows(env, collisions):
-        stop(env, _CONTACT_OVERFLOW, p)
+        stop(env, _CONTACT_OVERFLOW, phases)
         return
-    good = wp.isfinite(p.after[env])
-    if p.flying[env] != 0 and not (p.after[env] < p.before[env]):
+    good = wp.isfinite(search.after[env])
+    if phases.flying[env] != 0 and not (search.after[env] < search.before[env]):
         good = False
     if not good:
-        leave(env, p)
+        leave(env, phases)
         return
-    p.starts_taken[env] += 1
-    p.progress[env] = p.trial_progress[env]
-    p.base[env] = p.base_after[env]
-    p.before[env] = p.after[env]
+    counts.starts_taken[env] += 1
+    prescribed.progress[env] = prescribed.trial_progress[env]
+    search.base[env] = search.base_after[env]
+    search.before[env] = search.after[env]
 
 
 @wp.kernel
-def _choose_others_kernel(p: EnvProgress):
+def _choose_others_kernel(
+    phases: Phases,  # out
+):
     """``inner`` becomes those that have not taken a start."""
     env = wp.tid()
-    if p.fresh[env] == 0:
+    if phases.fresh[env] == 0:
         return
-    if p.phase[env] == STARTING:
-        leave(env, p)
+    if phases.phase[env] == STARTING:
+        leave(env, phases)
     else:
-        enter(env, STAYING, p)
+        enter(env, STAYING, phases)
 
 
 @wp.kernel
-def _go_on_kernel(p: EnvProgress):
+def _go_on_kernel(
+    phases: Phases,  # out
+):
     env = wp.tid()
-    if p.fresh[env] != 0:
-        p.flying[env] = 0
-        leave(env, p)
+    if phases.fresh[env] != 0:
+        phases.flying[env] = 0
+        leave(env, phases)
 
 
 def start_step(run: StepLaunches) -> None:
@@ -132,48 +167,57 @@ def start_step(run: StepLaunches) -> None:
     plans = bool(run.model.kinematic) or (s.affine is not None and s.inertia is not None)
     if plans:
         plan_start(run)
-    find_pairs(run, p.fresh, s.end_poses, p.margin)
-    run.collide(p.fresh, x)
-    run.check_room(p.fresh, s.collisions)
+    find_pairs(run, p.phases.fresh, s.end_poses, p.clearance.margin)
+    run.collide(p.phases.fresh, x)
+    run.check_room(p.phases.fresh, s.collisions)
     if s.friction is not None:
-        s.friction.lag(p.fresh, x, s.origin)
+        s.friction.lag(p.phases.fresh, x, s.origin)
     if not plans:
-        run.energy(p.fresh, x, state.poses, p.base, p.before)
+        run.energy(p.phases.fresh, x, state.poses, p.search.base, p.search.before)
         return
 
     def energy_before() -> None:
-        run.energy(p.inner, x, state.poses, p.base, p.before)
+        run.energy(p.phases.inner, x, state.poses, p.search.base, p.search.before)
 
-    limit_step(run, p.inner, gaps_known=False)
+    limit_step(run, p.phases.inner, gaps_known=False)
     if s.affine is not None and s.inertia is not None:
-        wp.capture_if(p.any_flight, on_true=energy_before)
-    run.decide(_keep_free_kernel, s.collisions.room, p)
+        wp.capture_if(p.flags.any_flight, on_true=energy_before)
+    run.decide(
+        _keep_free_kernel,
+        s.collisions.room,
+        p.phases,
+        p.counts,
+        p.prescribed,
+        p.clearance,
+        p.search,
+    )
     evaluate_trial(run)
-    sum_energies(p.inner, run.energies, p.base_after, p.after)
-    run.decide(_accept_kernel, s.collisions.room, p)
-    run.commit(p.inner, s.trial, s.trial_poses)
-    run.decide(_choose_others_kernel, p)
-    run.collide(p.inner, x)
-    run.energy(p.inner, x, state.poses, p.base, p.before)
-    run.decide(_go_on_kernel, p)
+    sum_energies(p.phases.inner, run.energies, p.search.base_after, p.search.after)
+    run.decide(_accept_kernel, s.collisions.room, p.phases, p.counts, p.prescribed, p.search)
+    run.commit(p.phases.inner, s.trial, s.trial_poses)
+    run.decide(_choose_others_kernel, p.phases)
+    run.collide(p.phases.inner, x)
+    run.energy(p.phases.inner, x, state.poses, p.search.base, p.search.before)
+    run.decide(_go_on_kernel, p.phases)
 
 
 def plan_start(run: StepLaunches) -> None:
     """The way to the start, in ``displacements``; ``inner`` are those that have one."""
     s, p, state = run.s, run.p, run.state
     model, way = run.model, s.displacements
-    run.decide(_choose_momentum_kernel, p)
+    run.decide(_choose_momentum_kernel, p.roster, p.phases, p.prescribed, p.flags)
     if model.kinematic:
         path = (state.poses, s.end_poses)
-        s.frame_nodes.aim(p.fresh, p.inner, path, state.positions, way)
-        keep_steady(model, p.inner, s.dts, state.velocities, way, _LARGEST_CHANGE)
-    coast(model, p.inner, s.dts, state.velocities, way)
+        s.frame_nodes.aim(p.phases.fresh, p.phases.inner, path, state.positions, way)
+        keep_steady(model, p.phases.inner, s.dts, state.velocities, way, _LARGEST_CHANGE)
+    coast(model, p.phases.inner, s.dts, state.velocities, way)
     if s.affine is not None and s.inertia is not None:
-        copy_rows(p.fresh, state.positions, s.trial)
-        forces, inertial = p.body_forces, s.inertia.predictions
-        predict_affine(model, p.fresh, inertial, s.trial, p.limit, forces)
-        run.decide(_choose_flight_kernel, p.limit, _SMALL_TURN_SQ, p)
-        wp.capture_if(p.any_flight, on_true=lambda: _fly(run))
+        copy_rows(p.phases.fresh, state.positions, s.trial)
+        forces, inertial = p.balance.body_forces, s.inertia.predictions
+        turn = p.clearance.flight_turn_sq
+        predict_affine(model, p.phases.fresh, inertial, s.trial, turn, forces)
+        run.decide(_choose_flight_kernel, turn, _SMALL_TURN_SQ, p.phases, p.flags)
+        wp.capture_if(p.flags.any_flight, on_true=lambda: _fly(run))
     embed_vertices(model, way)
 
 
@@ -183,6 +227,6 @@ def _fly(run: StepLaunches) -> None:
     s, p, state = run.s, run.p, run.state
     if s.joints is not None:
         s.joints.set_frames(state.poses)
-        s.joints.close_predicted(p.flying, s.trial)
-    ride_along(run.model, p.flying, state.positions, s.trial)
-    subtract_rows(p.flying, s.trial, state.positions, s.displacements)
+        s.joints.close_predicted(p.phases.flying, s.trial)
+    ride_along(run.model, p.phases.flying, state.positions, s.trial)
+    subtract_rows(p.phases.flying, s.trial, state.positions, s.displacements)

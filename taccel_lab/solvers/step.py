@@ -32,18 +32,18 @@ from taccel_lab.solvers.step_launches import StepLaunches
 
 
 def take_step(run: StepLaunches) -> None:
-    """From the state at the start of the step to that at its end, in ``progress.who``."""
+    """From the state at the start of the step to that at its end, in ``progress.roster.who``."""
     begin_step(run)
     start_step(run)
-    measure_and_judge(run, run.p.fresh)
-    wp.capture_while(run.p.running, lambda: _iterate(run))
+    measure_and_judge(run, run.p.phases.fresh)
+    wp.capture_while(run.p.flags.running, lambda: _iterate(run))
     end_step(run)
 
 
 def _iterate(run: StepLaunches) -> None:
     assemble_and_solve(run, beside=find_turning_points(run))
     bend_direction(run)
-    find_pairs(run, run.p.active, run.s.target_poses, run.p.reach)
-    limit_step(run, run.p.active, beside=energies_at_start(run))
+    find_pairs(run, run.p.phases.active, run.s.target_poses, run.p.clearance.reach)
+    limit_step(run, run.p.phases.active, beside=energies_at_start(run))
     search_line(run)
-    measure_and_judge(run, run.p.active, take_trial=True)
+    measure_and_judge(run, run.p.phases.active, take_trial=True)

@@ -12,7 +12,7 @@ from taccel_lab.ipc.device.ragged_lists import GrowingList, ListRoom, overflows
 from taccel_lab.ipc.potentials.energy import WrittenEnergies, sum_energies, written_energies
 from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.solvers.env_phase import stop
-from taccel_lab.solvers.env_progress import EnvProgress
+from taccel_lab.solvers.env_progress import Phases
 from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.solver_parts import SolverParts
 
@@ -22,11 +22,15 @@ _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
 
 
 @wp.kernel
-def _stop_overflowed_kernel(mask: wp.array(dtype=wp.int32), room: ListRoom, p: EnvProgress):
+def _stop_overflowed_kernel(
+    mask: wp.array(dtype=wp.int32),
+    room: ListRoom,  # out
+    phases: Phases,  # out
+):
     """Stop environments of ``mask`` whose list was too short."""
     env = wp.tid()
     if mask[env] != 0 and overflows(env, room):
-        stop(env, _CONTACT_OVERFLOW, p)
+        stop(env, _CONTACT_OVERFLOW, phases)
 
 
 @wp.kernel
@@ -34,8 +38,8 @@ def _commit_kernel(
     mask: wp.array(dtype=wp.int32),
     trial: wp.array2d(dtype=wp.vec3d),
     trial_poses: wp.array2d(dtype=wp.transformd),
-    positions: wp.array2d(dtype=wp.vec3d),
-    poses: wp.array2d(dtype=wp.transformd),
+    positions: wp.array2d(dtype=wp.vec3d),  # out
+    poses: wp.array2d(dtype=wp.transformd),  # out
 ):
     """Take over positions and poses in the environments of ``mask``."""
     env, i = wp.tid()
@@ -48,13 +52,13 @@ def _commit_kernel(
 
 
 class StepLaunches:
-    """A solver's parts at work on its ``work``, in the environments of ``progress.who``."""
+    """A solver's parts at work on its ``work``, in the environments of ``progress.roster.who``."""
 
     def __init__(self, solver: SolverParts) -> None:
         self.s = solver
         self.model = solver.model
         self.state = solver.work
-        self.p = solver.progress.data
+        self.p = solver.progress
         self.rules = solver.rules
 
     def decide(self, kernel: wp.Kernel, *inputs: object) -> None:
@@ -78,7 +82,7 @@ class StepLaunches:
     def check_room(self, mask: wp.array, part: GrowingList) -> None:
         """Stop environments whose contacts did not fit; the host makes room for the next try."""
         if part.capacity:
-            self.decide(_stop_overflowed_kernel, mask, part.room, self.p)
+            self.decide(_stop_overflowed_kernel, mask, part.room, self.p.phases)
 
     def motion(
         self, positions: wp.array | None = None, poses: wp.array | None = None

@@ -112,7 +112,7 @@ def test_a_press_is_that_of_a_model_built_with_these_values(
         its_stress = Outputs(its_solver).update(alone).von_mises.numpy()
         np.testing.assert_array_equal(stress[env], its_stress[0])
         # What the line search takes for rounding.
-        rounding = [s.progress.data.energy_rounding.numpy() for s in (solver, its_solver)]
+        rounding = [s.progress.search.energy_rounding.numpy() for s in (solver, its_solver)]
         assert rounding[0][env] == rounding[1][0] > 0
     pull = found[3][:, : model.soft_count].sum(axis=1)
     push = found[2][:, : model.soft_count].sum(axis=1)

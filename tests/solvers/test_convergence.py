@@ -66,7 +66,7 @@ def test_a_soft_body_is_solved_beside_a_stiff_one() -> None:
     solver, forces = pressed(1e8, 1e2)
     assert abs(forces[0]) > 1e4 * abs(alone)
     assert forces[1] == pytest.approx(alone, rel=2e-4)
-    p = solver.progress.data
+    p = solver.progress.balance
     residuals, contact = p.body_residuals.numpy()[0], p.body_forces.numpy()[0]
     assert (residuals[:2] <= 1.0001e-4 * contact[:2]).all()
     # Prescribed bodies have no residual, but feel the contact.
@@ -75,7 +75,7 @@ def test_a_soft_body_is_solved_beside_a_stiff_one() -> None:
 
 def test_residual_and_contact_force_are_sums_of_magnitudes() -> None:
     solver, _ = pressed(1e5)
-    model, p = solver.model, solver.progress.data
+    model, p = solver.model, solver.progress.balance
     left = np.linalg.norm(solver.reduced.numpy()[0], axis=1).sum()
     assert p.body_residuals.numpy()[0, 0] == pytest.approx(left, rel=1e-12)
     contact = np.linalg.norm(solver.contact_gradient.numpy()[0], axis=1)
@@ -141,7 +141,7 @@ def test_a_stiff_body_stops_at_what_rounding_leaves(name: str) -> None:
     once = SolverConfig(max_substep_halvings=0, max_newton_iterations=12)
     solver, residual, converged = moving(STIFF_BLOCKS[name], config=once)
     assert converged.all()
-    allowed = residual / float(solver.progress.data.excess.numpy()[0])
+    allowed = residual / float(solver.progress.balance.excess.numpy()[0])
     assert allowed > SolverConfig.absolute_tolerance_n
     if name != "viscous":
         least = last_digit_n(solver)

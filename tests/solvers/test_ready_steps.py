@@ -199,7 +199,7 @@ def test_joints_and_controls_know_no_pace(scheme: TimeScheme, iterations: int, s
     for step in range(1, STEPS + 1):
         report = solver.step(state, asked(solver, np.full(ENVS, step), DT_S[step]))
         assert report.converged.all() and (report.substeps == 1).all(), report.describe()
-        rounds += solver.progress.data.joint_rounds.numpy().sum()
+        rounds += solver.progress.counts.joint_rounds.numpy().sum()
     expected = found(solver, state)
     assert rounds > 0, "joints were meant to open"
     assert np.ptp(expected["joint coordinates"], axis=0).min() > 1e-6
@@ -270,7 +270,7 @@ def test_a_mechanism_whose_step_is_given_up_is_where_it_began(by_reset: bool) ->
     ready = ReadySteps(solver, state, 1)
     for _ in range(500):
         ready.step_ready(asked(solver, np.full(ENVS, 3)), np.zeros(ENVS, bool) | ~ready.underway)
-        if solver.progress.data.joint_rounds.numpy()[ready.underway].any():
+        if solver.progress.counts.joint_rounds.numpy()[ready.underway].any():
             break
     assert not np.array_equal(solver.joints._step.multipliers.numpy(), before["multipliers"])
     everyone = np.ones(ENVS, dtype=bool)

@@ -54,9 +54,10 @@ def scratch(solver: SolverIPC) -> Iterator[wp.array]:
         yield part._blocks
     for term in solver.potentials.values():
         yield term.energies
-    p = solver.progress.data
-    for name in ("limit", "slope", "before", "after", "base", "base_after", "bend", "reach"):
-        yield getattr(p, name)
+    p = solver.progress
+    yield from (p.clearance.limit, p.clearance.bend, p.clearance.flight_turn_sq, p.clearance.reach)
+    search = p.search
+    yield from (search.derivative, search.before, search.after, search.base, search.base_after)
 
 
 def poison_and_compare(device: str, element: Element, **options: bool) -> None:
