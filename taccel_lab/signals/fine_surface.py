@@ -30,13 +30,13 @@ from taccel_lab.bodies.material import MaterialField
 from taccel_lab.camera.gel_camera import View, face_of
 from taccel_lab.geometry import Region
 from taccel_lab.model.turns import in_turn
-from taccel_lab.outputs.arrays import to_torch
+from taccel_lab.outputs.arrays import shared
 from taccel_lab.outputs.contact_layer import mean_gaps
 from taccel_lab.scene import SoftBody
 from taccel_lab.signals.contact_fields import ContactFields
 from taccel_lab.signals.deformed_face import DeformedFace
 from taccel_lab.signals.hanging_corners import HangingCorners
-from taccel_lab.signals.layer_contact import NOWHERE_M, layer_compliance, solve_contact
+from taccel_lab.signals.layer_contact import NOWHERE_M, array_library, layer_compliance, solve_contact
 from taccel_lab.signals.object_heights import ObjectHeights, is_ball
 from taccel_lab.signals.rest_surface import RestCorrection, RestSurface
 from taccel_lab.signals.surface_sampler import SurfaceSampler
@@ -118,8 +118,8 @@ def _pixels_kernel(
 class FineSurface:
     """Samples of the fine face of one gel under one rigid body, for many environments.
 
-    It is what ``SignalTactile(..., fine=...)`` shows. Torch does the Fourier transforms, on the
-    stream of the solver's device, and nothing waits for it.
+    It is what ``SignalTactile(..., fine=...)`` shows. On a GPU torch does the Fourier
+    transforms, on the stream of the solver's device, and nothing waits for it.
     """
 
     @in_turn
@@ -194,7 +194,7 @@ class FineSurface:
         self._fields = ContactFields(solver, gel, mesh, fine, chunk_envs=rows)
         young, poisson = near_moduli(soft)
         compliance = layer_compliance(fine, young, poisson, pad_thickness_m(soft))
-        self._compliance = to_torch(wp.array(compliance, dtype=wp.float32, device=device))
+        self._compliance = shared(wp.array(compliance, dtype=wp.float32, device=device))
         over = (rows, fine.height_px, fine.width_px)
         self._coarse_pa = self._fields.make("pressure_pa", over)
         shape = (rows, grid.height_px, grid.width_px)
@@ -239,7 +239,7 @@ class FineSurface:
         """Read nodal loads of the step that led to ``state``."""
         self._fields.read_nodes(state, {"pressure_pa"})
         gaps = mean_gaps(self._solver.collisions, state.positions, self._nodes)
-        self._gaps = to_torch(gaps)
+        self._gaps = shared(gaps)
         wp.copy(self._positions, state.positions)
         self._corners.lift(self._positions, self._solver.contact_gradient)
         self._counts.zero_()
@@ -258,38 +258,39 @@ class FineSurface:
             pressure [Pa], float32; and whether half of a pixel's samples carry, bool. All of shape
             [row, height_px, width_px], valid until the next call.
         """
-        import torch
-
         count = len(envs)
         coarse = self._gel.sample(self._positions, frames, envs)
         pressure = self._coarse_pa[:count]
         self._fields.render(state, frames, envs, {"pressure_pa": pressure})
         *over, slopes = self._object.read(state, frames, envs)
         with self._stream():
-            z = to_torch(coarse)[..., 2]
-            known = torch.isfinite(z)
-            gaps = self._gaps[to_torch(envs).long()].view(-1, 1, 1)
+            z = shared(coarse)[..., 2]
+            xp = array_library(z)
+            known = xp.isfinite(z)
+            gaps = self._gaps[shared(envs)].reshape(-1, 1, 1)
 
             def lowered(heights: Any) -> Any:
-                there = torch.isfinite(heights) & known
-                return torch.where(there, heights - gaps, NOWHERE_M).float()
+                found = xp.empty_like(z)
+                there = xp.isfinite(heights) & known
+                found[:] = xp.where(there, heights - gaps, NOWHERE_M)
+                return found
 
-            under, smooth = (to_torch(heights) for heights in over)
+            under, smooth = (shared(heights) for heights in over)
             height, found = solve_contact(
                 self._compliance,
                 lowered(under),
-                torch.nan_to_num(z),
-                torch.where(known, to_torch(pressure), 0.0),
+                xp.nan_to_num(z),
+                xp.where(known, shared(pressure), 0.0),
                 smooth_m=None if self._texture is None else lowered(smooth),
             )
-            height = torch.where(known, height, torch.nan).contiguous()
-        return self._to_pixels(height, found.contiguous(), slopes, self._corrections, envs)
+            height = xp.where(known, height, xp.nan)
+        return self._to_pixels(height, found, slopes, self._corrections, envs)
 
     def _rest_of(self, at_rest: wp.array, env: int) -> np.ndarray:
         """Samples of the gel's mesh at rest in one environment, [height_px, width_px, 3]."""
         envs = wp.array([env], dtype=wp.int32, device=self._device)
         no_frames = wp.empty(0, dtype=wp.transformd, device=self._device)
-        height = to_torch(self._gel.sample(at_rest, no_frames, envs))[..., 2].contiguous()
+        height = shared(self._gel.sample(at_rest, no_frames, envs))[..., 2]
         none = wp.empty((0, 0, 0), dtype=wp.vec3f, device=self._device)
         found = self._to_pixels(height, height * 0, self._no_slopes[:1], none, envs)
         self._counts.zero_()
@@ -298,11 +299,11 @@ class FineSurface:
     def _to_pixels(
         self, height: Any, pressure: Any, slopes: wp.array, corrections: wp.array, envs: wp.array
     ) -> tuple[wp.array, ...]:
-        """What pixels show of samples; heights and pressures are tensors of float32."""
+        """What pixels show of samples; heights and pressures are of float32, as ``shared``."""
         grid = self.grid
         sizes = 1e-3 / self.points * np.array([grid.mm_per_px_x, grid.mm_per_px_y])
         outputs = [array[: len(envs)] for array in (self._samples, self._pressure, self._touched)]
-        surface = [wp.from_torch(height), wp.from_torch(pressure), slopes]
+        surface = [*map(self._on_device, (height, pressure)), slopes]
         wp.launch(
             _pixels_kernel,
             dim=outputs[0].shape,
@@ -311,6 +312,12 @@ class FineSurface:
             device=self._device,
         )
         return tuple(outputs)
+
+    def _on_device(self, values: Any) -> wp.array:
+        """Samples of numpy or torch as an array of the device."""
+        if self._device.is_cpu:
+            return wp.from_numpy(np.ascontiguousarray(values), dtype=wp.float32, device="cpu")
+        return wp.from_torch(values.contiguous())
 
     def _stream(self) -> AbstractContextManager[Any]:
         """Torch on the stream that Warp launches on."""
