@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 from taccel_lab.benchmarks.results import ResultFile, note
 from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.errors import InputError
-from taccel_lab.interop.published_meshes import data_folder
+from taccel_lab.exporters.published_meshes import data_folder
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,9 @@ import warp as wp
 from taccel_lab.benchmarks.clock import clock_of
 from taccel_lab.benchmarks.results import ResultFile
 from taccel_lab.benchmarks.suite import Suite
-from taccel_lab.envs import (
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.presses import (
     PHYSICS,
     Accuracy,
     Indenter,
@@ -33,8 +35,6 @@ from taccel_lab.envs import (
     layered_material,
     parse_indenter,
 )
-from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.geometry import PixelGrid
 from taccel_lab.scene import Material, TriangleMesh
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.registry import sensor_families, sensor_family

@@ -23,7 +23,7 @@ from taccel_lab.benchmarks.results import note
 from taccel_lab.benchmarks.runner import Runner
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.errors import InputError
-from taccel_lab.output import write_json
+from taccel_lab.files.atomic_file import write_json
 from taccel_lab.report.machine import describe_run
 
 BASELINE = Path(__file__).parent / "baselines" / "quick_cpu.json"

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.output import write_json
-from taccel_lab.output_folder import require_growable
+from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.output_folder import require_growable
 from taccel_lab.report.machine import describe_run
 
 SCHEMA = "taccel-lab benchmark 1"

@@ -33,7 +33,7 @@ class Suite:
         """Measure all rows and write the result file; InputError for options that cannot be."""
         import warp as wp
 
-        from taccel_lab.warp_output import start_warp
+        from taccel_lab.processes.start_warp import start_warp
 
         start_warp()
         wp.config.log_level = wp.LOG_WARNING

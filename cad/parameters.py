@@ -20,8 +20,8 @@ from typing import Any, ClassVar, Self, TypeVar
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.cell_number import number
-from taccel_lab.reading.text_file import shown
+from taccel_lab.files.cell_number import number
+from taccel_lab.files.text_file import shown
 
 _KEY = "parameter"
 _Group = TypeVar("_Group", bound="ParameterSet")

@@ -41,14 +41,13 @@ from taccel_lab.calibration.scale.result import ScaleCalibration
 from taccel_lab.calibration.spread.result import SpreadCalibration
 from taccel_lab.calibration.unfinished import UnfinishedCalibration, calibration_key
 from taccel_lab.errors import InputError
-from taccel_lab.output_folder import atomic_directory
+from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.profile import SensorProfile, save_profile
-from taccel_lab.progress import Progress
-from taccel_lab.progress_bars import bars_if_watched
+from taccel_lab.progress import Progress, bars_if_watched
 from taccel_lab.report.page import Page, Table, write_page
 from taccel_lab.report.remark import Severity, judge
 from taccel_lab.summary import Summary
-from taccel_lab.warp_output import start_warp
 
 Result = TypeVar("Result")
 _MEASURE_SCALE = ("camera", "scale")

@@ -36,9 +36,9 @@ from taccel_lab.calibration.surfaces.shared_law import (
     spanning_presses,
 )
 from taccel_lab.calibration.surfaces.view import require_view_on_pad
-from taccel_lab.envs.physics import SURFACE_PHYSICS, PressPhysics
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.process_pool import Died, Finished, ProcessPool, usable_cores
+from taccel_lab.presses.physics import SURFACE_PHYSICS, PressPhysics
+from taccel_lab.processes.process_pool import Died, Finished, ProcessPool, usable_cores
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.registry import profile_parameters

@@ -18,11 +18,11 @@ from taccel_lab.calibration.block_outcome import BlockOutcome, State
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.errors import InputError
-from taccel_lab.file_cache import content_key
-from taccel_lab.output import write_json
-from taccel_lab.output_folder import atomic_directory, remove_output, require_replaceable
+from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.file_cache import content_key
+from taccel_lab.files.json_file import read_json
+from taccel_lab.files.output_folder import atomic_directory, remove_output, require_replaceable
 from taccel_lab.profile import SensorProfile, load_profile, save_profile
-from taccel_lab.reading.json_file import read_json
 from taccel_lab.report.page import write_page
 from taccel_lab.version import __version__
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
 from typing import IO, TYPE_CHECKING, Any
 
-from taccel_lab.output import to_jsonable
+from taccel_lab.files.atomic_file import to_jsonable
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -63,7 +63,7 @@ def working(console: Console, words: str) -> Status:
 def say_first_look(console: Console, picture: Path) -> None:
     """Tell where a picture lies that can be looked at while the command goes on, and after it: a
     copy in the cache folder, as a folder that is being written has a hidden name, which goes."""
-    from taccel_lab.file_cache import keep_file
+    from taccel_lab.files.file_cache import keep_file
 
     if not console.quiet:
         console.print(f"first look: {keep_file('first_look', picture)}", soft_wrap=True)

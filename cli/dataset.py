@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from taccel_lab.datasets.plan import Plan
     from taccel_lab.datasets.runner import Outcome
-    from taccel_lab.reading.shard import Shard
+    from taccel_lab.files.shard import Shard
 
 LONG_DRAW = 20_000
 """Episodes whose drawing is told about: it takes a second."""
@@ -63,11 +63,11 @@ class DatasetMake:
         from taccel_lab.cli.console import notes, working
         from taccel_lab.datasets.plan import Plan
         from taccel_lab.datasets.spec import load_spec
-        from taccel_lab.inner_path import real_path
+        from taccel_lab.files.inner_path import real_path
+        from taccel_lab.files.shard import Shard
         from taccel_lab.model.devices import require_device
-        from taccel_lab.progress_bars import stage_progress
-        from taccel_lab.reading.shard import Shard
-        from taccel_lab.warp_output import start_warp
+        from taccel_lab.processes.start_warp import start_warp
+        from taccel_lab.progress import stage_progress
 
         start_warp()
         console = notes()
@@ -101,9 +101,9 @@ class DatasetMake:
 
     def _make(self, plan: Plan, root: Path | None, shard: Shard, console: Console) -> Outcome:
         from taccel_lab.datasets.runner import make_dataset
-        from taccel_lab.progress_bars import stage_progress
-        from taccel_lab.reading.text_file import read_text
-        from taccel_lab.reading.toml_file import TOML_LIMIT_BYTES
+        from taccel_lab.files.text_file import read_text
+        from taccel_lab.files.toml_file import TOML_LIMIT_BYTES
+        from taccel_lab.progress import stage_progress
 
         with stage_progress(console) as progress:
             return make_dataset(
@@ -171,7 +171,7 @@ class DatasetCheck:
     def run(self) -> None:
         from taccel_lab.cli.console import notes, print_json
         from taccel_lab.datasets.check import check_dataset
-        from taccel_lab.progress_bars import stage_progress
+        from taccel_lab.progress import stage_progress
 
         console = notes()
         with stage_progress(console) as progress:

@@ -43,8 +43,8 @@ class Demo:
         from taccel_lab.calibration.capture import find_taxim_pack
         from taccel_lab.calibration.capture.load import load_capture_folder
         from taccel_lab.cli.console import notes, print_json, results, working
-        from taccel_lab.output_folder import atomic_directory, require_replaceable
-        from taccel_lab.progress_bars import stage_progress
+        from taccel_lab.files.output_folder import atomic_directory, require_replaceable
+        from taccel_lab.progress import stage_progress
 
         console = notes()
         require_replaceable(self.out)

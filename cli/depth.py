@@ -54,10 +54,10 @@ class Depth:
         from taccel_lab.calibration.normals.read_surface import SurfaceReader
         from taccel_lab.calibration.normals.reading_files import read_mask, write_reading
         from taccel_lab.cli.each_image import each_image, require_images
-        from taccel_lab.output_folder import require_replaceable
+        from taccel_lab.files.images import image_size, read_image
+        from taccel_lab.files.output_folder import require_replaceable
+        from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.profile import load_profile
-        from taccel_lab.reading.images import image_size, read_image
-        from taccel_lab.warp_output import start_warp
 
         start_warp()
         require_replaceable(self.out)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
-from taccel_lab.page_options import PageOptions
+from taccel_lab.report.page_options import PageOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -74,7 +74,7 @@ class Design:
     def run(self) -> None:
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cli.console import notes, print_json, results, say_first_look
-        from taccel_lab.progress_bars import stage_words
+        from taccel_lab.progress import stage_words
         from taccel_lab.sensors.design import design_sensor
         from taccel_lab.sensors.registry import sensor_family
         from taccel_lab.studies.sensor_picture import write_sections
@@ -115,10 +115,10 @@ class Design:
 
     def _serve(self, family: SensorFamily, overrides: Mapping[str, Any]) -> None:
         from taccel_lab.cli.console import notes
-        from taccel_lab.output_folder import require_replaceable
+        from taccel_lab.files.output_folder import require_replaceable
+        from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.report.live_page import serve_until_stopped, viser_module
         from taccel_lab.viewer.design_page import design_page
-        from taccel_lab.warp_output import start_warp
 
         start_warp()
         viser_module()

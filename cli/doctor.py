@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from taccel_lab.reading.toml_file import read_toml
+from taccel_lab.files.toml_file import read_toml
 
 # Distributions whose import package is not their own name with underscores.
 IMPORT_NAMES = {
@@ -162,7 +162,7 @@ def check_warp() -> dict[str, Any]:
     import numpy as np
     import warp as wp
 
-    from taccel_lab.warp_output import start_warp
+    from taccel_lab.processes.start_warp import start_warp
 
     start_warp()
 

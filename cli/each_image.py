@@ -53,7 +53,7 @@ def each_image(
             and told. Where none could be read, nothing is written.
     """
     from taccel_lab.cli.console import print_json, results
-    from taccel_lab.output_folder import atomic_directory
+    from taccel_lab.files.output_folder import atomic_directory
 
     console, figures = results(), {}
     refused: dict[str, str] = {}

@@ -51,14 +51,14 @@ class Export:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes, print_json, results, working
-        from taccel_lab.output_folder import require_replaceable
+        from taccel_lab.files.output_folder import require_replaceable
+        from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.profile import load_profile
-        from taccel_lab.warp_output import start_warp
 
         require_replaceable(self.out)
         profile = load_profile(self.profile)
 
-        from taccel_lab.interop.export import export_profile
+        from taccel_lab.exporters.export import export_profile
 
         start_warp()
         with working(notes(), f"exporting {profile.sensor.name} to {self.to}"):

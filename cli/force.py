@@ -40,12 +40,12 @@ class Force:
     """Print the figures as JSON instead of lines per image."""
 
     def run(self) -> None:
-        from taccel_lab.calibration.force.read_force import ForceReader, write_force
         from taccel_lab.cli.each_image import each_image, require_images
-        from taccel_lab.output_folder import require_replaceable
+        from taccel_lab.files.images import read_image
+        from taccel_lab.files.output_folder import require_replaceable
+        from taccel_lab.learning.force.read_force import ForceReader, write_force
+        from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.profile import load_profile
-        from taccel_lab.reading.images import read_image
-        from taccel_lab.warp_output import start_warp
 
         start_warp()
         if self.out is not None:

@@ -74,7 +74,7 @@ class ImportStep:
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cad.step_import import FaceSelection, list_faces, listing
         from taccel_lab.cli.console import notes, print_json, results
-        from taccel_lab.progress_bars import stage_words
+        from taccel_lab.progress import stage_words
         from taccel_lab.sensors.imported import import_design
 
         console = results()

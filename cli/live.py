@@ -63,9 +63,9 @@ class Live(CameraOptions):
         from taccel_lab.calibration.live.reader import LiveReader, require_readable
         from taccel_lab.calibration.live.run import run_live
         from taccel_lab.cli.console import notes
+        from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.profile import load_profile
         from taccel_lab.report.live_page import PageOptions, live_page
-        from taccel_lab.warp_output import start_warp
 
         start_warp()
         if self.frames is not None and self.frames < 1:
@@ -143,7 +143,7 @@ class Live(CameraOptions):
 
 def _forces(profile: SensorProfile, background: np.ndarray) -> ForceTold:
     """What the profile's force model says of a frame, by the names of the page."""
-    from taccel_lab.calibration.force.read_force import ForceReader
+    from taccel_lab.learning.force.read_force import ForceReader
 
     reader = ForceReader(profile, background=background)
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.api.press_result import Press as PressResult
-    from taccel_lab.envs import PressOutcome
+    from taccel_lab.presses import PressOutcome
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Press(PressOptions, _Files):
         from taccel_lab.api.press_plan import PressPlan
         from taccel_lab.api.press_progress import step_progress
         from taccel_lab.cli.console import notes, print_json, say_first_look
-        from taccel_lab.output_folder import atomic_directory, require_replaceable
+        from taccel_lab.files.output_folder import atomic_directory, require_replaceable
 
         require_replaceable(self.out)
         console = notes()

@@ -47,13 +47,13 @@ class Preview:
     def run(self) -> None:
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cli.console import notes, print_json, say_first_look
+        from taccel_lab.files.output_folder import atomic_directory, require_replaceable
         from taccel_lab.model.devices import require_device
-        from taccel_lab.output_folder import atomic_directory, require_replaceable
-        from taccel_lab.progress_bars import stage_words
+        from taccel_lab.processes.start_warp import first_step, start_warp
+        from taccel_lab.progress import stage_words
         from taccel_lab.sensors.registry import sensor_family
         from taccel_lab.studies.preview import preview_design, write_preview
         from taccel_lab.studies.sensor_picture import write_sections
-        from taccel_lab.warp_output import first_step, start_warp
 
         start_warp()
         require_replaceable(self.out)

@@ -111,7 +111,7 @@ class ProfileCompare:
     def run(self) -> None:
         from taccel_lab.calibration.comparison import compare_profiles
         from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.output_folder import require_replaceable
+        from taccel_lab.files.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
         from taccel_lab.report.page import write_page
 
@@ -146,7 +146,7 @@ class ProfileReport:
 
         from taccel_lab.calibration.report.profile_page import profile_page
         from taccel_lab.cli.console import notes, print_json, working
-        from taccel_lab.output_folder import require_replaceable
+        from taccel_lab.files.output_folder import require_replaceable
         from taccel_lab.profile import load_profile
         from taccel_lab.report.page import write_page
 

@@ -88,7 +88,7 @@ class RobotShow:
 
 
 def _robot_of(text: str, **options: Any) -> Robot:
-    from taccel_lab.reading.xml_file import read_xml
+    from taccel_lab.files.xml_file import read_xml
     from taccel_lab.robots.describe import robot_of
 
     path = Path(text)
@@ -97,7 +97,7 @@ def _robot_of(text: str, **options: Any) -> Robot:
         kind == ".xml" and path.is_file() and read_xml(path, "an XML file").tag == "mujoco"
     )
     if is_mjcf or kind in (".usd", ".usda", ".usdc", ".usdz"):
-        from taccel_lab.newton_door import load_mjcf, load_usd
+        from taccel_lab.newton_bridge import load_mjcf, load_usd
 
         return load_mjcf(path) if is_mjcf else load_usd(path)
     return robot_of(text, **options)

@@ -64,7 +64,7 @@ class Study:
     """Print the result, or a list, as JSON."""
 
     def run(self) -> None:
-        from taccel_lab.reading.shard import Shard
+        from taccel_lab.files.shard import Shard
 
         if self.list_metrics or self.list_presses:
             _print_lists(self)
@@ -87,7 +87,7 @@ class Study:
     def _submit(self, file: Path, where: Where) -> None:
         from taccel_lab.cad.parameters import parse_overrides
         from taccel_lab.cli.console import notes
-        from taccel_lab.reading.shard import MOST_SHARDS
+        from taccel_lab.files.shard import MOST_SHARDS
         from taccel_lab.studies.cluster import JOBS, submit_shards
 
         if not 1 <= self.shards <= MOST_SHARDS:
@@ -151,7 +151,7 @@ class Study:
     def _evaluate(self, study: StudyToRun, root: Path, file: Path, console: Console) -> Outcome:
         from taccel_lab.api.study import evaluate_study
         from taccel_lab.cli.study_progress import StudyProgress
-        from taccel_lab.reading.shard import Shard
+        from taccel_lab.files.shard import Shard
 
         presses = ", ".join(study.presses) or "none"
         console.print(

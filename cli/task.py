@@ -72,8 +72,8 @@ class TaskRun:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.output_folder import atomic_directory
-        from taccel_lab.progress_bars import stage_progress
+        from taccel_lab.files.output_folder import atomic_directory
+        from taccel_lab.progress import stage_progress
         from taccel_lab.tasks.run import run_task
 
         if self.seeds is not None and not 1 <= self.seeds <= MOST_SEEDS:
@@ -123,9 +123,9 @@ class TaskRecord:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes, print_json, working
-        from taccel_lab.output import write_json
-        from taccel_lab.output_folder import atomic_directory
-        from taccel_lab.progress_bars import stage_progress
+        from taccel_lab.files.atomic_file import write_json
+        from taccel_lab.files.output_folder import atomic_directory
+        from taccel_lab.progress import stage_progress
         from taccel_lab.tasks.film import film_seed, write_film_files
         from taccel_lab.tasks.replay import write_replay
 
@@ -152,10 +152,10 @@ class TaskRecord:
 
 def _begin(name: str, device: str, output: Path) -> Task:
     """A task of the package, or of a file; refused with device and output folder before work."""
+    from taccel_lab.files.output_folder import require_replaceable
     from taccel_lab.model.devices import require_device
-    from taccel_lab.output_folder import require_replaceable
+    from taccel_lab.processes.start_warp import start_warp
     from taccel_lab.tasks.catalogue import named, read_task
-    from taccel_lab.warp_output import start_warp
 
     start_warp()
     task = read_task(Path(name)) if name.endswith(".toml") else named(name)
@@ -165,7 +165,7 @@ def _begin(name: str, device: str, output: Path) -> Task:
 
 
 def _write(task: Task, result: TaskResult, device: str, folder: Path) -> None:
-    from taccel_lab.output import write_json
+    from taccel_lab.files.atomic_file import write_json
     from taccel_lab.report.machine import describe_run
 
     table = result.table()

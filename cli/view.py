@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import tyro
 from tyro.conf import Positional
 
-from taccel_lab.page_options import PageOptions
+from taccel_lab.report.page_options import PageOptions
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class View:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes
+        from taccel_lab.files.seed import require_seed
         from taccel_lab.model.devices import require_device
-        from taccel_lab.reading.seed import require_seed
+        from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.report.live_page import viser_module
         from taccel_lab.viewer.pages import serve_source
         from taccel_lab.viewer.sources import find_source
-        from taccel_lab.warp_output import start_warp
 
         start_warp()
         viser_module()

@@ -27,7 +27,7 @@ def common_words(words: Sequence[str]) -> tuple[list[str], bool]:
 def _best_device() -> str:
     import warp as wp
 
-    from taccel_lab.warp_output import start_warp
+    from taccel_lab.processes.start_warp import start_warp
 
     start_warp()
     return "cuda:0" if wp.is_cuda_available() else "cpu"

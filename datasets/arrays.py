@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.json_file import read_json
-from taccel_lab.reading.regular_file import in_bytes
-from taccel_lab.reading.text_file import shown
+from taccel_lab.files.json_file import read_json
+from taccel_lab.files.regular_file import in_bytes
+from taccel_lab.files.text_file import shown
 
 if TYPE_CHECKING:
     import zarr

@@ -27,14 +27,14 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.datasets.part import EPISODES, STEPS
 from taccel_lab.errors import InputError
-from taccel_lab.file_lock import hold
-from taccel_lab.inner_path import inner_path, require_inner_files
-from taccel_lab.output import atomic_file, write_json
-from taccel_lab.output_folder import may_hold, remove_damaged, require_growable
-from taccel_lab.output_marker import visible_faults
-from taccel_lab.reading.json_file import read_json
-from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
-from taccel_lab.reading.text_file import shown
+from taccel_lab.files.atomic_file import atomic_file, write_json
+from taccel_lab.files.file_lock import hold
+from taccel_lab.files.inner_path import inner_path, require_inner_files
+from taccel_lab.files.json_file import read_json
+from taccel_lab.files.output_folder import may_hold, remove_damaged, require_growable
+from taccel_lab.files.output_marker import visible_faults
+from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
+from taccel_lab.files.text_file import shown
 
 if TYPE_CHECKING:
     from taccel_lab.datasets.plan import Part, Plan

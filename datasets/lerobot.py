@@ -16,9 +16,9 @@ import numpy as np
 
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import require_outside
-from taccel_lab.output import write_json
-from taccel_lab.output_folder import atomic_directory
+from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.inner_path import require_outside
+from taccel_lab.files.output_folder import atomic_directory
 
 VERSION = "v3.0"
 IMAGE = "observation.images.tactile"

@@ -10,9 +10,9 @@ from pathlib import Path
 from taccel_lab.datasets.folder import ABOUT, PARTS, DatasetFolder
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import copy_inner, inner_files
-from taccel_lab.output import write_json
-from taccel_lab.output_folder import atomic_directory, require_replaceable
+from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.inner_path import copy_inner, inner_files
+from taccel_lab.files.output_folder import atomic_directory, require_replaceable
 
 RESERVE_BYTES = 1_000_000
 """Kept for tables and what goes with the parts."""

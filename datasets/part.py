@@ -23,8 +23,8 @@ import numpy as np
 from taccel_lab.datasets.channels import ALWAYS, Channel
 from taccel_lab.datasets.simulate import joined
 from taccel_lab.datasets.touch import TouchRecord
-from taccel_lab.output import to_jsonable
-from taccel_lab.output_folder import atomic_directory
+from taccel_lab.files.atomic_file import to_jsonable
+from taccel_lab.files.output_folder import atomic_directory
 
 if TYPE_CHECKING:
     from taccel_lab.datasets.plan import Part, Plan

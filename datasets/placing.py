@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
-from taccel_lab.envs import Indenter, normal_frame
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.press_mesh_options import PressMeshOptions
 from taccel_lab.model.embedding import rotate
+from taccel_lab.presses import Indenter, normal_frame
 from taccel_lab.scene import Ball, TriangleMesh
 from taccel_lab.sensors.press_mesh import pad_press_mesh
 

@@ -21,12 +21,12 @@ from taccel_lab.datasets.channels import camera_record, check_channels
 from taccel_lab.datasets.motion import Motion
 from taccel_lab.datasets.placing import Placing, view_range_mm
 from taccel_lab.datasets.sensor import UNITS_KEY, Sensor, sensor_of
-from taccel_lab.envs import PHYSICS, Accuracy, Indenter, PressPhysics, parse_indenter
-from taccel_lab.envs.press import check_depth
 from taccel_lab.errors import InputError, naming
-from taccel_lab.file_cache import content_key
+from taccel_lab.files.file_cache import content_key
+from taccel_lab.files.regular_file import file_sha256
+from taccel_lab.presses import PHYSICS, Accuracy, Indenter, PressPhysics, parse_indenter
+from taccel_lab.presses.press import check_depth
 from taccel_lab.progress import Progress, silent
-from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.signals.perturbation import Perturbation, draw_perturbation
 from taccel_lab.version import __version__
 

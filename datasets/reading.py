@@ -19,7 +19,7 @@ from taccel_lab.datasets.arrays import Arrays
 from taccel_lab.datasets.folder import PARTS, DatasetFolder, read_parquet
 from taccel_lab.datasets.part import ARRAYS, EPISODES, STEPS
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import inner_files, inner_path
+from taccel_lab.files.inner_path import inner_files, inner_path
 from taccel_lab.summary import Summary
 
 FORMATS = (1,)

@@ -18,10 +18,10 @@ from taccel_lab.datasets.part import PartData, part_data, write_part
 from taccel_lab.datasets.plan import NOISE_KEY, Part, Plan
 from taccel_lab.datasets.simulate import Bench, simulate_touches
 from taccel_lab.datasets.touch import Touch, TouchRecord, failed_touch
-from taccel_lab.envs import PressPhysics
 from taccel_lab.errors import InputError
-from taccel_lab.output import write_json
-from taccel_lab.process_pool import Died, Finished, ProcessPool, usable_cores
+from taccel_lab.files.atomic_file import write_json
+from taccel_lab.presses import PressPhysics
+from taccel_lab.processes.process_pool import Died, Finished, ProcessPool, usable_cores
 from taccel_lab.progress import Progress
 from taccel_lab.report.machine import describe_run
 

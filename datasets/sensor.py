@@ -15,10 +15,10 @@ import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.camera.gel_camera import View, camera_of, face_of
-from taccel_lab.envs import profile_material
-from taccel_lab.envs.measured_ranges import measured_ranges
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.presses import profile_material
+from taccel_lab.presses.measured_ranges import measured_ranges
 from taccel_lab.scene import Material, MaterialField
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.dots import PaintedDots, radius_px
@@ -199,7 +199,7 @@ def resized_color(
 
 def profile_digest(profile: SensorProfile) -> str:
     """SHA-256 of all that a profile says, but for the dates of its blocks."""
-    from taccel_lab.file_cache import content_key
+    from taccel_lab.files.file_cache import content_key
     from taccel_lab.profile.sensor_profile import ARRAY_FIELDS
 
     blocks = {key: block.model_dump(mode="json") for key, block in profile.blocks().items()}

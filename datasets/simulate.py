@@ -20,9 +20,9 @@ from taccel_lab.datasets.motion import rolled_mm
 from taccel_lab.datasets.sensor import Sensor
 from taccel_lab.datasets.touch import Touch, TouchRecord, failed_touch
 from taccel_lab.datasets.view import View
-from taccel_lab.envs import Indenter, PressEnv, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
+from taccel_lab.presses import Indenter, PressEnv, PressPhysics
 from taccel_lab.solvers import EnvStatus
 
 Told = Callable[[int, int], None]

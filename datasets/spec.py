@@ -11,9 +11,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, StrictStr, field_validator, model_validator
 
+from taccel_lab.files.plain_values import first_repeated
+from taccel_lab.files.strict_model import Number, StrictModel, Whole
 from taccel_lab.profile.schema import Name
-from taccel_lab.reading.plain_values import first_repeated
-from taccel_lab.reading.strict_model import Number, StrictModel, Whole
 
 MAX_EPISODES = 10_000_000
 MAX_STEPS = 1000

@@ -16,11 +16,11 @@ from taccel_lab.camera.gel_camera import GelCamera, face_of
 from taccel_lab.camera.gel_camera import View as Pixels
 from taccel_lab.datasets.sensor import Sensor
 from taccel_lab.datasets.touch import Touch
-from taccel_lab.envs.press import PressEnv, PressError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.outputs import Outputs
 from taccel_lab.outputs.surface_load import SurfaceLoad
+from taccel_lab.presses.press import PressEnv, PressError
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.forces import resultant_wrench

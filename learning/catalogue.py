@@ -8,11 +8,11 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
+from taccel_lab.files.toml_file import read_toml
 from taccel_lab.learning.grasp_lift import GraspLiftLearning
 from taccel_lab.learning.peg_insertion import PegInsertionLearning
 from taccel_lab.learning.task import LearningTask
 from taccel_lab.learning.vector_env import TactileVectorEnv
-from taccel_lab.reading.toml_file import read_toml
 from taccel_lab.tasks import __file__ as TASKS
 
 if TYPE_CHECKING:

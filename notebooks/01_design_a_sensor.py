@@ -26,8 +26,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import SVG, display
 
+from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.warp_output import start_warp
 
 start_warp()
 warnings.filterwarnings("ignore", message="IProgress")  # of widgets that are not needed
@@ -104,8 +104,8 @@ display(Image.open(folder / "mesh.png").convert("RGB").reduce(2).quantize(64))
 from scipy.optimize import brentq
 
 from taccel_lab import OpticalModel, PressEnv, SignalTactile, parse_indenter, profile_material
-from taccel_lab.envs import PHYSICS, Accuracy
-from taccel_lab.envs.bonded_layer import layer_force_n
+from taccel_lab.presses import PHYSICS, Accuracy
+from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.sensors.press_mesh import profile_press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 

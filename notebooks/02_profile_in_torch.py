@@ -36,8 +36,8 @@ from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.simulate import simulate_presses
+from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.warp_output import start_warp
 
 start_warp()
 plt.rcParams["figure.dpi"] = 60

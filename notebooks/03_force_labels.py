@@ -25,9 +25,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from taccel_lab import Outputs, PressEnv, SignalTactile, parse_indenter, profile_material
+from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.sensors.press_mesh import profile_press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.warp_output import start_warp
 
 start_warp()
 plt.rcParams["figure.dpi"] = 60
@@ -105,7 +105,7 @@ for axis, field, title in zip(
 # thick as the ball's radius.
 
 # %%
-from taccel_lab.envs.bonded_layer import layer_force_n
+from taccel_lab.presses.bonded_layer import layer_force_n
 
 E, nu, thickness_mm = material.young_modulus_pa, material.poisson_ratio, profile.gel.thickness_mm
 depths_mm = np.array([0.1, 0.2, 0.4, 0.8])
@@ -152,7 +152,7 @@ from taccel_lab.datasets.plan import Plan
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.datasets.runner import make_dataset
 from taccel_lab.datasets.spec import load_spec
-from taccel_lab.envs import PHYSICS, Accuracy
+from taccel_lab.presses import PHYSICS, Accuracy
 
 folder = Path(tempfile.mkdtemp())
 text = """

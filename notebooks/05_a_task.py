@@ -26,8 +26,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from taccel_lab import MarkerLayout, PixelGrid, SignalTactile
+from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.tasks.catalogue import named
-from taccel_lab.warp_output import start_warp
 
 start_warp()
 plt.rcParams["figure.dpi"] = 60

@@ -25,8 +25,8 @@ import torch
 from gymnasium.vector import AutoresetMode
 from torch import nn
 
+from taccel_lab.files.atomic_file import write_json
 from taccel_lab.learning.catalogue import make_vec
-from taccel_lab.output import write_json
 from taccel_lab.report.machine import describe_run
 from taccel_lab.tasks.draw import draw
 

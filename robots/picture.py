@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.output import write_image
+from taccel_lab.files.atomic_file import write_image
 from taccel_lab.robots.robot import Robot
 from taccel_lab.robots.transforms import matrix_of
 from taccel_lab.scene import Ball, sphere_mesh

@@ -10,8 +10,8 @@ import numpy as np
 
 from taccel_lab.bodies.mesh_checks import check_extent, check_surface
 from taccel_lab.errors import InputError, naming
-from taccel_lab.reading.collada_file import SUFFIX, read_collada
-from taccel_lab.reading.triangle_file import read_triangle_file
+from taccel_lab.files.collada_file import SUFFIX, read_collada
+from taccel_lab.files.triangle_file import read_triangle_file
 from taccel_lab.scene import Ball, TriangleMesh, box_mesh, cylinder_mesh
 
 LINK_EXTENT_M = (1e-5, 5.0)

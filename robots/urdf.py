@@ -15,7 +15,7 @@ import numpy as np
 
 from taccel_lab.bodies.joints import JointKind
 from taccel_lab.errors import InputError, InputWarning, naming
-from taccel_lab.reading.xml_file import read_xml
+from taccel_lab.files.xml_file import read_xml
 from taccel_lab.robots.description import Link, LinkMass, Mimic, RobotJoint
 from taccel_lab.robots.robot import Robot
 from taccel_lab.robots.shapes import (

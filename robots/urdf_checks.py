@@ -15,10 +15,10 @@ from types import MappingProxyType
 from xml.etree.ElementTree import Element
 
 from taccel_lab.errors import InputError, InputWarning
-from taccel_lab.inner_path import real_path
-from taccel_lab.reading.collada_file import SUFFIX
-from taccel_lab.reading.text_file import shown
-from taccel_lab.reading.triangle_file import SUFFIXES
+from taccel_lab.files.collada_file import SUFFIX
+from taccel_lab.files.inner_path import real_path
+from taccel_lab.files.text_file import shown
+from taccel_lab.files.triangle_file import SUFFIXES
 
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _OTHER_TYPES = ("planar", "floating")

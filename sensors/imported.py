@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.output_folder import atomic_directory, require_replaceable
 from taccel_lab.geometry import TetMesh
-from taccel_lab.output import write_json
-from taccel_lab.output_folder import atomic_directory, require_replaceable
 from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.design import StageClock, refused_folder

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from taccel_lab.cad.mesh.mesh_pad import MeshPad
 from taccel_lab.cad.mesh.quality import MeshQuality
+from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import Block, Provenance, SensorBlock, SensorProfile
-from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.sensors.profile import designed_profile
 from taccel_lab.sensors.profile_family import IMPORTED, LIKE_KEY, imported_gel
 from taccel_lab.sensors.registry import sensor_family

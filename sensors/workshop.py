@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.cad.mesh.quality import GateResult, MeshQuality
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import content_id, write_json
 from taccel_lab.geometry import TetMesh
-from taccel_lab.output import content_id, write_json
 from taccel_lab.version import __version__
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Any
 
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
-from taccel_lab.reading.text_file import shown
+from taccel_lab.files.text_file import shown
 from taccel_lab.studies.spec import ParameterRange
 
 SIGNIFICANT_DIGITS = 9

@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from taccel_lab.envs.bonded_layer import layer_force_n
 from taccel_lab.errors import InputError
+from taccel_lab.presses.bonded_layer import layer_force_n
 
 if TYPE_CHECKING:
     from taccel_lab.sensors.base import FamilyParameters

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taccel_lab.errors import InputError
-from taccel_lab.output import content_id
+from taccel_lab.files.atomic_file import content_id
 from taccel_lab.studies.design_point import DesignResult
 from taccel_lab.studies.spec import Output
 from taccel_lab.studies.study_folder import StudyFolder
@@ -70,7 +70,7 @@ def _write_mesh(pad: Pad, path: Path, family: str) -> None:
 def _write_step(pad: Pad, path: Path, family: str) -> None:
     from taccel_lab.cad.export import write_step
     from taccel_lab.cad.parts.pad_solid import labelled_solid
-    from taccel_lab.output import atomic_file
+    from taccel_lab.files.atomic_file import atomic_file
 
     with atomic_file(path) as staging:
         write_step(labelled_solid(pad), staging, name=f"{family}_gel_pad")

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import require_inner_name
-from taccel_lab.output import to_jsonable
-from taccel_lab.reading.json_file import read_json
-from taccel_lab.reading.text_file import shown
+from taccel_lab.files.atomic_file import to_jsonable
+from taccel_lab.files.inner_path import require_inner_name
+from taccel_lab.files.json_file import read_json
+from taccel_lab.files.text_file import shown
 
 if TYPE_CHECKING:
     from taccel_lab.studies.design_point import DesignResult

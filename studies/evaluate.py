@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from taccel_lab.errors import InputError
-from taccel_lab.output import write_json
+from taccel_lab.files.atomic_file import write_json
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.registry import sensor_family

@@ -12,8 +12,8 @@ import numpy as np
 
 from taccel_lab.camera.gel_camera import GelCamera, View
 from taccel_lab.camera.media import glued_back_mm, media_between
-from taccel_lab.envs.press_force import by_power_law
 from taccel_lab.geometry import Region
+from taccel_lab.presses.press_force import by_power_law
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.signals import MarkerLayout
 from taccel_lab.studies.camera_view import photometry, picture_change, view_model

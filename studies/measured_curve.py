@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.errors import InputError, naming
-from taccel_lab.reading.loading_faults import require_loading, without_repeats
-from taccel_lab.reading.table_file import Row, Table, read_table
-from taccel_lab.reading.text_file import shown
+from taccel_lab.files.loading_faults import require_loading, without_repeats
+from taccel_lab.files.table_file import Row, Table, read_table
+from taccel_lab.files.text_file import shown
 from taccel_lab.studies.loading import LEAST_ROWS, find_touch, first_loading
 from taccel_lab.studies.spec import require_known
 

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from taccel_lab.envs import PressEnv, layered_material, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
+from taccel_lab.presses import PressEnv, layered_material, parse_indenter
 from taccel_lab.scene import Material
 from taccel_lab.signals import ContactSurface
 from taccel_lab.studies.contact_size import measured_contact_mm

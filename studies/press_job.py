@@ -18,9 +18,9 @@ from functools import cached_property
 import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
-from taccel_lab.envs import normal_frame, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.presses import normal_frame, parse_indenter
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.press_mesh import pad_press_mesh
 from taccel_lab.studies.presses import StandardPress

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.envs.touch import first_touch_m
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.tool_section import ToolSection
+from taccel_lab.presses.touch import first_touch_m
 from taccel_lab.report.style import BLUE, INK, in_report_style, save_figure
 from taccel_lab.scene import Ball
 from taccel_lab.studies.sensor_picture import draw_sensor
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from taccel_lab.envs import Indenter
     from taccel_lab.geometry import TetMesh
+    from taccel_lab.presses import Indenter
     from taccel_lab.sensors.base import SensorFamily
 
 SCENE = "scene.png"

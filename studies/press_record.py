@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.files.atomic_file import atomic_file
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.model.embedding import rotate
-from taccel_lab.output import atomic_file
 from taccel_lab.signals import ContactSurface
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.envs import PHYSICS, Accuracy, PressPhysics, parse_indenter
 from taccel_lab.errors import InputError
+from taccel_lab.presses import PHYSICS, Accuracy, PressPhysics, parse_indenter
 
 CENTRE = (0.0, 0.0)
 

@@ -135,7 +135,7 @@ def write_preview(preview: DesignPreview, folder: Path) -> dict[str, Path]:
     """Write pictures and figures into a folder; names by kind."""
     from PIL import Image
 
-    from taccel_lab.output import write_json
+    from taccel_lab.files.atomic_file import write_json
 
     files = {"figures": folder / "preview.json", "overview": folder / "overview.png"}
     write_json(files["figures"], preview.to_json())

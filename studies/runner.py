@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.process_pool import Died, Finished, ProcessPool, Underway, usable_cores
-from taccel_lab.reading.shard import Shard
+from taccel_lab.files.shard import Shard
+from taccel_lab.processes.process_pool import Died, Finished, ProcessPool, Underway, usable_cores
 from taccel_lab.studies.design_batch import DesignBatch, gather_batches, sharing_key
 from taccel_lab.studies.design_point import DesignPoint
 from taccel_lab.studies.design_row import DesignRow

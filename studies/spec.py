@@ -24,13 +24,13 @@ from pydantic import (
     model_validator,
 )
 
-from taccel_lab.envs import Accuracy
 from taccel_lab.errors import InputError
+from taccel_lab.files.plain_values import first_repeated
+from taccel_lab.files.strict_model import Flag, Number, StrictModel, Whole, describe_errors
+from taccel_lab.files.text_file import shown
+from taccel_lab.files.toml_file import read_toml
+from taccel_lab.presses import Accuracy
 from taccel_lab.profile.schema import Name
-from taccel_lab.reading.plain_values import first_repeated
-from taccel_lab.reading.strict_model import Flag, Number, StrictModel, Whole, describe_errors
-from taccel_lab.reading.text_file import shown
-from taccel_lab.reading.toml_file import read_toml
 from taccel_lab.studies.design_point import LOAD_N
 
 MAX_DESIGNS = 10_000

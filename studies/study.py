@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from taccel_lab.cad.parameters import Parameter
-from taccel_lab.envs import PHYSICS, Accuracy
 from taccel_lab.errors import InputError, naming
-from taccel_lab.output import content_id
+from taccel_lab.files.atomic_file import content_id
+from taccel_lab.files.text_file import shown
+from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.progress import Progress, silent
-from taccel_lab.reading.text_file import shown
 from taccel_lab.sensors.base import STIFFNESS, SensorFamily
 from taccel_lab.sensors.registry import known_sensor, sensor_families
 from taccel_lab.studies.axis import Axis, axis_of, significant

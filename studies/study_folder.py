@@ -21,11 +21,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from taccel_lab.errors import InputError
-from taccel_lab.file_lock import hold
-from taccel_lab.inner_path import require_inner_files
-from taccel_lab.output import atomic_file, write_json
-from taccel_lab.output_folder import may_hold, require_growable
-from taccel_lab.reading.shard import Shard
+from taccel_lab.files.atomic_file import atomic_file, write_json
+from taccel_lab.files.file_lock import hold
+from taccel_lab.files.inner_path import require_inner_files
+from taccel_lab.files.output_folder import may_hold, require_growable
+from taccel_lab.files.shard import Shard
 from taccel_lab.studies.design_row import DesignRow, read_row
 
 STUDY_MARKER = ".taccel_lab_study"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.output import atomic_file
+from taccel_lab.files.atomic_file import atomic_file
 
 if TYPE_CHECKING:
     from taccel_lab.studies.design_row import DesignRow

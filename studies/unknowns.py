@@ -25,9 +25,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taccel_lab.envs import parse_indenter
-from taccel_lab.envs.bonded_layer import layer_force_n
 from taccel_lab.errors import InputError
+from taccel_lab.presses import parse_indenter
+from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.scene import Ball
 from taccel_lab.sensors.base import INCOMPRESSIBLE, FamilyParameters
 from taccel_lab.studies.press_record import PressRecord

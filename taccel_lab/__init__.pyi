@@ -11,12 +11,6 @@ from taccel_lab.calibration.calibrate import Calibration as Calibration
 from taccel_lab.calibration.calibrate import calibrate as calibrate
 from taccel_lab.datasets.reading import Dataset as Dataset
 from taccel_lab.datasets.reading import open_dataset as open_dataset
-from taccel_lab.envs import Accuracy as Accuracy
-from taccel_lab.envs import PressEnv as PressEnv
-from taccel_lab.envs import PressOutcome as PressOutcome
-from taccel_lab.envs import PressPath as PressPath
-from taccel_lab.envs import parse_indenter as parse_indenter
-from taccel_lab.envs import profile_material as profile_material
 from taccel_lab.errors import InputError as InputError
 from taccel_lab.errors import SimulationError as SimulationError
 from taccel_lab.geometry import PixelGrid as PixelGrid
@@ -28,6 +22,12 @@ from taccel_lab.optics.photometry import measure_photometry as measure_photometr
 from taccel_lab.optics.render import OpticalModel as OpticalModel
 from taccel_lab.outputs import Outputs as Outputs
 from taccel_lab.outputs import to_torch as to_torch
+from taccel_lab.presses import Accuracy as Accuracy
+from taccel_lab.presses import PressEnv as PressEnv
+from taccel_lab.presses import PressOutcome as PressOutcome
+from taccel_lab.presses import PressPath as PressPath
+from taccel_lab.presses import parse_indenter as parse_indenter
+from taccel_lab.presses import profile_material as profile_material
 from taccel_lab.profile.io import load_profile as load_profile
 from taccel_lab.profile.io import save_profile as save_profile
 from taccel_lab.profile.io import validate_profile as validate_profile

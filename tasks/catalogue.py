@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.toml_file import read_toml
+from taccel_lab.files.toml_file import read_toml
 from taccel_lab.tasks.ball_rolling import BallRolling, BallRollingParameters
 from taccel_lab.tasks.classification import Classification, ClassificationParameters
 from taccel_lab.tasks.driven_grasp import DrivenGraspLift, DrivenGraspParameters

@@ -17,8 +17,8 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from taccel_lab.files.strict_model import StrictModel
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.reading.strict_model import StrictModel
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import KinematicBody, Scene, TimeStepping
 from taccel_lab.scene import Surface as Presence

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Field
 
-from taccel_lab.reading.strict_model import StrictModel, Whole
+from taccel_lab.files.strict_model import StrictModel, Whole
 from taccel_lab.tasks.parameters import Count, Positive
 
 if TYPE_CHECKING:

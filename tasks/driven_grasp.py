@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from taccel_lab.reading.strict_model import StrictModel
+from taccel_lab.files.strict_model import StrictModel
 from taccel_lab.robots import drive
 from taccel_lab.scene import PositionDrive, Scene
 from taccel_lab.solvers import Control

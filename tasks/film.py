@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.output import write_image
 from taccel_lab.outputs import GelFrames
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.style import BLUE, GREEN, ORANGE, PURPLE, in_report_style, new_figure

@@ -17,10 +17,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from taccel_lab.files.legacy_vtk import read_legacy_vtk
+from taccel_lab.files.strict_model import Number, StrictModel
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
-from taccel_lab.reading.legacy_vtk import read_legacy_vtk
-from taccel_lab.reading.strict_model import Number, StrictModel
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import AffineBody, Element, Material, Scene, SoftBody
 from taccel_lab.solvers import Control

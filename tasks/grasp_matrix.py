@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.strict_model import StrictModel
+from taccel_lab.files.strict_model import StrictModel
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import Plane, Scene, TimeStepping, TriangleMesh, sphere_mesh
 from taccel_lab.solvers import Control

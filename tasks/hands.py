@@ -15,8 +15,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from taccel_lab.errors import InputError
+from taccel_lab.files.strict_model import Number, StrictModel
 from taccel_lab.geometry import TetMesh
-from taccel_lab.reading.strict_model import Number, StrictModel
 from taccel_lab.robots import Robot, named, on_seat
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.tasks.bodies import pad_body, pad_mesh

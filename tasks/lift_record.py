@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.reading.strict_model import Number, StrictModel
+from taccel_lab.files.strict_model import Number, StrictModel
 from taccel_lab.tasks.parameters import Positive
 
 

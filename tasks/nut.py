@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from taccel_lab.reading.strict_model import Number, StrictModel
+from taccel_lab.files.strict_model import Number, StrictModel
 from taccel_lab.robots.transforms import pose_of
 from taccel_lab.scene import KinematicBody, Scene, TimeStepping, TriangleMesh
 from taccel_lab.solvers import Control

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.strict_model import Number, StrictModel, Whole
+from taccel_lab.files.strict_model import Number, StrictModel, Whole
 from taccel_lab.scene import Element
 from taccel_lab.tasks.draw import draws
 

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.bodies.mass_properties import mass_properties
+from taccel_lab.exporters.published_meshes import choose_source, mesh_folder, read_stl
+from taccel_lab.files.legacy_vtk import read_legacy_vtk
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
-from taccel_lab.interop.published_meshes import choose_source, mesh_folder, read_stl
-from taccel_lab.reading.legacy_vtk import read_legacy_vtk
 from taccel_lab.scene import (
     AffineBody,
     Element,

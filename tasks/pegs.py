@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from taccel_lab.reading.strict_model import StrictModel
+from taccel_lab.files.strict_model import StrictModel
 from taccel_lab.scene import TriangleMesh
 from taccel_lab.tasks.parameters import FreeBody, NotNegative, Positive
 from taccel_lab.tasks.peg_scene import prism, tube

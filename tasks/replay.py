@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.output import atomic_file, write_json
-from taccel_lab.reading.arrays import read_npz
-from taccel_lab.reading.json_file import read_json
-from taccel_lab.reading.text_file import shown
+from taccel_lab.files.arrays import read_npz
+from taccel_lab.files.atomic_file import atomic_file, write_json
+from taccel_lab.files.json_file import read_json
+from taccel_lab.files.text_file import shown
 
 if TYPE_CHECKING:
     from taccel_lab.tasks.film import Film

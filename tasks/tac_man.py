@@ -16,8 +16,8 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from taccel_lab.files.strict_model import Number, StrictModel
 from taccel_lab.geometry import QuadraticMesh, TetMesh
-from taccel_lab.reading.strict_model import Number, StrictModel
 from taccel_lab.robots.transforms import pose_of, rotation_vector
 from taccel_lab.scene import (
     KinematicBody,

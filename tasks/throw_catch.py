@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from taccel_lab.reading.strict_model import StrictModel
+from taccel_lab.files.strict_model import StrictModel
 from taccel_lab.robots.transforms import pose_of
 from taccel_lab.scene import Scene, TimeScheme, TimeStepping
 from taccel_lab.solvers import Control

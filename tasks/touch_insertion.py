@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from taccel_lab.reading.strict_model import Flag, Number, StrictModel
+from taccel_lab.files.strict_model import Flag, Number, StrictModel
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import KinematicBody, Scene, TimeStepping
 from taccel_lab.signals.markers import MarkerLayout

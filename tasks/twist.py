@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from taccel_lab.reading.strict_model import Number, StrictModel
+from taccel_lab.files.strict_model import Number, StrictModel
 from taccel_lab.scene import Ball, KinematicBody, Scene, TimeStepping
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.solvers import Control

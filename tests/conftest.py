@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
 
 from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
-from taccel_lab.file_cache import CACHE_VARIABLE
+from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.sensors import profile
 
 # Shared machines stall now and then, which says nothing about the code: no deadlines. Examples are

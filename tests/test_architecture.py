@@ -103,7 +103,7 @@ def test_the_core_and_the_presses_of_studies_need_warp_numpy_and_scipy_alone() -
     """Compute nodes have neither CAD nor command line: presses and renders must run there."""
     absent = [name for name in HEAVY if name not in ("warp", "scipy")]
     absent += ["pydantic", "rich", "tyro", "jinja2", "tomli_w", "safetensors", "PIL"]
-    modules = "taccel_lab.envs, taccel_lab.signals, taccel_lab.outputs, taccel_lab.optics.render"
+    modules = "taccel_lab.presses, taccel_lab.signals, taccel_lab.outputs, taccel_lab.optics.render"
     code = _BARE.format(
         absent=absent,
         modules=f"{modules}, taccel_lab.studies.evaluate, taccel_lab.benchmarks.speed",
@@ -186,8 +186,8 @@ OWN_FILES = {"calibration/contacts/cache.py": "json"}
 WRITERS = {
     "calibration/markers/track_files.py": "csv",
     "studies/table.py": "csv",
-    "taccel_lab/interop/gs_sdk.py": "yaml",
-    "taccel_lab/interop/tacto.py": "yaml",
+    "taccel_lab/exporters/gs_sdk.py": "yaml",
+    "taccel_lab/exporters/tacto.py": "yaml",
 }
 _PARSERS = {"load", "loads", "safe_load", "reader", "DictReader"}
 
@@ -197,7 +197,7 @@ def test_text_formats_are_read_in_one_place() -> None:
     known = {**OWN_FILES, **WRITERS}
     for path in SOURCES:
         name = name_of(path)
-        if name.startswith(("taccel_lab/reading/", "benchmarks/")):
+        if name.startswith(("taccel_lab/files/", "benchmarks/")):
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             modules = {
@@ -205,7 +205,7 @@ def test_text_formats_are_read_in_one_place() -> None:
                 *([node.module] if isinstance(node, ast.ImportFrom) else []),
             }
             used = modules & (TEXT_FORMATS - {"json"})
-            assert used <= {known.get(name)}, f"{name} imports {used}: use taccel_lab.reading"
+            assert used <= {known.get(name)}, f"{name} imports {used}: use taccel_lab.files"
             if (
                 isinstance(node, ast.Attribute)
                 and node.attr in _PARSERS

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.output_folder import may_hold, require_growable
+from taccel_lab.files.output_folder import may_hold, require_growable
 
 
 def test_a_folder_that_grows_is_refused_before_any_work(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.output_folder import atomic_directory
-from taccel_lab.reading.toml_file import read_toml
+from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.files.toml_file import read_toml
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.design import design_sensor
 

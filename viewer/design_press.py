@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.cad.parts.dome_pad import DomePad
-from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, layered_material, parse_indenter
-from taccel_lab.envs.bonded_layer import layer_force_n
-from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.geometry.press_mesh_options import PressMeshOptions
 from taccel_lab.geometry.tool_section import ToolSection
+from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, layered_material, parse_indenter
+from taccel_lab.presses.bonded_layer import layer_force_n
+from taccel_lab.presses.physics import PressPhysics
 from taccel_lab.scene import Material
 from taccel_lab.sensors.press_mesh import pad_press_mesh
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
-from taccel_lab.child_process import ChildProcess
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.process_pool import THREAD_LIMITS
+from taccel_lab.processes.child_process import ChildProcess
+from taccel_lab.processes.process_pool import THREAD_LIMITS
 from taccel_lab.viewer.design_press import BallPress, PressAnswer, SupersededError, press_ball
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class PressBeside:
 
 def _serve(pipe: Connection) -> None:
     """Presses, for as long as the page lives."""
-    from taccel_lab.warp_output import start_warp
+    from taccel_lab.processes.start_warp import start_warp
 
     start_warp()
     while True:

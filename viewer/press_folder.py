@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.apart import read_apart
-from taccel_lab.reading.json_file import read_json
-from taccel_lab.reading.plain_values import number_at
-from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
-from taccel_lab.reading.text_file import shown
+from taccel_lab.files.apart import read_apart
+from taccel_lab.files.json_file import read_json
+from taccel_lab.files.plain_values import number_at
+from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
+from taccel_lab.files.text_file import shown
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, Tool
 from taccel_lab.viewer.section import linear_tets
 
@@ -54,7 +54,7 @@ def summary(folder: Path) -> list[tuple[str, str]]:
 
 
 def _steps(path: Path) -> GelStates:
-    from taccel_lab.reading.arrays import read_npz
+    from taccel_lab.files.arrays import read_npz
 
     arrays = read_npz(path)
     try:
@@ -156,7 +156,7 @@ def _twice(values: np.ndarray) -> np.ndarray:
 
 
 def _end_image(folder: Path) -> SensorImages | None:
-    from taccel_lab.reading.images import read_image
+    from taccel_lab.files.images import read_image
 
     for name in ("image_raw.png", "predicted.png"):
         if (folder / name).is_file():

@@ -121,7 +121,7 @@ class StudyPage:
             self.view.show_states(states, states.count - 1)
 
     def _show_picture(self, row: DesignRow) -> None:
-        from taccel_lab.reading.images import read_image
+        from taccel_lab.files.images import read_image
 
         path = self._root / row.files.get("picture", "none")
         self._panel.visible = path.is_file()

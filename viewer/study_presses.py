@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.arrays import finite_numbers, read_npz
+from taccel_lab.files.arrays import finite_numbers, read_npz
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.viewer.gel_states import GelStates
 

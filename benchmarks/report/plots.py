@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from taccel_lab.benchmarks.peers import read_field
-from taccel_lab.output import atomic_file
+from taccel_lab.files.atomic_file import atomic_file
 from taccel_lab.studies.report.figures import plain_log_ticks
 
 Results = dict[str, list[dict[str, Any]]]

@@ -13,8 +13,8 @@ import numpy as np
 
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
 from taccel_lab.benchmarks.scenes.frames import facing, pose, same_side, turn_about_z
+from taccel_lab.exporters.published_meshes import choose_source, mesh_folder, read_stl
 from taccel_lab.geometry import TetMesh
-from taccel_lab.interop.published_meshes import choose_source, mesh_folder, read_stl
 from taccel_lab.scene import (
     AffineBody,
     Element,

@@ -18,10 +18,10 @@ from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_con
 from taccel_lab.benchmarks.scenes.frames import facing, pose, same_side
 from taccel_lab.benchmarks.scenes.pads import label
 from taccel_lab.benchmarks.scenes.press import touching_height
+from taccel_lab.exporters.published_meshes import choose_source, mesh_folder
+from taccel_lab.files.legacy_vtk import read_legacy_vtk
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.interop.published_meshes import choose_source, mesh_folder
-from taccel_lab.reading.legacy_vtk import read_legacy_vtk
 from taccel_lab.scene import (
     AffineBody,
     Element,

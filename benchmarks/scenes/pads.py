@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.exporters.published_meshes import choose_source, mesh_folder
+from taccel_lab.files.legacy_vtk import read_legacy_vtk
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
-from taccel_lab.interop.published_meshes import choose_source, mesh_folder
-from taccel_lab.reading.legacy_vtk import read_legacy_vtk
 
 SIZE_M = (40e-3, 40e-3, 5.925e-3)
 HELD_M = 2.9e-3

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any
 
 from taccel_lab.benchmarks.stress.runner import run_case
-from taccel_lab.process_pool import Died, Finished, ProcessPool
+from taccel_lab.processes.process_pool import Died, Finished, ProcessPool
 from taccel_lab.progress import Progress
 
 CaseId = tuple[str, int]

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.cad.mesh.quality_measures import TET_FACES
+from taccel_lab.files.atomic_file import atomic_file
 from taccel_lab.geometry import TetMesh
-from taccel_lab.output import atomic_file
 
 _BAD, _PLACE = "#d4301f", "#1f5fd4"
 _LEAST_ZOOM_MM = 1.0

@@ -34,7 +34,7 @@ from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.errors import InputError
-from taccel_lab.file_cache import CachedFile, load_arrays, save_arrays
+from taccel_lab.files.file_cache import CachedFile, load_arrays, save_arrays
 from taccel_lab.geometry import Region, TetMesh
 
 RECIPE = "tetwild-3"

@@ -12,8 +12,8 @@ from pydantic import BeforeValidator, StrictStr
 
 from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.step_import.selection import FaceInfo
+from taccel_lab.files.strict_model import StrictModel
 from taccel_lab.geometry import Region
-from taccel_lab.reading.strict_model import StrictModel
 
 if TYPE_CHECKING:
     from taccel_lab.cad.parts.labelled_solid import LabelledSolid

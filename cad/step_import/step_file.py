@@ -12,8 +12,8 @@ from pathlib import Path
 from taccel_lab.cad.step_import.importer import FaceSelection, ImportedGel
 from taccel_lab.cad.step_import.selection import FaceInfo
 from taccel_lab.errors import InputError, naming
-from taccel_lab.reading.apart import read_apart
-from taccel_lab.reading.regular_file import require_regular_file
+from taccel_lab.files.apart import read_apart
+from taccel_lab.files.regular_file import require_regular_file
 
 MAX_BYTES = 50 << 20
 """Of a STEP file: a hundred times the largest of the sensors that we know, whose 271 faces take

@@ -10,7 +10,7 @@ import numpy as np
 
 from taccel_lab.calibration.background.dust import speck_count
 from taccel_lab.calibration.background.result import BackgroundCalibration
-from taccel_lab.output import write_image
+from taccel_lab.files.atomic_file import write_image
 from taccel_lab.report.page import Page, Picture, Table
 from taccel_lab.report.style import BLUE, GREEN, ORANGE, in_report_style, new_figure
 

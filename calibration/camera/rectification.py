@@ -14,9 +14,9 @@ from scipy.spatial import Delaunay
 from taccel_lab.calibration.camera.board_on_gel import OnGel
 from taccel_lab.calibration.camera.intrinsics import Intrinsics
 from taccel_lab.errors import InputError, naming
+from taccel_lab.files.arrays import finite_numbers, read_npz
+from taccel_lab.files.atomic_file import atomic_file
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.output import atomic_file
-from taccel_lab.reading.arrays import finite_numbers, read_npz
 
 _CHUNK_PX = 100_000
 _BEYOND_PITCHES = 1.0

@@ -18,7 +18,7 @@ from taccel_lab.calibration.camera.pictures import (
 )
 from taccel_lab.calibration.camera.result import CameraCalibration
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.reading.images import read_image
+from taccel_lab.files.images import read_image
 from taccel_lab.report.page import Page, Picture, Table
 
 

@@ -23,9 +23,9 @@ from taccel_lab.calibration.capture.schema import MANIFEST_NAME, CaptureManifest
 from taccel_lab.calibration.capture.taxim_pack import load_taxim_folder
 from taccel_lab.calibration.capture.video import load_markers
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import inner_path
-from taccel_lab.reading.images import image_size, read_grey, read_image
-from taccel_lab.reading.regular_file import file_sha256
+from taccel_lab.files.images import image_size, read_grey, read_image
+from taccel_lab.files.inner_path import inner_path
+from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.sensors.registry import profile_folder
 
 MIN_SIZE_PX = 32

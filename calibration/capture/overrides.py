@@ -16,10 +16,10 @@ from pydantic import Field, model_validator
 
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
 from taccel_lab.errors import InputError
+from taccel_lab.files.plain_values import first_repeated
+from taccel_lab.files.regular_file import file_sha256
+from taccel_lab.files.strict_model import Flag, Number, StrictModel
 from taccel_lab.printable import printable
-from taccel_lab.reading.plain_values import first_repeated
-from taccel_lab.reading.regular_file import file_sha256
-from taccel_lab.reading.strict_model import Flag, Number, StrictModel
 
 CONTACTS_NAME = "contacts.toml"
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.schema import RecordEntry
 from taccel_lab.errors import InputError, naming
-from taccel_lab.reading.loading_faults import require_loading
+from taccel_lab.files.loading_faults import require_loading
 
 SOFTEST_MPA, STIFFEST_MPA = 2e-4, 10.0
 """Apparent moduli of gels on a window: from the softest silicone to 1 MPa ten times stiffened."""

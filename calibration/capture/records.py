@@ -14,10 +14,10 @@ from taccel_lab.calibration.capture.record_checks import check_record
 from taccel_lab.calibration.capture.schema import RecordEntry
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import inner_path
-from taccel_lab.reading.loading_faults import without_repeats
-from taccel_lab.reading.regular_file import file_sha256
-from taccel_lab.reading.table_file import read_table
+from taccel_lab.files.inner_path import inner_path
+from taccel_lab.files.loading_faults import without_repeats
+from taccel_lab.files.regular_file import file_sha256
+from taccel_lab.files.table_file import read_table
 
 COLUMNS = {
     "indentation": ("depth_mm", "force_n"),

@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, AwareDatetime, Field
 
-from taccel_lab.inner_path import require_inner_name
-from taccel_lab.reading.strict_model import Flag, Number, StrictModel, Whole
+from taccel_lab.files.inner_path import require_inner_name
+from taccel_lab.files.strict_model import Flag, Number, StrictModel, Whole
 
 MANIFEST_NAME = "captures.toml"
 SCHEMA_VERSION = 2

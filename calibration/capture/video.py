@@ -14,10 +14,10 @@ from taccel_lab.calibration.capture.folder import Frame, MarkerCaptures, Video
 from taccel_lab.calibration.capture.records import read_columns
 from taccel_lab.calibration.capture.schema import MarkersEntry, VideoEntry
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import inner_path
-from taccel_lab.reading.images import image_size, read_image
-from taccel_lab.reading.regular_file import file_sha256
-from taccel_lab.reading.videos import count_frames, read_frames
+from taccel_lab.files.images import image_size, read_image
+from taccel_lab.files.inner_path import inner_path
+from taccel_lab.files.regular_file import file_sha256
+from taccel_lab.files.videos import count_frames, read_frames
 
 LOST_SHARE = 0.95
 """Share of the frames that a file states, of which as many have to decode."""

@@ -14,7 +14,7 @@ from taccel_lab.calibration.color.evaluate import ImageScore, crop_slices
 from taccel_lab.calibration.color.heldout import HeldoutPress, Placed, mean_bare
 from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.result import mean_figures
-from taccel_lab.interop.taxim_table_file import TABLE_FILE, TableFile, write_table
+from taccel_lab.exporters.taxim_table_file import TABLE_FILE, TableFile, write_table
 from taccel_lab.report.page import Page, Picture, Table
 from taccel_lab.report.style import BLUE, GREY, INK, in_report_style, new_figure
 

@@ -28,7 +28,7 @@ from taccel_lab.calibration.light.drift_choice import DriftChoice
 from taccel_lab.calibration.result import ResultSummary, mean_figures
 from taccel_lab.calibration.thickness.fit import GelThickness
 from taccel_lab.errors import InputError
-from taccel_lab.interop.taxim_table import TaximTable
+from taccel_lab.exporters.taxim_table import TaximTable
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 

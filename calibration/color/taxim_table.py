@@ -23,8 +23,8 @@ from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
+from taccel_lab.exporters.taxim_table import TERMS, TaximTable, bin_indices, pixel_terms
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.interop.taxim_table import TERMS, TaximTable, bin_indices, pixel_terms
 from taccel_lab.signals.normals import normals_from_slopes
 
 BINS = 125

@@ -20,8 +20,8 @@ import taccel_lab.calibration.light
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.calibration.contacts.result import DetectedContact, FoundContacts, Refusal
-from taccel_lab.file_cache import CachedFile
-from taccel_lab.output import to_jsonable
+from taccel_lab.files.atomic_file import to_jsonable
+from taccel_lab.files.file_cache import CachedFile
 from taccel_lab.progress import Progress, silent
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from taccel_lab.calibration.markers.flow import MarkerFlow
 from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
 from taccel_lab.errors import InputError
-from taccel_lab.output import atomic_file, write_json
+from taccel_lab.files.atomic_file import atomic_file, write_json
 
 SUFFIXES = (".json", ".npz", ".csv")
 

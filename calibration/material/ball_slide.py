@@ -20,7 +20,7 @@ from scipy.optimize import brentq
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.gel_presses import Stop
 from taccel_lab.calibration.material.press_plans import GelBench, PressPlan, simulate_each
-from taccel_lab.envs.bonded_layer import layer_force_n
+from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.progress import Progress, silent
 
 GRID = 1.25

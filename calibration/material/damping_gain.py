@@ -13,11 +13,11 @@ import numpy as np
 
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.press_plans import GelBench
-from taccel_lab.envs import profile_material
-from taccel_lab.envs.touch import first_touch_m
 from taccel_lab.errors import SimulationError
-from taccel_lab.file_cache import cached_arrays
+from taccel_lab.files.file_cache import cached_arrays
 from taccel_lab.geometry import Region
+from taccel_lab.presses import profile_material
+from taccel_lab.presses.touch import first_touch_m
 from taccel_lab.scene import KinematicBody, Scene, SoftBody, TimeStepping
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.state import initial_state

@@ -25,8 +25,8 @@ from taccel_lab.calibration.material.gel import UNIT_MODULUS_PA, Gel, Tool
 from taccel_lab.calibration.material.gel_presses import GelPresses, MaterialStep, Stop
 from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
 from taccel_lab.calibration.material.press_plans import GelBench, PressPlan, simulate_each
-from taccel_lab.envs import PressPath, profile_material
 from taccel_lab.errors import InputError
+from taccel_lab.presses import PressPath, profile_material
 from taccel_lab.progress import Progress, silent
 
 NU_RANGE = (0.30, 0.499)

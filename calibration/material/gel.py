@@ -4,8 +4,8 @@
 Simulated forces scale exactly with all moduli together (also the contact stiffness follows them),
 so every press here is that of a gel of 1 MPa, and Young's modulus never needs a simulation. The
 layers over a gel keep their ratio to it. Element, mesh, contact range and tolerance are those of
-``taccel_lab.envs.physics``, which ``taccel-lab press`` presses with: what is fitted here comes out
-there.
+``taccel_lab.presses.physics``, which ``taccel-lab press`` presses with: what is fitted here comes
+out there.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.capture.schema import ToolEntry
-from taccel_lab.envs import Indenter, parse_indenter
-from taccel_lab.envs.bonded_layer import ToolKind
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
+from taccel_lab.presses import Indenter, parse_indenter
+from taccel_lab.presses.bonded_layer import ToolKind
+from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.profile import MaterialBlock, SensorProfile
 from taccel_lab.sensors.press_mesh import Pad, pad_press_mesh
 from taccel_lab.sensors.registry import profile_parameters

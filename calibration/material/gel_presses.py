@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from taccel_lab.envs import Indenter, PressEnv
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.geometry import TetMesh
 from taccel_lab.model.elastic import ElementArrays
+from taccel_lab.presses import Indenter, PressEnv
+from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.scene import Material, MaterialField, MaterialModel
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
 from taccel_lab.solvers.sensitivity import elastic_power, groups_of, node_rates

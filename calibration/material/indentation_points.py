@@ -17,8 +17,8 @@ from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.gel import Gel, Tool
 from taccel_lab.calibration.material.remarks import UNUSUAL_MODULUS
 from taccel_lab.calibration.result import Estimate
-from taccel_lab.envs.bonded_layer import layer_young_modulus_pa
 from taccel_lab.errors import InputError
+from taccel_lab.presses.bonded_layer import layer_young_modulus_pa
 from taccel_lab.report.remark import Remark
 
 PLAUSIBLE_PA = (1e4, 1e7)

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.errors import InputError
+from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 
 FIXABLE = ("e", "nu", "mooney_ratio", "friction")
 """Parameters that a user may hold."""

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.calibration.material.gel_presses import GelPresses, Stop
-from taccel_lab.envs import profile_material
 from taccel_lab.errors import SimulationError
-from taccel_lab.file_cache import CachedFile, cached_arrays
+from taccel_lab.files.file_cache import CachedFile, cached_arrays
+from taccel_lab.presses import profile_material
 from taccel_lab.progress import Progress, silent
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from typing import Any, Protocol
 
 from taccel_lab.calibration.material.stiffness import Stiffness
 from taccel_lab.calibration.result import Estimate, ResultSummary
-from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
-from taccel_lab.output import to_jsonable
+from taccel_lab.files.atomic_file import to_jsonable
+from taccel_lab.presses.physics import PressPhysics
 from taccel_lab.profile import FittedWith, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 

@@ -41,8 +41,8 @@ from taccel_lab.calibration.training import (
     trainable,
 )
 from taccel_lab.errors import InputError
+from taccel_lab.files.seed import require_seed
 from taccel_lab.progress import Progress, silent
-from taccel_lab.reading.seed import require_seed
 from taccel_lab.signals.normal_model import (
     MAX_TILT_RAD,
     RAYLEIGH_MEAN,

@@ -10,10 +10,10 @@ import numpy as np
 
 from taccel_lab.calibration.normals.read_surface import SurfaceReading
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import write_json
+from taccel_lab.files.images import read_grey
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.output import write_json
 from taccel_lab.profile import SensorProfile
-from taccel_lab.reading.images import read_grey
 from taccel_lab.report.style import (
     BLUE,
     LIGHT,

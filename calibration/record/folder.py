@@ -25,10 +25,10 @@ from taccel_lab.calibration.capture.manifest_text import manifest_text
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.errors import InputError
-from taccel_lab.output import atomic_file
-from taccel_lab.output_folder import require_growable
-from taccel_lab.reading.images import read_image
-from taccel_lab.reading.toml_file import read_toml
+from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.files.images import read_image
+from taccel_lab.files.output_folder import require_growable
+from taccel_lab.files.toml_file import read_toml
 from taccel_lab.sensors.registry import sensor_family
 
 _PRESS = re.compile(r"press_([0-9]+)\.png")

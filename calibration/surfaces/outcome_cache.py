@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import BinaryIO
 
 from taccel_lab.calibration.surfaces.press_batch import BatchOutcome, PressBatch
-from taccel_lab.file_cache import CachedFile, load_arrays, save_arrays
+from taccel_lab.files.file_cache import CachedFile, load_arrays, save_arrays
 from taccel_lab.version import __version__
 
 RECIPE = 5

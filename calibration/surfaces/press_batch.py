@@ -12,14 +12,14 @@ import numpy as np
 from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.surfaces.depth_search import DepthSearch
 from taccel_lab.calibration.surfaces.press_surface import PressSurface, SimulationEffort
-from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh
+from taccel_lab.presses.physics import PressPhysics
 from taccel_lab.profile import MaterialBlock
 from taccel_lab.sensors.press_mesh import Pad, pad_press_mesh
 
 if TYPE_CHECKING:
-    from taccel_lab.envs import Indenter, PressEnv
+    from taccel_lab.presses import Indenter, PressEnv
     from taccel_lab.signals.rest_surface import RestSurface
     from taccel_lab.solvers import StepReport
 
@@ -92,7 +92,7 @@ def simulate_batch(batch: PressBatch) -> BatchOutcome:
     """Press until the contacts have their radii; runs in a process of its own."""
     import warp as wp
 
-    from taccel_lab.envs.press_surface import contact_radii_m
+    from taccel_lab.presses.press_surface import contact_radii_m
 
     wp.config.log_level = wp.LOG_ERROR
     count = len(batch.at_mm)
@@ -136,7 +136,7 @@ def surfaces_of(
     at heights of their own, and a surface through them is bumpy by 2 to 3 degrees under deep
     presses, which no image shows.
     """
-    from taccel_lab.envs.press_surface import press_surface
+    from taccel_lab.presses.press_surface import press_surface
     from taccel_lab.signals.rest_surface import from_nearest
 
     env, ball = _env(batch)
@@ -191,7 +191,7 @@ def _window(reach_mm: float) -> PixelGrid:
 
 def _env(batch: PressBatch) -> tuple[PressEnv, Indenter]:
     """The presses before they begin, and the ball."""
-    from taccel_lab.envs import Indenter, PressEnv, profile_material
+    from taccel_lab.presses import Indenter, PressEnv, profile_material
     from taccel_lab.scene import Ball
 
     meshes = batch.meshes()

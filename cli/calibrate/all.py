@@ -41,7 +41,7 @@ class CalibrateAll(CalibrationFiles):
     def run(self) -> None:
         from taccel_lab.calibration.calibrate import calibrate
         from taccel_lab.cli.console import notes, print_json, results, working
-        from taccel_lab.progress_bars import stage_progress
+        from taccel_lab.progress import stage_progress
 
         console = notes()
         report = report_folder(self.out, self.report)

@@ -37,7 +37,7 @@ def report_folder(out: Path, report: Path | None) -> Path:
 
 def require_outputs(out: Path, report: Path) -> None:
     """Refuse unusable output folders before any long work."""
-    from taccel_lab.output_folder import require_growable, require_replaceable
+    from taccel_lab.files.output_folder import require_growable, require_replaceable
     from taccel_lab.profile import require_profile_folder
 
     inner, outer = Path(os.path.abspath(report)), Path(os.path.abspath(out))
@@ -97,8 +97,8 @@ class BlockCommand(CalibrationFiles):
         from taccel_lab.calibration.capture.load import load_capture_folder
         from taccel_lab.calibration.recorded import with_session
         from taccel_lab.cli.console import notes
-        from taccel_lab.progress_bars import stage_progress
-        from taccel_lab.warp_output import start_warp
+        from taccel_lab.processes.start_warp import start_warp
+        from taccel_lab.progress import stage_progress
 
         start_warp()
         self.check()

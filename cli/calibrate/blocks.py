@@ -161,7 +161,7 @@ class CalibrateMaterial(BlockCommand):
 
     def options(self, base: SensorProfile | None = None) -> MaterialOptions:
         from taccel_lab.calibration.material.options import MaterialOptions
-        from taccel_lab.envs.physics import PHYSICS, Accuracy
+        from taccel_lab.presses.physics import PHYSICS, Accuracy
 
         return MaterialOptions(
             model=self.model,

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from taccel_lab.calibration.force.options import ForceOptions
 from taccel_lab.cli.calibrate.base import Sayings, report_folder, require_outputs, write_results
+from taccel_lab.learning.force.options import ForceOptions
 
 
 @dataclass(frozen=True)
@@ -37,15 +37,15 @@ class CalibrateForce(ForceOptions):
     """Print the figures as JSON instead of a summary."""
 
     def run(self) -> None:
-        from taccel_lab.calibration.force.fit import calibrate_force
-        from taccel_lab.calibration.force.report import force_page
-        from taccel_lab.calibration.force.training_file import TrainingFile
         from taccel_lab.cli.console import notes
         from taccel_lab.datasets.reading import Dataset
         from taccel_lab.errors import InputError
+        from taccel_lab.learning.force.fit import calibrate_force
+        from taccel_lab.learning.force.report import force_page
+        from taccel_lab.learning.force.training_file import TrainingFile
+        from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.profile import load_profile
-        from taccel_lab.progress_bars import stage_progress
-        from taccel_lab.warp_output import start_warp
+        from taccel_lab.progress import stage_progress
 
         start_warp()
         if not self.datasets:

@@ -48,7 +48,7 @@ class CalibrateRefit:
         )
         from taccel_lab.cli.console import notes
         from taccel_lab.profile import load_profile
-        from taccel_lab.progress_bars import stage_progress
+        from taccel_lab.progress import stage_progress
 
         console = notes()
         report = report_folder(self.out, self.report)

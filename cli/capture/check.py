@@ -39,8 +39,8 @@ class CaptureCheckCommand:
     def run(self) -> None:
         from taccel_lab.calibration.check import check_captures, check_page
         from taccel_lab.cli.console import notes, print_json, results
-        from taccel_lab.output_folder import require_replaceable
-        from taccel_lab.progress_bars import stage_progress
+        from taccel_lab.files.output_folder import require_replaceable
+        from taccel_lab.progress import stage_progress
         from taccel_lab.report.page import write_page
 
         console = notes()

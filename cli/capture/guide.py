@@ -33,7 +33,7 @@ class CaptureGuide:
 
         from taccel_lab.calibration.capture.guide import capture_plan
         from taccel_lab.cli.console import print_json, results
-        from taccel_lab.output import atomic_file
+        from taccel_lab.files.atomic_file import atomic_file
 
         plan = capture_plan(self.sensor)
         if self.out is not None:

@@ -68,7 +68,7 @@ class CaptureImport:
             import_folders,
         )
         from taccel_lab.cli.console import notes, print_json, results, working
-        from taccel_lab.output_folder import require_replaceable
+        from taccel_lab.files.output_folder import require_replaceable
         from taccel_lab.sensors import sensor_family
 
         if self.sensor is not None:

@@ -31,7 +31,7 @@ class CaptureRectify:
         from taccel_lab.calibration.camera.rectify_captures import rectify_captures
         from taccel_lab.calibration.capture import load_capture_folder
         from taccel_lab.cli.console import notes, print_json, working
-        from taccel_lab.output_folder import require_replaceable
+        from taccel_lab.files.output_folder import require_replaceable
 
         require_replaceable(self.out)
         console = notes()

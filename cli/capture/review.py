@@ -35,9 +35,9 @@ class CaptureReview:
         from taccel_lab.calibration.contacts.report import review_page
         from taccel_lab.calibration.contacts.review import review_contacts
         from taccel_lab.cli.console import notes, print_json
-        from taccel_lab.inner_path import real_path
-        from taccel_lab.output_folder import require_replaceable
-        from taccel_lab.progress_bars import stage_progress
+        from taccel_lab.files.inner_path import real_path
+        from taccel_lab.files.output_folder import require_replaceable
+        from taccel_lab.progress import stage_progress
         from taccel_lab.report.page import write_page
         from taccel_lab.report.remark import Severity, judge
 

@@ -14,14 +14,14 @@ from taccel_lab.api.press_progress import steps_if_watched
 from taccel_lab.api.press_result import Press
 from taccel_lab.api.sensor import AnySensor
 from taccel_lab.camera.gel_camera import camera_of, face_of
-from taccel_lab.envs import PHYSICS, Accuracy, profile_material, simulate_press
-from taccel_lab.envs.press import deepest_mm
-from taccel_lab.envs.press_force import ROUGH_TOLERANCE, press_to_force
+from taccel_lab.presses import PHYSICS, Accuracy, profile_material, simulate_press
+from taccel_lab.presses.press import deepest_mm
+from taccel_lab.presses.press_force import ROUGH_TOLERANCE, press_to_force
 from taccel_lab.signals.rest_surface import rest_surface
 
 if TYPE_CHECKING:
-    from taccel_lab.envs import PressOutcome, PressPath, PressPhysics
-    from taccel_lab.envs.press_force import Told
+    from taccel_lab.presses import PressOutcome, PressPath, PressPhysics
+    from taccel_lab.presses.press_force import Told
 
 
 def press(

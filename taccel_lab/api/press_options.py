@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, TypedDict
 from taccel_lab.errors import InputError, naming
 
 if TYPE_CHECKING:
-    from taccel_lab.envs import PressPath, PressPhysics
+    from taccel_lab.presses import PressPath, PressPhysics
     from taccel_lab.signals.texture import Texture
 
 
@@ -67,7 +67,7 @@ class PressOptions:
 
     def require_aim(self) -> None:
         """Raises InputError unless either a depth or a force is given."""
-        from taccel_lab.envs.press_force import check_force
+        from taccel_lab.presses.press_force import check_force
 
         if (self.depth_mm is None) == (self.force_n is None):
             raise InputError("say how far to press: either --depth-mm or --force-n, not both")
@@ -80,7 +80,7 @@ class PressOptions:
 
     def path(self, depth_mm: float, aside: bool = True) -> PressPath:
         """The way to a depth [mm], and then aside and about as asked for."""
-        from taccel_lab.envs import PressPath
+        from taccel_lab.presses import PressPath
 
         shear_mm, twist_deg = (self.shear_mm, self.twist_deg) if aside else ((0.0, 0.0), 0.0)
         return PressPath(depth_mm, shear_mm, twist_deg, self.step_mm, self.step_deg)
@@ -97,7 +97,7 @@ class PressOptions:
         """That of the accuracy, but for what is set here; what the solver does not take is refused
         by the option's name."""
         from taccel_lab.bodies.bodies import check_friction
-        from taccel_lab.envs import PHYSICS, Accuracy
+        from taccel_lab.presses import PHYSICS, Accuracy
         from taccel_lab.scene import Element
 
         if self.accuracy not in {*Accuracy}:

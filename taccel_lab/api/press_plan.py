@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING
 
 from taccel_lab.api.press_options import PressOptions
 from taccel_lab.api.sensor import AnySensor, profile_of
-from taccel_lab.envs import parse_indenter
-from taccel_lab.envs.fitted_physics import physics_difference
-from taccel_lab.envs.press import check_depth
-from taccel_lab.envs.press_force import FIRST_SHARE
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.length_units import size_words
 from taccel_lab.model.devices import require_device
+from taccel_lab.presses import parse_indenter
+from taccel_lab.presses.fitted_physics import physics_difference
+from taccel_lab.presses.press import check_depth
+from taccel_lab.presses.press_force import FIRST_SHARE
+from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.scene import TriangleMesh
 from taccel_lab.sensors.press_mesh import profile_press_mesh
 from taccel_lab.sensors.registry import profile_sensor
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.warp_output import start_warp
 
 if TYPE_CHECKING:
-    from taccel_lab.envs import Indenter, PressPhysics
+    from taccel_lab.presses import Indenter, PressPhysics
     from taccel_lab.profile import SensorProfile
 
 

@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from taccel_lab.progress_bars import watching_console
-from taccel_lab.warp_output import first_step
+from taccel_lab.processes.start_warp import first_step
+from taccel_lab.progress import watching_console
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.envs.press_force import Told
-    from taccel_lab.envs.press_outcome import PressStep
+    from taccel_lab.presses.press_force import Told
+    from taccel_lab.presses.press_outcome import PressStep
 
 
 @contextmanager

@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.envs.press_files import write_press
-from taccel_lab.envs.press_image import PREDICTED_PX, painted_images, predicted_images
-from taccel_lab.envs.press_markers import PressMarkers
-from taccel_lab.interop.image_files import eight_bit
-from taccel_lab.output_folder import atomic_directory
+from taccel_lab.exporters.image_files import eight_bit
+from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.presses.press_files import write_press
+from taccel_lab.presses.press_image import PREDICTED_PX, painted_images, predicted_images
+from taccel_lab.presses.press_markers import PressMarkers
 from taccel_lab.summary import Summary
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from taccel_lab.api.press_plan import PressPlan
-    from taccel_lab.envs import PressOutcome
+    from taccel_lab.presses import PressOutcome
 
 
 @dataclass(frozen=True, repr=False, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 
 from taccel_lab.api.sensor import AnySensor, profile_of
 from taccel_lab.errors import InputError
-from taccel_lab.warp_output import start_warp
+from taccel_lab.processes.start_warp import start_warp
 
 if TYPE_CHECKING:
     from taccel_lab.calibration.normals.read_surface import SurfaceReading
@@ -58,7 +58,7 @@ def read(
 def _pixels(image: np.ndarray | Path | str, name: str) -> tuple[np.ndarray, str]:
     """Levels of an image, and what errors call it."""
     if isinstance(image, (Path, str)):
-        from taccel_lab.reading.images import read_image
+        from taccel_lab.files.images import read_image
 
         return read_image(Path(image)), str(image)
     if image.ndim != 3 or image.shape[2] != 3:

@@ -6,16 +6,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from taccel_lab.files.text_file import read_text
+from taccel_lab.files.toml_file import TOML_LIMIT_BYTES
 from taccel_lab.model.devices import require_device
-from taccel_lab.reading.text_file import read_text
-from taccel_lab.reading.toml_file import TOML_LIMIT_BYTES
+from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.runner import Listener, Outcome, run_study
 from taccel_lab.studies.study import default_kit, read_study
-from taccel_lab.warp_output import start_warp
 
 if TYPE_CHECKING:
-    from taccel_lab.reading.shard import Shard
+    from taccel_lab.files.shard import Shard
     from taccel_lab.studies.study import Study
 
 Accuracy = Literal["fast", "default", "reference"]

@@ -7,10 +7,10 @@ import numpy as np
 
 from taccel_lab.bodies.crossings import self_crossings
 from taccel_lab.errors import InputError
+from taccel_lab.files.triangle_file import FLAT as FLAT_TRIANGLE
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.length_units import other_readings
 from taccel_lab.geometry.tet_checks import check_connectivity, first_of, unique_rows
-from taccel_lab.reading.triangle_file import FLAT as FLAT_TRIANGLE
 
 COINCIDENT = 1e-9
 """Distance over extent at which vertices count as the same."""

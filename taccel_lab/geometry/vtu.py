@@ -17,9 +17,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import atomic_file
 from taccel_lab.geometry.quadratic import QuadraticMesh
 from taccel_lab.geometry.tet_mesh import TetMesh
-from taccel_lab.output import atomic_file
 
 _TETRA, _TRIANGLE = 10, 5
 """VTK's numbers of the cells."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.warp_output import start_warp
+from taccel_lab.processes.start_warp import start_warp
 
 
 def require_device(name: str | wp.Device | None) -> wp.Device:

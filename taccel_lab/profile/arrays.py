@@ -13,9 +13,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.files.arrays import unpack_npz
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.tet_checks import check_connectivity
-from taccel_lab.reading.arrays import unpack_npz
 
 MESH_KEYS = ("nodes_m", "tets", "faces", "face_regions")
 LAYER_KEY = "tet_layers"

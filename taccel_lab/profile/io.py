@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 from taccel_lab.errors import InputError
-from taccel_lab.output_folder import atomic_directory
+from taccel_lab.files.arrays import MAX_ARRAY_BYTES
+from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.files.regular_file import read_regular_file
+from taccel_lab.files.toml_file import read_toml
 from taccel_lab.profile import arrays
 from taccel_lab.profile.blocks import BLOCK_TYPES, OPTIONAL_BLOCKS
 from taccel_lab.profile.migrate import migrate
 from taccel_lab.profile.schema import SCHEMA_VERSION, Block
 from taccel_lab.profile.sensor_profile import ARRAY_FIELDS, SensorProfile
-from taccel_lab.reading.arrays import MAX_ARRAY_BYTES
-from taccel_lab.reading.regular_file import read_regular_file
-from taccel_lab.reading.toml_file import read_toml
 
 PROFILE_FILE = "profile.toml"
 

@@ -11,6 +11,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
+from taccel_lab.files.strict_model import Number, StrictModel, Whole
 from taccel_lab.profile.bounds import Bound
 from taccel_lab.profile.optical_design import (
     Camera,
@@ -21,7 +22,6 @@ from taccel_lab.profile.optical_design import (
     Window,
 )
 from taccel_lab.profile.schema import Block, Provenance
-from taccel_lab.reading.strict_model import Number, StrictModel, Whole
 
 Triple = tuple[Number, Number, Number]
 

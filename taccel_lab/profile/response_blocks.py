@@ -10,8 +10,8 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
+from taccel_lab.files.strict_model import Number
 from taccel_lab.profile.schema import Block, ConfigValue, Name
-from taccel_lab.reading.strict_model import Number
 
 Triple = tuple[Number, Number, Number]
 

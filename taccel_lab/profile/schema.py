@@ -26,9 +26,7 @@ from pydantic import (
 )
 
 from taccel_lab.errors import InputError
-from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile.bounds import out_of_bounds, require_within
-from taccel_lab.reading.strict_model import (
+from taccel_lab.files.strict_model import (
     MAX_FAULTS,
     Flag,
     Number,
@@ -37,6 +35,8 @@ from taccel_lab.reading.strict_model import (
     Whole,
     describe_errors,
 )
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile.bounds import out_of_bounds, require_within
 from taccel_lab.version import __version__
 
 SCHEMA_VERSION = 9

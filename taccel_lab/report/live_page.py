@@ -13,8 +13,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.page_options import PageOptions
 from taccel_lab.report.page_guard import run_token, start_guarded
+from taccel_lab.report.page_options import PageOptions
 
 if TYPE_CHECKING:
     from viser import ViserServer

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taccel_lab.output import atomic_file, write_json
-from taccel_lab.output_folder import atomic_directory
+from taccel_lab.files.atomic_file import atomic_file, write_json
+from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.report.html import data_url, image_suffix, report_environment
 from taccel_lab.report.remark import Remark, Severity, Verdict, judge
 from taccel_lab.report.style import save_figure_to

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, ParamSpec, TypeVar
 
-from taccel_lab.output import atomic_file
+from taccel_lab.files.atomic_file import atomic_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

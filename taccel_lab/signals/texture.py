@@ -62,7 +62,7 @@ class Texture:
         Raises:
             InputError: A file that is no image, one level everywhere, or lengths that are none.
         """
-        from taccel_lab.reading.images import read_image
+        from taccel_lab.files.images import read_image
 
         levels = read_image(path).astype(np.float64).mean(axis=-1)
         if np.ptp(levels) == 0:

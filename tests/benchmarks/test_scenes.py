@@ -19,7 +19,7 @@ from taccel_lab.bodies.mass_properties import mass_properties
 from taccel_lab.bodies.mesh_checks import check_surface, check_tets
 from taccel_lab.bodies.primitives import unique_edges
 from taccel_lab.errors import InputError
-from taccel_lab.interop.published_meshes import choose_source, has_data, mesh_folder, read_stl
+from taccel_lab.exporters.published_meshes import choose_source, has_data, mesh_folder, read_stl
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.model.embedding import rotate
 from taccel_lab.tasks.threads import PITCH_M, hexagon_nut, threaded_rod

@@ -23,7 +23,7 @@ from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.errors import InputError
-from taccel_lab.file_cache import CACHE_VARIABLE, content_key
+from taccel_lab.files.file_cache import CACHE_VARIABLE, content_key
 from taccel_lab.geometry import Region, TetMesh
 
 

@@ -20,11 +20,11 @@ from taccel_lab.calibration.color.evaluate import psnr_db
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.score import angle_between_deg
 from taccel_lab.cli.app import main
-from taccel_lab.envs import PressOutcome, PressPath, parse_indenter, simulate_press
-from taccel_lab.envs.physics import PHYSICS, Accuracy
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.press_mesh_options import PressMeshOptions
 from taccel_lab.optics.render import OpticalModel
+from taccel_lab.presses import PressOutcome, PressPath, parse_indenter, simulate_press
+from taccel_lab.presses.physics import PHYSICS, Accuracy
 from taccel_lab.profile import SensorProfile, load_profile
 from taccel_lab.scene import Material
 from taccel_lab.sensors.press_mesh import press_mesh

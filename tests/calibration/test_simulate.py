@@ -20,10 +20,10 @@ from taccel_lab.calibration.surfaces import PressSurface, press_batch
 from taccel_lab.calibration.surfaces.depth_search import MAX_ROUNDS, DepthSearch
 from taccel_lab.calibration.surfaces.press_batch import BatchOutcome, PressBatch
 from taccel_lab.calibration.surfaces.shared_law import SPANNING, spanning_presses
-from taccel_lab.envs.physics import PHYSICS, SURFACE_PHYSICS, Accuracy
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.file_cache import CACHE_VARIABLE
+from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.presses.physics import PHYSICS, SURFACE_PHYSICS, Accuracy
 from taccel_lab.profile import SensorProfile
 from taccel_lab.scene import Element
 from taccel_lab.sensors.profile import catalogue_profile

@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from taccel_lab.output_folder import atomic_directory
+from taccel_lab.files.output_folder import atomic_directory
 from tests.calibration.judged_once import detect_once, judge_slopes_once
 from tests.support.commands import Done, done, refusal
 from tests.support.small_captures import never, write_captures, write_profile

@@ -26,7 +26,7 @@ from taccel_lab.cli import app
 from taccel_lab.cli.press import Press
 from taccel_lab.cli.words import common_words
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.output_folder import atomic_directory
+from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.version import __version__
 from tests.cli.conftest import Cli
 
@@ -236,7 +236,7 @@ TERMINATED = """
     import os, signal, sys
     from pathlib import Path
     from taccel_lab.cli import app
-    from taccel_lab.output_folder import atomic_directory
+    from taccel_lab.files.output_folder import atomic_directory
 
     class Command:
         def run(self):

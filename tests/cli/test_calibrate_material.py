@@ -12,7 +12,7 @@ import pytest
 from taccel_lab.calibration.capture.schema import ToolEntry
 from taccel_lab.calibration.material.force_table import force_table
 from taccel_lab.calibration.material.gel import Gel
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
+from taccel_lab.presses.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
 from taccel_lab.profile import load_profile
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.cli.conftest import Cli

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import video
-from taccel_lab.reading.videos import count_frames
+from taccel_lab.files.videos import count_frames
 from tests.cli.conftest import Cli
 from tests.fuzz.samples.captures import write_video
 from tests.support.small_captures import everything_below, write_captures, write_image

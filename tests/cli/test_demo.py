@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from taccel_lab.output_marker import OUTPUT_MARKER
+from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.profile import load_profile, validate_profile
 from tests.cli.conftest import Cli
 from tests.support.commands import run

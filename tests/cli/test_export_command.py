@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from taccel_lab.interop.formats import FORMATS
+from taccel_lab.exporters.formats import FORMATS
 from taccel_lab.profile import save_profile
 from tests.cli.conftest import Cli
 from tests.support.synthetic_presses import GRID, tiny_profile

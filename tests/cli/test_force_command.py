@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.force.training_file import TrainingFile
 from taccel_lab.datasets.reading import Dataset
+from taccel_lab.learning.force.training_file import TrainingFile
 from taccel_lab.profile import load_profile, save_profile
-from tests.calibration.force.small_touches import planned, write_touches
 from tests.cli.conftest import Cli
 from tests.fuzz.samples.captures import write_image
+from tests.learning.force.small_touches import planned, write_touches
 from tests.support.commands import done, run
 from tests.support.small_data_sets import saved_profile
 

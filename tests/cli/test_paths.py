@@ -11,7 +11,7 @@ import pytest
 from taccel_lab.cli.calibrate.base import report_folder
 from taccel_lab.datasets.folder import ABOUT
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import WHOLES, require_outside
+from taccel_lab.files.inner_path import WHOLES, require_outside
 from taccel_lab.profile import save_profile
 from taccel_lab.profile.io import PROFILE_FILE
 from taccel_lab.studies.study_folder import STUDY_MARKER

@@ -16,10 +16,10 @@ import pytest
 import pyvista
 
 from taccel_lab.cli.app import main
-from taccel_lab.envs import PHYSICS, Accuracy
-from taccel_lab.envs.press import PressEnv
 from taccel_lab.errors import SimulationError
-from taccel_lab.output_marker import OUTPUT_MARKER
+from taccel_lab.files.output_marker import OUTPUT_MARKER
+from taccel_lab.presses import PHYSICS, Accuracy
+from taccel_lab.presses.press import PressEnv
 from taccel_lab.profile import load_profile
 from taccel_lab.scene import Element
 from taccel_lab.solvers import StepReport
@@ -48,7 +48,7 @@ QUICK = ("--accuracy", "fast", "--friction", "0")
 def small_pictures_and_quick_presses(monkeypatch: pytest.MonkeyPatch) -> None:
     fast = replace(PHYSICS[Accuracy.FAST], element=Element.LINEAR)
     monkeypatch.setitem(PHYSICS, Accuracy.FAST, fast)
-    monkeypatch.setattr("taccel_lab.envs.press_files.PREDICTED_PX", 64)
+    monkeypatch.setattr("taccel_lab.presses.press_files.PREDICTED_PX", 64)
 
 
 @pytest.fixture(scope="module")
@@ -335,7 +335,7 @@ def test_an_interrupted_press_leaves_nothing(
         raise KeyboardInterrupt
 
     # While the files are being written, after the press.
-    monkeypatch.setattr("taccel_lab.envs.press_files.draw_normals", interrupt)
+    monkeypatch.setattr("taccel_lab.presses.press_files.draw_normals", interrupt)
     assert press(unit, tmp_path / "a" / "press", "--depth-mm", "0.2", *QUICK) == 130
     assert everything_below(tmp_path) == {}
 

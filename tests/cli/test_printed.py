@@ -22,12 +22,12 @@ from rich.console import Console
 from rich.table import Table
 
 import taccel_lab.cli
-from taccel_lab import progress_bars as progress
+from taccel_lab import progress as progress
 from taccel_lab.cli import app
 from taccel_lab.cli.console import be_quiet, notes, results, say_first_look, working
-from taccel_lab.output_folder import atomic_directory
+from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.processes.start_warp import first_step
 from taccel_lab.profile import save_profile
-from taccel_lab.warp_output import first_step
 from tests.sensors.imported_profiles import imported
 from tests.support.commands import run
 from tests.support.synthetic_presses import synthetic_captures, write_captures

@@ -263,7 +263,7 @@ def test_indenter_that_starts_inside_the_gel(
     here: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No input is known that leads there; were first touch found too deep, it would be refused."""
-    monkeypatch.setattr("taccel_lab.envs.press.first_touch_m", lambda *_: 1.5e-3)
+    monkeypatch.setattr("taccel_lab.presses.press.first_touch_m", lambda *_: 1.5e-3)
     refuse(["press", "gelsight", "--depth-mm", "0.3"], ["'sphere:2.0' starts inside 'gel'"], capsys)
 
 

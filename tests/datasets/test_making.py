@@ -19,7 +19,7 @@ from taccel_lab.datasets.check import check_dataset
 from taccel_lab.datasets.folder import DatasetFolder
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
-from taccel_lab.output_marker import OUTPUT_MARKER
+from taccel_lab.files.output_marker import OUTPUT_MARKER
 from tests.support.small_data_sets import make, parts_of, plan
 from tests.support.strangers import SECRET, lure
 

@@ -18,9 +18,9 @@ from taccel_lab.datasets.placing import Placing
 from taccel_lab.datasets.plan import Plan
 from taccel_lab.datasets.runner import touches_of
 from taccel_lab.datasets.touch import Touch
-from taccel_lab.envs import parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.model.embedding import rotate
+from taccel_lab.presses import parse_indenter
 from tests.support.small_data_sets import plan
 
 NO_IMAGES = {"output": {"channels": ["depth_mm"]}}

@@ -231,7 +231,7 @@ def test_a_description_without_its_keys_is_refused(copied: Path) -> None:
 def test_check_finds_empty_constant_and_nan_columns(made: Path, tmp_path: Path) -> None:
     import zarr
 
-    from taccel_lab.output_marker import OUTPUT_MARKER, write_marker
+    from taccel_lab.files.output_marker import OUTPUT_MARKER, write_marker
 
     for name, values, message in (
         ("wrench", np.nan, "error: wrench: NaN or infinite"),

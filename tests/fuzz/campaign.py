@@ -13,7 +13,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TextIO
 
-from taccel_lab.process_pool import Died, Finished, ProcessPool, Underway
+from taccel_lab.processes.process_pool import Died, Finished, ProcessPool, Underway
 from taccel_lab.progress import Progress
 from tests.fuzz import memory
 from tests.fuzz.example import MUTATION_NAME, Bench, Outcome
@@ -103,7 +103,7 @@ def _death(
     # Reports of earlier examples, which were slow and ended well, stand before the last one.
     report = re.split("Fatal Python error|Timeout", _text(folder / f"{process}.txt"))[-1]
     ours = _OURS.findall(report)
-    own = ("taccel_lab/child_process.py", "taccel_lab/process_pool.py")
+    own = ("taccel_lab/processes/child_process.py", "taccel_lab/processes/process_pool.py")
     frames = [frame for frame in ours if frame[0] not in own]
     where = f"{kind} in {frames[0][0]}:{frames[0][1]}" if frames else kind
     words = _text(folder / process / MUTATION_NAME)

@@ -17,7 +17,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading import videos
+from taccel_lab.files import videos
 from tests.fuzz import memory
 from tests.fuzz.guard import Guard, changes, remove
 from tests.fuzz.mutations.draw import Draw

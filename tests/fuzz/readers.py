@@ -177,7 +177,7 @@ def _import_step(given: Path, out: Path) -> None:
 
 def _indenter(*names: str) -> Callable[[Path, Path], None]:
     def call(given: Path, out: Path) -> None:
-        from taccel_lab.envs import parse_indenter
+        from taccel_lab.presses import parse_indenter
 
         for name in names:
             parse_indenter(f"mesh:{given / name}").contact(0.5)
@@ -192,7 +192,7 @@ def _show_robot(given: Path, out: Path) -> None:
 
 
 def _read_table(given: Path, out: Path) -> None:
-    from taccel_lab.interop.taxim_table_file import TABLE_FILE, read_table
+    from taccel_lab.exporters.taxim_table_file import TABLE_FILE, read_table
 
     read_table(given / TABLE_FILE)
 
@@ -200,14 +200,14 @@ def _read_table(given: Path, out: Path) -> None:
 def _kept(given: Path, out: Path) -> None:
     import numpy as np
 
-    from taccel_lab.file_cache import CACHE_VARIABLE
+    from taccel_lab.files.file_cache import CACHE_VARIABLE
 
     os.environ[CACHE_VARIABLE] = str(given)
     results.kept_file().read_or_make(lambda: {"a": np.arange(4.0)})
 
 
 def _replace_output(given: Path, out: Path) -> None:
-    from taccel_lab.output_folder import atomic_directory
+    from taccel_lab.files.output_folder import atomic_directory
 
     with atomic_directory(given / "earlier") as folder:
         (folder / "press.json").write_text("{}")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.bodies.primitives import TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
-from taccel_lab.envs import parse_indenter
 from taccel_lab.geometry.shading_normals import corner_normals
+from taccel_lab.presses import parse_indenter
 
 
 def _tool(name: str) -> TriangleMesh:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.envs import parse_indenter
+from taccel_lab.presses import parse_indenter
 from taccel_lab.scene import KinematicBody, TriangleMesh, box_mesh
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.state import initial_state

@@ -15,9 +15,9 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from taccel_lab.benchmarks.images import background, color_model
 from taccel_lab.errors import InputError
+from taccel_lab.files.toml_file import read_toml
 from taccel_lab.learning.catalogue import FILES, make_vec, names
 from taccel_lab.learning.vector_env import OBSERVATIONS, TactileVectorEnv
-from taccel_lab.reading.toml_file import read_toml
 from taccel_lab.solvers import EnvStatus
 from taccel_lab.tasks.catalogue import named
 from tests.learning.single_env import SingleEnv, as_numpy

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.envs import PressEnv, parse_indenter
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import Outputs, SurfaceLoad
 from taccel_lab.outputs.surface_load import SurfaceLoadReader
+from taccel_lab.presses import PressEnv, parse_indenter
 from taccel_lab.scene import Ball, Element, Material, Scene, SoftBody
 from taccel_lab.sensors.press_mesh import PressMeshOptions, press_mesh
 from taccel_lab.solvers import SolverConfig

@@ -11,9 +11,9 @@ import pytest
 from PIL import Image
 
 from taccel_lab.errors import InputError
+from taccel_lab.exporters.export import export_profile
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.interop.export import export_profile
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs
 from taccel_lab.profile import SensorProfile

@@ -9,11 +9,11 @@ import pytest
 from taccel_lab import KinematicBody, Scene, SignalTactile, SolverIPC, initial_state, to_torch
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.camera.gel_camera import camera_of, in_image
-from taccel_lab.envs import profile_material
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.outputs import Outputs
+from taccel_lab.presses import profile_material
 from taccel_lab.profile import LayerMaterial, MaterialBlock, Provenance
 from taccel_lab.scene import Ball, Element, Material, MaterialField, SoftBody
 from taccel_lab.sensors.profile import catalogue_profile

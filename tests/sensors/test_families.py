@@ -18,9 +18,9 @@ from taccel_lab.cad.mesh.tetrahedralize import tetwild_gel_mesh
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_solid import labelled_solid
-from taccel_lab.envs import PressEnv, PressMeshOptions, layered_material, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
+from taccel_lab.presses import PressEnv, PressMeshOptions, layered_material, parse_indenter
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.scene import Material
 from taccel_lab.sensors import FamilyParameters, SensorFamily, sensor_families

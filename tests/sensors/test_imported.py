@@ -11,7 +11,9 @@ import pytest
 from build123d import Plane, Solid, export_step
 
 from taccel_lab.cad.step_import import FaceSelection
-from taccel_lab.envs import (
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
+from taccel_lab.presses import (
     PHYSICS,
     Accuracy,
     PressPath,
@@ -19,8 +21,6 @@ from taccel_lab.envs import (
     profile_material,
     simulate_press,
 )
-from taccel_lab.errors import InputError
-from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import load_profile
 from taccel_lab.sensors.imported import ImportResult, import_design
 from taccel_lab.sensors.press_mesh import pad_press_mesh, profile_press_mesh

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
-from taccel_lab.envs import PressMeshOptions, normal_frame
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.model.embedding import rotate
+from taccel_lab.presses import PressMeshOptions, normal_frame
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.registry import sensor_family
 

@@ -17,8 +17,8 @@ from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
 from taccel_lab.calibration.simulate import press_batches
 from taccel_lab.cli.app import main
-from taccel_lab.envs.physics import SURFACE_PHYSICS
 from taccel_lab.errors import InputError
+from taccel_lab.presses.physics import SURFACE_PHYSICS
 from taccel_lab.profile import Provenance, load_profile, save_profile
 from taccel_lab.scene import Element
 from taccel_lab.sensors.profile import catalogue_profile, load_sensor

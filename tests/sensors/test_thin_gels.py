@@ -9,9 +9,9 @@ import pytest
 from taccel_lab.cad.mesh.gel_mesh import gel_mesh
 from taccel_lab.cad.mesh.quality import measure_quality
 from taccel_lab.cad.parts.height_pad import MIN_WALL_MM
-from taccel_lab.envs import PressEnv, parse_indenter
-from taccel_lab.envs.bonded_layer import layer_force_n
 from taccel_lab.errors import InputError
+from taccel_lab.presses import PressEnv, parse_indenter
+from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.scene import Material
 from taccel_lab.sensors.press_mesh import pad_press_mesh
 from taccel_lab.sensors.registry import sensor_family

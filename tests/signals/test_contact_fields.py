@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.envs import PressEnv, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import Outputs
+from taccel_lab.presses import PressEnv, parse_indenter
 from taccel_lab.scene import Material
 from taccel_lab.signals import SignalTactile
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS

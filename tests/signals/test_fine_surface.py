@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-from taccel_lab.envs import PressEnv, PressPath, parse_indenter, simulate_press
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.block import block_mesh
+from taccel_lab.presses import PressEnv, PressPath, parse_indenter, simulate_press
 from taccel_lab.scene import (
     AffineBody,
     KinematicBody,

@@ -10,7 +10,8 @@ import pytest
 import pyvista
 import torch
 
-from taccel_lab.envs import (
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.presses import (
     PHYSICS,
     Accuracy,
     Indenter,
@@ -19,7 +20,6 @@ from taccel_lab.envs import (
     parse_indenter,
     simulate_press,
 )
-from taccel_lab.geometry import PixelGrid
 from taccel_lab.scene import Ball, Material, TriangleMesh, box_mesh, sphere_mesh
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile

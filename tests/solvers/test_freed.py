@@ -15,13 +15,13 @@ import pytest
 import warp as wp
 
 from taccel_lab.camera.gel_camera import camera_of
-from taccel_lab.envs import PressEnv, PressPath, parse_indenter
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model.matrix_pattern import BlockPattern
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.outputs import Outputs
+from taccel_lab.presses import PressEnv, PressPath, parse_indenter
 from taccel_lab.scene import Ball, KinematicBody, Material, Scene, SoftBody
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals import FineSurface, SignalTactile

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
+from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.scene import Element, Material, MaterialField, MaterialModel
 from taccel_lab.solvers import SolverConfig
 from taccel_lab.solvers.sensitivity import elastic_power, groups_of, node_rates
@@ -28,7 +28,7 @@ MOONEY = Material(3e5, 0.47, model=MaterialModel.MOONEY_RIVLIN, mooney_ratio=0.4
 def held_back_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     """Slopes are those of the force at one place of the tool: no correction for the gap, which
     comes in steps of its tolerance."""
-    monkeypatch.setattr("taccel_lab.envs.press.SETBACK_TOLERANCE", 1e9)
+    monkeypatch.setattr("taccel_lab.presses.press.SETBACK_TOLERANCE", 1e9)
 
 
 def press(

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.envs import PHYSICS, Accuracy
 from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions, PressMeshOptions
+from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.sensors.gelsight.family import GelSightParameters
 from taccel_lab.studies.press_batch import simulate
 from taccel_lab.studies.press_job import PressJob, press_jobs

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import sys
 
-from taccel_lab.reading.shard import Shard
+from taccel_lab.files.shard import Shard
 from taccel_lab.studies.runner import run_study
 from tests.support.fake_kit import study
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taccel_lab.envs import PHYSICS, Accuracy, PressEnv
 from taccel_lab.errors import InputError
-from taccel_lab.output import to_jsonable
+from taccel_lab.files.atomic_file import to_jsonable
+from taccel_lab.presses import PHYSICS, Accuracy, PressEnv
 from taccel_lab.solvers import EnvStatus, StepReport
 from taccel_lab.studies import press_batch
 from taccel_lab.studies.design_point import DesignPoint

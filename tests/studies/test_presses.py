@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions
+from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.scene import Material
 from taccel_lab.sensors.gelsight.family import GelSightParameters
 from taccel_lab.sensors.press_mesh import press_mesh

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from taccel_lab.errors import InputError
-from taccel_lab.output_folder import require_replaceable
+from taccel_lab.files.output_folder import require_replaceable
 from taccel_lab.studies.runner import Listener, read_outcome, run_study
 from taccel_lab.studies.study_folder import STUDY_MARKER, StudyFolder
 from taccel_lab.studies.table import write_table

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.errors import InputError, SimulationError
-from taccel_lab.reading.shard import Shard
+from taccel_lab.files.shard import Shard
 from taccel_lab.studies.cluster import JOBS, ShardJob, submit_shards
 from taccel_lab.studies.design_batch import sharing_key
 from taccel_lab.studies.design_row import DesignRow

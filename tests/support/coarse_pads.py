@@ -6,8 +6,8 @@ from __future__ import annotations
 import functools
 from dataclasses import replace
 
-from taccel_lab.envs import PHYSICS, Accuracy, PressMeshOptions
 from taccel_lab.geometry import TetMesh
+from taccel_lab.presses import PHYSICS, Accuracy, PressMeshOptions
 from taccel_lab.scene import Element, Material
 from taccel_lab.sensors.press_mesh import press_mesh
 

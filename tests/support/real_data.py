@@ -2,7 +2,7 @@
 """Where tests find real captures; a test whose captures are not there is skipped with the reason.
 
 The PyPI wheel ``taxim`` comes with the extra ``demo``, so that its presses are there in continuous
-integration; everything else lies in the data folder (``taccel_lab.interop.published_meshes``).
+integration; everything else lies in the data folder (``taccel_lab.exporters.published_meshes``).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import pytest
 
 from taccel_lab.calibration.capture import find_taxim_pack
 from taccel_lab.errors import InputError
-from taccel_lab.interop.published_meshes import data_folder
+from taccel_lab.exporters.published_meshes import data_folder
 
 
 def real_data(name: str) -> Path:

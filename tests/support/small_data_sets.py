@@ -21,8 +21,8 @@ from taccel_lab.datasets import part
 from taccel_lab.datasets.plan import Plan
 from taccel_lab.datasets.runner import Outcome, make_dataset
 from taccel_lab.datasets.spec import DatasetSpec
-from taccel_lab.envs import PHYSICS, Accuracy, PressMeshOptions
 from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions
+from taccel_lab.presses import PHYSICS, Accuracy, PressMeshOptions
 from taccel_lab.profile import (
     BackgroundBlock,
     CameraBlock,

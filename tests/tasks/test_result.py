@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import quad
 
 from taccel_lab.errors import InputError
-from taccel_lab.output import to_jsonable
+from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.tasks.result import TaskResult, Trial, success_interval
 from taccel_lab.tasks.torsion import Torsion, contact_radius
 

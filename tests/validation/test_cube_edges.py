@@ -16,7 +16,7 @@ import numpy as np
 from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
 from taccel_lab.calibration.capture.schema import EdgeEntry
 from taccel_lab.calibration.scale.edges import MeasuredEdge, measure_edges, scale_from_edges
-from taccel_lab.reading.images import read_image
+from taccel_lab.files.images import read_image
 from tests.support.real_data import real_data
 
 LENGTH_MM = 10.0

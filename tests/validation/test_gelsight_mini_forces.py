@@ -15,7 +15,7 @@ import numpy as np
 
 from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.envs import PressEnv, parse_indenter
+from taccel_lab.presses import PressEnv, parse_indenter
 from taccel_lab.scene import Material
 from tests.support.real_data import real_data
 

@@ -18,7 +18,7 @@ from taccel_lab.calibration.material.fit import calibrate_material
 from taccel_lab.calibration.material.options import MaterialOptions
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.cli.app import main
-from taccel_lab.envs.physics import PHYSICS, Accuracy
+from taccel_lab.presses.physics import PHYSICS, Accuracy
 from taccel_lab.profile import save_profile
 from taccel_lab.report.remark import Verdict, judge
 from taccel_lab.sensors.profile import catalogue_profile

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from taccel_lab.interop.published_meshes import mesh_folder, read_stl
+from taccel_lab.exporters.published_meshes import mesh_folder, read_stl
 from taccel_lab.scene import (
     AffineBody,
     KinematicBody,

@@ -12,9 +12,9 @@ import warp as wp
 from taccel_lab.cad.mesh.focus import FocusOptions
 from taccel_lab.cad.mesh.gel_mesh import focused_gel_mesh
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.envs import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, parse_indenter
 from taccel_lab.scene import (
     Element,
     KinematicBody,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.benchmarks.scenes.peg import peg_config
-from taccel_lab.interop.published_meshes import mesh_folder
+from taccel_lab.exporters.published_meshes import mesh_folder
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.outputs import Outputs
 from taccel_lab.solvers import SolverIPC

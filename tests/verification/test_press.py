@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.envs import Indenter, PressEnv
 from taccel_lab.ipc.intersection import find_intersections
 from taccel_lab.model.kinematics import interpolate_poses
+from taccel_lab.presses import Indenter, PressEnv
 from taccel_lab.scene import (
     Ball,
     Element,

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.cli.app import main
-from taccel_lab.envs import PHYSICS, Accuracy
 from taccel_lab.errors import InputError
+from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.scene import Element
 from taccel_lab.viewer.press_folder import STATES, read_press
 from taccel_lab.viewer.sources import Kind, find_source
@@ -107,8 +107,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     fast = replace(PHYSICS[Accuracy.FAST], element=Element.LINEAR)
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(PHYSICS, Accuracy.FAST, fast)
-        patch.setattr("taccel_lab.envs.press_files.PREDICTED_PX", 64)
-        patch.setattr("taccel_lab.envs.press_files.STATES_PX", 64)
+        patch.setattr("taccel_lab.presses.press_files.PREDICTED_PX", 64)
+        patch.setattr("taccel_lab.presses.press_files.STATES_PX", 64)
         words = ["press", str(profile), "--indenter", "sphere:2", "--depth-mm", "0.2"]
         words += ["--step-mm", "0.1", "--accuracy", "fast", "--friction", "0", "--states"]
         assert main([*words, "--out", str(root / "press")]) == 0

@@ -26,8 +26,8 @@ from taccel_lab.calibration.capture.captures import Press
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.errors import InputError
-from taccel_lab.reading.images import read_image
-from taccel_lab.reading.videos import read_frames
+from taccel_lab.files.images import read_image
+from taccel_lab.files.videos import read_frames
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm")

@@ -19,8 +19,8 @@ from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
 from taccel_lab.calibration.capture.taxim_pack import find_taxim_pack
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import inner_path, real_path
-from taccel_lab.output_folder import atomic_directory
+from taccel_lab.files.inner_path import inner_path, real_path
+from taccel_lab.files.output_folder import atomic_directory
 
 LAYOUTS: dict[str, Layout] = {
     layout.name: layout

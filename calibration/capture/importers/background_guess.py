@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.images import Image, levels, read_image
+from taccel_lab.files.images import Image, levels, read_image
 
 BACKGROUND_NAME = re.compile(
     r"(^|[_\-. ])(bg|background|ref|reference|blank|no_?contact|untouched|init|empty|rest)"

@@ -7,7 +7,7 @@ import re
 from typing import Any
 
 from taccel_lab.errors import InputError
-from taccel_lab.reading.cell_number import number
+from taccel_lab.files.cell_number import number
 
 _BOARD = re.compile(r"^(chessboard|charuco|dots|pins):([0-9]{1,4})x([0-9]{1,4})(?::([0-9.]+))?$")
 

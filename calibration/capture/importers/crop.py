@@ -24,7 +24,7 @@ from taccel_lab.calibration.capture.framing import (
 )
 from taccel_lab.calibration.capture.importers.draft import Draft, is_picture
 from taccel_lab.errors import InputError
-from taccel_lab.reading.images import Image, levels
+from taccel_lab.files.images import Image, levels
 
 AUTO_CROP = "auto"
 MIN_PRESSES = 3

@@ -30,10 +30,10 @@ from taccel_lab.calibration.capture.schema import (
     SCHEMA_VERSION,
 )
 from taccel_lab.errors import InputError
-from taccel_lab.output import write_image
+from taccel_lab.files.atomic_file import write_image
+from taccel_lab.files.images import MAX_FILE_BYTES, Image, levels, read_image
+from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.printable import printable
-from taccel_lab.reading.images import MAX_FILE_BYTES, Image, levels, read_image
-from taccel_lab.reading.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.sensors.registry import known_sensor, profile_folder, sensor_family
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")

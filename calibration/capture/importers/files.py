@@ -11,7 +11,7 @@ from taccel_lab.calibration.capture.importers.draft import is_picture
 from taccel_lab.calibration.capture.importers.left_out import capture_folders
 from taccel_lab.calibration.capture.importers.path_pattern import natural_key
 from taccel_lab.errors import InputError
-from taccel_lab.reading.arrays import finite_numbers
+from taccel_lab.files.arrays import finite_numbers
 
 
 def images_in(folder: Path, *, recursive: bool = False) -> list[Path]:

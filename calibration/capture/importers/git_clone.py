@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from taccel_lab.errors import InputError
+from taccel_lab.files.regular_file import read_regular_file
+from taccel_lab.files.text_file import read_text
 from taccel_lab.printable import printable
-from taccel_lab.reading.regular_file import read_regular_file
-from taccel_lab.reading.text_file import read_text
 
 _INDEX_BYTES = 256 << 20
 _CONFIG_BYTES = 1 << 20

@@ -25,13 +25,13 @@ from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.capture.importers.path_pattern import natural_key
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import inner_path
-from taccel_lab.reading.arrays import read_npz
-from taccel_lab.reading.cell_number import number
-from taccel_lab.reading.plain_values import number_at
-from taccel_lab.reading.table_file import TABLE_LIMIT_BYTES, read_table
-from taccel_lab.reading.text_file import read_text, shown
-from taccel_lab.reading.yaml_file import YAML_LIMIT_BYTES, read_yaml
+from taccel_lab.files.arrays import read_npz
+from taccel_lab.files.cell_number import number
+from taccel_lab.files.inner_path import inner_path
+from taccel_lab.files.plain_values import number_at
+from taccel_lab.files.table_file import TABLE_LIMIT_BYTES, read_table
+from taccel_lab.files.text_file import read_text, shown
+from taccel_lab.files.yaml_file import YAML_LIMIT_BYTES, read_yaml
 
 CATALOG = "catalog.csv"
 DIAMETER = "diameter(mm)"

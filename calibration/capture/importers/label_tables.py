@@ -11,8 +11,8 @@ from pathlib import Path
 from taccel_lab.calibration.capture.importers.draft import Draft
 from taccel_lab.calibration.capture.records import kind_of_record
 from taccel_lab.errors import InputError
-from taccel_lab.reading.cell_number import number
-from taccel_lab.reading.table_file import numbered_lines, read_table, read_table_text
+from taccel_lab.files.cell_number import number
+from taccel_lab.files.table_file import numbered_lines, read_table, read_table_text
 
 Circle = dict[str, float]
 """``u_px``, ``v_px`` and ``radius_px``."""

@@ -13,7 +13,7 @@ from taccel_lab.calibration.capture.importers.files import images_in
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.errors import InputError
-from taccel_lab.reading.images import read_image
+from taccel_lab.files.images import read_image
 
 VIDEO_SUFFIXES = (".avi", ".mp4", ".mov", ".mkv", ".webm")
 MIN_FRAMES = 20

@@ -17,10 +17,10 @@ from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import first_existing, images_in
 from taccel_lab.calibration.capture.importers.layout import Layout
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import real_path
+from taccel_lab.files.inner_path import real_path
+from taccel_lab.files.plain_values import number_at
+from taccel_lab.files.yaml_file import read_yaml
 from taccel_lab.printable import printable
-from taccel_lab.reading.plain_values import number_at
-from taccel_lab.reading.yaml_file import read_yaml
 
 BALL_RADIUS_MM = 4.0
 _CAMERA, _DEPTH = "camera_calibration", "depth_calibration"

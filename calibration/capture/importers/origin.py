@@ -12,9 +12,9 @@ from pathlib import Path
 from taccel_lab.calibration.capture.importers.git_clone import Clone
 from taccel_lab.calibration.capture.importers.left_out import capture_folders, files_of
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import real_path
+from taccel_lab.files.inner_path import real_path
+from taccel_lab.files.text_file import read_text
 from taccel_lab.printable import printable
-from taccel_lab.reading.text_file import read_text
 
 UNKNOWN = "unknown"
 _LIMIT_BYTES = 1 << 20

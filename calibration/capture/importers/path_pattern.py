@@ -16,7 +16,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from taccel_lab.inner_path import require_inner_name
+from taccel_lab.files.inner_path import require_inner_name
 
 _WILD = re.compile(r"\*|\{([a-z][a-z0-9_]{0,39})(:number)?\}")
 MAX_CHARACTERS = 300

@@ -23,8 +23,8 @@ from taccel_lab.calibration.capture.importers.left_out import capture_folders
 from taccel_lab.calibration.capture.importers.markers import VIDEO_SUFFIXES
 from taccel_lab.calibration.capture.records import kind_of_record
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import real_path
-from taccel_lab.reading.images import image_size, read_grey
+from taccel_lab.files.images import image_size, read_grey
+from taccel_lab.files.inner_path import real_path
 
 _MASK_NAME = re.compile(r"(^|[_\-. ])mask($|[_\-. \d])", re.IGNORECASE)
 _DERIVED_NAME = re.compile(r"(^|[_\-. ])(labeled|labelled|drawing|contours|annotated|pseudo)", re.I)

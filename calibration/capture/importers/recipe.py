@@ -17,8 +17,8 @@ from taccel_lab.calibration.capture.importers.path_pattern import (
     one_or_several,
 )
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MAX_RADIUS_MM, MIN_RADIUS_MM
-from taccel_lab.inner_path import require_inner_name
-from taccel_lab.reading.strict_model import Flag, Number, StrictModel
+from taccel_lab.files.inner_path import require_inner_name
+from taccel_lab.files.strict_model import Flag, Number, StrictModel
 
 ANY_FOLDER = "**"
 Text = Annotated[str, Field(min_length=1, max_length=1000)]

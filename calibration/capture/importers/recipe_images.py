@@ -11,10 +11,10 @@ from taccel_lab.calibration.capture.importers.draft import is_picture
 from taccel_lab.calibration.capture.importers.path_pattern import Match, filled, find
 from taccel_lab.calibration.capture.importers.recipe import Images
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import inner_path
-from taccel_lab.reading.arrays import finite_numbers, read_npz
-from taccel_lab.reading.cell_number import number
-from taccel_lab.reading.table_file import read_table
+from taccel_lab.files.arrays import finite_numbers, read_npz
+from taccel_lab.files.cell_number import number
+from taccel_lab.files.inner_path import inner_path
+from taccel_lab.files.table_file import read_table
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,9 @@ from taccel_lab.calibration.capture.importers.recipe_values import (
     set_values,
 )
 from taccel_lab.errors import InputError
-from taccel_lab.inner_path import real_path
-from taccel_lab.reading.images import read_image
-from taccel_lab.reading.regular_file import file_sha256
+from taccel_lab.files.images import read_image
+from taccel_lab.files.inner_path import real_path
+from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.sensors.registry import known_sensor
 
 RECIPES = Path(__file__).with_name("recipes")

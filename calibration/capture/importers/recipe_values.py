@@ -15,13 +15,13 @@ from taccel_lab.calibration.capture.importers.recipe import Set, Setting
 from taccel_lab.calibration.capture.importers.recipe_images import Place
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
-from taccel_lab.reading.arrays import finite_numbers, read_npy
-from taccel_lab.reading.cell_number import number
-from taccel_lab.reading.json_file import read_json
-from taccel_lab.reading.plain_values import number_at
-from taccel_lab.reading.table_file import read_table_text
-from taccel_lab.reading.text_file import shown
-from taccel_lab.reading.yaml_file import read_yaml
+from taccel_lab.files.arrays import finite_numbers, read_npy
+from taccel_lab.files.cell_number import number
+from taccel_lab.files.json_file import read_json
+from taccel_lab.files.plain_values import number_at
+from taccel_lab.files.table_file import read_table_text
+from taccel_lab.files.text_file import shown
+from taccel_lab.files.yaml_file import read_yaml
 
 _SHOWN_TEXT = 500
 """Characters of a text in which a number is looked for."""

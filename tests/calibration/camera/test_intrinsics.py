@@ -22,7 +22,7 @@ from taccel_lab.calibration.camera.lens import LENSES
 from taccel_lab.calibration.camera.robust import rms
 from taccel_lab.camera.camera_model import CameraModel
 from taccel_lab.errors import InputError
-from taccel_lab.reading.images import read_image
+from taccel_lab.files.images import read_image
 from taccel_lab.report.remark import Severity, judge
 from tests.calibration.camera.views import COLUMNS, PITCH, ROWS, SIZE, TRUTHS, board_of, views_of
 from tests.calibration.drawn.boards import chess_pattern, exact_view, pose_over, render_board

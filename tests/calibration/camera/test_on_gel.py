@@ -24,7 +24,7 @@ from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_m
 from taccel_lab.calibration.camera.robust import huber_weights
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
-from taccel_lab.reading.images import read_image
+from taccel_lab.files.images import read_image
 from tests.calibration.camera.views import SIZE, TRUTHS, views_of
 from tests.calibration.drawn.boards import exact_view, lattice_points, pose_over
 from tests.support.real_data import real_data

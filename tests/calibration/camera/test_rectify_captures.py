@@ -22,9 +22,9 @@ from taccel_lab.calibration.depth.captures import grey_captures
 from taccel_lab.calibration.scale.fit import calibrate_scale
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
+from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import CameraBlock
-from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.sensors.profile import catalogue_profile
 
 RAW = (60, 80)

@@ -15,7 +15,7 @@ from taccel_lab.calibration.capture.importers.background_guess import guess_back
 from taccel_lab.calibration.capture.importers.label_tables import read_label_tables, read_labels
 from taccel_lab.calibration.capture.records import kind_of_record, read_columns
 from taccel_lab.errors import InputError
-from taccel_lab.reading.images import read_image
+from taccel_lab.files.images import read_image
 from tests.calibration.capture.made_up_layouts import imported, picture, rvsathu, source_of
 from tests.support.capture_sets import gel, press, spread_circles, write_image
 

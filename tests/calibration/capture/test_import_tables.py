@@ -15,7 +15,7 @@ import pytest
 from taccel_lab.calibration.capture import import_captures, load_capture_folder
 from taccel_lab.calibration.capture.importers import ImportOptions
 from taccel_lab.errors import InputError
-from taccel_lab.reading.yaml_file import YAML_LIMIT_BYTES
+from taccel_lab.files.yaml_file import YAML_LIMIT_BYTES
 from tests.calibration.capture.made_up_layouts import (
     cube_edges,
     feats,

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from taccel_lab.calibration.capture.record_checks import apparent_modulus_mpa, check_record
 from taccel_lab.calibration.capture.records import kind_of_record, load_record
 from taccel_lab.calibration.capture.schema import RecordEntry, ToolEntry
-from taccel_lab.envs.bonded_layer import layer_force_n
 from taccel_lab.errors import InputError
-from taccel_lab.reading.loading_faults import require_loading
+from taccel_lab.files.loading_faults import require_loading
+from taccel_lab.presses.bonded_layer import layer_force_n
 
 RADIUS_MM = 4.0
 DEPTH_MM = np.array([0.1, 0.25, 0.4, 0.6, 0.8, 1.0])

@@ -18,8 +18,8 @@ from taccel_lab.calibration.color.taxim_table import (
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.errors import InputError
+from taccel_lab.exporters.taxim_table import TaximTable, bin_indices
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.interop.taxim_table import TaximTable, bin_indices
 from taccel_lab.signals.normals import normals_from_slopes
 from tests.calibration.drawn.faults import poison
 

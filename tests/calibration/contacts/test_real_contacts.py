@@ -25,8 +25,8 @@ from taccel_lab.calibration.contacts.fusion import fuse_circles
 from taccel_lab.calibration.contacts.labels import LabelAgreement, agreement
 from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.calibration.contacts.rim import fit_rim
+from taccel_lab.files.images import read_image
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.reading.images import read_image
 from tests.calibration.contacts.presses import contacts_of, press_set, pressed, scattered
 from tests.calibration.drawn.faults import add_noise, quantise
 from tests.support.real_data import real_data

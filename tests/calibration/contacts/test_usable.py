@@ -15,7 +15,7 @@ from taccel_lab.calibration.contacts import cache, fit
 from taccel_lab.calibration.contacts.cache import cached_contacts, kept_contacts
 from taccel_lab.calibration.contacts.usable import too_many_lost, usable_circles, usable_presses
 from taccel_lab.errors import InputError
-from taccel_lab.file_cache import CACHE_VARIABLE
+from taccel_lab.files.file_cache import CACHE_VARIABLE
 from tests.support.synthetic_presses import (
     GRID,
     press_image,

@@ -26,10 +26,10 @@ from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.errors import InputError
+from taccel_lab.files.images import read_image
+from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
-from taccel_lab.reading.images import read_image
-from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.report.page import write_page
 from taccel_lab.signals.depth_response import DepthResponse
 from tests.support.real_data import real_data

@@ -10,7 +10,7 @@ from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.errors import InputError
-from taccel_lab.reading.images import read_image
+from taccel_lab.files.images import read_image
 from tests.support.real_data import real_data
 
 BOARD = "9dtact_official/shape_reconstruction/calibration/sensor_1/camera_calibration"

@@ -16,7 +16,7 @@ from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.markers.rest import find_rest, frames_before
 from taccel_lab.calibration.markers.still_frames import still_stretches
 from taccel_lab.errors import InputError
-from taccel_lab.reading.images import read_image
+from taccel_lab.files.images import read_image
 from tests.calibration.drawn.dot_grids import grid_points, picture
 from tests.support.real_data import real_data
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.calibration.material.gel import Gel
-from taccel_lab.file_cache import CACHE_VARIABLE
+from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.profile import SensorProfile
 from taccel_lab.sensors.profile import catalogue_profile
 

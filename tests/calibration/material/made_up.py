@@ -11,8 +11,8 @@ from taccel_lab.calibration.material.force_table import NU_RANGE, ForceTable, Ta
 from taccel_lab.calibration.material.gel import Tool
 from taccel_lab.calibration.material.indentation_points import IndentationPoints
 from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
-from taccel_lab.envs.bonded_layer import ToolKind, layer_force_n
-from taccel_lab.envs.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
+from taccel_lab.presses.bonded_layer import ToolKind, layer_force_n
+from taccel_lab.presses.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
 
 _MESH = PressMeshOptions(elements_per_radius=2.0, core=4, rings=6)
 """2,325 nodes of a GelSight Mini."""

@@ -13,7 +13,7 @@ from taccel_lab.calibration.capture import load_capture_folder
 from taccel_lab.calibration.material.fit import calibrate_material
 from taccel_lab.calibration.material.options import MaterialOptions
 from taccel_lab.calibration.material.result import MaterialCalibration
-from taccel_lab.envs import (
+from taccel_lab.presses import (
     PressPath,
     PressPhysics,
     parse_indenter,

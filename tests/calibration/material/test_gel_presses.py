@@ -17,9 +17,9 @@ from taccel_lab.calibration.material.gel_presses import (
     Stop,
 )
 from taccel_lab.calibration.material.press_plans import PressPlan, follow, prepare, simulate
-from taccel_lab.envs import parse_indenter
 from taccel_lab.errors import SimulationError
 from taccel_lab.geometry.block import block_mesh
+from taccel_lab.presses import parse_indenter
 from taccel_lab.scene import Material, MaterialField, MaterialModel
 from taccel_lab.solvers import SolverConfig
 

@@ -25,8 +25,8 @@ from taccel_lab.calibration.material.indentation_points import IndentationPoints
 from taccel_lab.calibration.material.indentation_remarks import young_with_nu
 from taccel_lab.calibration.material.press_plans import GelBench, PressPlan, simulate
 from taccel_lab.calibration.result import Estimate
-from taccel_lab.envs.physics import PressPhysics
 from taccel_lab.errors import InputError
+from taccel_lab.presses.physics import PressPhysics
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.remark import Severity
 from tests.calibration.material.made_up import COARSE, COARSER, DEFAULT, FAST, layer_table, points
@@ -175,7 +175,7 @@ def test_slopes_replace_presses(
 
 def test_forces_scale_with_the_modulus(gel: Gel, tool: Tool) -> None:
     """What spares simulations of other moduli: it holds to the solver's tolerance."""
-    from taccel_lab.envs import PressEnv, profile_material
+    from taccel_lab.presses import PressEnv, profile_material
 
     mesh = gel.with_physics(COARSE).mesh(tool, 1.4)
     forces = []

@@ -12,8 +12,8 @@ from taccel_lab.calibration.material.indentation_points import (
     points_of_record,
     require_plausible,
 )
-from taccel_lab.envs.bonded_layer import layer_force_n
 from taccel_lab.errors import InputError
+from taccel_lab.presses.bonded_layer import layer_force_n
 from tests.calibration.material.made_up import record
 
 DEPTH = np.linspace(0.1, 1.0, 10)

@@ -19,9 +19,9 @@ from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.normals.fit import fit_normals
 from taccel_lab.calibration.surfaces.ball_in_layer import layer_skirts
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
+from taccel_lab.files.images import read_image
+from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.reading.images import read_image
-from taccel_lab.reading.regular_file import file_sha256
 from taccel_lab.signals.rest_surface import flat_rest
 from tests.support.real_data import real_data
 

@@ -25,7 +25,7 @@ from taccel_lab.calibration.scale.landmarks import fit_map, scale_of_map
 from taccel_lab.calibration.scale.result import ScaleCalibration
 from taccel_lab.calibration.scale.spheres import BETA, BallContact, scale_from_spheres
 from taccel_lab.errors import InputError
-from taccel_lab.reading.images import read_image
+from taccel_lab.files.images import read_image
 from taccel_lab.report.remark import judge
 from tests.calibration.drawn.faults import add_dust, add_noise, blur, poison, quantise
 from tests.support.real_data import real_data

@@ -34,10 +34,10 @@ from taccel_lab.calibration.surfaces.view import (
     pixels_on_pad,
     view_remarks,
 )
-from taccel_lab.envs import press_surface
-from taccel_lab.envs.physics import SURFACE_PHYSICS
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.presses import press_surface
+from taccel_lab.presses.physics import SURFACE_PHYSICS
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.remark import Severity
 from taccel_lab.scene import Element

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.file_cache import CACHE_VARIABLE, CachedFile, cached_arrays
-from taccel_lab.interop.taxim_table import TERMS, TaximTable
-from taccel_lab.interop.taxim_table_file import TABLE_FILE, TableFile, write_table
-from taccel_lab.output_folder import atomic_directory
+from taccel_lab.exporters.taxim_table import TERMS, TaximTable
+from taccel_lab.exporters.taxim_table_file import TABLE_FILE, TableFile, write_table
+from taccel_lab.files.file_cache import CACHE_VARIABLE, CachedFile, cached_arrays
+from taccel_lab.files.output_folder import atomic_directory
 
 STUDY = """\
 [study]
@@ -74,7 +74,7 @@ def study(given: Path) -> None:
     """A study of which every design has a row."""
     from dataclasses import asdict
 
-    from taccel_lab.output import to_jsonable
+    from taccel_lab.files.atomic_file import to_jsonable
     from taccel_lab.studies.design_row import DesignRow
     from taccel_lab.studies.spec import load_spec
     from taccel_lab.studies.study import default_kit, make_study

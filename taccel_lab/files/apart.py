@@ -1,0 +1,293 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Foreign readers run in a process of their own, with limits on memory and time.
+
+Libraries that decode CAD files, meshes, images and videos may crash on a file, take all memory or
+never return. What happens to that process becomes a sentence about the library, with its version:
+it may crash on sound files too. The next file gets a fresh process.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import pickle
+import tempfile
+import threading
+import traceback
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import packages_distributions, version
+from multiprocessing.connection import Connection
+from multiprocessing.reduction import recv_handle, send_handle
+from typing import Any, TypeVar
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.processes.child_process import ChildProcess
+from taccel_lab.processes.process_pool import THREAD_LIMITS
+
+Result = TypeVar("Result")
+MEMORY_BYTES = 2 << 30
+"""That a reader may take."""
+LIMIT_S = 120.0
+"""Seconds that a reader may stay silent."""
+KEPT_BYTES = 16 << 20
+"""Of the place for arrays, when a reader waits; larger ones are given back."""
+MAX_IMAGE_PIXELS = 1 << 26
+"""Of an image; cameras have up to 61 million."""
+ENVIRONMENT = {
+    # Of 64 cores the stacks of the threads of two libraries take half of the memory.
+    **dict.fromkeys(THREAD_LIMITS, "1"),
+    # OpenCV compares it with an image's header before it decodes.
+    "OPENCV_IO_MAX_IMAGE_PIXELS": str(MAX_IMAGE_PIXELS),
+    # Of what FFmpeg reads, playlists would name other files, and addresses.
+    "OPENCV_FFMPEG_CAPTURE_OPTIONS": (
+        "protocol_whitelist;file|format_whitelist;avi,mov,mp4,matroska,webm"
+    ),
+}
+"""Variables that readers start with."""
+
+
+def read_apart(
+    what: str, read: Callable[..., Result], *arguments: Any, by: str, limit_s: float = LIMIT_S
+) -> Result:
+    """``read(*arguments)``, run in the readers' process.
+
+    Args:
+        what: The file, to begin a sentence with.
+        read: A function of a module; its InputErrors are raised here.
+        arguments: And its result: anything that pickles.
+        by: The foreign package that does it, by its import name; told where it crashes.
+        limit_s: Seconds that it may take.
+
+    Raises InputError when the process crashes, runs out of memory or takes too long.
+    """
+    with _readers.use() as reader:
+        return reader.ask(_Asked(what, by, limit_s), read, arguments, False)
+
+
+def stream_apart(
+    what: str,
+    read: Callable[..., Iterator[Result]],
+    *arguments: Any,
+    by: str,
+    limit_s: float = LIMIT_S,
+) -> Generator[Result, None, None]:
+    """Items of the iterator ``read(*arguments)`` as they are read; limits are those of an item."""
+    with _readers.use() as reader:
+        asked = _Asked(what, by, limit_s)
+        item, more = reader.ask(asked, read, arguments, True)
+        while more:
+            yield item
+            item, more = reader.next_item(asked)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What was asked of a reader; see ``read_apart``."""
+
+    what: str
+    by: str
+    limit_s: float
+
+
+class _Reader:
+    """One readers' process."""
+
+    def __init__(self) -> None:
+        self.child = ChildProcess(
+            _serve, memory_bytes=MEMORY_BYTES, environment=ENVIRONMENT, quiet=True
+        )
+        self.arrays = _place_for_arrays()
+        """Where it puts the contents of arrays: through the pipe they would take far longer."""
+        send_handle(self.child.pipe, self.arrays, None)
+        self.owner = os.getpid()
+        self.idle = True
+        """Whether it waits for a file; one that was left amid a file is of no more use."""
+
+    def ask(
+        self,
+        asked: _Asked,
+        read: Callable[..., Any],
+        arguments: tuple[Any, ...],
+        stream: bool,
+    ) -> Any:
+        self.idle = False
+        try:
+            # Paths are relative to where this process is now.
+            self.child.pipe.send((os.getcwd(), read, arguments, stream))
+        except (BrokenPipeError, ConnectionResetError):
+            pass  # The answer says so.
+        return self.next_item(asked) if stream else self._answer(asked)
+
+    def next_item(self, asked: _Asked) -> tuple[Any, bool]:
+        """The next item of a stream and whether there was one."""
+        kind, content = self._receive(asked)
+        self.idle = kind == "end"
+        if kind == "item":
+            try:
+                self.child.pipe.send("read")
+            except (BrokenPipeError, ConnectionResetError):
+                pass  # It died of the next one: that one's turn says so.
+        return content, kind == "item"
+
+    def _answer(self, asked: _Asked) -> Any:
+        _, content = self._receive(asked)
+        self.idle = True
+        return content
+
+    def _receive(self, asked: _Asked) -> tuple[str, Any]:
+        try:
+            if not self.child.pipe.poll(asked.limit_s):
+                raise InputError(
+                    f"{asked.what}: the reader did not finish within {asked.limit_s:g} s; the file "
+                    "may be far too large, or damaged"
+                )
+            kind, content, sizes = self.child.pipe.recv()
+            content = pickle.loads(content, buffers=self._buffers(sizes))
+        except (EOFError, ConnectionResetError):
+            raise InputError(
+                f"{asked.what}: {_version(asked.by)} crashed on it (the process "
+                f"{self.child.cause_of_death()}). The file may be sound. Save it again, from "
+                "another program or with other settings, or try another version of that library; "
+                "if that does not help, report the file"
+            ) from None
+        if kind == "memory":
+            raise InputError(
+                f"{asked.what} needs more than {MEMORY_BYTES / 2**30:g} GiB of memory to be read; "
+                "the file may be far too large, or damaged"
+            )
+        if kind == "error":
+            self.idle = True
+            raise content
+        return kind, content
+
+    def _buffers(self, sizes: list[int]) -> Iterator[np.ndarray]:
+        at = 0
+        for size in sizes:
+            buffer, done = np.empty(size, dtype=np.uint8), 0
+            while done < size:
+                done += os.preadv(self.arrays, [buffer[done:].data], at + done)
+            at += size
+            yield buffer
+
+    def end(self) -> None:
+        self.child.end()
+        os.close(self.arrays)
+
+
+def _version(package: str) -> str:
+    """What was installed to give a package, and its version: "vtk 9.7.1"."""
+    # An import name has as many sources as people made builds of it (OpenCV has four).
+    sources = sorted(set(packages_distributions().get(package, ())))
+    return " and ".join(f"{source} {version(source)}" for source in sources) or package
+
+
+def _place_for_arrays() -> int:
+    """Descriptor of a file without a name that both processes read and write."""
+    if hasattr(os, "memfd_create"):
+        return os.memfd_create("arrays")
+    # Systems without files in memory (macOS): one on disk that is gone when it is closed.
+    with tempfile.TemporaryFile(buffering=0) as file:
+        return os.dup(file.fileno())
+
+
+class _Readers:
+    """The readers of this process that wait for a file."""
+
+    def __init__(self) -> None:
+        self._idle: list[_Reader] = []
+        self._lock = threading.Lock()
+
+    @contextmanager
+    def use(self) -> Iterator[_Reader]:
+        """A reader for one file."""
+        reader = self._take()
+        try:
+            yield reader
+        finally:
+            with self._lock:
+                if reader.idle:
+                    self._idle.append(reader)
+            if not reader.idle:
+                reader.end()
+
+    def _take(self) -> _Reader:
+        with self._lock:
+            # A process that was forked off has its parent's list, but not its children.
+            self._idle = [reader for reader in self._idle if reader.owner == os.getpid()]
+            if self._idle:
+                return self._idle.pop()
+        return _Reader()
+
+    def end(self) -> None:
+        """End those that wait."""
+        with self._lock:
+            for reader in self._idle:
+                if reader.owner == os.getpid():
+                    reader.end()
+            self._idle = []
+
+
+_readers = _Readers()
+atexit.register(_readers.end)
+
+
+class _Answers:
+    """What the readers' process sends back."""
+
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe = pipe
+        self._arrays = recv_handle(pipe)
+        self._unread = False
+        self._filled = 0
+
+    def send(self, kind: str, content: Any) -> None:
+        if self._unread:  # The place of its arrays is not yet free.
+            self._pipe.recv()
+        buffers: list[pickle.PickleBuffer] = []
+        data = pickle.dumps(content, protocol=5, buffer_callback=buffers.append)
+        views = [buffer.raw() for buffer in buffers]
+        sizes = [view.nbytes for view in views]
+        if self._filled > KEPT_BYTES:
+            os.ftruncate(self._arrays, 0)
+        self._filled, at = sum(sizes), 0
+        for view in views:
+            while len(view):
+                written = os.pwrite(self._arrays, view, at)
+                view, at = view[written:], at + written
+        self._pipe.send((kind, data, sizes))
+        self._unread = kind == "item"
+
+
+def _serve(pipe: Connection) -> None:
+    """Answer requests for as long as there are any."""
+    answers = _Answers(pipe)
+    while True:
+        folder, read, arguments, stream = pipe.recv()
+        try:
+            os.chdir(folder)
+            if stream:
+                for item in read(*arguments):
+                    answers.send("item", item)
+                answers.send("end", None)
+            else:
+                answers.send("result", read(*arguments))
+        except MemoryError:
+            answers.send("memory", None)
+            return
+        except Exception as error:  # Raised again where the file was asked for.
+            answers.send("error", _sendable(error))
+
+
+def _sendable(error: Exception) -> Exception:
+    if isinstance(error, InputError):
+        return error
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # Those of libraries need not pickle.
+        error = RuntimeError(f"{type(error).__name__}: {error}")
+    error.add_note(traceback.format_exc())
+    return error

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Triangle surfaces of other programs: STL, PLY and OBJ files, read by VTK in a process of its own.
+
+VTK believes what a file says of its counts and indices and crashes where that is wrong.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.errors import InputError, InputWarning
+from taccel_lab.files.apart import read_apart
+from taccel_lab.files.regular_file import require_regular_file
+
+SUFFIXES = (".stl", ".ply", ".obj")
+MAX_TRIANGLES = 500_000
+"""Of a surface; scans that are to be touched have a tenth of it, and contact with more is slow."""
+MAX_BYTES = 150 << 20
+"""As many triangles in the format that takes the most for each: STL as text, 300 bytes."""
+FLAT = 1e-10
+"""Twice the area of a triangle over its longest edge squared, up to which it has none."""
+_PLY_HEAD_BYTES = 1 << 16
+"""Where the header of a PLY file ends, some 400 bytes as a rule."""
+
+
+def read_triangle_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Points in the unit of the file, float64, [n, 3], and triangles, int64, [m, 3].
+
+    Faces of more corners are cut into triangles, points at the same place merged, and triangles
+    without area that this leaves, such as those between two equal points, go, and so do those of
+    ``without_idle_faces``. Nothing is said of the surface: it may be open, or cross itself. The
+    format is that of the name's ending, or, where it has none of ours, of the file that a link
+    leads to.
+
+    Raises InputError for a file that cannot be read, has no faces, more than ``MAX_TRIANGLES``, or
+    coordinates that are not finite.
+    """
+    require_regular_file(path, MAX_BYTES, "a triangle mesh (STL, PLY or OBJ)")
+    names = (path, Path(os.path.realpath(path)))
+    suffix = next((name.suffix.lower() for name in names if name.suffix.lower() in SUFFIXES), None)
+    if suffix is None:
+        raise InputError(f"{path}: only .stl, .ply and .obj files can be read as triangles")
+    if suffix == ".ply":
+        _check_ply_counts(path)
+    points, faces = read_apart(str(path), _read_with_vtk, path, suffix, by="vtkmodules")
+    if not len(faces):
+        raise InputError(f"{path} holds no faces, or is not a readable mesh file")
+    return without_idle_faces(path, points, faces)
+
+
+def without_idle_faces(
+    path: Path, points: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same surface without triangles that have no area or stand there twice, and with a
+    warning, where its edges meet better without them: programs leave some behind in closed
+    surfaces. Points that no face has go with them."""
+    corners = points[faces]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = np.linalg.norm(crosses, axis=1) <= FLAT * longest**2
+    # Each from its smallest corner on, so that those that look the same way are equal.
+    turned = (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3
+    first = np.unique(np.take_along_axis(faces, turned, axis=1), axis=0, return_index=True)[1]
+    twice = np.ones(len(faces), dtype=bool)
+    twice[first] = False
+    for idle in (flat | twice, twice):
+        kept = faces[~idle]
+        if not (idle.any() and len(kept)) or _loose_edges(kept) >= _loose_edges(faces):
+            continue
+        warnings.warn(
+            f"{path}: {idle.sum()} of {len(faces)} triangles have no area or stand there twice; "
+            "they are left out",
+            InputWarning,
+            stacklevel=3,
+        )
+        used, kept = np.unique(kept, return_inverse=True)
+        return points[used], kept.reshape(-1, 3)
+    return points, faces
+
+
+def _loose_edges(faces: np.ndarray) -> int:
+    """Edges that are not of two faces."""
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return int((np.unique(edges, axis=0, return_counts=True)[1] != 2).sum())
+
+
+def _read_with_vtk(path: Path, suffix: str) -> tuple[np.ndarray, np.ndarray]:
+    """What VTK makes of the file; runs in the readers' process."""
+    import pyvista
+
+    with warnings.catch_warnings():
+        # VTK's own words about a broken file; what is wrong is said by whoever gets nothing.
+        warnings.simplefilter("ignore")
+        # It would go by the file that a link leads to, which git-annex and DVC name by its digest.
+        loaded = pyvista.read(path, force_ext=suffix)
+    if not isinstance(loaded, pyvista.PolyData) or loaded.n_cells == 0 or loaded.n_points == 0:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.int64)
+    return _cleaned(path, loaded)
+
+
+def clean_triangles(
+    path: Path, points: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points [n, 3] and triangles [m, 3] that were read of a file as ``read_triangle_file`` gives
+    them."""
+    import pyvista
+
+    _check_count(path, len(faces))
+    return _cleaned(path, pyvista.PolyData.from_regular_faces(points, faces))
+
+
+def _cleaned(path: Path, loaded: Any) -> tuple[np.ndarray, np.ndarray]:
+    # The filters follow an index wherever it points, and order points by coordinates.
+    _check_numbers(path, loaded.points, loaded.GetPolys())
+    surface = loaded.triangulate().clean()
+    assert surface is not None  # As it is for a filter in place only.
+    faces = np.asarray(surface.faces).reshape(-1, 4)[:, 1:]
+    _check_count(path, len(faces))
+    return np.asarray(surface.points, dtype=np.float64), faces.astype(np.int64)
+
+
+def _check_ply_counts(path: Path) -> None:
+    """Refuse counts that the file cannot hold, for which VTK would take memory first."""
+    with path.open("rb") as file:
+        head, end, _ = file.read(_PLY_HEAD_BYTES).partition(b"end_header")
+    size = path.stat().st_size
+    for name, digits in re.findall(rb"^element\s+(\S+)\s+(\d+)", head if end else b"", re.M):
+        # The shortest item takes a byte. More digits than that are no count either.
+        count = int(digits) if len(digits) < 20 else size + 1
+        if count > size:
+            raise InputError(
+                f"{path} says that it has {digits[:20].decode()} items "
+                f"{name.decode('ascii', 'replace')!r}, but it has {size:,} bytes; it is damaged"
+            )
+        if name == b"face":
+            _check_count(path, count)
+
+
+def _check_count(path: Path, count: int) -> None:
+    if count > MAX_TRIANGLES:
+        raise InputError(
+            f"{path} has {count:,} faces; up to {MAX_TRIANGLES:,} are allowed: simplify it"
+        )
+
+
+def _check_numbers(path: Path, points: np.ndarray, polygons: object) -> None:
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if len(bad):
+        raise InputError(
+            f"{path}: {len(bad)} of {len(points)} points have NaN or infinite coordinates "
+            f"(the first is point {bad[0]})"
+        )
+    corners = vtk_to_numpy(polygons.GetConnectivityArray())  # type: ignore[attr-defined]
+    if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
+        raise InputError(
+            f"{path}: its faces name points {corners.min()} to {corners.max()}, but it has points "
+            f"0 to {len(points) - 1}"
+        )

@@ -1,0 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The door to newton-physics: its models in, our gels in its solvers and viewers.
+
+Newton itself (the extra ``newton``) loads with the first call that needs it.
+"""
+
+from taccel_lab.newton_bridge.importing import NewtonScene, import_model, load_mjcf, load_usd
+
+__all__ = ["NewtonScene", "import_model", "load_mjcf", "load_usd"]

@@ -1,0 +1,437 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A press: a rigid indenter comes down on a gel pad, then may shear and twist. Batched.
+
+Depth counts from first touch of the surface at rest. Steps that do not converge are halved, only
+in the environments that need it.
+
+Contact begins at a gap of dhat: left alone, an indenter acts as if it had gone deeper by the mean
+gap, which at a depth of ten dhat is a tenth of the force and more. It is therefore held back by
+that gap (``outputs.contact_layer``): forces and heights depend on dhat to second order only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.ipc.intersection import require_separated
+from taccel_lab.model.env_rows import copy_rows, device_mask
+from taccel_lab.outputs.contact_layer import gap_work
+from taccel_lab.outputs.recovery_error import relative_energy_error
+from taccel_lab.presses.indenter import Indenter
+from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
+from taccel_lab.presses.press_frame import PressFrames
+from taccel_lab.presses.press_path import PressPath
+from taccel_lab.presses.touch import first_touch_m, gel_below_m, require_resolved
+from taccel_lab.processes.process_pool import usable_cores
+from taccel_lab.scene import (
+    Ball,
+    KinematicBody,
+    Material,
+    MaterialField,
+    Scene,
+    SoftBody,
+    TriangleMesh,
+)
+from taccel_lab.signals.forces import resultant_wrench
+from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC, StepReport
+from taccel_lab.state import initial_state
+
+if TYPE_CHECKING:
+    from taccel_lab.profile import SensorProfile
+
+MAX_DEPTH_FRACTION = 0.9
+"""Deepest press as a part of the gel's thickness."""
+START_CLEARANCE_M = 5e-6
+"""Gap between first touch and the start, on top of two dhat."""
+FORCE_ERROR_SHARE = {Ball: 1.0, TriangleMesh: 1.2}
+"""What the estimated error of the energy makes of the force's. Where a tool has edges, gel nodes
+sample the border of its contact, which comes on top."""
+HEIGHT_ERROR_SHARE = 0.5
+"""The same for the heights, over the depth (both: docs/verification.md, Presses by default)."""
+SETBACK_TOLERANCE = 2e-3
+"""How far the mean gap may be from what the indenter was held back by, as a part of the depth: a
+ball's force is off by 1.5 times as much."""
+FIRST_SETBACK = 0.8
+"""What an indenter is held back by in the step that brings it into contact, as a part of dhat: the
+mean gap of balls of 1.5 to 8 mm, 0.2 mm deep, is 0.77 to 0.83. What comes out else is corrected."""
+SETBACK_ROUNDS = 4
+"""How often a step is corrected for the mean gap that it had."""
+
+
+@dataclass(frozen=True)
+class PressError:
+    """Estimated discretisation error of presses."""
+
+    force_n: np.ndarray
+    """Of the force along the press [N], shape [env_count]."""
+    height_m: np.ndarray
+    """Of the heights of the contact face, root mean square [m], shape [env_count]."""
+
+
+def _reach(shape: Ball | TriangleMesh) -> str:
+    """Where a mesh lies about the origin that is placed, in words; nothing for a ball."""
+    if isinstance(shape, Ball):
+        return ""
+    low, high = 1e3 * shape.vertices_m.min(axis=0), 1e3 * shape.vertices_m.max(axis=0)
+    return (
+        f"; about its own origin, which is put there, it reaches over x [{low[0]:g}, {high[0]:g}] "
+        f"and y [{low[1]:g}, {high[1]:g}] mm"
+    )
+
+
+class PressEnv:
+    """One gel and one indenter in ``env_count`` environments that differ in place and rest shape.
+
+    ``positions`` and ``wrench`` are read after ``move_to``.
+    """
+
+    def __init__(
+        self,
+        mesh: TetMesh,
+        material: Material | MaterialField,
+        indenter: Indenter,
+        at_mm: np.ndarray,
+        *,
+        friction_coefficient: float = 0.0,
+        rest_positions_m: np.ndarray | None = None,
+        gel_from_press: np.ndarray | None = None,
+        physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
+        config: SolverConfig | None = None,
+        device: str = "cpu",
+    ) -> None:
+        """
+        Args:
+            mesh: Gel pad in the gel frame.
+            material: Of the gel, uniform or by tet.
+            indenter: Rigid body that is pressed.
+            at_mm: xy of the indenter's axis in the press frame [mm], shape [env_count, 2].
+            friction_coefficient: Between indenter and gel.
+            rest_positions_m: Rest shape of each environment [m], [env_count, node_count, 3].
+            gel_from_press: Frames in which the indenters come down along -z, shear and twist
+                [env_count, 7], see ``press_frame``; the gel frame when None.
+            physics: Element, contact range and tolerance; ``mesh`` is the caller's choice. With
+                quadratic elements ``positions`` and forces are those of the nodes of ``mesh`` here,
+                which has more than the one passed in.
+            config: The solver's settings; those of ``physics`` when None.
+            device: Warp device.
+
+        Raises:
+            InputError: An indenter that would not come down on the pad, or bad material.
+        """
+        self.at_m = np.asarray(at_mm, dtype=np.float64).reshape(-1, 2) * 1e-3
+        if not np.isfinite(self.at_m).all():
+            raise InputError("the place of a press must be finite numbers in mm")
+        env_count = len(self.at_m)
+        self._frames = PressFrames(gel_from_press, env_count)
+        require_resolved(indenter, mesh, rest_positions_m, self._frames, self.at_m)
+        body = KinematicBody(indenter.shape, friction_coefficient, name=indenter.name)
+        soft = SoftBody(mesh, material, rest_positions_m=rest_positions_m, element=physics.element)
+        self.physics = physics
+        self._shape = indenter.shape
+        self.mesh = soft.nodal_mesh
+        """The gel with all its nodes: what ``positions`` belong to."""
+        self.model = Scene(soft, (body,), env_count).finalize(device)
+        # Overlaps at the start are looked for below, with the place in the message.
+        self.solver = SolverIPC(self.model, replace(config or physics.solver(), check_start=False))
+        rest = self.model.rest_positions.numpy()[:, : self.model.soft_count]
+        contact = self.mesh.region_faces(Region.CONTACT)
+        bonded = self.mesh.region_faces(Region.BOND, Region.WINDOW)
+        points = [self._frames.points_in_press(i, rest[i % len(rest)]) for i in range(env_count)]
+        self.touch_m = np.array(
+            [
+                first_touch_m(indenter.shape, seen, contact, at)
+                for seen, at in zip(points, self.at_m, strict=True)
+            ]
+        )
+        """z of the indenter's origin in the press frame at first touch [m], shape [env_count]."""
+        if indenter.texture is not None:
+            self.touch_m += indenter.texture.mean_depth_m
+        if not np.isfinite(self.touch_m).all():
+            env = int(np.flatnonzero(~np.isfinite(self.touch_m))[0])
+            x, y = self.at_m[env] * 1e3
+            low, high = points[env].min(axis=0)[:2] * 1e3, points[env].max(axis=0)[:2] * 1e3
+            raise InputError(
+                f"at ({x:g}, {y:g}) mm the indenter {indenter.name} misses the gel; x must lie in "
+                f"[{low[0]:g}, {high[0]:g}] mm and y in [{low[1]:g}, {high[1]:g}] mm"
+                f"{_reach(indenter.shape)}"
+            )
+        self.thickness_m = np.array(
+            [
+                gel_below_m(seen, contact, bonded, at)
+                for seen, at in zip(points, self.at_m, strict=True)
+            ]
+        )
+        """Gel along the press between contact face and bond [m], shape [env_count]."""
+        dhat = self.solver.config.dhat_m
+        self.depth_m = np.full(env_count, -dhat - START_CLEARANCE_M)
+        """Where the indenters are: depth past first touch [m], shape [env_count]."""
+        self.setback_m = np.full(env_count, dhat)
+        """By how much each indenter is held back [m]: the mean gap of its contact, dhat without
+        one; shape [env_count]."""
+        self._start = self._poses(self.depth_m, np.zeros((env_count, 2)))
+        self.state = initial_state(self.model, self._start)
+        require_separated(self.model, self.state)
+
+    def _poses(
+        self, depth_m: np.ndarray, shear_m: np.ndarray, twist_rad: np.ndarray | float = 0.0
+    ) -> np.ndarray:
+        """gel_from_indenter at depths past first touch, held back by the mean gap."""
+        place = np.column_stack([self.at_m + shear_m, self.touch_m - depth_m + self.setback_m])
+        return self._frames.poses_in_gel(place, twist_rad)[:, None]
+
+    def reset(self) -> None:
+        """Back to rest, the indenter above the gel."""
+        dhat = self.solver.config.dhat_m
+        self.setback_m[:], self.depth_m[:] = dhat, -dhat - START_CLEARANCE_M
+        self.state = initial_state(self.model, self._start)
+
+    def restore(self, positions_m: np.ndarray, poses: np.ndarray) -> None:
+        """Take up where presses ended: gel nodes [m], [env_count, node_count, 3], and
+        gel_from_indenter, [env_count, 7]. Forces are those of contact, without friction."""
+        self.state = initial_state(self.model, np.asarray(poses)[:, None])
+        everywhere = self.state.positions.numpy()
+        everywhere[:, : self.model.soft_count] = positions_m
+        self.state.positions.assign(everywhere)
+        self.solver.refresh_forces(self.state, np.ones(len(self.at_m), dtype=bool))
+
+    def _mean_gap_m(self) -> np.ndarray:
+        """Mean gap of the contacts along the press, weighted with their forces [m], [env_count];
+        dhat where there is no contact."""
+        work = gap_work(self.solver.collisions, self.state.positions).numpy().sum(axis=1)
+        normal = self.solver.contact_gradient.numpy()[:, : self.model.soft_count].sum(axis=1)
+        force = self._frames.vectors_in_press(normal)[:, 2]
+        dhat = self.solver.config.dhat_m
+        return np.divide(work, force, out=np.full(len(force), dhat), where=(work > 0) & (force > 0))
+
+    def checked_depth_m(self, depth_mm: np.ndarray | float) -> np.ndarray:
+        """Depths [m], shape [env_count]; raises InputError for one past the gel's thickness."""
+        depth_m = np.broadcast_to(np.asarray(depth_mm, dtype=np.float64), (len(self.at_m),)) * 1e-3
+        if not np.isfinite(depth_m).all():
+            raise InputError("the depth of a press must be finite numbers in mm")
+        limit = MAX_DEPTH_FRACTION * self.thickness_m
+        if (depth_m > limit).any():
+            env = int(np.argmax(depth_m - limit))
+            raise InputError(
+                f"depth {depth_m[env] * 1e3:g} mm goes past the gel, which is "
+                f"{self.thickness_m[env] * 1e3:g} mm thick there; at most "
+                f"{limit[env] * 1e3:.3g} mm ({MAX_DEPTH_FRACTION:.0%}) is allowed"
+            )
+        return depth_m
+
+    def move_to(
+        self,
+        depth_mm: np.ndarray | float,
+        shear_mm: np.ndarray | tuple[float, float] = (0.0, 0.0),
+        twist_deg: float = 0.0,
+    ) -> StepReport:
+        """Move the indenters to a depth [mm] (scalar or [env_count]), sideways and turned.
+
+        Raises:
+            InputError: A depth past the gel's thickness.
+            SimulationError: An environment did not converge even in small steps.
+        """
+        report = self.try_to(depth_mm, shear_mm, twist_deg)
+        if not report.converged.all():
+            env = int(np.flatnonzero(~report.converged)[0])
+            raise SimulationError(self.failure(env, report, depth_mm))
+        return report
+
+    def try_to(
+        self,
+        depth_mm: np.ndarray | float,
+        shear_mm: np.ndarray | tuple[float, float] = (0.0, 0.0),
+        twist_deg: np.ndarray | float = 0.0,
+        stay: np.ndarray | None = None,
+    ) -> StepReport:
+        """As ``move_to``, but an environment that does not converge is left where it was, for the
+        caller to see in the report. Those of ``stay`` (bool, [env_count]) are not stepped.
+
+        ``twist_deg`` may be one angle an environment, or rotation vectors of the press frame,
+        [env_count, 3], about the indenter's origin."""
+        shear_m = np.asarray(shear_mm, dtype=np.float64) * 1e-3
+        twist_rad = np.radians(twist_deg)
+        return self._step(
+            self.checked_depth_m(depth_mm),
+            np.broadcast_to(shear_m, (len(self.at_m), 2)),
+            twist_rad,
+            stay,
+        )
+
+    def _step(
+        self,
+        depth_m: np.ndarray,
+        shear_m: np.ndarray,
+        twist_rad: np.ndarray | float,
+        stay: np.ndarray | None,
+    ) -> StepReport:
+        """One step, taken again where the mean gap came out other than the indenter was held back
+        by. ``depth_m`` [env_count], ``shear_m`` [env_count, 2], ``twist_rad`` one or [env_count].
+
+        Again means from its own start: friction then sees one step to the corrected place. As a
+        step of its own from the first one's end, the correction slides by next to nothing, which
+        lets friction go.
+        """
+        resting = np.zeros(len(self.at_m), dtype=bool) if stay is None else stay.copy()
+        before, held_back = self.state.copy(), self.setback_m
+        rubbing = wp.clone(self.solver.friction_gradient)
+        dhat = self.solver.config.dhat_m
+        touching = (self.setback_m == dhat) & (depth_m > dhat) & ~resting
+        self.setback_m = np.where(touching, FIRST_SETBACK * dhat, self.setback_m)
+
+        def put_back(lost: np.ndarray, forces: bool = True) -> None:
+            """Environments of ``lost`` to where the step began, with the forces there: those of
+            friction hang on the step before."""
+            self.state.restore(before, lost)
+            self.setback_m = np.where(lost, held_back, self.setback_m)
+            if forces:
+                self.solver.refresh_forces(self.state, lost)
+                mask = device_mask(lost, len(lost), self.model.device)
+                copy_rows(mask, rubbing, self.solver.friction_gradient)
+
+        try:
+            return self._settle(depth_m, shear_m, twist_rad, resting, put_back)
+        except BaseException as error:
+            # After an interrupt what the steps before had reached is whole and can be read.
+            put_back(np.ones_like(resting), forces=not isinstance(error, Exception))
+            raise
+
+    def _settle(
+        self,
+        depth_m: np.ndarray,
+        shear_m: np.ndarray,
+        twist_rad: np.ndarray | float,
+        resting: np.ndarray,
+        put_back: Callable[[np.ndarray], None],
+    ) -> StepReport:
+        """Step until the mean gap is what the indenter is held back by; ``put_back`` where that
+        fails. ``resting`` (bool, [env_count]) are left alone."""
+        stay = resting.copy()
+        report: StepReport | None = None
+        for left in reversed(range(SETBACK_ROUNDS)):
+            target = self._poses(depth_m, shear_m, twist_rad)
+            target[resting] = self.poses[resting]
+            again = report is not None
+            found = self.solver.step(self.state, target, who=~resting, again=again)
+            report = report.followed_by(found) if report is not None else found
+            resting |= ~found.converged
+            gap = self._mean_gap_m()
+            resting |= np.abs(gap - self.setback_m) <= SETBACK_TOLERANCE * np.abs(depth_m)
+            if resting.all() or left == 0:
+                break
+            self.setback_m = np.where(resting, self.setback_m, gap)
+        assert report is not None
+        lost = ~report.converged & ~stay
+        if lost.any():
+            put_back(lost)
+        self.depth_m = np.where(report.converged, depth_m, self.depth_m)
+        return report
+
+    def failure(self, env: int, report: StepReport, depth_mm: np.ndarray | float) -> str:
+        """Why an environment did not converge on its way to a depth, in words."""
+        depth = float(np.broadcast_to(depth_mm, (len(self.at_m),))[env])
+        return (
+            f"the press at ({self.at_m[env, 0] * 1e3:.3g}, {self.at_m[env, 1] * 1e3:.3g}) mm, "
+            f"depth {depth:.4g} mm did not converge: "
+            f"{EnvStatus(report.status[env]).name}, residual {report.residual_n[env]:.2e} N of "
+            f"{report.contact_force_n[env]:.3g} N after {report.newton_iterations[env]} Newton "
+            f"iterations and {self.solver.config.max_substep_halvings} halvings of the step"
+        )
+
+    def follow(
+        self, path: PressPath, progress: Callable[[int, int, StepReport], None] | None = None
+    ) -> list[StepReport]:
+        """Go along a path in all environments; ``progress`` gets step, step count and report."""
+        self.checked_depth_m(path.depth_mm)
+        waypoints = path.waypoints()
+        reports = []
+        for i, (depth, shear, twist) in enumerate(waypoints):
+            reports.append(self.move_to(depth, shear, twist))
+            if progress is not None:
+                progress(i + 1, len(waypoints), reports[-1])
+        return reports
+
+    # What can be read --------------------------------------------------------------------------
+
+    @property
+    def poses(self) -> np.ndarray:
+        """gel_from_indenter, [env_count, 1, 7]: position [m] and quaternion x, y, z, w."""
+        return self.state.poses.numpy().reshape(len(self.at_m), 1, 7).copy()
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Gel node positions [m], shape [env_count, node_count, 3]."""
+        return self.state.positions.numpy()[:, : self.model.soft_count]
+
+    @property
+    def contact_forces(self) -> np.ndarray:
+        """Normal and tangential force of the indenter on each gel node [N], [env, node, 3]."""
+        total = self.solver.contact_gradient.numpy() + self.solver.friction_gradient.numpy()
+        return -total[:, : self.model.soft_count]
+
+    @property
+    def wrench(self) -> np.ndarray:
+        """Force [N] and moment about the origin [N m] of the gel on the indenter, [env, 6]."""
+        return -resultant_wrench(self.positions, self.contact_forces)
+
+    @property
+    def press_force(self) -> np.ndarray:
+        """Force of the gel on the indenter [N] in the press frame, shape [env_count, 3]."""
+        return self._frames.vectors_in_press(self.wrench[:, :3])
+
+    def error_estimate(self, who: np.ndarray | None = None) -> PressError:
+        """How far force and heights are from those of a converged mesh, see ``outputs.
+        recovery_error``: the truth lies within it in nine of ten cases (docs/verification.md).
+
+        ``who``: environments to look at, bool, [env_count]; the others are told 0.
+        """
+        material = self.model.scene.soft_bodies[0].material
+        rest = self.model.rest_positions.numpy()[:, : self.model.soft_count]
+        positions = self.positions
+
+        def share_of(i: int) -> float:
+            return relative_energy_error(
+                self.mesh,
+                rest[i % len(rest)],
+                positions[i],
+                material.shear_modulus_pa,
+                material.lame_lambda_pa,
+            )
+
+        share = np.zeros(len(positions))
+        chosen = np.arange(len(positions)) if who is None else np.flatnonzero(who)
+        with ThreadPoolExecutor(usable_cores()) as pool:
+            share[chosen] = list(pool.map(share_of, chosen.tolist()))
+        depth = np.maximum(self.depth_m, 0.0)
+        return PressError(
+            FORCE_ERROR_SHARE[type(self._shape)] * share * np.abs(self.press_force[:, 2]),
+            HEIGHT_ERROR_SHARE * share * depth,
+        )
+
+
+def deepest_mm(mesh: TetMesh, at_mm: tuple[float, float]) -> float:
+    """Deepest press of a gel at a place, but for what its mesh changes, which goes with the depth.
+
+    ``mesh`` is in the gel frame, ``at_mm`` the gel xy.
+    """
+    contact = mesh.region_faces(Region.CONTACT)
+    bonded = mesh.region_faces(Region.BOND, Region.WINDOW)
+    thickness_m = gel_below_m(mesh.nodes_m, contact, bonded, 1e-3 * np.asarray(at_mm))
+    return 0.99 * MAX_DEPTH_FRACTION * 1e3 * thickness_m
+
+
+def check_depth(depth_mm: float, profile: SensorProfile) -> None:
+    """Refuse a depth that no place of the pad allows, before a mesh is made for it."""
+    thickness_mm = profile.gel.thickness_mm
+    if not depth_mm <= MAX_DEPTH_FRACTION * thickness_mm:
+        raise InputError(
+            f"depth {depth_mm:g} mm goes past the gel, which is {thickness_mm:g} mm thick; at most "
+            f"{MAX_DEPTH_FRACTION * thickness_mm:.3g} mm ({MAX_DEPTH_FRACTION:.0%}) is allowed"
+        )

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of a press: signals, pictures, deformed mesh, figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.exporters.image_files import eight_bit, write_rgb
+from taccel_lab.files.atomic_file import write_json
+from taccel_lab.geometry import Region
+from taccel_lab.geometry.vtu import write_mesh_vtu
+from taccel_lab.presses.press_image import PREDICTED_PX, predicted_images
+from taccel_lab.presses.press_markers import MARKERS, PressMarkers
+from taccel_lab.presses.press_outcome import PressOutcome
+from taccel_lab.presses.press_states import STATES, PressStates, write_states
+from taccel_lab.report import (
+    draw_contact_forces,
+    draw_force_depth,
+    draw_height_map,
+    draw_image,
+    draw_markers,
+    draw_normals,
+    save_figure,
+)
+from taccel_lab.version import __version__
+
+if TYPE_CHECKING:
+    from taccel_lab.presses.indenter import Indenter
+    from taccel_lab.profile import SensorProfile
+
+STATES_PX = 320
+"""Longest side of the pictures that the optical model predicts of all steps."""
+
+
+def write_press(
+    folder: Path,
+    outcome: PressOutcome,
+    profile: SensorProfile,
+    rgb: np.ndarray | None,
+    about: Mapping[str, Any],
+    indenter: Indenter | None = None,
+    frames: Sequence[np.ndarray] | None = None,
+) -> None:
+    """Write arrays, pictures, the deformed mesh and ``press.json`` of a press.
+
+    Args:
+        folder: To write to; it exists.
+        outcome: The press.
+        profile: Of the sensor that was pressed.
+        rgb: Tactile image, levels; when None the picture that the optical model predicts is
+            written, if the sensor has one.
+        about: What the caller knows of the press, first in ``press.json``; ``indenter`` labels the
+            curve of the force.
+        indenter: Whose surface goes into ``states.npz``, which is written where the press kept its
+            states.
+        frames: Tactile images at rest and after each of those, levels; when None those that the
+            optical model predicts.
+    """
+    grid = profile.grid()
+    arrays: dict[str, Any] = {
+        "height_m": outcome.height_m,
+        "rest_height_m": outcome.rest_height_m,
+        "normals": outcome.normals,
+        "rest_normals": outcome.rest_normals,
+        "contact_mask": outcome.contact_mask,
+        "contact_forces_n": outcome.contact_forces_n,
+        "contact_pressures_pa": outcome.contact_pressures_pa,
+    }
+    seen: np.ndarray | None = None
+    if rgb is not None:
+        seen = arrays["rgb"] = eight_bit(rgb)
+        save_figure(draw_image(rgb, grid), folder / "image.png")
+        write_rgb(folder / "image_raw.png", rgb)
+    else:
+        predicted = predicted_images(profile, outcome, outcome.positions_m[None], PREDICTED_PX)
+        if predicted is not None:
+            seen = predicted[0]
+            write_rgb(folder / "predicted.png", seen)
+    markers = PressMarkers.of(profile, outcome.mesh, outcome.positions_m[None])
+    if markers is not None:
+        arrays |= markers.arrays()
+        markers.write_csv(folder / MARKERS)
+        figure = draw_markers(seen, markers.image_px, markers.rest_px, markers.places_px[-1])
+        save_figure(figure, folder / "markers.png")
+    np.savez_compressed(folder / "signals.npz", **arrays)
+    write_mesh_vtu(
+        folder / "gel.vtu",
+        outcome.mesh,
+        positions_m=outcome.positions_m,
+        point_data={
+            "displacement_m": outcome.positions_m - outcome.mesh.nodes_m,
+            "contact_force_n": outcome.contact_forces_n,
+            "contact_pressure_pa": outcome.contact_pressures_pa,
+            "von_mises_pa": outcome.von_mises_pa,
+        },
+    )
+    if outcome.states is not None and indenter is not None:
+        _write_states(folder / STATES, outcome, outcome.states, profile, indenter, frames)
+    save_figure(draw_height_map(outcome.height_m, grid), folder / "height_map.png")
+    save_figure(draw_normals(outcome.normals, grid), folder / "normals.png")
+    faces = outcome.mesh.region_faces(Region.CONTACT)
+    save_figure(
+        draw_contact_forces(
+            outcome.positions_m, faces, outcome.contact_forces_n, outcome.contact_pressures_pa
+        ),
+        folder / "contact_pressure.png",
+    )
+    down = [s for s in outcome.steps if s.shear_mm == (0.0, 0.0) and s.twist_deg == 0.0]
+    depth_mm = np.array([0.0] + [s.depth_mm for s in down])
+    force_n = np.array([0.0] + [s.wrench[2] for s in down])
+    save_figure(draw_force_depth(depth_mm, force_n, about["indenter"]), folder / "force_depth.png")
+    write_json(
+        folder / "press.json",
+        {
+            **about,
+            "path": {
+                "depth_mm": outcome.path.depth_mm,
+                "shear_mm": outcome.path.shear_mm,
+                "twist_deg": outcome.path.twist_deg,
+            },
+            "material": profile.material.model_dump(
+                include={"young_modulus_pa", "poisson_ratio", "layers"}, exclude_defaults=True
+            ),
+            "mesh": {"node_count": outcome.mesh.node_count, "tet_count": outcome.mesh.tet_count},
+            "physics": outcome.physics.record(),
+            "press": outcome.figures(),
+            "markers": None if markers is None else markers.figures(),
+            "indenter_pose": outcome.indenter_pose,
+            "tool_version": __version__,
+        },
+    )
+
+
+def _write_states(
+    path: Path,
+    outcome: PressOutcome,
+    states: PressStates,
+    profile: SensorProfile,
+    indenter: Indenter,
+    frames: Sequence[np.ndarray] | None,
+) -> None:
+    if frames is not None:
+        images = np.stack([eight_bit(frame) for frame in frames])
+    else:
+        places = states.positions_m(outcome.mesh)
+        predicted = predicted_images(profile, outcome, places, STATES_PX)
+        images = None if predicted is None else np.stack(predicted)
+    write_states(
+        path,
+        states,
+        outcome.mesh,
+        indenter,
+        profile,
+        [step.depth_mm for step in outcome.steps],
+        np.array([step.wrench[:3] for step in outcome.steps]),
+        images,
+    )

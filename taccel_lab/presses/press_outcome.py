@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A whole press of one environment and everything a sensor reads at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.camera.gel_camera import View
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.geometry import QuadraticMesh, TetMesh
+from taccel_lab.ipc.potentials.inversion import smallest_ratios
+from taccel_lab.outputs import Outputs
+from taccel_lab.presses.indenter import Indenter
+from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
+from taccel_lab.presses.press import PressEnv
+from taccel_lab.presses.press_path import PressPath
+from taccel_lab.presses.press_states import PressStates
+from taccel_lab.presses.press_surface import PressSurface, press_surface
+from taccel_lab.scene import Material, MaterialField
+from taccel_lab.signals.rest_surface import RestSurface
+from taccel_lab.signals.tactile_image import tactile_image
+from taccel_lab.solvers import SolverConfig, StepReport
+from taccel_lab.summary import Summary
+
+if TYPE_CHECKING:
+    from taccel_lab.signals.color_model import ColorModel
+
+
+@dataclass(frozen=True)
+class PressStep:
+    """One converged step."""
+
+    depth_mm: float
+    shear_mm: tuple[float, float]
+    twist_deg: float
+    wrench: np.ndarray
+    """Force [N] and moment about the gel's origin [N m] of the gel on the indenter, [6]."""
+    report: StepReport
+
+
+@dataclass(frozen=True)
+class PressStop:
+    """The step that a press did not finish."""
+
+    depth_mm: float
+    shear_mm: tuple[float, float]
+    twist_deg: float
+    why: str
+
+
+@dataclass(frozen=True, repr=False)
+class PressOutcome(Summary):
+    """The steps of a press and the signals at its end, or at the last step that it finished."""
+
+    mesh: TetMesh | QuadraticMesh
+    """The gel with all its nodes: middles of edges too where its elements are quadratic."""
+    path: PressPath
+    physics: PressPhysics
+    steps: list[PressStep]
+    force_error_n: float
+    """Estimated error of the last force [N], see ``PressEnv.error_estimate``."""
+    height_error_m: float
+    """Estimated error of the heights, root of the mean square over the contact's surroundings."""
+    positions_m: np.ndarray
+    """Deformed gel nodes [m], shape [node, 3]."""
+    contact_forces_n: np.ndarray
+    """Force of the indenter on each gel node [N], shape [node, 3]."""
+    contact_pressures_pa: np.ndarray
+    """Contact pressure at each gel node [Pa], see ``SurfaceLoad``, shape [node]."""
+    von_mises_pa: np.ndarray
+    """Equivalent stress at each gel node [Pa], shape [node]."""
+    indenter_pose: np.ndarray
+    """gel_from_indenter: position [m], quaternion x, y, z, w; shape [7]. Held back by
+    ``setback_m`` from the depth."""
+    setback_m: float
+    """Mean gap that the contact keeps, see ``PressEnv`` [m]."""
+    height_m: np.ndarray
+    """z of the contact face [m], NaN outside the pad, shape [height_px, width_px]."""
+    rest_height_m: np.ndarray
+    normals: np.ndarray
+    rest_normals: np.ndarray
+    contact_mask: np.ndarray
+    """Pixels in contact, shape [height_px, width_px]."""
+    contact_radius_m: float
+    """Radius of the disc of the contact's area [m]."""
+    smallest_volume_ratio: float
+    """Smallest det F anywhere in a tet: above 0 when no tet is inverted."""
+    fine_force_n: float | None = None
+    """Force against the press of the contact with a texture, of which the solver's force knows the
+    mean surface only [N]; None without a texture."""
+    states: PressStates | None = None
+    """All steps, where they were to be kept."""
+    stopped: PressStop | None = None
+    """Where and why the press ended before its path did."""
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """Depth, force with its estimated error, and what the last step ended with."""
+        final = self.steps[-1]
+        return f"press to {final.depth_mm:.4g} mm", [
+            ("force", f"{final.wrench[2]:.4g} +- {self.force_error_n:.2g} N"),
+            ("gel", f"{self.mesh.node_count} nodes, {self.mesh.tet_count} tets"),
+            ("last step", final.report.summary()),
+        ]
+
+    @property
+    def last(self) -> StepReport:
+        return self.steps[-1].report
+
+    def render(self, model: ColorModel, background_rgb: np.ndarray) -> np.ndarray:
+        """Tactile image, RGB levels 0..255, shape [height_px, width_px, 3]."""
+        return tactile_image(model, background_rgb, self)
+
+    def figures(self) -> dict[str, Any]:
+        """Numbers of the press for a JSON file."""
+        steps = [step.report for step in self.steps]
+        final = self.steps[-1]
+        return {
+            "force_n": float(final.wrench[2]),
+            "force_error_n": self.force_error_n,
+            "height_error_m": self.height_error_m,
+            "wrench": {"force_n": final.wrench[:3], "moment_nm": final.wrench[3:]},
+            "residual_n": float(self.last.residual_n[0]),
+            "contact_force_sum_n": float(self.last.contact_force_n[0]),
+            "newton_iterations": int(sum(r.newton_iterations[0] for r in steps)),
+            "cg_iterations": int(sum(r.cg_iterations[0] for r in steps)),
+            "friction_lags": int(sum(r.friction_lags[0] for r in steps)),
+            "seconds_per_step": float(np.mean([r.seconds for r in steps])),
+            "step_count": len(steps),
+            "min_distance_m": float(min(r.min_distance_m[0] for r in steps)),
+            "setback_m": self.setback_m,
+            "contact_radius_mm": self.contact_radius_m * 1e3,
+            "fine_force_n": self.fine_force_n,
+            "smallest_volume_ratio": self.smallest_volume_ratio,
+            "stopped": None if self.stopped is None else asdict(self.stopped),
+            "steps": [
+                {
+                    "depth_mm": step.depth_mm,
+                    "shear_mm": step.shear_mm,
+                    "twist_deg": step.twist_deg,
+                    "force_n": step.wrench[:3],
+                    "moment_nm": step.wrench[3:],
+                    "residual_n": float(step.report.residual_n[0]),
+                    "newton_iterations": int(step.report.newton_iterations[0]),
+                    "cg_iterations": int(step.report.cg_iterations[0]),
+                    "friction_lags": int(step.report.friction_lags[0]),
+                    "min_distance_m": float(step.report.min_distance_m[0]),
+                    "seconds": step.report.seconds,
+                }
+                for step in self.steps
+            ],
+        }
+
+
+def simulate_press(
+    mesh: TetMesh,
+    material: Material | MaterialField,
+    indenter: Indenter,
+    at_mm: tuple[float, float],
+    path: PressPath,
+    grid: View,
+    *,
+    friction_coefficient: float,
+    physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
+    designed_rest: RestSurface | None = None,
+    config: SolverConfig | None = None,
+    device: str = "cpu",
+    progress: Callable[[int, int, PressStep], None] | None = None,
+    keep_states: bool = False,
+    stopped: Callable[[PressOutcome], None] | None = None,
+) -> PressOutcome:
+    """Press once, read everything. Errors as of ``PressEnv``; see there for the arguments. An
+    indenter with a texture must go deeper than that is on the mean.
+
+    Where a step fails, or an interrupt comes, ``stopped`` is given the steps before, if there are
+    any, and what can be read at their end; the error goes on.
+
+    ``grid``: the pixels, laid over the gel, or the camera that they are of. ``designed_rest`` is
+    the pad's contact face on ``face_of(grid)`` where ``mesh`` draws it more coarsely,
+    see ``RestCorrection``. ``progress`` is told step, step count and what the step gave.
+    ``keep_states`` keeps gel, loads and pixels of every step, at 0.1 to 0.3 s each.
+    """
+    env = PressEnv(
+        mesh,
+        material,
+        indenter,
+        np.array([at_mm]),
+        friction_coefficient=friction_coefficient,
+        physics=physics,
+        config=config,
+        device=device,
+    )
+    texture = indenter.texture
+    if texture is not None and not path.depth_mm * 1e-3 > texture.mean_depth_m:
+        raise InputError(
+            f"depth {path.depth_mm:g} mm ends above the mean surface of the texture, which lies "
+            f"{1e3 * texture.mean_depth_m:.3g} mm below its highest points: press deeper"
+        )
+    waypoints = path.waypoints()
+    steps: list[PressStep] = []
+    states = PressStates() if keep_states else None
+    outputs = Outputs(env.solver)
+
+    def pixels() -> PressSurface:
+        return press_surface(env, indenter, grid, designed_rest)
+
+    def keep(done: int, total: int, report: StepReport) -> None:
+        steps.append(PressStep(*waypoints[done - 1], env.wrench[0].copy(), report))
+        if states is not None:
+            states.add(env, outputs.update(env.state), pixels)
+        if progress is not None:
+            progress(done, total, steps[-1])
+
+    def read(stop: PressStop | None = None) -> PressOutcome:
+        return _read(env, path, steps, outputs, pixels(), states, stop)
+
+    try:
+        env.follow(path, keep)
+    except BaseException as error:
+        broken = isinstance(error, Exception) and not isinstance(error, SimulationError)
+        if stopped is None or not steps or broken:
+            raise
+        if states is not None and not states.cut(len(steps)):
+            states.add(env, outputs.update(env.state), pixels)
+        why = str(error) or "interrupted"
+        stopped(read(PressStop(*waypoints[min(len(steps), len(waypoints) - 1)], why)))
+        raise
+    return read()
+
+
+def _read(
+    env: PressEnv,
+    path: PressPath,
+    steps: list[PressStep],
+    outputs: Outputs,
+    seen: PressSurface,
+    states: PressStates | None,
+    stop: PressStop | None,
+) -> PressOutcome:
+    outputs.update(env.state)
+    pressures = outputs.surface_load.pressures.numpy()[:, : env.model.soft_count].copy()
+    error = env.error_estimate()
+    return PressOutcome(
+        mesh=env.mesh,
+        path=path,
+        physics=env.physics,
+        steps=steps,
+        force_error_n=float(error.force_n[0]),
+        height_error_m=float(error.height_m[0]),
+        positions_m=env.positions[0].copy(),
+        contact_forces_n=env.contact_forces[0].copy(),
+        contact_pressures_pa=pressures[0],
+        von_mises_pa=outputs.von_mises.numpy()[0, : env.model.soft_count].copy(),
+        indenter_pose=env.poses[0, 0],
+        setback_m=float(env.setback_m[0]),
+        height_m=seen.height_m,
+        rest_height_m=seen.rest_height_m,
+        normals=seen.normals,
+        rest_normals=seen.rest_normals,
+        contact_mask=seen.contact_mask,
+        contact_radius_m=seen.contact_radius_m,
+        smallest_volume_ratio=float(smallest_ratios(env.solver.elastic, env.state.positions)[0]),
+        fine_force_n=seen.fine_force_n,
+        states=states,
+        stopped=stop,
+    )

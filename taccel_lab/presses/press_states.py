@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every step of a press, to be looked at again: the gel, its loads and what the sensor sees."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taccel_lab.files.atomic_file import atomic_file
+from taccel_lab.geometry import QuadraticMesh, TetMesh
+from taccel_lab.outputs import Outputs
+from taccel_lab.presses.press_markers import PressMarkers
+from taccel_lab.scene import Ball, sphere_mesh
+
+if TYPE_CHECKING:
+    from taccel_lab.presses.indenter import Indenter
+    from taccel_lab.presses.press import PressEnv
+    from taccel_lab.presses.press_surface import PressSurface
+    from taccel_lab.profile import SensorProfile
+
+STATES = "states.npz"
+"""Name of the file in the folder of a press."""
+BALL_EDGES = 12
+"""Edges along the radius of a ball that is kept as triangles."""
+
+
+@dataclass
+class PressStates:
+    """Filled step by step; row 0 of what is written is the untouched gel."""
+
+    moved_m: list[np.ndarray] = field(default_factory=list)
+    """Displacement of every node, float32 [node, 3], a step."""
+    contact_forces_n: list[np.ndarray] = field(default_factory=list)
+    """Of the indenter on the nodes, float32 [node, 3]."""
+    contact_pressures_pa: list[np.ndarray] = field(default_factory=list)
+    """Float32 [node]."""
+    von_mises_pa: list[np.ndarray] = field(default_factory=list)
+    """Equivalent stress at the nodes, float32 [node]."""
+    indenter_poses: list[np.ndarray] = field(default_factory=list)
+    """gel_from_indenter, [7]."""
+    surfaces: list[PressSurface] = field(default_factory=list)
+    """What the pixels show."""
+
+    def add(
+        self,
+        env: PressEnv,
+        outputs: Outputs,
+        surface: Callable[[], PressSurface],
+    ) -> None:
+        """Keep the step that ``outputs`` look at; ``surface`` reads the pixels."""
+        count = env.model.soft_count
+        pressures = outputs.surface_load.pressures.numpy()[:, :count].copy()
+        moved = env.positions[0] - env.mesh.nodes_m
+        self.moved_m.append(moved.astype(np.float32))
+        self.contact_forces_n.append(env.contact_forces[0].astype(np.float32))
+        self.contact_pressures_pa.append(pressures[0].astype(np.float32))
+        self.von_mises_pa.append(outputs.von_mises.numpy()[0, :count].astype(np.float32))
+        self.indenter_poses.append(env.poses[0, 0])
+        self.surfaces.append(surface())
+
+    def cut(self, count: int) -> bool:
+        """Drop what is kept beyond the first ``count`` steps, and of one that was kept in part;
+        whether all of them are left."""
+        rows = [getattr(self, entry.name) for entry in fields(self)]
+        whole = min(count, *map(len, rows))
+        for row in rows:
+            del row[whole:]
+        return whole == count
+
+    def positions_m(self, mesh: TetMesh | QuadraticMesh) -> np.ndarray:
+        """Nodes at rest and after each step [m], [step + 1, node, 3]."""
+        rest = np.zeros_like(self.moved_m[0])
+        return mesh.nodes_m + np.stack([rest, *self.moved_m])
+
+
+def write_states(
+    path: Path,
+    states: PressStates,
+    mesh: TetMesh | QuadraticMesh,
+    indenter: Indenter,
+    profile: SensorProfile,
+    depths_mm: list[float],
+    forces_n: np.ndarray,
+    images: np.ndarray | None,
+) -> None:
+    """Write ``states.npz`` (docs/formats.md); it holds all that a viewer needs.
+
+    Args:
+        path: The file.
+        states: Of all steps.
+        mesh: Whose nodes they belong to.
+        indenter: Whose surface is kept.
+        profile: For the markers, which are left out where it has none.
+        depths_mm: Past first touch, a step.
+        forces_n: Of the gel on the indenter, [step, 3].
+        images: Of the sensor, uint8 [step + 1, height, width, 3]; None without one.
+    """
+    positions = states.positions_m(mesh)
+    arrays: dict[str, np.ndarray] = {
+        "nodes_m": mesh.nodes_m,
+        "tets": mesh.tets,
+        "faces": mesh.faces,
+        "face_regions": mesh.face_regions,
+        "depth_mm": np.array([0.0, *depths_mm]),
+        "force_n": np.concatenate([np.zeros((1, 3)), forces_n]),
+        "indenter_poses": np.stack([states.indenter_poses[0], *states.indenter_poses]),
+    }
+    for name in ("moved_m", "contact_forces_n", "contact_pressures_pa", "von_mises_pa"):
+        rows = getattr(states, name)
+        arrays[name] = np.stack([np.zeros_like(rows[0]), *rows])
+    arrays["indenter_vertices_m"], arrays["indenter_faces"] = tool_surface(indenter)
+    if images is not None:
+        arrays["images"] = images
+    markers = PressMarkers.of(profile, mesh, positions)
+    if markers is not None:
+        arrays["markers_px"], arrays["image_px"] = markers.places_px, np.array(markers.image_px)
+    with atomic_file(path) as staging, open(staging, "wb") as file:
+        np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
+
+
+def tool_surface(indenter: Indenter) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [m], [n, 3], and triangles [m, 3] of an indenter in its own frame."""
+    shape = indenter.shape
+    if isinstance(shape, Ball):
+        shape = sphere_mesh(shape.radius_m, shape.radius_m / BALL_EDGES)
+    return shape.vertices_m, shape.faces

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Python processes of our own: a function of a module runs in each, with a pipe to this one.
+
+Unlike the processes of ``multiprocessing`` they never run the caller's script again, so a script
+needs no ``if __name__ == "__main__"``.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any
+
+Serve = Callable[..., None]
+"""What a child runs: a function of a module, called with the pipe and the given arguments."""
+
+
+class ChildProcess:
+    """A process that runs ``serve(pipe, *arguments)`` and ends with it, or with its parent.
+
+    Args:
+        serve: A function of a module.
+        arguments: Handed on to it, pickled.
+        memory_bytes: Memory of its own that it may take; more fails there. No limit when None, and
+            on systems that keep none.
+        environment: Variables that are set besides this process's.
+        quiet: Whether what it prints is dropped, such as a library's own words before a crash.
+    """
+
+    def __init__(
+        self,
+        serve: Serve,
+        *arguments: Any,
+        memory_bytes: int | None = None,
+        environment: dict[str, str] | None = None,
+        quiet: bool = False,
+    ) -> None:
+        self.pipe, theirs = multiprocessing.Pipe()
+        start = (
+            f"import sys; sys.path[:] = {sys.path!r}; "
+            f"from taccel_lab.processes.child_process import _main; "
+            f"_main({theirs.fileno()}, {os.getpid()}, {memory_bytes!r})"
+        )
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", start],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL if quiet else None,
+            stderr=subprocess.DEVNULL if quiet else None,
+            pass_fds=[theirs.fileno()],
+            env={**os.environ, **(environment or {})},
+        )
+        theirs.close()
+        try:
+            self.pipe.send((serve, arguments))
+        except OSError:
+            pass  # It died while it started: the pipe says so to whoever reads it.
+
+    def end(self) -> None:
+        """End it, whatever it is at."""
+        self.pipe.close()
+        self._process.kill()
+        self._process.wait()
+
+    def cause_of_death(self) -> str:
+        """How a process whose pipe has closed came to its end, for "the process ..."."""
+        code = self._process.wait()
+        how = f"was ended by signal {-code}" if code < 0 else f"ended with code {code}"
+        return how + ("; signal 9 often means that memory ran out" if code == -9 else "")
+
+
+def _main(handle: int, parent: int, memory_bytes: int | None) -> None:
+    # Ctrl-C is the parent's, and so is what a batch system sends to all processes of a job: a
+    # child that died of it would look as if its work had killed it.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2):
+        signal.signal(number, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, args=(parent,), daemon=True).start()
+    if memory_bytes is not None:
+        _limit_memory(memory_bytes)
+    pipe = Connection(handle)
+    try:
+        serve, arguments = pipe.recv()
+        serve(pipe, *arguments)
+    except EOFError:
+        pass  # The parent is done with this process.
+
+
+def _limit_memory(count: int) -> None:
+    import resource
+
+    # The data of a process: its heap and what it maps for itself, not the libraries it maps.
+    limit = getattr(resource, "RLIMIT_DATA", resource.RLIMIT_AS)
+    _, hard = resource.getrlimit(limit)
+    allowed = count if hard == resource.RLIM_INFINITY else min(count, hard)
+    resource.setrlimit(limit, (allowed, hard))
+    # No image of its memory for each crash.
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _end_with_parent(parent: int) -> None:
+    """A parent that is killed cannot end its children, so they see to it themselves."""
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)

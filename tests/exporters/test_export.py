@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all exports share: the list of formats, records, missing blocks, whole folders."""
+
+from __future__ import annotations
+
+import json
+import re
+from functools import partial
+from pathlib import Path
+from typing import get_args, get_type_hints
+
+import pytest
+
+from taccel_lab.cli.export import Export
+from taccel_lab.errors import InputError
+from taccel_lab.exporters import export as export_module
+from taccel_lab.exporters import gs_sdk
+from taccel_lab.exporters.export import EXPORTERS, RECORD_FILE, Exporter, export_profile
+from taccel_lab.exporters.formats import FORMATS
+from taccel_lab.exporters.record import ExportRecord
+from taccel_lab.profile import SensorProfile
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_every_format_is_in_the_help_and_in_the_docs() -> None:
+    assert list(EXPORTERS) == list(FORMATS)
+    assert get_args(get_type_hints(Export)["to"]) == tuple(FORMATS)
+    source = (ROOT / "taccel_lab" / "cli" / "export.py").read_text()
+    table = (ROOT / "docs" / "exporters.md").read_text()
+    for name, sentence in FORMATS.items():
+        assert f"    {name}: {sentence}" in source
+        assert f"| `{name}` |" in table
+
+
+@pytest.mark.parametrize(
+    ("to", "lacking", "block", "command"),
+    [
+        ("tacto", ("optics",), "optics", "calibrate camera"),
+        ("tacto", ("lights",), "lights", "taccel-lab design"),
+        ("taxim", ("color",), "color", "calibrate color"),
+        ("taxim", ("background",), "background", "calibrate background"),
+        ("isaac-lab", ("color",), "color", "calibrate color"),
+        ("gs-sdk", ("color",), "color", "calibrate color"),
+        ("gs-sdk", ("background",), "background", "calibrate background"),
+        ("onnx", ("color",), "color", "calibrate color"),
+        ("safetensors", ("color",), "normals", "calibrate normals"),
+        ("opencv", ("optics",), "optics", "calibrate camera"),
+    ],
+)
+def test_missing_blocks_are_named_with_what_makes_them(
+    to: str,
+    lacking: tuple[str, ...],
+    block: str,
+    command: str,
+    mini: SensorProfile,
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(InputError) as caught:
+        export_profile(mini.without(*lacking), to, tmp_path / "out")
+    assert re.search(rf"\b{block}\b", str(caught.value))
+    assert command in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("to", ["taccel", "urdf"])
+def test_geometry_needs_no_optional_block(to: str, mini: SensorProfile, tmp_path: Path) -> None:
+    bare = mini.without(*[key for key in mini.blocks() if key not in ("sensor", "gel", "material",
+                                                                      "camera")])  # fmt: skip
+    document = export_profile(bare, to, tmp_path / "out")
+    assert "gel" in document["carries"]
+
+
+def test_the_record_lists_every_file(mini: SensorProfile, tmp_path: Path) -> None:
+    document = export_profile(mini, "tacto", tmp_path / "out")
+    stored = json.loads((tmp_path / "out" / RECORD_FILE).read_text())
+    assert stored == json.loads(json.dumps(document))
+    found = {
+        str(path.relative_to(tmp_path / "out"))
+        for path in (tmp_path / "out").rglob("*")
+        if path.is_file() and not path.name.startswith(".")
+    }
+    assert set(stored["files"]) | {RECORD_FILE} == found
+    assert stored["provenance"]["gel"]["kind"] == "designed"
+    assert set(stored["carries"]).isdisjoint(stored["left_out"])
+
+
+def test_an_export_replaces_its_own_but_not_others(mini: SensorProfile, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    export_profile(mini, "opencv", out)
+    export_profile(mini, "urdf", out)
+    assert (out / "sensor.urdf").is_file() and not (out / "camera.yaml").exists()
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "thesis.txt").write_text("long")
+    with pytest.raises(InputError, match="did not write"):
+        export_profile(mini, "urdf", mine)
+    assert (mine / "thesis.txt").read_text() == "long"
+    with pytest.raises(InputError, match="taccel, tacto, taxim"):
+        export_profile(mini, "unity", out)
+
+
+def test_a_failure_leaves_nothing(
+    mini: SensorProfile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(profile: SensorProfile, folder: Path) -> ExportRecord:
+        (folder / "half").write_text("written")
+        raise OSError("disk full")
+
+    monkeypatch.setitem(export_module.EXPORTERS, "urdf", Exporter(broken, "none"))
+    with pytest.raises(OSError, match="disk full"):
+        export_profile(mini, "urdf", tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("to", ["taxim", "isaac-lab", "gs-sdk", "tacto"])
+def test_dots_in_a_background_are_said_to_stand_still(
+    to: str, mini: SensorProfile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert mini.markers is not None and mini.background_rgb is not None
+    # Its network need not be good.
+    quick = partial(gs_sdk.export_gs_sdk, steps=10, samples=2000)
+    monkeypatch.setitem(EXPORTERS, "gs-sdk", Exporter(quick, gs_sdk.PEER))
+    found = export_profile(mini, to, tmp_path / "with")
+    assert "stand still" in found["left_out"]["markers"]
+    bare = export_profile(mini.without("markers"), to, tmp_path / "without")
+    assert "stand still" not in bare["left_out"].get("markers", "")

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The URDF in a parser of others: links, frames, meshes, inertias."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import pyvista
+
+from taccel_lab.exporters.export import export_profile
+from taccel_lab.exporters.frames import LINK_FROM_GEL
+from taccel_lab.exporters.urdf import HOUSING_DENSITY, housing_mass, tet_mass
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.profile import HousingBlock, Provenance, SensorProfile
+
+
+@pytest.fixture(scope="module")
+def folder(mini: SensorProfile, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("urdf") / "out"
+    export_profile(mini, "urdf", out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def robot(folder: Path) -> Any:
+    yourdfpy = pytest.importorskip("yourdfpy")
+    robot = yourdfpy.URDF.load(str(folder / "sensor.urdf"), load_collision_meshes=True)
+    assert robot.validate()
+    return robot
+
+
+def test_frames(robot: Any, mini: SensorProfile) -> None:
+    assert robot.base_link == "sensor_link"
+    in_gel = np.array([3e-3, -2e-3, -1e-3, 1.0])
+    # Right in the image is -y of the link, down is -z, out of the gel is x.
+    in_link = robot.get_transform("gel_frame", "sensor_link") @ in_gel
+    np.testing.assert_allclose(in_link[:3], [-1e-3, -3e-3, 2e-3], atol=1e-9)
+    camera = robot.get_transform("camera_optical_frame", "gel_frame")
+    # The optical axes are those of the gel frame, 24 mm behind it.
+    np.testing.assert_allclose(camera[:3, :3], np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(camera[:3, 3], [0, 0, -0.024], atol=1e-9)
+    np.testing.assert_allclose(robot.get_transform("gel", "sensor_link"), np.eye(4), atol=1e-12)
+
+
+def test_meshes_lie_in_the_link(folder: Path, mini: SensorProfile) -> None:
+    gel = pyvista.read(folder / "meshes" / "gel.stl")
+    assert isinstance(gel, pyvista.PolyData) and gel.is_manifold
+    # x: thickness, y: 25.25 mm, z: 20.75 mm.
+    low, high = np.reshape(gel.bounds, (3, 2)).T
+    np.testing.assert_allclose(low, [-4e-3, -12.625e-3, -10.375e-3], atol=1e-6)
+    np.testing.assert_allclose(high, [0, 12.625e-3, 10.375e-3], atol=1e-6)
+    assert gel.volume == pytest.approx(mini.mesh.volumes_m3().sum(), rel=1e-5)
+    box = pyvista.read(folder / "meshes" / "housing.stl")
+    assert isinstance(box, pyvista.PolyData) and box.is_manifold
+    low, high = np.reshape(box.bounds, (3, 2)).T
+    # Gel x 0.25 is link y -0.25, gel y -0.5 is link z 0.5.
+    np.testing.assert_allclose(low * 1e3, [-28.25, -16.25, -13.5], atol=1e-4)
+    np.testing.assert_allclose(high * 1e3, [-4.25, 15.75, 14.5], atol=1e-4)
+    assert box.volume == pytest.approx(32e-3 * 28e-3 * 24e-3, rel=1e-5)
+    for mesh in (gel, box):
+        normals = mesh.compute_normals(consistent_normals=False, auto_orient_normals=False)
+        outward = np.einsum(
+            "fk,fk->f", normals.cell_data["Normals"], mesh.cell_centers().points - mesh.center
+        )
+        assert outward.mean() > 0
+
+
+def test_every_file_and_link_is_there(folder: Path) -> None:
+    root = ElementTree.parse(folder / "sensor.urdf").getroot()
+    links = {link.get("name") for link in root.findall("link")}
+    assert links == {"sensor_link", "gel", "gel_frame", "camera_optical_frame"}
+    for joint in root.findall("joint"):
+        assert joint.get("type") == "fixed"
+        for end in ("parent", "child"):
+            element = joint.find(end)
+            assert element is not None and element.get("link") in links
+    for mesh in root.iter("mesh"):
+        assert (folder / str(mesh.get("filename"))).is_file()
+
+
+def test_inertias_are_physical(robot: Any, mini: SensorProfile) -> None:
+    volume = mini.mesh.volumes_m3().sum()
+    bodies = {link.name: link.inertial for link in robot.robot.links if link.inertial}
+    assert set(bodies) == {"sensor_link", "gel", "gel_frame", "camera_optical_frame"}
+    # Simulators give a link without inertia 1 kg.
+    assert bodies["gel_frame"].mass == bodies["camera_optical_frame"].mass == 1e-6
+    assert bodies["gel"].mass == pytest.approx(1000 * volume)
+    for body in bodies.values():
+        a, b, c = np.linalg.eigvalsh(body.inertia)
+        assert a > 0 and a + b > c
+
+
+def lean(profile: SensorProfile) -> SensorProfile:
+    """With a gel that is symmetric about no plane, beside its frame's axes."""
+    nodes = profile.mesh.nodes_m.copy()
+    nodes[:, 0] += 0.3 * nodes[:, 2] + 1e-3
+    nodes[:, 1] += 0.2 * nodes[:, 0] - 0.4 * nodes[:, 2]
+    mesh = dataclasses.replace(profile.mesh, nodes_m=nodes)
+    assert profile.housing is not None
+    housing = profile.housing.replace(size_mm=(32.0, 28.0, 20.0), offset_mm=(1.0, -2.0))
+    return dataclasses.replace(profile, mesh=mesh, housing=housing)
+
+
+def test_inertias_are_those_of_the_meshes_beside_them(mini: SensorProfile, tmp_path: Path) -> None:
+    """In the link's frame, each axis another: as trimesh integrates them over the written files."""
+    trimesh = pytest.importorskip("trimesh")
+    profile = lean(mini)
+    export_profile(profile, "urdf", tmp_path / "out")
+    root = ElementTree.parse(tmp_path / "out" / "sensor.urdf").getroot()
+    links = {str(link.get("name")): link for link in root.iter("link")}
+    gel = trimesh.load(tmp_path / "out" / "meshes" / "gel.stl")
+    gel.density = profile.material.density_kg_m3
+    mass, center, inertia = inertial(links["gel"])
+    assert mass == pytest.approx(gel.mass, rel=1e-4)
+    np.testing.assert_allclose(center, gel.center_mass, atol=1e-8)
+    np.testing.assert_allclose(inertia, gel.moment_inertia, atol=1e-4 * inertia.max())
+    assert np.unique(np.round(np.abs(inertia[np.triu_indices(3)]), 12)).size == 6
+
+    # The housing's walls: the box that is drawn without the room inside, open to the front (x).
+    box = trimesh.load(tmp_path / "out" / "meshes" / "housing.stl")
+    wall = 1e-3 * profile.housing.wall_mm  # type: ignore[union-attr]
+    room = trimesh.creation.box(box.extents - [wall, 2 * wall, 2 * wall])
+    room.apply_translation(box.bounds.mean(axis=0) + [wall / 2, 0, 0])
+    for mesh in (box, room):
+        mesh.density = HOUSING_DENSITY
+    mass, center, inertia = inertial(links["sensor_link"])
+    assert mass == pytest.approx(box.mass - room.mass, rel=1e-4)
+    weighed = box.mass * box.center_mass - room.mass * room.center_mass
+    np.testing.assert_allclose(center, weighed / mass, atol=1e-7)
+    wanted = about(box, center) - about(room, center)
+    np.testing.assert_allclose(inertia, wanted, atol=1e-4 * inertia.max())
+    collision = links["sensor_link"].find("collision")
+    assert collision is not None
+    origin, shape = collision.find("origin"), collision.find("geometry/box")
+    assert origin is not None and shape is not None
+    np.testing.assert_allclose(numbers(origin.get("xyz")), box.bounds.mean(axis=0), atol=1e-8)
+    np.testing.assert_allclose(numbers(shape.get("size")), box.extents, atol=1e-8)
+
+
+def numbers(text: str | None) -> np.ndarray:
+    return np.array(str(text).split(), dtype=np.float64)
+
+
+def inertial(link: ElementTree.Element) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, centre and inertia that a link states."""
+    found = link.find("inertial")
+    assert found is not None
+    parts = {part.tag: part.attrib for part in found}
+    entries = {name: float(value) for name, value in parts["inertia"].items()}
+    rows = [[entries["i" + "".join(sorted(a + b))] for b in "xyz"] for a in "xyz"]
+    return float(parts["mass"]["value"]), numbers(parts["origin"]["xyz"]), np.array(rows)
+
+
+def about(mesh: Any, center: np.ndarray) -> np.ndarray:
+    """Inertia of a mesh about a point, by Steiner's theorem."""
+    arm = mesh.center_mass - center
+    return mesh.moment_inertia + mesh.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+
+
+def test_mass_of_a_block_is_that_of_a_box() -> None:
+    size = np.array([0.03, 0.02, 0.01])
+    body = tet_mass(block_mesh((4, 3, 2), (0.03, 0.02, 0.01)), 800.0)
+    mass = 800 * size.prod()
+    assert body.mass == pytest.approx(mass)
+    np.testing.assert_allclose(body.center, [0, 0, -0.005], atol=1e-12)
+    x2, y2, z2 = size**2
+    wanted = np.diag([y2 + z2, x2 + z2, x2 + y2]) * mass / 12
+    np.testing.assert_allclose(body.inertia, wanted, atol=1e-12 * mass)
+
+
+def test_mass_of_a_housing_is_that_of_its_walls() -> None:
+    housing = HousingBlock(
+        size_mm=(30.0, 20.0, 25.0), wall_mm=1.0, corner_radius_mm=0.0, front_z_mm=-4.0,
+        provenance=Provenance(kind="assumed", method="made up", source="none"),
+    )  # fmt: skip
+    body = housing_mass(housing)
+    volume = 30 * 20 * 25 - 28 * 18 * 24
+    assert body.mass == pytest.approx(volume * 1e-9 * HOUSING_DENSITY)
+    # The open front moves the centre to the back.
+    assert body.center[2] < -(4e-3 + 12.5e-3)
+    assert np.linalg.det(LINK_FROM_GEL) == pytest.approx(1.0)
+
+
+def masses_and_frames(folder: Path) -> tuple[dict[str, float], Any]:
+    """Masses that the file states, by link, and the names of the joints."""
+    root = ElementTree.parse(folder / "sensor.urdf").getroot()
+    masses = {}
+    for link in root.iter("link"):
+        mass = link.find("inertial/mass")
+        assert mass is not None
+        masses[str(link.get("name"))] = float(str(mass.get("value")))
+    return masses, [joint.get("name") for joint in root.iter("joint")]
+
+
+@pytest.mark.slow
+def test_pybullet_s_loader_gives_no_link_a_weight_of_its_own(folder: Path) -> None:
+    pybullet = pytest.importorskip("pybullet", reason="the extra peers is not installed")
+    masses, joints = masses_and_frames(folder)
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        body = pybullet.loadURDF(str(folder / "sensor.urdf"), physicsClientId=client)
+        count = pybullet.getNumJoints(body, physicsClientId=client)
+        infos = [pybullet.getJointInfo(body, i, physicsClientId=client) for i in range(count)]
+        found = {
+            "sensor_link": pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[0],
+            **{
+                info[12].decode(): pybullet.getDynamicsInfo(body, i, physicsClientId=client)[0]
+                for i, info in enumerate(infos)
+            },
+        }
+    finally:
+        pybullet.disconnect(client)
+    assert found == pytest.approx(masses)
+    assert sum(found.values()) < 0.02
+    assert sorted(info[1].decode() for info in infos) == sorted(str(name) for name in joints)
+
+
+@pytest.mark.slow
+def test_mujoco_s_loader_has_the_same_bodies(folder: Path) -> None:
+    mujoco = pytest.importorskip("mujoco", reason="the extra peers is not installed")
+    masses, _ = masses_and_frames(folder)
+    spec = mujoco.MjSpec.from_file(str(folder / "sensor.urdf"))
+    # A root without a joint is part of the world there, and its mass counts for nothing.
+    spec.compiler.fusestatic = False
+    spec.worldbody.first_body().add_freejoint()
+    model = spec.compile()
+    found = {model.body(i).name: float(model.body_mass[i]) for i in range(1, model.nbody)}
+    assert found == pytest.approx(masses)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera = data.body("camera_optical_frame").xpos - data.body("gel_frame").xpos
+    # The camera looks out of the gel, along x of the link.
+    np.testing.assert_allclose(camera, [-0.024, 0, 0], atol=1e-6)

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Image files: pixels as OpenCV decodes them, and a sentence for all that are none."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from pathlib import Path
+from random import Random
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from taccel_lab.errors import InputError
+from taccel_lab.files.images import image_size, levels, read_grey, read_image
+
+RGB = np.random.default_rng(3).integers(0, 256, (12, 16, 3), dtype=np.uint8)
+SUFFIXES = (".png", ".jpg", ".bmp", ".tiff", ".webp")
+
+
+def encoded(suffix: str, rgb: np.ndarray = RGB) -> bytes:
+    return cv2.imencode(suffix, rgb[..., ::-1])[1].tobytes()
+
+
+def png_of(width: int, height: int) -> bytes:
+    """A PNG whose header claims a size."""
+    body = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + body + struct.pack(">I", zlib.crc32(body))
+        + encoded(".png")[33:]
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_the_allowed_formats_give_opencvs_pixels(suffix: str, tmp_path: Path) -> None:
+    data, path = encoded(suffix), tmp_path / "a"
+    path.write_bytes(data)
+    expected = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    image = read_image(path)
+    np.testing.assert_array_equal(image, expected)
+    assert image.flags.writeable and image.flags.c_contiguous
+    np.testing.assert_array_equal(levels(str(path)), expected)
+    grey = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)
+    np.testing.assert_array_equal(read_grey(path), grey)
+    assert image_size(path) == (16, 12)
+
+
+def turned_tiff(order: str, big: bool, turn: int, levels: np.ndarray) -> bytes:
+    """An uncompressed grey TIFF whose orientation tag says ``turn``."""
+    end, offset = ("<" if order == "II" else ">"), 16
+    (rows, columns), bits, start = levels.shape, 8 * levels.itemsize, offset + levels.nbytes
+    tags = {
+        256: columns, 257: rows, 258: bits, 259: 1, 262: 1, 273: offset, 274: turn, 277: 1,
+        278: rows, 279: levels.nbytes,
+    }  # fmt: skip
+    head = struct.pack(f"{end}HHHQ", 43, 8, 0, start) if big else struct.pack(f"{end}HI", 42, start)
+    data = (order.encode() + head).ljust(offset, b"\0") + levels.tobytes()
+    data += struct.pack(f"{end}{'Q' if big else 'H'}", len(tags))
+    for tag, value in tags.items():
+        data += struct.pack(f"{end}HH{'QHxxxxxx' if big else 'IHxx'}", tag, 3, 1, value)
+    return data + bytes(8)
+
+
+@pytest.mark.parametrize("turn", range(1, 9))
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp"])
+def test_pixels_are_as_stored_whatever_a_tag_says(suffix: str, turn: int, tmp_path: Path) -> None:
+    for name, tag in (("turned", turn), ("as_stored", 1)):
+        exif = Image.Exif()
+        exif[0x0112] = tag
+        Image.fromarray(RGB).save(tmp_path / f"{name}{suffix}", exif=exif)
+    for read in (read_image, read_grey, image_size):
+        expected = read(tmp_path / f"as_stored{suffix}")
+        np.testing.assert_array_equal(read(tmp_path / f"turned{suffix}"), expected)
+
+
+@pytest.mark.parametrize("turn", range(1, 9))
+@pytest.mark.parametrize("order", ["II", "MM"])
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("kind", ["u1", "u2"])
+def test_pixels_of_tiff_too(order: str, big: bool, kind: str, turn: int, tmp_path: Path) -> None:
+    path, grey = tmp_path / "a.tiff", RGB[..., 0].astype(kind) * (1 if kind == "u1" else 257)
+    path.write_bytes(
+        turned_tiff(order, big, turn, grey.astype({"II": "<", "MM": ">"}[order] + kind))
+    )
+    np.testing.assert_array_equal(read_image(path), np.dstack([RGB[..., 0]] * 3))
+    np.testing.assert_array_equal(read_grey(path), RGB[..., 0])
+    assert image_size(path) == (16, 12)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_damaged_files_are_sentences(suffix: str, tmp_path: Path) -> None:
+    data, path = encoded(suffix), tmp_path / "a"
+    for share in (0.3, 0.9):
+        path.write_bytes(data[: int(share * len(data))])
+        for read in (read_image, read_grey, image_size):
+            with pytest.raises(InputError, match="damaged or cut short; PNG, JPEG") as caught:
+                read(path)
+            assert str(caught.value).startswith(str(path))
+    random = Random(5)
+    for _ in range(60):
+        flipped = bytearray(data)
+        for _ in range(3):
+            flipped[random.randrange(len(data))] = random.randrange(256)
+        path.write_bytes(bytes(flipped))
+        try:
+            read_image(path)
+        except InputError as error:
+            assert str(path) in str(error)
+
+
+@pytest.mark.parametrize(("width", "height"), [(50_000, 50_000), (8193, 8192)])
+def test_the_size_in_the_header_is_limited(width: int, height: int, tmp_path: Path) -> None:
+    path = tmp_path / "large.png"
+    path.write_bytes(png_of(width, height))
+    for read in (read_image, read_grey, image_size):
+        with pytest.raises(InputError, match=f"{width} x {height} px .* 67 megapixels are allowed"):
+            read(path)
+
+
+def test_large_images_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "large.png"
+    rgb = np.zeros((4000, 6000, 3), dtype=np.uint8)
+    rgb[-1, -1] = 1, 2, 3
+    path.write_bytes(cv2.imencode(".png", rgb[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
+    np.testing.assert_array_equal(read_image(path), rgb)
+
+
+def test_other_formats_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    for kind in ("GIF", "PPM", "ICO", "TGA"):
+        content = io.BytesIO()
+        Image.fromarray(RGB).save(content, kind)
+        path.write_bytes(content.getvalue())
+        with pytest.raises(InputError, match=f"the format {kind}; PNG, JPEG, BMP, TIFF or WebP"):
+            read_image(path)
+    for content in (b"x", b"%PDF-1.7 ...", b"BM", b"RIFF", b"\x89PNG", bytes(1000)):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="is not an image that can be read"):
+            read_image(path)
+
+
+@pytest.mark.parametrize("mode", ["RGBA", "LA"])
+def test_an_image_of_which_no_pixel_shows_is_refused(mode: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    image = Image.fromarray(RGB).convert(mode)
+    shown = read_image_of(image, path)
+    image.putalpha(0)
+    with pytest.raises(InputError, match="fully transparent"):
+        read_image_of(image, path)
+    image.putalpha(Image.fromarray(np.eye(*RGB.shape[:2], dtype=np.uint8)))
+    np.testing.assert_array_equal(read_image_of(image, path), shown)
+
+
+def read_image_of(image: Image.Image, path: Path) -> np.ndarray:
+    image.save(path)
+    return read_image(path)

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``PressEnv``: converged presses, signs of wrenches, halved steps, limits, batches."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.ipc.intersection import find_intersections
+from taccel_lab.presses import PHYSICS, Accuracy, PressEnv, PressPath, PressPhysics, parse_indenter
+from taccel_lab.solvers import EnvStatus, SolverConfig
+from tests.support.coarse_pads import GEL, LINEAR, pad
+
+DEFAULT = PHYSICS[Accuracy.DEFAULT]
+DHAT_M = DEFAULT.dhat_m
+CENTRE = np.array([[0.0, 0.0]])
+
+
+def press_env(
+    indenter: str = "sphere:2.0",
+    at_mm: tuple[float, float] = (0.0, 0.0),
+    friction: float = 0.0,
+    config: SolverConfig | None = None,
+    physics: PressPhysics = LINEAR,
+) -> PressEnv:
+    return PressEnv(
+        pad(at_mm),
+        GEL,
+        parse_indenter(indenter),
+        np.array([at_mm]),
+        friction_coefficient=friction,
+        physics=physics,
+        config=config,
+    )
+
+
+@pytest.mark.parametrize("indenter", ["sphere:2.0", "cylinder:1.0", "box:2x1.5"])
+def test_force_grows_with_depth(indenter: str) -> None:
+    env = press_env(indenter, physics=DEFAULT if indenter == "sphere:2.0" else LINEAR)
+    assert env.wrench == pytest.approx(np.zeros((1, 6)), abs=0)
+    forces = []
+    for depth in (0.1, 0.2, 0.4, 0.6):
+        report = env.move_to(depth)
+        assert report.converged.all()
+        assert report.residual_n[0] <= 1e-4 * report.contact_force_n[0]
+        assert 0 < report.min_distance_m[0] < 2e-5
+        assert not find_intersections(env.model, env.state)[0]
+        assert env.depth_m[0] == depth * 1e-3
+        held_back = env.poses[0, 0, 2] - (env.touch_m[0] - env.depth_m[0])
+        assert held_back == pytest.approx(env.setback_m[0], abs=1e-15)
+        assert 0.3 * DHAT_M < held_back < DHAT_M
+        forces.append(env.wrench[0, 2])
+    assert forces[0] > 0 and (np.diff(forces) > 0).all()
+    if indenter == "sphere:2.0":
+        # The floor 5 mm below and the coarse mesh stiffen: Hertz's half-space is the least.
+        hertz = 4 / 3 * 1.5e5 / (1 - 0.46**2) * math.sqrt(2e-3) * (0.6e-3) ** 1.5
+        assert hertz < forces[-1] < 3 * hertz
+
+
+def test_no_force_before_first_touch() -> None:
+    env = press_env()
+    # The barrier begins at dhat above touch, and the ball is held back by as much.
+    report = env.move_to(-1e-6)
+    assert report.contact_force_n[0] == 0.0
+    assert report.min_distance_m[0] == math.inf
+    assert env.positions[0] == pytest.approx(env.mesh.nodes_m, abs=1e-15)
+    env.move_to(0.005)
+    assert env.wrench[0, 2] > 0
+
+
+@pytest.mark.parametrize("at_mm", [(-3.0, 0.0), (0.0, 2.5), (2.0, -2.0)])
+def test_moment_of_an_off_centre_press(at_mm: tuple[float, float]) -> None:
+    env = press_env(at_mm=at_mm)
+    env.move_to(0.3)
+    force, moment = env.wrench[0, :3], env.wrench[0, 3:]
+    assert force[2] > 0
+    # Frictionless on a dome: the force leans outwards, away from the apex, along the ball's axis.
+    place = np.array(at_mm) * 1e-3
+    assert force[:2] @ place > 0
+    lean = np.linalg.norm(force[:2]) / force[2]
+    assert lean == pytest.approx(np.linalg.norm(place) / 52e-3, rel=0.35)
+    # All forces pass through the ball's centre.
+    assert moment == pytest.approx(np.cross(env.poses[0, 0, :3], force), abs=1e-7)
+    assert moment[0] * place[1] >= 0 and moment[1] * place[0] <= 0
+    # The normal force outweighs: it turns about y by -x Fz and about x by y Fz.
+    assert moment[:2] == pytest.approx(
+        [place[1] * force[2], -place[0] * force[2]], abs=0.35 * np.linalg.norm(place) * force[2]
+    )
+
+
+@pytest.mark.parametrize("direction", [(1, 0), (0, -1)])
+def test_shear_is_resisted(direction: tuple[int, int]) -> None:
+    env = press_env(friction=0.5, physics=DEFAULT)
+    env.move_to(0.4)
+    normal = env.wrench[0, 2]
+    env.move_to(0.4, np.array(direction) * 0.05)
+    along = env.wrench[0, :2] @ np.array(direction)
+    across = abs(env.wrench[0, :2] @ np.array([-direction[1], direction[0]]))
+    # Gel on indenter: against the motion, within the friction cone.
+    assert -0.5 * normal * 1.1 < along < -0.05 * normal
+    assert across < 0.2 * abs(along)
+    assert env.poses[0, 0, :2] == pytest.approx(np.array(direction) * 5e-5)
+
+
+def test_sliding_keeps_to_coulombs_law() -> None:
+    env = press_env("sphere:2.0", friction=0.1)
+    env.follow(PressPath(0.3, (0.8, 0.0), step_mm=0.2))
+    forces = env.contact_forces[0]
+    normal = -env.solver.contact_gradient.numpy()[0, : env.model.soft_count]
+    tangential = np.linalg.norm(forces - normal, axis=1)
+    pushed = np.linalg.norm(normal, axis=1)
+    assert tangential.sum() == pytest.approx(0.1 * pushed.sum(), rel=0.02)
+
+
+@pytest.mark.parametrize("twist", [4.0, -4.0])
+def test_twist_is_resisted(twist: float) -> None:
+    mesh = pad((0.0, 0.0), 1.41)
+    env = PressEnv(
+        mesh, GEL, parse_indenter("box:2x2"), CENTRE, friction_coefficient=0.5, physics=LINEAR
+    )
+    env.move_to(0.3)
+    before = env.wrench[0, 5]
+    env.move_to(0.3, twist_deg=twist)
+    assert np.sign(env.wrench[0, 5] - before) == -np.sign(twist)
+    assert abs(env.wrench[0, 5]) > 5e-5
+    half = math.radians(twist) / 2
+    assert env.poses[0, 0, 3:] == pytest.approx([0, 0, math.sin(half), math.cos(half)])
+
+
+def test_without_friction_nothing_resists_a_ball_that_turns() -> None:
+    env = press_env()
+    env.move_to(0.3)
+    before = env.wrench[0].copy()
+    env.move_to(0.3, twist_deg=20.0)
+    # To the tolerance of the solver, with which both were found.
+    assert env.wrench[0] == pytest.approx(before, abs=3e-4 * before[2])
+
+
+def test_only_what_failed_is_halved() -> None:
+    """The deep press of two, where it may take fewer iterations than it needs in one piece."""
+    at, tool = np.zeros((2, 2)), parse_indenter("sphere:2.0")
+    depths = np.array([0.05, 0.8])
+    whole = PressEnv(pad(), GEL, tool, at)
+    taken = whole.move_to(depths)
+    config = replace(whole.solver.config, max_newton_iterations=taken.newton_iterations[1] - 2)
+    env = PressEnv(pad(), GEL, tool, at, config=config)
+    report = env.move_to(depths)
+    assert report.converged.all()
+    # Once it has arrived, either may be corrected for the gap that it had.
+    assert report.substeps[0] == taken.substeps[0]
+    assert report.substeps[1] > taken.substeps[1]
+    # The report owns up to the work of the failed attempt too.
+    assert report.newton_iterations[1] > config.max_newton_iterations
+    assert env.wrench == pytest.approx(whole.wrench, abs=3e-4 * whole.wrench[1, 2])
+    assert env.depth_m * 1e3 == pytest.approx(depths)
+
+
+def test_a_press_that_never_converges_says_so() -> None:
+    env = press_env(config=SolverConfig(max_newton_iterations=1))
+    with pytest.raises(SimulationError) as caught:
+        env.move_to(0.5)
+    for words in ("(0, 0) mm", "depth 0.5 mm", EnvStatus.NO_CONVERGENCE.name, "residual"):
+        assert words in str(caught.value)
+    assert f"{env.solver.config.max_substep_halvings} halvings" in str(caught.value)
+    assert not find_intersections(env.model, env.state)[0]
+
+
+def test_reset() -> None:
+    env = press_env(friction=0.5)
+    env.follow(PressPath(0.3, (0.1, 0.0), step_mm=0.3))
+    first = env.wrench.copy()
+    env.reset()
+    assert np.array_equal(env.positions[0], env.mesh.nodes_m)
+    assert env.poses[0, 0, 2] > env.touch_m[0]
+    env.follow(PressPath(0.3, (0.1, 0.0), step_mm=0.3))
+    assert np.array_equal(env.wrench, first)
+
+
+def test_batch_equals_single_presses() -> None:
+    places = [(0.0, 0.0), (2.0, -1.0), (-3.0, 1.5)]
+    depths = np.array([0.2, 0.35, 0.1])
+    meshes = [pad(place) for place in places]
+    batch = PressEnv(
+        meshes[0],
+        GEL,
+        parse_indenter("sphere:2.0"),
+        np.array(places),
+        friction_coefficient=0.5,
+        rest_positions_m=np.stack([mesh.nodes_m for mesh in meshes]),
+        physics=LINEAR,
+    )
+    batch.move_to(depths)
+    for i, place in enumerate(places):
+        single = press_env(at_mm=place, friction=0.5)
+        single.move_to(depths[i])
+        assert batch.touch_m[i] == single.touch_m[0]
+        assert batch.wrench[i] == pytest.approx(single.wrench[0], abs=1e-3 * single.wrench[0, 2])
+        assert batch.positions[i] == pytest.approx(single.positions[0], abs=1e-7)
+
+
+@pytest.mark.parametrize(("at_mm", "thick_mm"), [((0.0, 0.0), 5.0), ((6.0, 0.0), 4.639)])
+def test_depth_is_limited_by_the_gel_below(at_mm: tuple[float, float], thick_mm: float) -> None:
+    env = press_env(at_mm=at_mm)
+    with pytest.raises(InputError, match="goes past the gel, which is") as caught:
+        env.move_to(0.9 * thick_mm + 0.02)
+    message = str(caught.value)
+    thickness = float(message.split("which is ")[1].split(" mm")[0])
+    assert thickness == pytest.approx(thick_mm, abs=0.03)
+    assert "90%" in message
+    # Refused before anything moved.
+    assert np.array_equal(env.positions[0], env.mesh.nodes_m)
+    assert env.poses[0, 0, 2] > env.touch_m[0]
+
+
+@pytest.mark.parametrize(
+    ("at_mm", "message"),
+    [
+        ((15.0, 0.0), r"\(15, 0\) mm .* misses the gel; x must lie in \[-12, 12\] mm"),
+        ((0.0, -13.0), r"misses the gel; .* y in \[-10, 10\] mm"),
+        ((0.0, math.nan), "place of a press must be finite"),
+    ],
+)
+def test_a_press_beside_the_gel_is_refused(at_mm: tuple[float, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), np.array([at_mm]))
+
+
+@pytest.mark.parametrize(
+    ("depth_mm", "motion", "message"),
+    [
+        (math.nan, {}, "depth of a press must be finite"),
+        (np.array([0.1, math.inf]), {}, "depth of a press must be finite"),
+        (np.array([0.1, 7.0]), {}, "depth 7 mm goes past the gel"),
+        (0.1, {"shear_mm": (math.nan, 0.0)}, "NaN or infinite"),
+        (0.1, {"twist_deg": math.nan}, "NaN or infinite"),
+    ],
+)
+def test_motions_that_no_press_makes_are_refused(
+    depth_mm: float | np.ndarray, motion: dict[str, object], message: str
+) -> None:
+    env = PressEnv(pad(), GEL, parse_indenter("sphere:2.0"), np.zeros((2, 2)))
+    with pytest.raises(InputError, match=message):
+        env.move_to(depth_mm, **motion)  # type: ignore[arg-type]
+
+
+def test_an_indenter_that_starts_inside_the_gel_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever first touch comes from, an overlap at the start is never simulated."""
+    monkeypatch.setattr("taccel_lab.presses.press.first_touch_m", lambda *_: 1e-3)
+    with pytest.raises(InputError, match=r"'sphere:2\.0' starts inside 'gel'"):
+        press_env()

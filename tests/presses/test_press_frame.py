@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Presses in frames of their own: the same press on a turned gel, domes pressed from the side."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.model.embedding import rotate
+from taccel_lab.presses import PressEnv, PressPath, normal_frame, parse_indenter
+from taccel_lab.presses.press_frame import PressFrames
+from taccel_lab.presses.touch import gel_below_m
+from taccel_lab.solvers import SolverConfig
+from tests.support.coarse_pads import GEL, LINEAR, pad
+
+angles = st.floats(-1.0, 1.0)
+
+
+def unit(x: float, y: float, z: float) -> np.ndarray:
+    vector = np.array([x, y, z])
+    return vector / np.linalg.norm(vector)
+
+
+@example(x=0.0, y=1e-8, z=-0.5)
+@example(x=0.0, y=1e-170, z=-1.0)
+@example(x=1e-12, y=1e-9, z=-1.0)
+@example(x=0.0, y=0.0, z=-1.0)
+@given(x=angles, y=angles, z=st.floats(-1.0, 1.0))
+def test_normal_frame(x: float, y: float, z: float) -> None:
+    if math.hypot(x, y, z) < 0.1:
+        return
+    normal = unit(x, y, z)
+    pose = normal_frame(np.array([1e-3, -2e-3, 3e-3]), normal)
+    assert pose[:3].tolist() == [1e-3, -2e-3, 3e-3]
+    assert np.linalg.norm(pose[3:]) == pytest.approx(1)
+    assert rotate(pose[3:], np.array([0.0, 0.0, 1.0])) == pytest.approx(normal, abs=1e-9)
+    # The least turn leaves the axis across both where it is.
+    across = np.cross([0.0, 0.0, 1.0], normal)
+    assert rotate(pose[3:], across) == pytest.approx(across, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("point", "normal", "message"),
+    [
+        ([0, 0, np.nan], [0, 0, 1], "finite point and normal"),
+        ([0, 0, 0], [0, 0, 2], "unit length, got 2"),
+        ([0, 0], [0, 0, 1], "finite point and normal"),
+    ],
+)
+def test_bad_normals(point: list[float], normal: list[float], message: str) -> None:
+    with pytest.raises((InputError, ValueError), match=message):
+        normal_frame(np.array(point), np.array(normal))
+
+
+def test_bad_frames() -> None:
+    for frames, message in (
+        (np.zeros((1, 7)), "unit length"),
+        (np.zeros((2, 7)), r"shape \[1, 7\], got \(2, 7\)"),
+        (np.full((1, 7), np.nan), "finite"),
+    ):
+        with pytest.raises(InputError, match=message):
+            PressEnv(
+                pad(), GEL, parse_indenter("sphere:2"), np.zeros((1, 2)), gel_from_press=frames
+            )
+
+
+TIGHT = SolverConfig(relative_tolerance=1e-8)
+
+
+def pressed(mesh: TetMesh, indenter: str, at_mm: tuple[float, float], **frame: np.ndarray):
+    env = PressEnv(
+        mesh,
+        GEL,
+        parse_indenter(indenter),
+        np.array([at_mm]),
+        friction_coefficient=0.4,
+        physics=LINEAR,
+        config=TIGHT,
+        **frame,
+    )
+    env.follow(PressPath(0.3, (0.05, 0.02), 3.0, step_mm=0.3, step_deg=3.0))
+    return env
+
+
+@pytest.mark.parametrize("indenter", ["sphere:2", "edge:90x3"])
+def test_a_press_turns_with_its_frame(indenter: str) -> None:
+    straight = pressed(pad(), indenter, (0.4, -0.2))
+    frame = np.concatenate([[2e-3, -1e-3, 5e-3], [0.3, -0.5, 0.2, 0.0]])
+    frame[6] = math.sqrt(1 - (frame[3:6] ** 2).sum())
+    mesh = pad()
+    turned_mesh = TetMesh(
+        rotate(frame[3:], mesh.nodes_m) + frame[:3], mesh.tets, mesh.faces, mesh.face_regions
+    )
+    turned = pressed(turned_mesh, indenter, (0.4, -0.2), gel_from_press=frame[None])
+    assert turned.touch_m == pytest.approx(straight.touch_m, abs=1e-12)
+    assert turned.thickness_m == pytest.approx(straight.thickness_m, abs=1e-12)
+    force = straight.wrench[0, :3]
+    assert turned.press_force[0] == pytest.approx(force, abs=1e-5 * force[2])
+    assert turned.wrench[0, :3] == pytest.approx(rotate(frame[3:], force), abs=1e-5 * force[2])
+    expected = rotate(frame[3:], straight.positions[0]) + frame[:3]
+    assert turned.positions[0] == pytest.approx(expected, abs=1e-9)
+
+
+def test_the_identity_frame_changes_nothing() -> None:
+    plain = pressed(pad(), "sphere:2", (0.4, -0.2))
+    identity = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
+    framed = pressed(pad(), "sphere:2", (0.4, -0.2), gel_from_press=identity)
+    assert np.array_equal(plain.positions, framed.positions)
+    assert np.array_equal(plain.poses, framed.poses)
+
+
+def test_a_press_from_the_side_pushes_sideways() -> None:
+    """The wall of a block, which is contact face too here, pressed along its normal."""
+    block = block_mesh((6, 6, 4), (8e-3, 8e-3, 4e-3))
+    regions = np.where(block.face_regions == Region.SIDE, Region.CONTACT, block.face_regions)
+    mesh = TetMesh(block.nodes_m, block.tets, block.faces, regions)
+    frame = normal_frame(np.array([4e-3, 0.0, -2e-3]), np.array([1.0, 0.0, 0.0]))
+    env = PressEnv(
+        mesh, GEL, parse_indenter("sphere:2"), np.zeros((1, 2)), gel_from_press=frame[None]
+    )
+    assert env.poses[0, 0, 0] > 6e-3
+    env.move_to(0.3)
+    assert env.poses[0, 0, :3] == pytest.approx([5.7e-3 + env.setback_m[0], 0, -2e-3], abs=1e-9)
+    assert env.wrench[0, 0] > 0.01
+    assert abs(env.wrench[0, 2]) < 0.3 * env.wrench[0, 0]
+    assert env.press_force[0, 2] == pytest.approx(env.wrench[0, 0])
+
+
+def shell(inner_m: float, outer_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes of half a spherical shell, its outer faces and its inner ones."""
+    polar, turn = np.linspace(0.02, 1.5, 15), np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    a, b = np.meshgrid(polar, turn, indexing="ij")
+    sphere = np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)], -1).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(14), np.arange(40), indexing="ij")
+    k = (i * 40 + j).ravel()
+    n = (i * 40 + (j + 1) % 40).ravel()
+    faces = np.concatenate(
+        [np.stack([k, k + 40, n + 40], axis=1), np.stack([k, n + 40, n], axis=1)]
+    )
+    return np.concatenate([outer_m * sphere, inner_m * sphere]), faces, faces + 600
+
+
+@pytest.mark.parametrize("tilt_deg", [10.0, 45.0, 70.0])
+def test_the_gel_of_a_shell_is_its_thickness(tilt_deg: float) -> None:
+    nodes, outer, inner = shell(10e-3, 12.5e-3)
+    tilt = math.radians(tilt_deg)
+    normal = np.array([math.sin(tilt), 0.0, math.cos(tilt)])
+    frame = normal_frame(12.5e-3 * normal, normal)
+    seen = rotate(frame[3:] * [-1, -1, -1, 1], nodes - frame[:3])
+    assert gel_below_m(seen, outer, inner, np.zeros(2)) == pytest.approx(2.5e-3, rel=0.02)
+
+
+def test_gel_without_bond_below_goes_by_the_nearest() -> None:
+    nodes, outer, inner = shell(10e-3, 12.5e-3)
+    # Straight down near the rim the axis misses the inner sphere.
+    found = gel_below_m(nodes, outer, inner, np.array([12e-3, 0.0]))
+    assert 2.4e-3 < found < 2.7e-3
+
+
+def test_turns_by_rotation_vectors() -> None:
+    """A turn about z as an angle and as a vector is the same; a roll turns the body about its
+    origin, which stays."""
+    frames = PressFrames(None, 2)
+    place = np.array([[1e-3, 2e-3, 3e-3], [0.0, 0.0, 1e-3]])
+    angles = np.array([0.3, -1.2])
+    vectors = np.column_stack([np.zeros(2), np.zeros(2), angles])
+    assert frames.poses_in_gel(place, vectors) == pytest.approx(frames.poses_in_gel(place, angles))
+    rolled = frames.poses_in_gel(place, np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0]]))
+    assert rolled[:, :3].tolist() == place.tolist()
+    top = rotate(rolled[:, 3:], np.array([0.0, 0.0, 1.0]))
+    assert top[0] == pytest.approx([math.sin(0.5), 0.0, math.cos(0.5)])
+    assert top[1].tolist() == [0.0, 0.0, 1.0]
+
+
+def test_a_ball_that_rolls_keeps_its_force() -> None:
+    """Rolling on by radius times angle drags the gel along far less than sliding as far."""
+    env = PressEnv(
+        pad(), GEL, parse_indenter("sphere:2"), np.zeros((2, 2)), friction_coefficient=0.8,
+        physics=LINEAR,
+    )  # fmt: skip
+    env.move_to(0.2)
+    on_mm = 2.0 * math.radians(6.0)
+    turn = np.array([[0.0, 6.0, 0.0], [0.0, 0.0, 0.0]])
+    report = env.try_to(0.2, np.array([[on_mm, 0.0], [on_mm, 0.0]]), turn)
+    assert report.converged.all()
+    across = np.hypot(*env.press_force[:, :2].T)
+    assert across[0] < 0.2 * across[1]

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``simulate_press``: what is read at the end of a press agrees with itself."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista
+
+from taccel_lab.files.atomic_file import to_jsonable
+from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.geometry.vtu import write_mesh_vtu
+from taccel_lab.presses import (
+    Indenter,
+    PressMeshOptions,
+    PressOutcome,
+    PressPath,
+    PressStep,
+    parse_indenter,
+    simulate_press,
+)
+from taccel_lab.scene import Ball, Material, TriangleMesh
+from taccel_lab.signals.forces import resultant_wrench
+from tests.support.coarse_pads import COARSE, FINER, GEL, pad
+
+GRID = PixelGrid(64, 48, 0.1, 0.1)
+AT_MM = (0.5, -0.3)
+PATH = PressPath(0.5, (0.06, 0.0), 2.0, step_mm=0.25)
+
+
+def press(
+    indenter: str, friction: float = 0.5, options: PressMeshOptions = FINER
+) -> tuple[PressOutcome, list[tuple[int, int, PressStep]]]:
+    told: list[tuple[int, int, PressStep]] = []
+    outcome = simulate_press(
+        pad(AT_MM, 1.0, options),
+        GEL,
+        parse_indenter(indenter),
+        AT_MM,
+        PATH,
+        GRID,
+        friction_coefficient=friction,
+        progress=lambda *values: told.append(values),
+    )
+    return outcome, told
+
+
+@pytest.fixture(scope="module")
+def pressed() -> tuple[PressOutcome, list[tuple[int, int, PressStep]]]:
+    return press("sphere:2.0")
+
+
+@pytest.fixture(scope="module")
+def outcome(pressed: tuple[PressOutcome, list]) -> PressOutcome:
+    return pressed[0]
+
+
+def test_forces_add_up_to_the_wrench(outcome: PressOutcome) -> None:
+    on_gel = resultant_wrench(outcome.positions_m[None], outcome.contact_forces_n[None])[0]
+    wrench = outcome.steps[-1].wrench
+    assert wrench == pytest.approx(-on_gel, abs=1e-12)
+    assert outcome.contact_forces_n.sum(axis=0) == pytest.approx(-wrench[:3], abs=1e-12)
+    assert wrench[2] > 0 > wrench[0]
+    # Only nodes of the contact face are touched.
+    touched = np.flatnonzero(np.abs(outcome.contact_forces_n).max(axis=1) > 0)
+    assert 0 < len(touched)
+    assert np.isin(touched, outcome.mesh.region_nodes(Region.CONTACT)).all()
+    bonded = outcome.mesh.bonded_nodes()
+    assert np.array_equal(outcome.positions_m[bonded], outcome.mesh.nodes_m[bonded])
+
+
+def test_smallest_volume_ratio_is_that_of_curved_tets() -> None:
+    """Under the edges of a box the corners of tets alone tell another one."""
+    outcome = simulate_press(
+        block_mesh((10, 10, 5), (6e-3, 6e-3, 3e-3)),
+        Material(1e5, 0.49),
+        parse_indenter("box:2x2"),
+        (0.0, 0.0),
+        PressPath(0.6, step_mm=0.2),
+        GRID,
+        friction_coefficient=0.0,
+    )
+    mesh = outcome.mesh
+    assert isinstance(mesh, QuadraticMesh)
+    corners = outcome.positions_m[mesh.tets[:, :4]]
+    volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    assert abs((volumes / mesh.base.volumes_m3()).min() - outcome.smallest_volume_ratio) > 0.1
+    assert outcome.smallest_volume_ratio == pytest.approx(sampled_ratio(mesh, outcome), abs=5e-3)
+
+
+def sampled_ratio(mesh: QuadraticMesh, outcome: PressOutcome, order: int = 8) -> float:
+    """Smallest det of the slope of the ten shape functions, over a lattice in every tet."""
+    at = np.array([p for p in np.ndindex(*4 * [order + 1]) if sum(p) == order]) / order
+    rest = mesh.base.nodes_m[mesh.base.tets]
+    slopes = np.linalg.inv(np.concatenate([rest, np.ones((*rest.shape[:2], 1))], axis=2))
+    b = slopes[:, :3]
+    x = outcome.positions_m[mesh.tets]
+    ends = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
+    smallest = np.inf
+    for point in at:
+        by_corner = np.zeros((10, 4))
+        by_corner[range(4), range(4)] = 4 * point - 1
+        for k, (i, j) in enumerate(ends):
+            by_corner[4 + k, i], by_corner[4 + k, j] = 4 * point[j], 4 * point[i]
+        f = np.einsum("tak,ac,tdc->tkd", x, by_corner, b)
+        smallest = min(smallest, float(np.linalg.det(f).min()))
+    return smallest
+
+
+def test_surface_wraps_the_ball(outcome: PressOutcome) -> None:
+    ball = parse_indenter("sphere:2.0").shape
+    assert isinstance(ball, Ball)
+    x, y = np.meshgrid(GRID.x_mm() * 1e-3, GRID.y_mm() * 1e-3)
+    points = np.stack([x, y, outcome.height_m], axis=-1) - outcome.indenter_pose[:3]
+    distance = np.linalg.norm(points, axis=-1) - ball.radius_m
+    inside = outcome.contact_mask
+    assert inside.any() and not inside.all()
+    # Nothing pokes through the ball; where they touch, the gap is at most dhat.
+    assert np.nanmin(distance) > -1e-6
+    assert distance[inside].max() < 2.5e-5
+    assert np.nanmin(distance[~inside]) > 0
+    # The normal of the gel in contact is the ball's; at its rim, where the last pixel in contact
+    # meets the first beside it, 4.6 degrees were measured.
+    outward = -points / np.linalg.norm(points, axis=-1, keepdims=True)
+    cosine = (outward * outcome.normals).sum(axis=-1)[inside]
+    assert np.quantile(cosine, 0.05) > np.cos(np.radians(3))
+    assert cosine.min() > np.cos(np.radians(6))
+    area = inside.sum() * (GRID.mm_per_px_x * 1e-3) ** 2
+    assert outcome.contact_radius_m == pytest.approx(np.sqrt(area / np.pi), rel=0.1)
+    # Between Hertz on a half-space and the cap that the depth cuts off.
+    assert 0.9e-3 < outcome.contact_radius_m < 1.33e-3
+
+
+def test_rest_surface_is_the_dome(outcome: PressOutcome) -> None:
+    x, y = np.meshgrid(GRID.x_mm() * 1e-3, GRID.y_mm() * 1e-3)
+    dome = np.sqrt(50e-3**2 - x**2 - y**2) - 50e-3
+    # Facets of edge h dip by h^2 / 8 R: 20 um where this coarse mesh is coarsest.
+    assert outcome.rest_height_m == pytest.approx(dome, abs=2e-5)
+    near = np.hypot(x - AT_MM[0] * 1e-3, y - AT_MM[1] * 1e-3) < 1.5e-3
+    assert outcome.rest_height_m[near] == pytest.approx(dome[near], abs=1e-6)
+    assert np.linalg.norm(outcome.rest_normals, axis=-1) == pytest.approx(np.ones(x.shape))
+    assert np.linalg.norm(outcome.normals, axis=-1) == pytest.approx(np.ones(x.shape))
+    sunk = outcome.height_m - outcome.rest_height_m
+    v, u = np.unravel_index(np.argmin(sunk), sunk.shape)
+    assert [GRID.x_mm()[u], GRID.y_mm()[v]] == pytest.approx([0.56, -0.3], abs=0.15)
+    assert sunk.min() == pytest.approx(-0.5e-3, abs=3e-5)
+
+
+def test_figures_progress_and_pose(
+    pressed: tuple[PressOutcome, list[tuple[int, int, PressStep]]],
+) -> None:
+    outcome, told = pressed
+    assert [t[:2] for t in told] == [(1, 3), (2, 3), (3, 3)]
+    assert [t[2] for t in told] == outcome.steps
+    waypoints = [(s.depth_mm, s.shear_mm, s.twist_deg) for s in outcome.steps]
+    assert waypoints == PATH.waypoints()
+    pose = outcome.indenter_pose
+    assert pose[:2] == pytest.approx([0.56e-3, -0.3e-3])
+    touch = np.sqrt(52e-3**2 - (np.array(AT_MM) ** 2).sum() * 1e-6) - 50e-3
+    assert pose[2] == pytest.approx(touch - 0.5e-3 + outcome.setback_m, abs=1e-6)
+    assert 0 < outcome.setback_m < outcome.physics.dhat_m
+    assert pose[3:] == pytest.approx([0, 0, np.sin(np.pi / 180), np.cos(np.pi / 180)])
+    figures = outcome.figures()
+    reports = [step.report for step in outcome.steps]
+    assert figures["force_n"] == outcome.steps[-1].wrench[2]
+    assert figures["residual_n"] <= 1e-4 * figures["contact_force_sum_n"]
+    assert figures["newton_iterations"] == sum(int(r.newton_iterations[0]) for r in reports)
+    assert figures["seconds_per_step"] == pytest.approx(np.mean([r.seconds for r in reports]))
+    assert figures["min_distance_m"] == min(float(r.min_distance_m[0]) for r in reports) > 0
+    assert figures["step_count"] == len(figures["steps"]) == 3
+    assert [step["depth_mm"] for step in figures["steps"]] == [0.25, 0.5, 0.5]
+    forces = [step["force_n"][2] for step in figures["steps"]]
+    assert 0 < forces[0] < forces[1]
+    json.dumps(to_jsonable(figures), allow_nan=False)
+
+
+def test_flat_indenter_leaves_a_flat_floor() -> None:
+    outcome, _ = press("cylinder:1.0", friction=0.0, options=COARSE)
+    x, y = np.meshgrid(GRID.x_mm() * 1e-3, GRID.y_mm() * 1e-3)
+    away = np.hypot(x - outcome.indenter_pose[0], y - outcome.indenter_pose[1])
+    end = outcome.indenter_pose[2] - 2e-3
+    floor = outcome.height_m[away < 0.8e-3]
+    assert (floor < end).all()
+    assert floor.max() == pytest.approx(end, abs=2.5e-5)
+    assert outcome.contact_mask[away < 0.8e-3].mean() > 0.9
+    assert not outcome.contact_mask[away > 1.2e-3].any()
+
+
+def test_a_flange_far_above_the_gel_does_not_show() -> None:
+    """A stamp on a plate, 10 mm above its face, is the stamp alone."""
+    corners = 0.5e-3 * np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
+    sizes = ((3, 0.0), (3, 10e-3), (16, 10e-3), (16, 12e-3))
+    rings = [np.column_stack([size * corners, np.full(4, z)]) for size, z in sizes]
+    faces = [[0, 2, 1], [0, 3, 2], [12, 13, 14], [12, 14, 15]]
+    for low in (0, 4, 8):
+        for k in range(4):
+            a, b = low + k, low + (k + 1) % 4
+            faces += [[a, b, b + 4], [a, b + 4, a + 4]]
+    plate = Indenter("plate", TriangleMesh(np.concatenate(rings), np.array(faces)))
+    found = [
+        simulate_press(
+            pad(AT_MM, 1.5, COARSE),
+            GEL,
+            tool,
+            AT_MM,
+            PressPath(0.2),
+            GRID,
+            friction_coefficient=0.0,
+        )
+        for tool in (plate, parse_indenter("box:3x3"))
+    ]
+    # Pixels at the rim are in contact by a pressure above zero after ten iterations: two of 890
+    # differ between surfaces whose triangles differ.
+    one, other = (int(press.contact_mask.sum()) for press in found)
+    assert abs(one - other) <= 4 and other > 500
+    apart = np.abs(found[0].height_m - found[1].height_m)
+    assert apart.max() < 5e-6 and (apart > 1e-6).sum() <= 4
+
+
+def test_quadratic_gel(tmp_path: Path) -> None:
+    """The same on a coarser mesh of quadratic tets: all nodes are read and written."""
+    base = pad(AT_MM, 1.0)
+    outcome = simulate_press(
+        base,
+        GEL,
+        parse_indenter("sphere:2.0"),
+        AT_MM,
+        PressPath(0.4, step_mm=0.4),
+        GRID,
+        friction_coefficient=0.0,
+    )
+    assert isinstance(outcome.mesh, QuadraticMesh)
+    assert len(outcome.positions_m) == outcome.mesh.node_count > base.node_count
+    on_gel = resultant_wrench(outcome.positions_m[None], outcome.contact_forces_n[None])[0]
+    assert outcome.steps[-1].wrench == pytest.approx(-on_gel, abs=1e-12)
+    # Middles of edges carry force too, and show in the height map.
+    assert np.abs(outcome.contact_forces_n[base.node_count :]).max() > 0
+    assert np.nanmin(outcome.height_m) == pytest.approx(-0.4e-3, abs=3e-5)
+    assert outcome.contact_mask.sum() > 50
+    write_mesh_vtu(tmp_path / "gel.vtu", outcome.mesh, positions_m=outcome.positions_m)
+    back = pyvista.read(tmp_path / "gel.vtu")
+    np.testing.assert_array_equal(back.points, outcome.positions_m)
+    np.testing.assert_array_equal(back.cells_dict[5], outcome.mesh.faces)
+    np.testing.assert_array_equal(back.cells_dict[10], base.tets)

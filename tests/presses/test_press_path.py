@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Paths of a press: where they end, how long steps are; how deep a press goes for a force."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.presses import PressOutcome, PressPath, PressStep, press_to_force
+from taccel_lab.presses.press_force import by_power_law
+
+lengths = st.floats(-5, 5)
+
+
+@given(
+    depth=st.floats(1e-3, 5),
+    shear=st.tuples(lengths, lengths),
+    twist=st.floats(-90, 90),
+    step_mm=st.floats(0.02, 3),
+    step_deg=st.floats(0.1, 30),
+)
+def test_waypoints(
+    depth: float, shear: tuple[float, float], twist: float, step_mm: float, step_deg: float
+) -> None:
+    path = PressPath(depth, shear, twist, step_mm, step_deg).waypoints()
+    assert path[-1] == (depth, shear, twist)
+    previous = (0.0, (0.0, 0.0), 0.0)
+    for point in path:
+        # First straight down, then sideways and round at full depth.
+        assert point[0] == depth or (point[1], point[2]) == ((0.0, 0.0), 0.0)
+        assert 0 <= point[0] - previous[0] <= step_mm * (1 + 1e-6)
+        assert math.dist(point[1], previous[1]) <= step_mm * (1 + 1e-6)
+        assert abs(point[2] - previous[2]) <= step_deg * (1 + 1e-6)
+        previous = point
+    # No step more than needed: one fewer would make them too long.
+    down = sum(point[1] == (0.0, 0.0) and point[2] == 0.0 for point in path)
+    assert down <= max(1, math.ceil(depth / step_mm))
+    side = max(math.hypot(*shear) / step_mm, abs(twist) / step_deg)
+    assert len(path) <= max(1, math.ceil(depth / step_mm)) + math.ceil(side)
+
+
+def test_even_steps_are_not_split_by_rounding() -> None:
+    assert len(PressPath(0.6, step_mm=0.2).waypoints()) == 3
+    assert len(PressPath(0.2, (0.3, 0.0), step_mm=0.1).waypoints()) == 5
+
+
+def test_motion_is_even() -> None:
+    path = PressPath(0.5, (0.3, -0.4), -6.0, step_mm=0.25, step_deg=2.0).waypoints()
+    assert [p[0] for p in path] == [0.25, 0.5, 0.5, 0.5, 0.5]
+    assert [p[2] for p in path] == [0.0, 0.0, -2.0, -4.0, -6.0]
+    for a, b in itertools.pairwise(path[1:]):
+        assert b[1][0] - a[1][0] == pytest.approx(0.1)
+        assert b[1][1] - a[1][1] == pytest.approx(-0.4 / 3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"depth_mm": 0.0}, "depth must be above 0 mm, got 0 mm"),
+        ({"depth_mm": -0.5}, "depth must be above 0 mm, got -0.5 mm"),
+        ({"depth_mm": 101.0}, "depth must be at most 100 mm, got 101 mm"),
+        ({"depth_mm": math.nan}, "must be finite"),
+        ({"depth_mm": math.inf}, "must be finite"),
+        ({"shear_mm": (math.nan, 0.0)}, "must be finite"),
+        ({"shear_mm": (0.0, -21.0)}, r"shear must lie within \+-20 mm"),
+        ({"twist_deg": math.inf}, "must be finite"),
+        ({"twist_deg": -181.0}, r"twist must lie within \+-180 deg, got -181"),
+        ({"step_mm": 0.0}, "step_mm and step_deg must be above 0, got 0 and 2"),
+        ({"step_deg": -1.0}, "step_mm and step_deg must be above 0, got 0.2 and -1"),
+        ({"step_mm": math.nan}, "must be finite"),
+        ({"step_mm": 1e-9}, "step_mm 1e-09 .* more than 10000 steps"),
+        ({"twist_deg": 90.0, "step_deg": 1e-4}, "step_deg 0.0001 make more than 10000 steps"),
+    ],
+)
+def test_refused(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        PressPath(**{"depth_mm": 0.5, **changes})  # type: ignore[arg-type]
+
+
+@given(depth=st.floats(0.1, 2), shear=lengths, twist=st.floats(-20, 20))
+def test_the_way_back_is_the_way_there(depth: float, shear: float, twist: float) -> None:
+    there = PressPath(depth, (shear, 0.0), twist, 0.3, 5.0).waypoints()
+    loop = PressPath(depth, (shear, 0.0), twist, 0.3, 5.0, back=True).waypoints()
+    assert loop[: len(there)] == there
+    assert loop[len(there) :] == [*reversed(there[:-1]), (0.0, (0.0, 0.0), 0.0)]
+
+
+@dataclasses.dataclass
+class FormulaGel:
+    """A gel that feels ``law(depth)`` and breaks beyond a depth."""
+
+    law: Callable[[float], float]
+    breaks_mm: float = np.inf
+    depths: list[float] = dataclasses.field(default_factory=list)
+
+    def press(self, depth_mm: float, told: Callable[[int, int, PressStep], None]) -> PressOutcome:
+        self.depths.append(depth_mm)
+        path = PressPath(depth_mm, (0.1, 0.0))
+        waypoints = path.waypoints()
+        for i, (depth, shear, twist) in enumerate(waypoints):
+            if depth > self.breaks_mm:
+                raise SimulationError(f"did not converge at {depth:.3g} mm")
+            # Sideways the force is another one, which must not count.
+            force = self.law(depth) * (0.5 if any(shear) else 1.0)
+            wrench = np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])
+            told(i + 1, len(waypoints), PressStep(depth, shear, twist, wrench, cast("Any", None)))
+        return cast("PressOutcome", path)
+
+
+@given(
+    st.floats(0.05, 50), st.floats(0.9, 2.1), st.floats(0.0, 3.0), st.floats(0.02, 2.9)
+)  # fmt: skip
+def test_the_depth_of_a_hardening_gel_is_found(
+    stiffness: float, power: float, hardening: float, depth_mm: float
+) -> None:
+    def law(depth: float) -> float:
+        return stiffness * depth**power * (1 + hardening * depth**2)
+
+    gel = FormulaGel(law)
+    outcome = press_to_force(law(depth_mm), gel.press, 3.0)
+    found = cast("PressPath", outcome).depth_mm
+    assert law(found) == pytest.approx(law(depth_mm), rel=0.01)
+    assert found == gel.depths[-1] <= 3.0
+    assert len(gel.depths) <= 9
+
+
+def test_a_good_first_depth_needs_one_press() -> None:
+    gel = FormulaGel(lambda depth: 2 * depth**1.5)
+    press_to_force(2.0, gel.press, 3.0, first_mm=1.001)
+    assert gel.depths == [1.001]
+
+
+def test_what_cannot_be_reached_is_said() -> None:
+    gel = FormulaGel(lambda depth: 2 * depth**1.5)
+    with pytest.raises(InputError, match=r"100 N is not reached.* 3 mm, ends at 10.4 N"):
+        press_to_force(100.0, gel.press, 3.0)
+    assert gel.depths[-1] == 3.0
+    with pytest.raises(SimulationError, match=r"9 N was not reached: did not converge at 2\.\d"):
+        press_to_force(9.0, FormulaGel(lambda depth: 2 * depth**1.5, 2.0).press, 3.0)
+    for force in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="must be above 0 N"):
+            press_to_force(force, gel.press, 3.0)
+
+
+def test_a_guess_that_breaks_the_gel_is_taken_back() -> None:
+    """The first press goes too deep; it had passed the force by then."""
+    gel = FormulaGel(lambda depth: 2 * depth**1.5, breaks_mm=1.5)
+    press_to_force(2.0, gel.press, 3.0, first_mm=2.5)
+    assert gel.depths == pytest.approx([2.5, 1.0], rel=1e-3)
+
+
+def test_power_laws_are_exact_between_and_beside_steps() -> None:
+    force = np.array([1.0, 3.0, 7.0])
+    for load in (0.2, 1.0, 2.0, 6.5, 12.0):
+        assert by_power_law(force, 4 * force**0.6, load) == pytest.approx(4 * load**0.6)
