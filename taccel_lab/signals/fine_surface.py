@@ -36,9 +36,14 @@ from taccel_lab.scene import SoftBody
 from taccel_lab.signals.contact_fields import ContactFields
 from taccel_lab.signals.deformed_face import DeformedFace
 from taccel_lab.signals.hanging_corners import HangingCorners
-from taccel_lab.signals.layer_contact import NOWHERE_M, array_library, layer_compliance, solve_contact
+from taccel_lab.signals.layer_contact import (
+    NOWHERE_M,
+    array_library,
+    layer_compliance,
+    solve_contact,
+)
 from taccel_lab.signals.object_heights import ObjectHeights, is_ball
-from taccel_lab.signals.rest_surface import RestCorrection, RestSurface
+from taccel_lab.signals.rest_surface import RestSurface
 from taccel_lab.signals.surface_sampler import SurfaceSampler
 from taccel_lab.signals.texture import Texture
 from taccel_lab.solvers.solver_ipc import SolverIPC
@@ -61,6 +66,7 @@ def _pixels_kernel(
     points: int,
     sample_m: wp.vec2f,
     corrections: wp.array3d(dtype=wp.vec3f),
+    beside: wp.array2d(dtype=wp.vec3f),
     envs: wp.array(dtype=wp.int32),
     # Out
     samples: wp.array3d(dtype=wp.vec3f),
@@ -69,7 +75,8 @@ def _pixels_kernel(
     counts: wp.array(dtype=wp.int32),
 ):
     """Mean height, slope of the mean normal, mean pressure of each pixel's samples: slopes of the
-    object where it touches, those of the heights elsewhere. ``counts`` by environment."""
+    object where it touches, those of the heights elsewhere, those of ``beside``, where it has any,
+    in pixels that the face of the mesh does not fill. ``counts`` by environment."""
     env, v, u = wp.tid()
     rows = heights.shape[1]
     columns = heights.shape[2]
@@ -106,8 +113,16 @@ def _pixels_kernel(
     if count > 0:
         sample = wp.vec3f(-normal[0] / normal[2], -normal[1] / normal[2], total / float(count))
     touches = 2 * carrying >= points * points
+    whole = count == points * points
     if corrections.shape[0] > 0 and not touches:
-        sample += corrections[envs[env], v, u]
+        correction = corrections[envs[env], v, u]
+        if not wp.isnan(correction[2]):
+            sample += correction
+        else:
+            whole = False
+    if beside.shape[0] > 0 and not (whole or touches):
+        if not wp.isnan(beside[v, u][2]):
+            sample = beside[v, u]
     samples[env, v, u] = sample
     pressure[env, v, u] = load / float(points * points)
     touched[env, v, u] = touches
@@ -144,7 +159,7 @@ class FineSurface:
             texture: What stands out of the body's surface, which is its mean; the body must be
                 kinematic. The solver does not know of it.
             designed_rest: The gel's contact face on those pixels where its mesh draws it more
-                coarsely, see ``RestCorrection``.
+                coarsely, see ``RestSurface.left_out_by``.
             points: A pixel is the mean over ``points`` x ``points`` samples; as many as lie
                 ``SAMPLE_MM`` apart (``BALL_SAMPLE_MM``) when None.
             env_count: Most environments of one call; when None all of the model, as far as they
@@ -205,6 +220,7 @@ class FineSurface:
         self._gaps: Any = None
         self._no_slopes = wp.full(over, wp.vec2f(wp.nan), dtype=wp.vec2f, device=device)
         self._corrections = wp.empty((0, 0, 0), dtype=wp.vec3f, device=device)
+        self._beside = wp.empty((0, 0), dtype=wp.vec3f, device=device)
         meshed = self._rest_of(at_rest, 0)
         self.rest_samples = wp.array(meshed, dtype=wp.vec3f, device=device)
         """Samples of the undeformed gel, vec3f, shape [height_px, width_px]."""
@@ -212,9 +228,12 @@ class FineSurface:
             designed = designed_rest.samples()
             self.rest_samples = wp.array(designed, dtype=wp.vec3f, device=device)
             if not designed_rest.is_flat:
+                # Far from a contact chords of the mesh cut the border of a dome's face.
+                whole = np.where(designed_rest.covered[..., None], designed, np.nan)
+                self._beside = wp.array(whole, dtype=wp.vec3f, device=device)
                 corrections = np.stack([
-                    RestCorrection.of(designed_rest, found[..., 2], found[..., :2]).samples()
-                    for found in (self._rest_of(at_rest, env) for env in range(model.env_count))
+                    designed_rest.left_out_by(self._rest_of(at_rest, env))
+                    for env in range(model.env_count)
                 ])  # fmt: skip
                 self._corrections = wp.array(corrections, dtype=wp.vec3f, device=device)
 
@@ -284,21 +303,23 @@ class FineSurface:
                 smooth_m=None if self._texture is None else lowered(smooth),
             )
             height = xp.where(known, height, xp.nan)
-        return self._to_pixels(height, found, slopes, self._corrections, envs)
+        given = self._corrections, self._beside
+        return self._to_pixels(height, found, slopes, *given, envs)
 
     def _rest_of(self, at_rest: wp.array, env: int) -> np.ndarray:
         """Samples of the gel's mesh at rest in one environment, [height_px, width_px, 3]."""
         envs = wp.array([env], dtype=wp.int32, device=self._device)
         no_frames = wp.empty(0, dtype=wp.transformd, device=self._device)
         height = shared(self._gel.sample(at_rest, no_frames, envs))[..., 2]
-        none = wp.empty((0, 0, 0), dtype=wp.vec3f, device=self._device)
-        found = self._to_pixels(height, height * 0, self._no_slopes[:1], none, envs)
+        none = (wp.empty((0,) * n, dtype=wp.vec3f, device=self._device) for n in (3, 2))
+        found = self._to_pixels(height, height * 0, self._no_slopes[:1], *none, envs)
         self._counts.zero_()
         return found[0].numpy()[0].copy()
 
     def _to_pixels(
-        self, height: Any, pressure: Any, slopes: wp.array, corrections: wp.array, envs: wp.array
-    ) -> tuple[wp.array, ...]:
+        self, height: Any, pressure: Any, slopes: wp.array, corrections: wp.array,
+        beside: wp.array, envs: wp.array,
+    ) -> tuple[wp.array, ...]:  # fmt: skip
         """What pixels show of samples; heights and pressures are of float32, as ``shared``."""
         grid = self.grid
         sizes = 1e-3 / self.points * np.array([grid.mm_per_px_x, grid.mm_per_px_y])
@@ -307,7 +328,7 @@ class FineSurface:
         wp.launch(
             _pixels_kernel,
             dim=outputs[0].shape,
-            inputs=[*surface, self.points, wp.vec2f(*sizes), corrections, envs],
+            inputs=[*surface, self.points, wp.vec2f(*sizes), corrections, beside, envs],
             outputs=[*outputs, self._counts],
             device=self._device,
         )

@@ -123,9 +123,7 @@ def array_library(array: Any) -> Any:
     return np if isinstance(array, np.ndarray) else sys.modules["torch"]
 
 
-def _least(
-    xp: Any, moved: Callable[[Any], Any], open_m: Any, p: Any, iterations: int
-) -> Any:
+def _least(xp: Any, moved: Callable[[Any], Any], open_m: Any, p: Any, iterations: int) -> Any:
     """Pressures not below zero of the least 1/2 p.Kp + p.open, by projected conjugate gradients."""
     way = xp.zeros_like(p)
     before = xp.ones_like(p[:, :1, :1])
