@@ -47,12 +47,14 @@ class Learning(Suite):
     """Numbers of environments, a row each."""
     steps: int = 100
     """Timed steps."""
-    warm_up: int = 100
-    """Steps before, in which each environment is put into a phase of its own."""
+    warm_up: int = 0
+    """Steps before, in which each environment gets a phase of its own; 0: as many as the motion
+    has, so that the phases of the timed steps are uniform over it."""
     repeats: int = 1
     """Timed runs, one going on where the other ended; the median counts."""
-    reset_share: float = 0.01
-    """Part of the environments that begin anew at a step, besides those that are through."""
+    reset_share: float = 0.0
+    """Part of the environments that begin anew at a step, besides those that are through. More
+    than 0 favours the begin of the motion."""
     offset_mm: float = 0.1
     """Targets of moving bodies are off by up to this along each axis, anew at every step; starts
     are not."""
@@ -74,7 +76,7 @@ class Learning(Suite):
     def settings(self) -> dict[str, Any]:
         return {
             "steps": self.steps,
-            "warm_up_steps": self.warm_up,
+            "warm_up_steps": self.warm_up or "the motion's",
             "repeats": self.repeats,
             "reset_share": self.reset_share,
             "offset_mm": self.offset_mm,
@@ -89,8 +91,8 @@ class Learning(Suite):
         """Few environments before many."""
         if self.scene not in SCENES:
             raise InputError(f"scene must be of {', '.join(SCENES)}; got {self.scene!r}")
-        if min(self.steps, self.warm_up, self.repeats, *self.envs) < 1:
-            raise InputError("--envs, --steps, --warm-up and --repeats must be at least 1")
+        if min(self.steps, self.repeats, *self.envs) < 1 or self.warm_up < 0:
+            raise InputError("--envs, --steps and --repeats must be at least 1, --warm-up 0")
         if not set(self.pace) <= {"together", "own"}:
             raise InputError(f"--pace must be together or own, got {' '.join(self.pace)}")
         if not set(self.observe) <= set(OBSERVED) or len(set(self.observe)) < len(self.observe):
@@ -101,6 +103,34 @@ class Learning(Suite):
             for pace in self.pace:
                 row = partial(measure, count, pace, self)
                 result.measure(f"{self.scene}, {count}, {pace}", row, describe)
+
+
+class Phases:
+    """Where in the motion each environment stands, and which begin anew."""
+
+    def __init__(
+        self, count: int, steps: int, warm_up: int, reset_share: float, random: np.random.Generator
+    ) -> None:
+        self.steps = steps
+        """Of the motion."""
+        self.warm_up = warm_up or steps
+        """Steps after which each environment has begun anew once, at a step of its own."""
+        self.now = np.zeros(count, dtype=np.int64)
+        """Steps of the motion that each environment has begun."""
+        self._taken = np.zeros(count, dtype=np.int64)
+        self._first_reset = random.integers(0, self.warm_up, count)
+        self._reset_share = reset_share
+        self._random = random
+
+    def begin(self, ready: np.ndarray) -> np.ndarray:
+        """Those of the ready environments that begin anew; the others go on. bool, [count]."""
+        anew = self._random.random(len(ready)) < self._reset_share
+        anew |= (self.now == self.steps) | (self._first_reset == self._taken)
+        anew &= ready
+        self.now[anew] = 0
+        self.now[ready] += 1
+        self._taken[ready] += 1
+        return anew
 
 
 class LearningLoop:
@@ -116,11 +146,15 @@ class LearningLoop:
         self.observer = Observer(self.solver, options.observe) if options.observe else None
         self._clock = clock_of(self.model.device)
         self._random = np.random.default_rng(options.seed)
-        self._phase = np.zeros(self.model.env_count, dtype=np.int64)
         self._moves = (np.ptp(bench.path, axis=0) > 0).any(axis=1)
         """Bodies whose targets are off, bool, [kinematic_count]."""
-        self._first_reset = self._random.integers(0, options.warm_up, self.model.env_count)
-        self._taken = np.zeros(self.model.env_count, dtype=np.int64)
+        self.phases = Phases(
+            self.model.env_count,
+            bench.steps,
+            options.warm_up,
+            options.reset_share,
+            self._random,
+        )
         self._ready = np.ones(self.model.env_count, dtype=bool)
         """Environments that are to begin a step."""
         self._own_pace = None
@@ -128,25 +162,16 @@ class LearningLoop:
             self._own_pace = ReadySteps(self.solver, self.state, options.iterations)
         self.resets = 0
         """Environments begun anew so far."""
+        self.places: list[np.ndarray] = []
+        """Of the steps that ended, as shares of the motion in (0, 1], call by call."""
 
     def _targets(self) -> np.ndarray:
         """Of the phases, with offsets, [env_count, kinematic_count, 7]."""
-        targets = self._bench.path[self._phase].copy()
+        targets = self._bench.path[self.phases.now].copy()
         shape = (len(targets), int(self._moves.sum()), 3)
         reach = 1e-3 * self._options.offset_mm
         targets[:, self._moves, :3] += self._random.uniform(-reach, reach, shape)
         return targets
-
-    def _begin(self, ready: np.ndarray) -> np.ndarray:
-        """Of the environments that are ready, those that begin anew; the others go on in phase."""
-        draw = self._random.random(self.model.env_count)
-        begin = draw < self._options.reset_share
-        begin |= (self._phase == self._bench.steps) | (self._first_reset == self._taken)
-        begin &= ready
-        self._phase[begin] = 0
-        self._phase[ready] += 1
-        self._taken[ready] += 1
-        return begin
 
     def run(self, steps: int, progress: Progress = silent) -> Motion:
         """So many steps of each environment (in the mean, at their own pace) from where the loop
@@ -157,7 +182,7 @@ class LearningLoop:
         while motion.env_steps < wanted:
             # What a policy would decide is not the solver's time.
             ready = self._ready.copy()
-            begin = self._begin(ready)
+            begin = self.phases.begin(ready)
             targets = self._targets()
             started = self._clock()
             if begin.any():
@@ -170,6 +195,7 @@ class LearningLoop:
             if self.observer is not None:
                 self.observer.observe(self.state, None if self._own_pace is None else self._ready)
             motion.add(report, self._clock() - started, after - before)
+            self.places.append(self.phases.now[self._ready] / self.phases.steps)
             self.resets += int(begin.sum())
             progress("steps", motion.env_steps // self.model.env_count, steps)
         return motion
@@ -194,7 +220,8 @@ def measure(count: int, pace: str, options: Learning) -> dict[str, Any]:
     with MemoryMeter(options.device) as meter:
         loop = LearningLoop(bench, options, pace)
         label = f"{options.scene}, {count} environments"
-        loop.run(options.warm_up, Ticker(f"{label}, warming up"))
+        loop.run(loop.phases.warm_up, Ticker(f"{label}, warming up"))
+        loop.places.clear()
         before = loop.resets
         loop.take_sight()
         runs, sights = [], []
@@ -208,6 +235,7 @@ def measure(count: int, pace: str, options: Learning) -> dict[str, Any]:
     observed = None
     if loop.observer is not None:
         observed = loop.observer.figures(sight, median.env_steps, sum(median.seconds))
+    thirds = np.histogram(np.concatenate(loop.places), bins=3, range=(0, 1))[0]
     residuals = [run.residual() for run in runs]
     # Of environments at their own pace a call is less than a step.
     calls = [len(run.seconds) / options.steps for run in runs]
@@ -226,6 +254,9 @@ def measure(count: int, pace: str, options: Learning) -> dict[str, Any]:
         "calls_per_step": float(np.mean(calls)),
         "beside_steps_ms": 1e3 * beside_s / options.steps,
         "worst_call_ms": 1e3 * max(median.seconds),
+        "warm_up_steps": loop.phases.warm_up,
+        "motion_steps": bench.steps,
+        "phase_thirds": (thirds / thirds.sum()).tolist(),
         "resets_per_step": (loop.resets - before) / (options.steps * options.repeats),
         "residual": max(residuals, key=lambda r: (r["unconverged"], r["worst_over_allowed"])),
         **median.work(),
@@ -243,7 +274,8 @@ def describe(row: dict[str, Any]) -> str:
         f"{row['fps']['median']:,.1f} FPS, "
         f"{row['ms_per_step']['median']:.2f} ms a step ({row['beside_steps_ms']:.2f} of it "
         f"{row['resets_per_step']:.1f} resets and reading forces), "
-        f"Newton {row['newton_mean']:.1f}, largest of the batch {row['newton_largest_mean']:.1f}, "
+        f"Newton {row['newton_mean']:.1f}, 99.9 % of the steps within {row['newton_p999']:.0f}, "
+        f"largest of the batch {row['newton_largest_mean']:.1f}, "
         f"residual {residual['worst_over_contact_force']:.1e} of the contact force"
     )
     if observed := row["observed"]:

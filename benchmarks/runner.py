@@ -67,6 +67,8 @@ class Motion:
     halved: int = 0
     """Steps of environments that were taken in parts."""
     causes: dict[str, int] = field(default_factory=dict)
+    iterations: list[np.ndarray] = field(default_factory=list)
+    """Newton iterations of each finished step, int, [step of an environment]."""
     forces_n: list[np.ndarray] = field(default_factory=list)
     """Force on each soft body, [env, body, 3]."""
 
@@ -90,6 +92,7 @@ class Motion:
         self.counts.append(len(report.status))
         self.newton.append(float(report.newton_iterations.mean()))
         self.newton_max.append(int(report.newton_iterations.max()))
+        self.iterations.append(np.asarray(report.newton_iterations).copy())
         self.cg.append(float(report.cg_iterations.mean()))
         self.lags.append(float(report.friction_lags.mean()))
         self.searches.append(float(report.searches.mean()))
@@ -131,8 +134,13 @@ class Motion:
         def mean(values: list[float]) -> float:
             return float(np.average(values, weights=self.counts))
 
+        median, p90, p99, p999 = np.percentile(np.concatenate(self.iterations), [50, 90, 99, 99.9])
         return {
             "newton_mean": mean(self.newton),
+            "newton_median": float(median),
+            "newton_p90": float(p90),
+            "newton_p99": float(p99),
+            "newton_p999": float(p999),
             "newton_worst": max(self.newton_max),
             "cg_mean": mean(self.cg),
             "friction_lags_mean": mean(self.lags),

@@ -44,9 +44,25 @@ def test_a_learning_row(pace: str) -> None:
     assert row["newton_largest_mean"] >= row["newton_mean"]
     assert row["ms_per_step"]["median"] > row["beside_steps_ms"] > 0
     assert row["observed"] is None
+    assert row["newton_median"] <= row["newton_p99"] <= row["newton_p999"] <= row["newton_worst"]
     text = text_of(row)
     assert "largest of those through at once" in text and f"| 3 | {pace} |" in text
     assert "observed" not in text
+
+
+def test_by_default_phases_are_uniform_over_the_motion() -> None:
+    """A window of a motion's easy part is twice as fast as the whole."""
+    default = learning.Learning()
+    phases = learning.Phases(
+        2_000, 80, default.warm_up, default.reset_share, np.random.default_rng(0)
+    )
+    ready = np.ones(2_000, dtype=bool)
+    for _ in range(phases.warm_up):
+        phases.begin(ready)
+    for _ in range(100):
+        share = np.histogram(phases.now, bins=4, range=(1, 80))[0] / 2_000
+        np.testing.assert_allclose(share, 0.25, atol=0.04)
+        phases.begin(ready)
 
 
 @pytest.mark.parametrize("pace", ["together", "own"])
