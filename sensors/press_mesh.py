@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -55,6 +56,9 @@ steps beside it are there."""
 LEANS = (1.0, 1.5, 2.5)
 """How columns may lean between the two, in the order in which they are tried: straight ones are the
 most exact, but below a narrow outline the first layers may fold."""
+NARROWER = (1.0, 0.7, 0.5, 0.35)
+"""Widths of a ball's focus over the usual one, in the order in which they are tried: beside a pad's
+corner the cells of a wide one fold. Counts and with them the connectivity stay."""
 BISECTED_EDGES, BISECTED_RADII, BISECTED_GROWTH = 1.8, 1.3, 1.0
 """Of an imported gel: longest edge of a tet over the elements' size, extent of the fine part in
 contact radii, and how fast edges grow from there with the distance. A ball 0.5 mm deep in a Mini of
@@ -157,7 +161,7 @@ def pad_press_mesh(
     if isinstance(pad, MeshPad):
         return _bisected_around(pad.mesh, at_mm, contact, options)
     if not isinstance(contact, ToolSection):
-        return focused_gel_mesh(pad, _disc_focus(at_mm, contact, pad.thickness_mm, options))
+        return _around_a_ball(pad, _disc_focus(at_mm, contact, pad.thickness_mm, options))
     outline = options.outline if contact.filled >= LEAST_FILLED else options.scattered
     focus = _outline_focus(at_mm, contact, pad, options, outline)
     # Columns of a dome stand on its sphere and have no lean.
@@ -169,6 +173,29 @@ def pad_press_mesh(
     # Some long contacts beside an edge leave no room for rings: even ones, of the same
     # connectivity. What that costs is in the estimate of the press's error.
     return focused_gel_mesh(pad, replace(focus, outlines=None))
+
+
+def _around_a_ball(pad: Pad, focus: FocusOptions) -> TetMesh:
+    """The mesh of the widest focus of ``NARROWER`` whose cells do not fold, with a warning when it
+    is not the usual one."""
+    folded: FoldedMeshError | None = None
+    for share in NARROWER:
+        size = {"radius_mm": share * focus.radius_mm, "size_mm": share * focus.size_mm}
+        try:
+            mesh = focused_gel_mesh(pad, replace(focus, **size))
+        except FoldedMeshError as error:
+            folded = folded or error
+            continue
+        if folded is not None:
+            x, y = focus.at_mm
+            warnings.warn(
+                f"around ({x:g}, {y:g}) mm the gel cannot be meshed as finely as elsewhere: the "
+                f"fine part is {share:.0%} as wide, which the stated error of the force counts",
+                stacklevel=4,
+            )
+        return mesh
+    assert folded is not None
+    raise folded
 
 
 def _disc_focus(

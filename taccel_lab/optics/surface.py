@@ -21,6 +21,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
+from taccel_lab.optics.shading_kernels import hit_kernel
 from taccel_lab.signals.contact_surface import ContactSurface
 from taccel_lab.signals.gradient_recovery import recover_gradients
 
@@ -69,7 +70,7 @@ class GelFace:
             cuts: Parts that each edge is cut into; as many as make them ``FINE_EDGE_MM`` long, at
                 most ``MAX_CUTS``, when None.
             designed: The gel as designed, where ``mesh`` draws a curved face with longer chords:
-                the face is moved along z, and turned, by what that leaves out at rest.
+                the face is moved and turned by what that leaves out at rest.
             device: Warp device of the network that smooths the face.
 
         Raises:
@@ -94,11 +95,13 @@ class GelFace:
         self._normals_from_controls = _bernstein(barycentric, _QUADRATIC)
         offsets = np.arange(len(self._faces))[:, None, None] * len(barycentric)
         self.triangles = (pattern[None] + offsets).reshape(-1, 3).astype(np.int32)
-        self._lift: tuple[np.ndarray, np.ndarray] | None = None
+        self._left_out: tuple[np.ndarray, np.ndarray] | None = None
         self.rest = self.at(mesh.nodes_m)
         if designed is not None and designed is not mesh:
-            self._lift = _lift_between(self.rest, GelFace(designed, device=device).rest)
-            self.rest = self.at(mesh.nodes_m)
+            whole = GelFace(designed, device=device).rest
+            if not (_is_flat(self.rest) and _is_flat(whole)):
+                self._left_out = _left_out(self.rest, whole, device)
+                self.rest = self.at(mesh.nodes_m)
         """The face of the undeformed gel."""
 
     def at(self, positions_m: np.ndarray) -> FineFace:
@@ -117,12 +120,10 @@ class GelFace:
         points = np.einsum("kc,fcx->fkx", self._positions_from_controls, controls)
         fine = np.einsum("kc,fcx->fkx", self._normals_from_controls, quadratic)
         points, fine = points.reshape(-1, 3), _unit(fine.reshape(-1, 3))
-        if self._lift is not None:
-            rise, slopes = self._lift
-            points[:, 2] += rise
-            # Of a height over x and y: what turns a slope by a slope.
-            fine[:, :2] -= np.maximum(fine[:, 2:], 0.0) * slopes
-            fine = _unit(fine)
+        if self._left_out is not None:
+            away, turn = self._left_out
+            points += away
+            fine = _unit(fine + turn)
         return FineFace(points, fine, self.triangles, self._edge_mm)
 
     def _corner_normals(self, nodes: np.ndarray, corners: np.ndarray) -> np.ndarray:
@@ -161,20 +162,40 @@ class GelFace:
         return recover_gradients(points, height, *self._rings).numpy()[0]
 
 
-def _lift_between(drawn: FineFace, designed: FineFace) -> tuple[np.ndarray, np.ndarray] | None:
-    """How much higher [mm], [vertex], and steeper along x and y, [vertex, 2], a designed face is
-    than a drawn one at the same places; None for faces that are no function of x and y."""
-    if min(drawn.normals[:, 2].min(), designed.normals[:, 2].min()) < _STEEPEST:
-        return None
-    from scipy.interpolate import LinearNDInterpolator
+def _is_flat(face: FineFace) -> bool:
+    return bool((face.normals[:, 2] == 1.0).all())
 
-    def surface(face: FineFace) -> np.ndarray:
-        slopes = -face.normals[:, :2] / face.normals[:, 2:]
-        return np.concatenate([face.points_mm[:, 2:], slopes], axis=1)
 
-    there = LinearNDInterpolator(designed.points_mm[:, :2], surface(designed))
-    away = np.nan_to_num(there(drawn.points_mm[:, :2]) - surface(drawn))
-    return away[:, 0], away[:, 1:]
+def _left_out(drawn: FineFace, designed: FineFace, device: Any) -> tuple[np.ndarray, np.ndarray]:
+    """From a drawn face to a designed one: points [mm] and unit normals, each [vertex, 3].
+
+    The two are compared along rays from below their middle, which meet a flat pad once, and the
+    sides of a dome, too; nothing is left out where a ray misses the design.
+    """
+    import warp as wp
+
+    low, high = designed.points_mm.min(axis=0), designed.points_mm.max(axis=0)
+    below = 0.25 * float((high - low)[:2].min())
+    eye = np.array([*(low + high)[:2] / 2, low[2] - below])
+    count = len(drawn.points_mm)
+
+    def vectors(values: np.ndarray) -> wp.array:
+        return wp.array(values.astype(np.float32), dtype=wp.vec3, device=device)
+
+    corners = vectors(designed.points_mm)
+    triangles = wp.array(designed.triangles.ravel(), dtype=wp.int32, device=device)
+    mesh = wp.Mesh(points=corners, indices=triangles)
+    given = [vectors(designed.normals), corners, triangles]
+    rays = [vectors(np.tile(eye, (count, 1))), vectors(_unit(drawn.points_mm - eye))]
+    met, normals, rest = (wp.zeros(count, dtype=wp.vec3, device=device) for _ in range(3))
+    seen = wp.zeros(count, dtype=wp.int32, device=device)
+    wp.launch(
+        hit_kernel, count, inputs=[mesh.id, *given, *rays], outputs=[met, normals, rest, seen],
+        device=device,
+    )  # fmt: skip
+    there = seen.numpy()[:, None] == 1
+    away = np.where(there, met.numpy() - drawn.points_mm, 0.0)
+    return away, np.where(there, normals.numpy() - drawn.normals, 0.0)
 
 
 def seen_faces(mesh: TetMesh | QuadraticMesh) -> np.ndarray:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
@@ -35,3 +35,9 @@ def negated(values: wp.array, into: wp.array | None = None) -> wp.array:
 def to_torch(array: wp.array) -> torch.Tensor:
     """A tensor on the same memory; vectors and matrices become trailing axes."""
     return wp.to_torch(array, requires_grad=False)
+
+
+def shared(array: wp.array) -> Any:
+    """The same memory for a library of arrays: numpy's on the host, where torch, which takes longer
+    to load than a press to solve, is not needed; torch's on a GPU. Vectors become trailing axes."""
+    return array.numpy() if array.device.is_cpu else to_torch(array)

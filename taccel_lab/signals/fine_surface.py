@@ -30,15 +30,20 @@ from taccel_lab.bodies.material import MaterialField
 from taccel_lab.camera.gel_camera import View, face_of
 from taccel_lab.geometry import Region
 from taccel_lab.model.turns import in_turn
-from taccel_lab.outputs.arrays import to_torch
+from taccel_lab.outputs.arrays import shared
 from taccel_lab.outputs.contact_layer import mean_gaps
 from taccel_lab.scene import SoftBody
 from taccel_lab.signals.contact_fields import ContactFields
 from taccel_lab.signals.deformed_face import DeformedFace
 from taccel_lab.signals.hanging_corners import HangingCorners
-from taccel_lab.signals.layer_contact import NOWHERE_M, layer_compliance, solve_contact
+from taccel_lab.signals.layer_contact import (
+    NOWHERE_M,
+    array_library,
+    layer_compliance,
+    solve_contact,
+)
 from taccel_lab.signals.object_heights import ObjectHeights, is_ball
-from taccel_lab.signals.rest_surface import RestCorrection, RestSurface
+from taccel_lab.signals.rest_surface import RestSurface
 from taccel_lab.signals.surface_sampler import SurfaceSampler
 from taccel_lab.signals.texture import Texture
 from taccel_lab.solvers.solver_ipc import SolverIPC
@@ -61,6 +66,7 @@ def _fine_pixels_kernel(
     points: int,
     sample_m: wp.vec2f,
     corrections: wp.array3d(dtype=wp.vec3f),
+    beside: wp.array2d(dtype=wp.vec3f),
     envs: wp.array(dtype=wp.int32),
     # Out
     samples: wp.array3d(dtype=wp.vec3f),
@@ -69,7 +75,8 @@ def _fine_pixels_kernel(
     counts: wp.array(dtype=wp.int32),
 ):
     """Mean height, slope of the mean normal, mean pressure of each pixel's samples: slopes of the
-    object where it touches, those of the heights elsewhere. ``counts`` by environment."""
+    object where it touches, those of the heights elsewhere, those of ``beside``, where it has any,
+    in pixels that the face of the mesh does not fill. ``counts`` by environment."""
     env, v, u = wp.tid()
     rows = heights.shape[1]
     columns = heights.shape[2]
@@ -106,8 +113,16 @@ def _fine_pixels_kernel(
     if count > 0:
         sample = wp.vec3f(-normal[0] / normal[2], -normal[1] / normal[2], total / float(count))
     touches = 2 * carrying >= points * points
+    whole = count == points * points
     if corrections.shape[0] > 0 and not touches:
-        sample += corrections[envs[env], v, u]
+        correction = corrections[envs[env], v, u]
+        if not wp.isnan(correction[2]):
+            sample += correction
+        else:
+            whole = False
+    if beside.shape[0] > 0 and not (whole or touches):
+        if not wp.isnan(beside[v, u][2]):
+            sample = beside[v, u]
     samples[env, v, u] = sample
     pressure[env, v, u] = load / float(points * points)
     touched[env, v, u] = touches
@@ -118,8 +133,8 @@ def _fine_pixels_kernel(
 class FineSurface:
     """Samples of the fine face of one gel under one rigid body, for many environments.
 
-    It is what ``SignalTactile(..., fine=...)`` shows. Torch does the Fourier transforms, on the
-    stream of the solver's device, and nothing waits for it.
+    It is what ``SignalTactile(..., fine=...)`` shows. On a GPU torch does the Fourier
+    transforms, on the stream of the solver's device, and nothing waits for it.
     """
 
     @in_turn
@@ -144,7 +159,7 @@ class FineSurface:
             texture: What stands out of the body's surface, which is its mean; the body must be
                 kinematic. The solver does not know of it.
             designed_rest: The gel's contact face on those pixels where its mesh draws it more
-                coarsely, see ``RestCorrection``.
+                coarsely, see ``RestSurface.left_out_by``.
             points: A pixel is the mean over ``points`` x ``points`` samples; as many as lie
                 ``SAMPLE_MM`` apart (``BALL_SAMPLE_MM``) when None.
             env_count: Most environments of one call; when None all of the model, as far as they
@@ -194,7 +209,7 @@ class FineSurface:
         self._fields = ContactFields(solver, gel, mesh, fine, chunk_envs=rows)
         young, poisson = near_moduli(soft)
         compliance = layer_compliance(fine, young, poisson, pad_thickness_m(soft))
-        self._compliance = to_torch(wp.array(compliance, dtype=wp.float32, device=device))
+        self._compliance = shared(wp.array(compliance, dtype=wp.float32, device=device))
         over = (rows, fine.height_px, fine.width_px)
         self._coarse_pa = self._fields.make("pressure_pa", over)
         shape = (rows, grid.height_px, grid.width_px)
@@ -205,6 +220,7 @@ class FineSurface:
         self._gaps: Any = None
         self._no_slopes = wp.full(over, wp.vec2f(wp.nan), dtype=wp.vec2f, device=device)
         self._corrections = wp.empty((0, 0, 0), dtype=wp.vec3f, device=device)
+        self._beside = wp.empty((0, 0), dtype=wp.vec3f, device=device)
         meshed = self._rest_of(at_rest, 0)
         self.rest_samples = wp.array(meshed, dtype=wp.vec3f, device=device)
         """Samples of the undeformed gel, vec3f, shape [height_px, width_px]."""
@@ -212,9 +228,12 @@ class FineSurface:
             designed = designed_rest.samples()
             self.rest_samples = wp.array(designed, dtype=wp.vec3f, device=device)
             if not designed_rest.is_flat:
+                # Far from a contact chords of the mesh cut the border of a dome's face.
+                whole = np.where(designed_rest.covered[..., None], designed, np.nan)
+                self._beside = wp.array(whole, dtype=wp.vec3f, device=device)
                 corrections = np.stack([
-                    RestCorrection.of(designed_rest, found[..., 2], found[..., :2]).samples()
-                    for found in (self._rest_of(at_rest, env) for env in range(model.env_count))
+                    designed_rest.left_out_by(self._rest_of(at_rest, env))
+                    for env in range(model.env_count)
                 ])  # fmt: skip
                 self._corrections = wp.array(corrections, dtype=wp.vec3f, device=device)
 
@@ -239,7 +258,7 @@ class FineSurface:
         """Read nodal loads of the step that led to ``state``."""
         self._fields.read_nodes(state, {"pressure_pa"})
         gaps = mean_gaps(self._solver.collisions, state.positions, self._nodes)
-        self._gaps = to_torch(gaps)
+        self._gaps = shared(gaps)
         wp.copy(self._positions, state.positions)
         self._corners.lift(self._positions, self._solver.contact_gradient)
         self._counts.zero_()
@@ -258,59 +277,68 @@ class FineSurface:
             pressure [Pa], float32; and whether half of a pixel's samples carry, bool. All of shape
             [row, height_px, width_px], valid until the next call.
         """
-        import torch
-
         count = len(envs)
         coarse = self._gel.sample(self._positions, frames, envs)
         pressure = self._coarse_pa[:count]
         self._fields.render(state, frames, envs, {"pressure_pa": pressure})
         *over, slopes = self._object.read(state, frames, envs)
         with self._stream():
-            z = to_torch(coarse)[..., 2]
-            known = torch.isfinite(z)
-            gaps = self._gaps[to_torch(envs).long()].view(-1, 1, 1)
+            z = shared(coarse)[..., 2]
+            xp = array_library(z)
+            known = xp.isfinite(z)
+            gaps = self._gaps[shared(envs)].reshape(-1, 1, 1)
 
             def lowered(heights: Any) -> Any:
-                there = torch.isfinite(heights) & known
-                return torch.where(there, heights - gaps, NOWHERE_M).float()
+                found = xp.empty_like(z)
+                there = xp.isfinite(heights) & known
+                found[:] = xp.where(there, heights - gaps, NOWHERE_M)
+                return found
 
-            under, smooth = (to_torch(heights) for heights in over)
+            under, smooth = (shared(heights) for heights in over)
             height, found = solve_contact(
                 self._compliance,
                 lowered(under),
-                torch.nan_to_num(z),
-                torch.where(known, to_torch(pressure), 0.0),
+                xp.nan_to_num(z),
+                xp.where(known, shared(pressure), 0.0),
                 smooth_m=None if self._texture is None else lowered(smooth),
             )
-            height = torch.where(known, height, torch.nan).contiguous()
-        return self._to_pixels(height, found.contiguous(), slopes, self._corrections, envs)
+            height = xp.where(known, height, xp.nan)
+        given = self._corrections, self._beside
+        return self._to_pixels(height, found, slopes, *given, envs)
 
     def _rest_of(self, at_rest: wp.array, env: int) -> np.ndarray:
         """Samples of the gel's mesh at rest in one environment, [height_px, width_px, 3]."""
         envs = wp.array([env], dtype=wp.int32, device=self._device)
         no_frames = wp.empty(0, dtype=wp.transformd, device=self._device)
-        height = to_torch(self._gel.sample(at_rest, no_frames, envs))[..., 2].contiguous()
-        none = wp.empty((0, 0, 0), dtype=wp.vec3f, device=self._device)
-        found = self._to_pixels(height, height * 0, self._no_slopes[:1], none, envs)
+        height = shared(self._gel.sample(at_rest, no_frames, envs))[..., 2]
+        none = (wp.empty((0,) * n, dtype=wp.vec3f, device=self._device) for n in (3, 2))
+        found = self._to_pixels(height, height * 0, self._no_slopes[:1], *none, envs)
         self._counts.zero_()
         return found[0].numpy()[0].copy()
 
     def _to_pixels(
-        self, height: Any, pressure: Any, slopes: wp.array, corrections: wp.array, envs: wp.array
-    ) -> tuple[wp.array, ...]:
-        """What pixels show of samples; heights and pressures are tensors of float32."""
+        self, height: Any, pressure: Any, slopes: wp.array, corrections: wp.array,
+        beside: wp.array, envs: wp.array,
+    ) -> tuple[wp.array, ...]:  # fmt: skip
+        """What pixels show of samples; heights and pressures are of float32, as ``shared``."""
         grid = self.grid
         sizes = 1e-3 / self.points * np.array([grid.mm_per_px_x, grid.mm_per_px_y])
         outputs = [array[: len(envs)] for array in (self._samples, self._pressure, self._touched)]
-        surface = [wp.from_torch(height), wp.from_torch(pressure), slopes]
+        surface = [*map(self._on_device, (height, pressure)), slopes]
         wp.launch(
             _fine_pixels_kernel,
             dim=outputs[0].shape,
-            inputs=[*surface, self.points, wp.vec2f(*sizes), corrections, envs],
+            inputs=[*surface, self.points, wp.vec2f(*sizes), corrections, beside, envs],
             outputs=[*outputs, self._counts],
             device=self._device,
         )
         return tuple(outputs)
+
+    def _on_device(self, values: Any) -> wp.array:
+        """Samples of numpy or torch as an array of the device."""
+        if self._device.is_cpu:
+            return wp.from_numpy(np.ascontiguousarray(values), dtype=wp.float32, device="cpu")
+        return wp.from_torch(values.contiguous())
 
     def _stream(self) -> AbstractContextManager[Any]:
         """Torch on the stream that Warp launches on."""

@@ -24,19 +24,19 @@ the contact. Taken as they are, that rim has to be taken away again, the gel ris
 grows: radii of balls were 2 to 5 % too large, and forces as much too small. So the problem is
 solved ``SHARPENINGS`` times before, and what it finds, scaled to the coarse force, is taken for
 p_c.
+
+Arrays are of numpy on the host and of torch on a GPU: the calls below are those that both have.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
-
-if TYPE_CHECKING:
-    import torch
 
 ITERATIONS = 10
 """Of conjugate gradients: with 20 contact radii change by 1e-3 and images by 0.1 dB."""
@@ -70,19 +70,19 @@ def layer_compliance(
 
 
 def solve_contact(
-    compliance: torch.Tensor,
-    object_m: torch.Tensor,
-    coarse_m: torch.Tensor,
-    coarse_pa: torch.Tensor,
+    compliance: Any,
+    object_m: Any,
+    coarse_m: Any,
+    coarse_pa: Any,
     *,
-    smooth_m: torch.Tensor | None = None,
+    smooth_m: Any = None,
     iterations: int = ITERATIONS,
     sharpenings: int = SHARPENINGS,
-) -> tuple[torch.Tensor, torch.Tensor]:
+) -> tuple[Any, Any]:
     """The fine surface and its pressures; always as many iterations, so that nothing is waited for.
 
     Args:
-        compliance: ``layer_compliance``, float32, on the device of the others.
+        compliance: ``layer_compliance``, float32, numpy's or torch's as the others.
         object_m: z of the object's underside [m], [env, row, column]; ``NOWHERE_M`` where there is
             none.
         coarse_m: z of the gel's face in the coarse solution [m], same shape.
@@ -94,11 +94,11 @@ def solve_contact(
     Returns:
         z of the gel's face [m] and contact pressures [Pa], [env, row, column].
     """
-    import torch
+    xp = array_library(coarse_pa)
 
-    def moved(pressure: torch.Tensor) -> torch.Tensor:
-        waves = compliance * torch.fft.rfft2(pressure)
-        return torch.fft.irfft2(waves, s=(pressure.shape[-2], pressure.shape[-1]))
+    def moved(pressure: Any) -> Any:
+        waves = compliance * xp.fft.rfft2(pressure)
+        return xp.fft.irfft2(waves, s=(pressure.shape[-2], pressure.shape[-1]))
 
     smallest = _START / compliance.max()
     smooth_m = object_m if smooth_m is None else smooth_m
@@ -108,44 +108,43 @@ def solve_contact(
         known_pa = coarse_pa
         open_m = under - coarse_m - moved(known_pa)
         # Pressures wherever there is overlap, so that the first direction is not nothing.
-        start = known_pa + smallest * (-open_m).clamp(min=0)
+        start = known_pa + smallest * xp.clip(-open_m, min=0)
         # One sample that carries without an object would be all that a direction goes by.
-        start = torch.where(under < NOWHERE_M, start, 0.0)
-        pressure = _least(moved, open_m, start, count)
-        coarse_pa = pressure * (force / _total(pressure).clamp(min=_TINY))
-    found = torch.minimum(coarse_m - moved(pressure - known_pa), object_m)
+        start = xp.where(under < NOWHERE_M, start, 0.0)
+        pressure = _least(xp, moved, open_m, start, count)
+        coarse_pa = pressure * (force / xp.clip(_total(pressure), min=_TINY))
+    found = xp.minimum(coarse_m - moved(pressure - known_pa), object_m)
     # What carries touches; conjugate gradients would need 30 iterations to make it so.
-    return torch.where(pressure > 0, object_m, found), pressure
+    return xp.where(pressure > 0, object_m, found), pressure
 
 
-def _least(
-    moved: Callable[[torch.Tensor], torch.Tensor],
-    open_m: torch.Tensor,
-    p: torch.Tensor,
-    iterations: int,
-) -> torch.Tensor:
+def array_library(array: Any) -> Any:
+    """The module whose functions take an array: numpy, or torch, which is then loaded."""
+    return np if isinstance(array, np.ndarray) else sys.modules["torch"]
+
+
+def _least(xp: Any, moved: Callable[[Any], Any], open_m: Any, p: Any, iterations: int) -> Any:
     """Pressures not below zero of the least 1/2 p.Kp + p.open, by projected conjugate gradients."""
-    import torch
-
-    way = torch.zeros_like(p)
-    before = torch.ones_like(p[:, :1, :1])
-    keep = torch.zeros_like(before)
+    way = xp.zeros_like(p)
+    before = xp.ones_like(p[:, :1, :1])
+    keep = none = xp.zeros_like(before)
+    whole = xp.ones_like(before)
     for _ in range(iterations):
         gap = moved(p) + open_m
         carries = p > 0
-        slope = torch.where(carries, gap, 0.0)
+        slope = xp.where(carries, gap, 0.0)
         size = _total(slope * slope)
-        way = torch.where(carries, slope + keep * (size / before) * way, 0.0)
-        before = size.clamp(min=_TINY)
-        step = _total(slope * way) / _total(moved(way) * way).clamp(min=_TINY)
-        p = (p - step * way).clamp(min=0)
+        way = xp.where(carries, slope + keep * (size / before) * way, 0.0)
+        before = xp.clip(size, min=_TINY)
+        step = _total(slope * way) / xp.clip(_total(moved(way) * way), min=_TINY)
+        p = xp.clip(p - step * way, min=0)
         # What overlaps without a pressure begins to carry; directions are conjugate no more then.
         joins = (p == 0) & (gap < 0)
-        p = torch.where(joins, -step * gap, p)
-        keep = 1.0 - joins.any(dim=-1, keepdim=True).any(dim=-2, keepdim=True).to(p.dtype)
+        p = xp.where(joins, -step * gap, p)
+        keep = xp.where(joins.any(-1, keepdims=True).any(-2, keepdims=True), none, whole)
     return p
 
 
-def _total(values: torch.Tensor) -> torch.Tensor:
+def _total(values: Any) -> Any:
     """Sums over the samples, by rows first: the same to the bit for any number of threads."""
-    return values.sum(dim=-1, keepdim=True).sum(dim=-2, keepdim=True)
+    return values.sum(-1, keepdims=True).sum(-2, keepdims=True)

@@ -41,38 +41,23 @@ class RestSurface:
     def is_flat(self) -> bool:
         return bool((self.normals[..., 2] == 1.0).all())
 
+    def left_out_by(self, meshed: np.ndarray) -> np.ndarray:
+        """What the mesh of a press leaves out of this face: to be added to what it shows.
 
-@dataclass(frozen=True)
-class RestCorrection:
-    """What the mesh of a press leaves out of the gel's rest shape, to be added to what it shows.
+        A mesh that is fine around a contact draws far parts of a curved pad with long chords. Its
+        displacements are right all the same, so the deformed surface is the designed one plus the
+        difference between the mesh deformed and the mesh at rest, at the same pixel: to first
+        order, since chords and displacements are nowhere large together.
 
-    A mesh that is fine around a contact draws far parts of a curved pad with long chords. Its
-    displacements are right all the same, so the deformed surface is the designed one plus the
-    difference between the mesh deformed and the mesh at rest, at the same pixel: to first order,
-    since chords and displacements are nowhere large together.
-    """
+        Args:
+            meshed: Samples of the mesh at rest, as ``samples``; NaN where it has no face.
 
-    height_m: np.ndarray
-    """Designed less meshed rest height [m], shape [height_px, width_px]; 0 where one is missing."""
-    slope: np.ndarray
-    """The same of dh/dx and dh/dy, shape [height_px, width_px, 2]."""
-
-    @classmethod
-    def of(
-        cls, designed: RestSurface, mesh_height_m: np.ndarray, mesh_slope: np.ndarray
-    ) -> RestCorrection:
-        """From the designed face and that of the mesh at rest on the same pixels."""
-        slope = designed.samples()[..., :2]
-        both = designed.covered & np.isfinite(mesh_height_m)
-        both &= np.isfinite(mesh_slope).all(axis=-1) & np.isfinite(slope).all(axis=-1)
-        return cls(
-            np.where(both, designed.height_m - mesh_height_m, 0.0),
-            np.where(both[..., None], slope - mesh_slope, 0.0),
-        )
-
-    def samples(self) -> np.ndarray:
-        """To be added to samples (slope along x, along y, height [m]), [height_px, width_px, 3]."""
-        return np.concatenate([self.slope, self.height_m[..., None]], axis=-1)
+        Returns:
+            Samples, NaN where only the mesh has no face, 0 beside this one.
+        """
+        samples = self.samples()
+        known = self.covered & np.isfinite(samples).all(axis=-1)
+        return np.where(known[..., None], samples - meshed, 0.0)
 
 
 def flat_rest(grid: PixelGrid) -> RestSurface:

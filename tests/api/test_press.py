@@ -56,6 +56,17 @@ def test_a_profile_and_its_name_press_alike(pressed: tl.Press) -> None:
     assert again.plan.friction == profile.material.friction_coefficient > 0
 
 
+def test_a_press_with_its_files_loads_neither_torch_nor_vtk(tmp_path: Path) -> None:
+    """They took longer to load than the press took to solve."""
+    heavy = ("torch", "pyvista", "vtkmodules", "build123d", "OCP")
+    loaded = f"import sys\nprint({{*{heavy!r}}} & {{*sys.modules}})"
+    code = f"out.save({str(tmp_path / 'out')!r})\n{loaded}"
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT + code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "set()"
+
+
 def test_the_command_has_the_same_options_and_defaults() -> None:
     assert issubclass(PressCommand, PressOptions)
     fields = {field.name for field in dataclasses.fields(PressOptions)}

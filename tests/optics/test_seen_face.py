@@ -17,6 +17,8 @@ from taccel_lab.geometry import Region, TetMesh, quadratic_mesh
 from taccel_lab.optics import Camera, Light, MarkerGrid, OpticalDesign, Window
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.optics.surface import GelFace, height_face, seen_faces
+from taccel_lab.sensors.press_mesh import press_mesh
+from taccel_lab.sensors.profile import catalogue_profile
 from tests.optics.compare import pressed_top
 
 PAD = GelPad(
@@ -150,6 +152,21 @@ def test_bevels_stay_sharp() -> None:
     assert ((tilt < 1.0) | (np.abs(tilt - 45) < 6.0)).all()
     assert (tilt < 1.0).any()
     assert (tilt > 30.0).any()
+
+
+def test_a_dome_is_round_on_the_mesh_of_a_press() -> None:
+    """Its chords far from the contact left a ring in the camera's picture: 60 um, 3 degrees."""
+    profile = catalogue_profile("rtac")
+    mesh = press_mesh("rtac", {}, (0.0, 0.0), 1.2)
+    radius = 15.0
+    face = GelFace(mesh, designed=profile.mesh).rest
+    middle = np.array([0.0, 0.0, -radius])
+    outwards = face.points_mm - middle
+    distance = np.linalg.norm(outwards, axis=1)
+    assert np.abs(distance - radius).max() < 0.02
+    upper = face.points_mm[:, 2] > -0.9 * radius
+    turned = np.linalg.norm(face.normals - outwards / distance[:, None], axis=1)
+    assert np.degrees(np.quantile(turned[upper], 0.99)) < 0.5
 
 
 def test_the_skin_is_seen_from_its_inner_side() -> None:

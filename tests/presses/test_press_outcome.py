@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 import pyvista
 
+from taccel_lab.camera.gel_camera import camera_of, face_of
 from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.presses import (
+    PHYSICS,
+    Accuracy,
     Indenter,
     PressMeshOptions,
     PressOutcome,
@@ -24,7 +27,10 @@ from taccel_lab.presses import (
     simulate_press,
 )
 from taccel_lab.scene import Ball, Material, TriangleMesh
+from taccel_lab.sensors.press_mesh import press_mesh
+from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals.forces import resultant_wrench
+from taccel_lab.signals.rest_surface import rest_surface
 from tests.support.coarse_pads import COARSE, FINER, GEL, pad
 
 GRID = PixelGrid(64, 48, 0.1, 0.1)
@@ -246,3 +252,23 @@ def test_quadratic_gel(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.points, outcome.positions_m)
     np.testing.assert_array_equal(back.cells_dict[5], outcome.mesh.faces)
     np.testing.assert_array_equal(back.cells_dict[10], base.tets)
+
+
+def test_heights_of_a_dome_reach_its_border() -> None:
+    """The mesh of a press has few nodes along it: height maps ended in a polygon."""
+    profile = catalogue_profile("rtac")
+    camera = camera_of(profile)
+    rest = rest_surface(profile.mesh, face_of(camera))
+    tool = parse_indenter("sphere:4")
+    found = simulate_press(
+        press_mesh("rtac", {}, (0.0, 0.0), tool.contact(0.1), PHYSICS[Accuracy.FAST].mesh),
+        Material(55e3, 0.46),
+        tool,
+        (0.0, 0.0),
+        PressPath(0.1),
+        camera,
+        friction_coefficient=0.0,
+        physics=PHYSICS[Accuracy.FAST],
+        designed_rest=rest,
+    )
+    assert (np.isfinite(found.height_m) == np.isfinite(found.rest_height_m)).mean() > 0.999
