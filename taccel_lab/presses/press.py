@@ -337,12 +337,14 @@ class PressEnv:
     def failure(self, env: int, report: StepReport, depth_mm: np.ndarray | float) -> str:
         """Why an environment did not converge on its way to a depth, in words."""
         depth = float(np.broadcast_to(depth_mm, (len(self.at_m),))[env])
+        config = self.solver.config
         return (
             f"the press at ({self.at_m[env, 0] * 1e3:.3g}, {self.at_m[env, 1] * 1e3:.3g}) mm, "
             f"depth {depth:.4g} mm did not converge: "
             f"{EnvStatus(report.status[env]).name}, residual {report.residual_n[env]:.2e} N of "
             f"{report.contact_force_n[env]:.3g} N after {report.newton_iterations[env]} Newton "
-            f"iterations and {self.solver.config.max_substep_halvings} halvings of the step"
+            f"iterations, where a step may take {config.max_substep_halvings} halvings and "
+            f"{config.max_step_iterations} iterations"
         )
 
     def follow(

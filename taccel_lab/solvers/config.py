@@ -39,6 +39,9 @@ class SolverConfig:
     max_substep_halvings: int = 8
     """How often a step that fails is halved, in the environments where it fails. With 5 one rough
     press in 1,000 (sharp edges, friction of 1, a range of 5 um) stayed unsolved."""
+    max_step_iterations: int = 2000
+    """Newton iterations of a step, its halves together, after which it is halved no more: eight
+    halvings alone would leave it room for hundreds of attempts."""
     max_joint_rounds: int = 20
     """How often Newton may be repeated until the joints are closed."""
     max_collisions: int = 1 << 20
@@ -71,6 +74,7 @@ class SolverConfig:
             raise InputError(f"kappa_pa must lie in [1, 1e13] Pa, got {self.kappa_pa:g}")
         for name in (
             "max_newton_iterations",
+            "max_step_iterations",
             "max_cg_iterations",
             "max_line_search_cuts",
             "max_friction_lags",

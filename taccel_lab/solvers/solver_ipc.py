@@ -105,7 +105,8 @@ class SolverIPC(SolverParts):
         is where the search starts; friction counts sliding from where it began, or where its last
         part did if it was halved. For quasi-static scenes without joints.
         Environments that fail are tried in halves of the step, up to ``max_substep_halvings``
-        times; one that fails even so is rolled back to the start of the whole step and flagged.
+        times and ``max_step_iterations`` Newton iterations; one that fails even so is rolled back
+        to the start of the whole step and flagged.
         Before their first step, environments are searched for bodies that overlap: these are
         flagged and not stepped (``ipc.start_checks.check_start`` says what is wrong).
 
@@ -133,7 +134,7 @@ class SolverIPC(SolverParts):
                 status = np.where(overlapping, np.int32(EnvStatus.OVERLAP), report.status)
                 report = replace(report, status=status)
             if not report.converged.all() and self.config.max_substep_halvings > 0:
-                report = self._in_halves(report, dt, 1)
+                report = self._in_halves(report, dt, 1, np.zeros(len(who), dtype=np.int64))
             if not report.converged[who].all():
                 self._evaluate_forces(~report.converged & who)
             if (report.substeps > 1).any():
@@ -371,9 +372,14 @@ class SolverIPC(SolverParts):
         TURNS.wait_for(self.model.device)
         return StepReport.of_block(block)
 
-    def _in_halves(self, failed: StepReport, dt: float, level: int) -> StepReport:
-        """The step of length dt to ``end_poses`` again, in two halves, where it failed."""
+    def _in_halves(
+        self, failed: StepReport, dt: float, level: int, spent: np.ndarray
+    ) -> StepReport:
+        """The step of length dt to ``end_poses`` again, in two halves, where it failed. ``spent``:
+        Newton iterations of the whole step before it, [env_count]."""
+        budget = self.config.max_step_iterations
         who = np.isin(failed.status, HALVING_HELPS)
+        who &= spent + failed.newton_iterations < budget
         if not who.any():
             return failed
         before = self.work.copy()
@@ -386,7 +392,8 @@ class SolverIPC(SolverParts):
             wp.copy(self.end_poses, target)
             part = self._attempt(who, dt / 2)
             if (who & ~part.converged).any() and level < self.config.max_substep_halvings:
-                part = self._in_halves(part, dt / 2, level + 1)
+                before_part = spent + report.newton_iterations
+                part = self._in_halves(part, dt / 2, level + 1, before_part)
             report = report.followed_by(part)
             lost = who & ~part.converged
             if lost.any():

@@ -169,6 +169,19 @@ def test_a_press_that_never_converges_says_so() -> None:
     assert not find_intersections(env.model, env.state)[0]
 
 
+def test_a_press_that_has_spent_its_iterations_is_halved_no_more() -> None:
+    config = SolverConfig(max_newton_iterations=1, max_step_iterations=4)
+    env = press_env(config=config)
+    with pytest.raises(SimulationError, match="may take 8 halvings and 4 iterations"):
+        env.move_to(0.5)
+    before = env.positions.copy()
+    report = env.try_to(0.5)
+    assert report.status[0] == EnvStatus.NO_CONVERGENCE
+    # The attempt that spends the last of them is the last one.
+    assert report.newton_iterations[0] == config.max_step_iterations
+    np.testing.assert_array_equal(env.positions, before)
+
+
 def test_reset() -> None:
     env = press_env(friction=0.5)
     env.follow(PressPath(0.3, (0.1, 0.0), step_mm=0.3))

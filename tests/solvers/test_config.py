@@ -21,6 +21,7 @@ BAD = {
     "friction_speed_m_s": (0.0, NAN),
     "kappa_pa": (0.0, NAN),
     "max_newton_iterations": (0,),
+    "max_step_iterations": (0,),
     "max_cg_iterations": (-3,),
     "max_friction_lags": (0,),
     "max_line_search_cuts": (0,),
