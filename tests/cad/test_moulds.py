@@ -22,6 +22,7 @@ from taccel_lab.cad.parts.pad_solid import labelled_solid, layer_solids
 from taccel_lab.cad.parts.solids import common_volume_mm3
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
+from tests.support.variants import variants
 
 CROWNED = GelPad(crown_radius_x_mm=50.0, crown_radius_y_mm=50.0, thickness_mm=5.0)
 PADS = {
@@ -38,7 +39,7 @@ def crowned() -> tuple[LabelledSolid, Mould]:
     return gel, gel_mould(gel)
 
 
-@pytest.mark.parametrize("name", PADS)
+@pytest.mark.parametrize("name", variants(["dome"], PADS))
 def test_cavity_is_the_gel_plus_shrinkage_plus_draft(name: str) -> None:
     gel = labelled_solid(PADS[name])
     mould = gel_mould(gel, MouldOptions(draft_deg=3.0, shrinkage_percent=0.5))

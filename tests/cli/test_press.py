@@ -252,7 +252,8 @@ def test_a_press_that_fails_leaves_the_earlier_one(
 
 
 @pytest.mark.parametrize(
-    ("error", "code"), [(SimulationError("stuck"), 3), (KeyboardInterrupt(), 130)]
+    ("error", "code"),
+    [pytest.param(SimulationError("stuck"), 3, marks=pytest.mark.slow), (KeyboardInterrupt(), 130)],
 )
 def test_finished_steps_are_kept(
     unit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int

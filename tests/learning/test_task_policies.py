@@ -17,6 +17,7 @@ from taccel_lab.tasks.grasp_lift import GraspLiftParameters
 from taccel_lab.tasks.grasp_scene import GRASPERS
 from taccel_lab.tasks.run import run_task
 from tests.learning.tasks import peg_parameters
+from tests.support.variants import variants
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
 
@@ -116,7 +117,7 @@ def test_the_gripper_begins_where_the_task_has_it(name: str) -> None:
     assert names == [body.name for body in episode.model.scene.kinematic_bodies]
 
 
-@pytest.mark.parametrize("name", ["grasp-lift", "grasp-lift-hand"])
+@pytest.mark.parametrize("name", variants(["grasp-lift"], ["grasp-lift", "grasp-lift-hand"]))
 def test_the_baseline_lifts_as_in_the_task(name: str) -> None:
     """Close until all gels push with 4 N, rise, stay: success as soon as it was high for 1 s."""
     seeds, told = [0], parameters(name)

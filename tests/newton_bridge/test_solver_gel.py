@@ -202,7 +202,10 @@ def squeeze(
     ("coupling", "steps", "dt", "spacing_m"),
     # Lagged worlds stand in one place: at 0.125 m single precision moves the cube by 1e-8 m, which
     # pads of 9 kN/m make 1e-4 N of.
-    [(Coupling.INSIDE, 8, 1e-3, 0.25), (Coupling.LAGGED, 40, 1e-4, 0.0)],
+    [
+        (Coupling.INSIDE, 8, 1e-3, 0.25),
+        pytest.param(Coupling.LAGGED, 40, 1e-4, 0.0, marks=pytest.mark.slow),
+    ],
 )
 def test_worlds_do_what_they_do_alone(
     coupling: Coupling, steps: int, dt: float, spacing_m: float

@@ -40,7 +40,12 @@ def test_a_thin_digit_is_flatter_and_the_usual_one_as_ever() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tool", "poisson"), [("sphere:2", 0.46), ("sphere:4", 0.46), ("sphere:2", 0.499)]
+    ("tool", "poisson"),
+    [
+        pytest.param("sphere:2", 0.46, marks=pytest.mark.slow),
+        pytest.param("sphere:4", 0.46, marks=pytest.mark.slow),
+        ("sphere:2", 0.499),
+    ],
 )
 def test_a_ball_on_a_gel_of_0_8_mm_feels_the_closed_form(tool: str, poisson: float) -> None:
     pad = sensor_family("flat_pad").parameters({"thickness_mm": 0.8}).pad()

@@ -19,6 +19,7 @@ from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals import MarkerLayout, SignalTactile
 from tests.signals.find_dots import distances_px, find_dots
 from tests.support.dotted_profiles import with_painted_dots
+from tests.support.variants import variants
 
 DEVICES = ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
 DOTS: dict[str, dict[str, Any]] = {
@@ -57,7 +58,7 @@ def radius_px(profile: SensorProfile) -> float:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("name", DOTS)
+@pytest.mark.parametrize("name", variants(["gelsight_mini", "digit"], DOTS))
 def test_signals_lie_where_the_optical_model_shows_them(name: str, device: str) -> None:
     profile = catalogue_profile(name, DOTS[name])
     design, markers = profile.optical_design(), profile.markers

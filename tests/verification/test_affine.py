@@ -25,6 +25,7 @@ from taccel_lab.scene import (
 )
 from taccel_lab.solvers import SolverConfig
 from tests.support.blocks import everywhere
+from tests.support.variants import variants
 from tests.verification.affine_scenes import DOWN, G, Run, affine_scene, box, turned
 
 NONE = (0.0, 0.0, 0.0)
@@ -55,8 +56,14 @@ def test_free_fall_is_exact() -> None:
     np.testing.assert_allclose(run.v[0, 0], velocity + [0, 0, -G * n * run.dt], rtol=1e-12)
 
 
-@pytest.mark.parametrize("spin_rad_s", [(6.0, -9.0, 4.0), (5.0, 7.0, -3.0), (-2.0, 8.0, 6.0)])
-@pytest.mark.parametrize("scheme", list(TimeScheme))
+@pytest.mark.parametrize(
+    ("scheme", "spin_rad_s"),
+    variants(
+        [(TimeScheme.EULER, (6.0, -9.0, 4.0)), (TimeScheme.BDF2, (5.0, 7.0, -3.0))],
+        TimeScheme,
+        [(6.0, -9.0, 4.0), (5.0, 7.0, -3.0), (-2.0, 8.0, 6.0)],
+    ),
+)
 def test_free_rotation_of_an_asymmetric_body(
     scheme: TimeScheme, spin_rad_s: tuple[float, float, float]
 ) -> None:

@@ -35,6 +35,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
 from tests.support.blocks import block_mesh, pose
+from tests.support.variants import variants
 
 SIDE = 4e-2
 SOFT = Material(1e4, 0.4)
@@ -118,8 +119,14 @@ def test_measured_order_of_a_free_oscillation(scheme: TimeScheme, order: int, fe
     np.testing.assert_allclose(slopes, order, atol=0.1)
 
 
-@pytest.mark.parametrize("element", list(Element))
-@pytest.mark.parametrize("scheme", list(TimeScheme))
+@pytest.mark.parametrize(
+    ("scheme", "element"),
+    variants(
+        [(TimeScheme.EULER, Element.LINEAR), (TimeScheme.BDF2, Element.QUADRATIC)],
+        TimeScheme,
+        Element,
+    ),
+)
 def test_a_free_body_keeps_its_momentum(scheme: TimeScheme, element: Element) -> None:
     free = block(scheme, 1e-3, 0.05, 20.0, element)
     free.run(8)
@@ -134,8 +141,14 @@ def test_a_free_body_keeps_its_momentum(scheme: TimeScheme, element: Element) ->
         assert np.diff(free.energy).max() <= 0
 
 
-@pytest.mark.parametrize("element", list(Element))
-@pytest.mark.parametrize("scheme", list(TimeScheme))
+@pytest.mark.parametrize(
+    ("scheme", "element"),
+    variants(
+        [(TimeScheme.EULER, Element.QUADRATIC), (TimeScheme.BDF2, Element.LINEAR)],
+        TimeScheme,
+        Element,
+    ),
+)
 def test_a_body_and_the_gel_on_it_keep_their_momentum(scheme: TimeScheme, element: Element) -> None:
     """They pull at one another; what one gains the other loses. The gel is let go sheared."""
     stepping = TimeStepping(quasi_static=False, dt_s=1e-3, scheme=scheme)
@@ -277,9 +290,15 @@ class Fall:
         return np.array(found)
 
 
-@pytest.mark.parametrize("dt", [5e-3, 2e-3, 5e-4])
-@pytest.mark.parametrize("tilt", [0.0, 25.0])
-@pytest.mark.parametrize("kind", ["affine", "linear", "quadratic"])
+@pytest.mark.parametrize(
+    ("kind", "tilt", "dt"),
+    variants(
+        [("affine", 25.0, 2e-3), ("linear", 0.0, 5e-3), ("quadratic", 25.0, 5e-3)],
+        ["affine", "linear", "quadratic"],
+        [0.0, 25.0],
+        [5e-3, 2e-3, 5e-4],
+    ),
+)
 def test_no_step_of_an_impact_gives_energy(kind: str, tilt: float, dt: float) -> None:
     energies = Fall(kind, tilt, dt, TimeScheme.BDF2, 0.0).run(0.1 if dt > 1e-3 else 0.06)[:, 0]
     # In free flight the energy of a body that vibrates goes up and down with BDF2, by 4e-4 here.

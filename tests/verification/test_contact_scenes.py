@@ -25,6 +25,7 @@ from taccel_lab.scene import (
     box_mesh,
 )
 from tests.support.blocks import block_mesh, everywhere, pose
+from tests.support.variants import variants
 from tests.verification.shapes import roof
 from tests.verification.watched import Watched
 
@@ -66,7 +67,14 @@ def upside_down(x: float, z: float, deg: float = 0.0) -> np.ndarray:
     return everywhere(1, np.array([x, 0, z, np.cos(turn), np.sin(turn), 0, 0]))
 
 
-@pytest.mark.parametrize(("lower", "upper"), [(6, 8), (8, 6), (7, 7)])
+@pytest.mark.parametrize(
+    ("lower", "upper"),
+    [
+        (6, 8),
+        pytest.param(8, 6, marks=pytest.mark.slow),
+        pytest.param(7, 7, marks=pytest.mark.slow),
+    ],
+)
 def test_a_gel_pressed_and_dragged_over_another(lower: int, upper: int) -> None:
     run = Watched(gel_on_gel(lower, upper), upside_down(0, 3e-5))
     for x, z, deg in ((0, -1e-4, 0), (0, -3e-4, 0), (1e-4, -3e-4, 0), (3e-4, -4e-4, 3)):
@@ -180,7 +188,9 @@ def test_a_mat_twisted_by_two_turns() -> None:
 # Squeezing -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("friction", "lowest"), [(0.0, 0.5e-3), (0.5, 0.4e-3)])
+@pytest.mark.parametrize(
+    ("friction", "lowest"), [pytest.param(0.0, 0.5e-3, marks=pytest.mark.slow), (0.5, 0.4e-3)]
+)
 def test_a_cube_squeezed_to_a_fifth_of_its_height(friction: float, lowest: float) -> None:
     side = 2e-3
     mesh = free(block_mesh((5, 5, 5), (side, side, side), jitter=0.1))
@@ -212,7 +222,7 @@ def test_a_cube_squeezed_to_a_fifth_of_its_height(friction: float, lowest: float
 # Edges on edges --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("turn", [90.0, 20.0, 2.0])
+@pytest.mark.parametrize("turn", variants([20.0], [90.0, 20.0, 2.0]))
 def test_a_ridge_dropped_on_a_ridge(turn: float) -> None:
     """Only two edges face each other: the guard alone has to stop them."""
     shape = roof(1e-3, 1e-3, 4e-3)

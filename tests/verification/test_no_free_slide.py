@@ -12,6 +12,7 @@ from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
 from tests.support.blocks import block_mesh, everywhere, pose, scene
+from tests.support.variants import variants
 from tests.verification.assembly import Assembly
 
 DHAT = 2e-5
@@ -46,7 +47,7 @@ def leaning(plate_cells: int, gel_cells: int, seed: int, gap: float) -> float:
     return float(np.linalg.norm(force[:2]) / -force[2])
 
 
-@pytest.mark.parametrize("gap", [0.41, 0.5, 0.9])
+@pytest.mark.parametrize("gap", variants([0.5], [0.41, 0.5, 0.9]))
 def test_a_flat_patch_does_not_lean(gap: float) -> None:
     cases = [(12, 10), (24, 10), (10, 20), (31, 20)]
     ratios = np.array([leaning(*case, seed, gap) for case in cases for seed in range(4)])
@@ -72,9 +73,9 @@ def contact_areas(mesh: TetMesh) -> np.ndarray:
 @pytest.mark.parametrize(
     ("element", "gel_cells", "plate_cells", "depth"),
     [
-        (Element.LINEAR, 6, 8, 1e-4),
-        (Element.LINEAR, 10, 20, 1e-4),
-        (Element.LINEAR, 10, 8, 3e-4),
+        (Element.LINEAR, 6, 8, 3e-4),
+        pytest.param(Element.LINEAR, 10, 20, 1e-4, marks=pytest.mark.slow),
+        pytest.param(Element.LINEAR, 10, 8, 3e-4, marks=pytest.mark.slow),
         (Element.QUADRATIC, 5, 8, 1e-4),
     ],
 )

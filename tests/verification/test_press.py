@@ -53,15 +53,23 @@ def path(reach: float) -> list[np.ndarray]:
 @pytest.mark.parametrize(
     ("name", "friction", "element"),
     [
-        *[("ball", mu, Element.LINEAR) for mu in (0.0, 0.7)],
-        *[("box", mu, Element.LINEAR) for mu in (0.0, 0.5, 1.0)],
-        *[("sphere mesh", mu, Element.LINEAR) for mu in (0.0, 1.0)],
-        *[("cylinder", mu, Element.LINEAR) for mu in (0.5, 1.0)],
-        *[("concave", mu, Element.LINEAR) for mu in (0.5, 1.0)],
-        ("ball", 0.7, Element.QUADRATIC),
-        ("sphere mesh", 0.0, Element.QUADRATIC),
+        ("ball", 0.7, Element.LINEAR),
+        ("sphere mesh", 0.0, Element.LINEAR),
+        ("concave", 1.0, Element.LINEAR),
         ("box", 0.5, Element.QUADRATIC),
-        ("concave", 0.5, Element.QUADRATIC),
+        *(
+            pytest.param(name, mu, element, marks=pytest.mark.slow)
+            for name, mu, element in (
+                ("ball", 0.0, Element.LINEAR),
+                *(("box", mu, Element.LINEAR) for mu in (0.0, 0.5, 1.0)),
+                ("sphere mesh", 1.0, Element.LINEAR),
+                *(("cylinder", mu, Element.LINEAR) for mu in (0.5, 1.0)),
+                ("concave", 0.5, Element.LINEAR),
+                ("ball", 0.7, Element.QUADRATIC),
+                ("sphere mesh", 0.0, Element.QUADRATIC),
+                ("concave", 0.5, Element.QUADRATIC),
+            )
+        ),
     ],
 )
 def test_every_frame_is_converged_separate_and_balanced(
@@ -194,8 +202,8 @@ def advance(solver: SolverIPC, state: State, target: np.ndarray) -> int:
 @pytest.mark.parametrize(
     ("element", "presses"),
     [
-        (Element.LINEAR, 8),
-        (Element.QUADRATIC, 10),
+        (Element.LINEAR, 4),
+        (Element.QUADRATIC, 4),
         pytest.param(Element.LINEAR, 200, marks=pytest.mark.slow),
         pytest.param(Element.QUADRATIC, 60, marks=pytest.mark.slow),
     ],

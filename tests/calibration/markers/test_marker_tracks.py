@@ -72,7 +72,7 @@ def errors(tracks: MarkerTracks, true: np.ndarray) -> tuple[np.ndarray, np.ndarr
         (shear, 12),
         pytest.param(shear, 8, id="0.65 pitches between frames"),
         (twist, 12),
-        (whole, 12),
+        pytest.param(whole, 12, marks=pytest.mark.slow),
     ],
 )
 def test_dots_keep_their_identity_over_one_and_a_half_pitches(motion, frames: int) -> None:

@@ -147,14 +147,15 @@ PITCH_AT_REST = (30.94, 31.87)
 @pytest.mark.parametrize(
     "choose",
     [
-        lambda frames: frames,
-        lambda frames: frames[:60],
-        lambda frames: frames[::-1],
-        lambda frames: frames[::2],
-        lambda frames: [*frames[70:], *frames[:57]],
-        lambda frames: frames[45:80],
+        pytest.param(lambda frames: frames, marks=pytest.mark.slow, id="all"),
+        pytest.param(lambda frames: frames[:60], marks=pytest.mark.slow, id="first half"),
+        pytest.param(lambda frames: frames[::-1], marks=pytest.mark.slow, id="reversed"),
+        pytest.param(lambda frames: frames[::2], marks=pytest.mark.slow, id="every other"),
+        pytest.param(
+            lambda frames: [*frames[70:], *frames[:57]], marks=pytest.mark.slow, id="begins pressed"
+        ),
+        pytest.param(lambda frames: frames[45:80], id="rests briefly"),
     ],
-    ids=["all", "first half", "reversed", "every other", "begins pressed", "rests briefly"],
 )
 def test_pitch_of_a_real_video_is_within_its_interval(
     choose: Callable[[list[np.ndarray]], list[np.ndarray]],

@@ -74,7 +74,12 @@ def fitted(
 
 @pytest.mark.parametrize(
     ("count", "stated"),
-    [(12, True), (4, True), (12, False), (4, False)],
+    [
+        pytest.param(12, True, marks=pytest.mark.slow),
+        (4, True),
+        pytest.param(12, False, marks=pytest.mark.slow),
+        (4, False),
+    ],
 )
 def test_noise_alone(tool: Tool, exact: ForceTable, count: int, stated: bool) -> None:
     """Of a stated noise, and of one that a few points have to tell: usual, but for chance."""

@@ -89,7 +89,11 @@ def known() -> Known:
 
 
 @pytest.mark.parametrize(
-    ("radius_px", "scale_share"), [(1.2, 0.0), (0.0, 0.05)], ids=["circles", "scale"]
+    ("radius_px", "scale_share"),
+    [
+        pytest.param(1.2, 0.0, id="circles"),
+        pytest.param(0.0, 0.05, id="scale", marks=pytest.mark.slow),
+    ],
 )
 def test_what_is_wrong_as_stated_is_held(
     known: Known, radius_px: float, scale_share: float

@@ -47,7 +47,15 @@ def _residual(system: LinearSystem, dense: np.ndarray, env: int) -> float:
     return float(np.linalg.norm(left) / np.linalg.norm(b))
 
 
-@pytest.mark.parametrize(("lanes", "kib"), [(32, 227), (64, 227), (32, 163), (32, 48)])
+@pytest.mark.parametrize(
+    ("lanes", "kib"),
+    [
+        pytest.param(32, 227, marks=pytest.mark.slow),
+        pytest.param(64, 227, marks=pytest.mark.slow),
+        (32, 163),
+        (32, 48),
+    ],
+)
 @pytest.mark.parametrize("make", [peg, lambda: with_contact_in_pattern(peg())])
 def test_two_gels_and_a_body_are_solved_exactly(
     many_lanes: None, make: object, lanes: int, kib: int
