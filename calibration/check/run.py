@@ -153,7 +153,7 @@ def check_captures(
     grey = None if facts is None else facts.is_grey
     if background is not None and grey is not True:
         grey = is_grey(frames, thumb(background.image))
-    findings = worst_first([quoted(finding) for finding in findings])
+    findings = worst_first(findings)
     return CaptureCheck(
         folder=folder,
         findings=tuple(findings),
