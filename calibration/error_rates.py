@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """How often findings about presses err on published sets: ``benchmarks/results/check_errors.json``.
 
-The one place in code that holds these rates. Findings quote them, docs/capture_check.md sums them
-up, and a test compares them with that result.
+The one place in code that holds these rates: findings quote them, docs/captures.md has their table,
+and a test compares them with that result.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ NEEDS = {
     "calibration_color.md": "a folder of captures",
     "calibration_markers.md": "images of a sensor",
     "captures.md": "a folder of images",
+    "clusters.md": "several machines",
     "datasets.md": "a data set",
     "exporters.md": "a profile of one's own",
     "force.md": "a profile with a force model",
