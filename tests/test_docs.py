@@ -27,7 +27,6 @@ NEEDS = {
     "force.md": "a profile with a force model",
     "formats.md": "a profile of one's own",
     "solver.md": "several GPUs",
-    "studies.md": "a study's results",
     "viewer.md": "a scene of one's own",
 }
 """Pages whose blocks go on from files of the reader's own: compiled, not run."""
