@@ -86,7 +86,7 @@ def _lines(path: Path, about: dict[str, Any]) -> list[str]:
     ]
     area = f"  area {about['area_mm2']:.2f} +- {about['area_sigma_mm2']:.2f} mm2"
     if about["center_mm"] is None:
-        area += "; no touch is told from none"
+        area += "; no touch is detected"
     else:
         area += ", middle at ({:.2f}, {:.2f}) mm".format(*about["center_mm"])
     return [*lines, area, *(f"  outside the training: {reason}" for reason in about["outside"])]

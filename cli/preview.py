@@ -93,7 +93,7 @@ def print_preview(console: Console, preview: DesignPreview) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table("figure", "value", "unit", "what it is", title=preview.family.label)
+    table = Table("figure", "value", "unit", "meaning", title=preview.family.label)
     table.columns[1].justify = "right"
     for metric in preview.metrics:
         value = preview.result.figures.get(metric.name)

@@ -83,7 +83,7 @@ class RobotShow:
             ],
         )
         for sentence in shown["refused"]:
-            console.print(Text(f"refused: {sentence}", style="yellow"), soft_wrap=True)
+            console.print(Text(f"rejected: {sentence}", style="yellow"), soft_wrap=True)
         if self.picture is not None:
             console.print(f"wrote {self.picture}")
 

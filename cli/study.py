@@ -225,7 +225,7 @@ def _print_lists(options: Study) -> None:
 
     console = results()
     if options.list_metrics:
-        table = Table("metric", "unit", "better", "read from", "what it is", title="metrics")
+        table = Table("metric", "unit", "better", "read from", "meaning", title="metrics")
         for name, metric in metrics.items():
             read = ", ".join(metric["presses"]) or "no press"
             cells = (metric["unit"], metric["better"], read, metric["description"])

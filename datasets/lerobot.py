@@ -52,7 +52,7 @@ def export_lerobot(folders: Sequence[Path | str], out: Path | str, fps: int = 10
     if not shown:
         raise InputError("the data set has no step")
     if len({data.read("rgb", data.rows_of(k)[:1]).shape for k in shown}) > 1:
-        raise InputError("LeRobot wants images of one size; export each sensor's data by itself")
+        raise InputError("LeRobot wants images of one size; export each sensor's data separately")
     with atomic_directory(out) as staging:
         return _Writer(data, shown, staging, fps).write()
 

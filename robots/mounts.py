@@ -73,9 +73,7 @@ def make_mount(
     """A gel on a link of a robot; ``pose``: link_from_gel, [7]."""
     if isinstance(gel, SoftBody):
         if gel.mount is not None or gel.initial_pose is not None:
-            raise InputError(
-                f"gel {gel.name!r} has a mount or a pose of its own already; give one without"
-            )
+            raise InputError(f"gel {gel.name!r} already has a mount or a pose; give one without")
         surface = gel.surface
         body = replace(gel, surface=GEL_SURFACE if surface == Surface() else surface)
     else:

@@ -93,7 +93,7 @@ def profile_family(profile: SensorProfile, name: str, like: SensorFamily) -> Pro
     kept = OF_A_HARDNESS if hardness_of(values) else ()
     defaults = {k: value for k, value in values.items() if value != known[k].default or k in kept}
     pad = MeshPad(profile.gel.thickness_mm, mesh=profile.mesh) if imported else None
-    what = f"a gel of its own, all else like {like.name}" if imported else like.title
+    what = f"its own gel, all else like {like.name}" if imported else like.title
     return _made(name, f"{profile.sensor.name}: {what}", like.references, like, defaults, pad)
 
 
@@ -116,7 +116,7 @@ def like_name(profile: SensorProfile) -> str:
 
 def imported_gel(like: SensorFamily, gel: MeshPad) -> ProfileFamily:
     """A sensor that is ``like`` one of the catalogue but for its gel."""
-    return _made(IMPORTED, f"a gel of its own, all else like {like.name}", (), like, {}, gel)
+    return _made(IMPORTED, f"its own gel, all else like {like.name}", (), like, {}, gel)
 
 
 def require_no_shape(like: SensorFamily, names: Mapping[str, Any]) -> None:

@@ -124,4 +124,4 @@ def submit_shards(
         executor.update_parameters(**{"name": f"study-{file.stem}", **settings})
         return executor.submit_array(jobs)
     except (AssertionError, NameError, TypeError, ValueError, RuntimeError) as error:
-        raise InputError(f"submitit refuses to submit to {where}: {error}") from error
+        raise InputError(f"submitit cannot submit to {where}: {error}") from error

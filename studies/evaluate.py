@@ -66,9 +66,9 @@ def evaluate_designs(
     """
     ids = [point.id for point in designs]
     if len(set(ids)) != len(ids):
-        raise InputError("designs of a study need ids of their own; some are given twice")
+        raise InputError("designs of a study need unique ids; some are given twice")
     if len({press.name for press in presses}) != len(presses):
-        raise InputError("presses of a study need names of their own; some are given twice")
+        raise InputError("presses of a study need unique names; some are given twice")
     jobs: dict[str, PressJob] = {}
     owners: dict[str, _Design] = {}
     prepared = []

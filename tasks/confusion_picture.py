@@ -28,5 +28,5 @@ def draw_confusion(pairs: Sequence[tuple[int, int]], names: Sequence[str], path:
     axes.set(xlabel="taken for", ylabel="part")
     axes.grid(visible=False)
     right, total = int(np.trace(counts)), int(counts.sum())
-    axes.set_title(f"{right} of {total} grasps told right, {right / total:.1%}")
+    axes.set_title(f"{right} of {total} grasps classified correctly, {right / total:.1%}")
     save_figure(figure, path)

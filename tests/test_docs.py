@@ -21,12 +21,12 @@ NEEDS = {
     "calibration_color.md": "a folder of captures",
     "calibration_markers.md": "images of a sensor",
     "captures.md": "a folder of images",
+    "clusters.md": "several machines",
     "datasets.md": "a data set",
     "exporters.md": "a profile of one's own",
     "force.md": "a profile with a force model",
     "formats.md": "a profile of one's own",
     "solver.md": "several GPUs",
-    "studies.md": "a study's results",
     "viewer.md": "a scene of one's own",
 }
 """Pages whose blocks go on from files of the reader's own: compiled, not run."""

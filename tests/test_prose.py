@@ -21,7 +21,8 @@ PAGES = sorted(
 )
 EVIDENCE = {"scores", "verification", "task_results", "ablations", "benchmarks"}
 """Pages that may state commits and dates: they tell of measurements."""
-MOST_WORDS = 60_000
+MOST_WORDS, MOST_WORDS_OF_A_TASK = 60_000, 800
+CODE_AND_TABLES = re.compile(r"^```.*?^```|^\|[^\n]*$", flags=re.DOTALL | re.MULTILINE)
 COMMANDS = [
     pytest.param(command, id=" ".join(words))
     for name, entry in command_tree().items()
@@ -72,3 +73,11 @@ def test_the_linter_finds_what_it_should() -> None:
     assert not faults("```sh\n# what it is told goes with " + "word " * 40 + "\n```\n")
     assert not faults("See [this page](goes_with.md).\n")
     assert sentences("One `a. B` here. Two, e.g. three.") == ["One CODE here.", "Two, e.g. three."]
+
+
+def test_pages_of_one_task_are_short() -> None:
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    (names,) = re.findall(r":caption: How to\n:maxdepth: 1\n\n(.*?)\n```", index, flags=re.DOTALL)
+    for name in names.split():
+        text = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+        assert len(re.sub(CODE_AND_TABLES, "", text).split()) <= MOST_WORDS_OF_A_TASK, name

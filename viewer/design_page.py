@@ -103,7 +103,7 @@ class DesignPage:
             self._status = add_note(gui)
             self._middle = gui.add_dropdown(
                 "in the middle", (PRESS, SOLID),
-                hint="The press has a mesh of its own, fine around the ball and coarse at the rim.",
+                hint="The press has another mesh, fine around the ball and coarse at the rim.",
             )  # fmt: skip
             with gui.add_folder("Press of a ball"):
                 self._radius = gui.add_slider("radius [mm]", 1.0, 8.0, 0.1, 3.0)
@@ -180,7 +180,7 @@ class DesignPage:
             return
         except InputError as error:
             self._refuse(str(error))
-            self._status.content = PageText("**Refused:** {}").format(error)
+            self._status.content = PageText("**Rejected:** {}").format(error)
         except Exception as fault:
             # The thread must live: without it the page would never answer again.
             traceback.print_exc()

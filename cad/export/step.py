@@ -45,7 +45,7 @@ def write_assembly_step(parts: Sequence[Part], path: Path, *, name: str) -> None
     component that can be moved.
     """
     if len({part.name for part in parts}) != len(parts):
-        raise ValueError(f"the parts of {name} do not have names of their own")
+        raise ValueError(f"the parts of {name} do not have names")
     document = _Document()
     assembly = document.shapes.NewShape()
     document.set_name(assembly, name)

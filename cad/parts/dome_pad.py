@@ -315,7 +315,7 @@ class ShellDomePad(DomePad):
         description="half angle of the cap; 90 is a hemisphere",
     )  # fmt: skip
     skirt_mm: float = parameter(
-        0.0, minimum=0.5, maximum=60, unit="mm", source=_NEUTRAL, zero_means="no skirt",
+        0.0, minimum=0.5, maximum=60, unit="mm", source=_NEUTRAL, zero_means="no cylindrical part",
         description="height of the cylinder below a hemisphere",
     )  # fmt: skip
     window_deg: float = parameter(
@@ -338,7 +338,7 @@ class ShellDomePad(DomePad):
         if self.skirt_mm and self.opening_deg < 90:
             raise InputError(
                 f"skirt_mm = {self.skirt_mm:g} needs a hemisphere to continue; allowed with "
-                f"opening_deg = {self.opening_deg:g}: 0 (no skirt)"
+                f"opening_deg = {self.opening_deg:g}: 0 (no cylindrical part)"
             )
         if self.window_deg > self.opening_deg - 1:
             raise InputError(

@@ -142,9 +142,9 @@ def _tables(result: ColorCalibration) -> list[Table]:
                 "Figures",
                 ("figure", *columns),
                 [(label, *(column[key] for column in columns.values())) for key, label in FIGURES],
-                "Held-out presses; the first column is the one to quote. By label: where the label "
-                "puts the ball, plus the mean shift of the training labels. By itself: on the very "
-                "pixels that are scored, which flatters. Failures count as the bare background."
+                "Held-out presses; quote the first column. By label: where the label puts the "
+                "ball, plus the mean shift of the training labels. Self-registered: placed on the "
+                "scored pixels, which is optimistic. Failures count as the bare background."
                 + (" Renders are in the capture's own light, fitted beyond 3 contact radii."
                    if result.drift_corrected else ""),
             )

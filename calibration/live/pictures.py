@@ -45,7 +45,7 @@ def depth_picture(reading: LiveReading) -> tuple[str, np.ndarray]:
             picture[marked] = BEYOND
     title = f"depth 0 to {deepest:.2f} mm (pink: beyond the calibration)"
     if reading.refused:
-        picture[:], title = REFUSED, "depth: refused"
+        picture[:], title = REFUSED, "depth: rejected"
     return title, picture
 
 

@@ -26,7 +26,7 @@ from taccel_lab.signals.normal_features import color_change
 from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import normals_from_slopes, rotate_to_z, slopes_from_height
 
-TASK = "drawing practice presses"
+TASK = "drawing synthetic presses"
 DEPTHS = (0.1, 1.3)
 """Depths over that of the deepest ball, as far as ``MOST`` of the gel; drawn so that all orders of
 size are as frequent. Who presses something else on a sensor presses about as hard as he did balls.

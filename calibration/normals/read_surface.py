@@ -34,7 +34,7 @@ STEEP_SHARE = 0.02
 SigmaOf = Literal["absolute depth", "reading alone"]
 NO_SIGMA = (
     "the profile does not say how uncertain its depths are: it was calibrated by an earlier "
-    "version or without practice presses; calibrate again"
+    "version or without synthetic presses; calibrate again"
 )
 READING_ALONE = (
     "the profile was calibrated by an earlier version: its +- is that of the reading alone, and "

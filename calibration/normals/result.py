@@ -167,7 +167,7 @@ class NormalCalibration(ResultSummary):
                 * (config.position_bands > 0)
                 + f"; {options.steps} Adam steps, stopped on left-out presses; practice on "
                 f"{options.practice if self.practised else 0} other presses; circles: "
-                f"{self.circles}; skirt: {self.surfaces}; light drift "
+                f"{self.circles}; sink-in: {self.surfaces}; light drift "
                 + ("taken off" if config.light_drift else "left in")
             ),
             source=self.source,

@@ -281,7 +281,7 @@ class Recorder:
     def _prompt(self, seen: Seen, advice: Advice | None) -> str:
         if self._gap:
             return (
-                f"The camera is gone ({self._gap}). Plug it in again: recording goes on by itself, "
+                f"The camera is gone ({self._gap}). Plug it in again: recording resumes, "
                 "nothing is lost."
             )
         if self.finished:

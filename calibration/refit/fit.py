@@ -130,8 +130,8 @@ def refit_profile(
     pressed = [frame for frame in frames if frame.change is not None]
     if profile.color is not None and len(pressed) < 2:
         raise InputError(
-            f"{len(pressed)} of the {len(frames)} new frames are presses: the colour model's "
-            "response cannot be told from that; at least 2 presses of a known ball"
+            f"{len(pressed)} of the {len(frames)} new frames are presses: too few for the "
+            "colour model's response; at least 2 presses of a known ball"
         )
     old = old.astype(np.float64)
     fit = fit_light_change(frames, old, mask)

@@ -100,7 +100,7 @@ def simulate_batch(batch: PressBatch) -> BatchOutcome:
     # What is matched with a circle is what touches. One might match what is seen, where the gel is
     # still within some micrometres of the ball, and press less deeply. At a gap of 20 um, 0.1 mm
     # further out, colours of left-out training presses are predicted worse on two sensors and no
-    # better than by chance on the third (docs/calibration_color.md).
+    # better than by chance on the third (docs/ablations.md).
     window, frames = _window(1.4 * batch.ball_radius_mm), np.zeros((count, 7))
     frames[:, :2], frames[:, 6] = 1e-3 * batch.at_mm, 1.0
     search = DepthSearch(batch.target_mm, batch.ball_radius_mm, batch.tolerance_mm)

@@ -29,7 +29,7 @@ MAX_MISFIT_DEG = 2.0
 """Largest mean angle between a simulated press and the law, inside the contact and up to 2.5 radii.
 Most of it is no other shape but the mesh beside a steep edge, which the law averages out: where it
 is 1.0 degrees (FOTS) and 1.6 (Taxim's dome), colours of left-out training presses are predicted
-better by the law than by a simulation of each (docs/calibration_color.md). Beyond, nothing is
+better by the law than by a simulation of each (docs/ablations.md). Beyond, nothing is
 known, and each press is simulated."""
 RING_RADII = 2.5
 

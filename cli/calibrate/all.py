@@ -60,7 +60,9 @@ class CalibrateAll(CalibrationFiles):
                 )
         except KeyboardInterrupt:
             if unfinished.exists():
-                console.print(f"finished blocks are kept: the same command goes on in {unfinished}")
+                console.print(
+                    f"finished blocks are kept: the same command continues in {unfinished}"
+                )
             raise
         with working(console, "writing the reports"):
             found.write_report(report)

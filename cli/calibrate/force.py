@@ -69,7 +69,7 @@ class CalibrateForce(ForceOptions):
             if kept.step is None:
                 say("interrupted before anything of the training was kept")
             else:
-                say(f"interrupted; the same command goes on after step {kept.step:,}")
+                say(f"interrupted; the same command continues after step {kept.step:,}")
             raise SystemExit(130) from None
         profile, say_it = result.apply_to(base), Sayings("force", console, self.json)
         write_results(result, force_page(result), profile, self.out, report, say_it)

@@ -99,7 +99,7 @@ class _Session(CameraOptions):
                 if folder.background is not None:
                     console.print(
                         f"stopped at {len(folder.presses)} of {wanted} presses; {self.out} is "
-                        "whole, and the same command goes on with it",
+                        "whole, and the same command continues it",
                     )
                 if isinstance(error, KeyboardInterrupt):
                     raise SystemExit(130) from None
@@ -161,7 +161,7 @@ class _Session(CameraOptions):
                 console.print(f"  {lamp.name}: {lamp.told}")
         out = shlex.quote(str(self.out))
         if status.taken < status.wanted:
-            console.print("the same command goes on with it")
+            console.print("the same command continues it")
         console.print(f"next: taccel-lab capture check {out}")
 
 

@@ -63,8 +63,7 @@ def force_page(result: ForceCalibration) -> Page:
         pictures=[
             Picture(
                 "told", partial(draw_told, result),
-                "What is told against what was simulated, held-out touches; grey ones are called "
-                "outside.",
+                "Estimated against simulated forces, held-out test set; grey ones are outside.",
             ),
             Picture(
                 "errors", partial(draw_errors, result),
@@ -73,8 +72,8 @@ def force_page(result: ForceCalibration) -> Page:
             ),
             Picture(
                 "patches", partial(draw_patches, result),
-                "Held-out touches: change of colour, force along z by patch as simulated and as "
-                "told, arrows along the face.",
+                "Held-out touches: change of colour, force along z by patch simulated and "
+                "estimated, arrows along the face.",
             ),
             Picture("loss", partial(draw_loss, result), "Loss of the training's batches."),
         ],

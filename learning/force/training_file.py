@@ -79,7 +79,7 @@ class TrainingFile:
             )
             return None
         self.step, self.earlier_s = step, seconds
-        self.say(f"the training goes on after step {step:,}, kept in {self.path}")
+        self.say(f"the training continues after step {step:,}, kept in {self.path}")
         return state
 
     def due(self) -> bool:

@@ -27,7 +27,7 @@ def _law(record: PressRecord) -> float:
     """Exponent of a half-space under the tool."""
     kind = record.indenter.partition(":")[0]
     if kind not in _LAWS:
-        raise NoFigure(f"{record.indenter} has no power law of its own")
+        raise NoFigure(f"{record.indenter} has no power law")
     return _LAWS[kind]
 
 

@@ -47,7 +47,7 @@ def study_verdict(outcome: Outcome, values: dict[str, Any]) -> StudyVerdict:
             headline += f", {counts['feasible']} keep the constraints"
         good = True
     if not outcome.complete:
-        text = "The study is not finished; the same command goes on with it."
+        text = "The study is not finished; the same command continues it."
         remark(Severity.WARNING, "not_finished", text)
     if counts["failed"]:
         lost = f"{counts['failed']} design{'s' if counts['failed'] > 1 else ''}"

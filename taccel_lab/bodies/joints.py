@@ -223,7 +223,7 @@ def check_joints(
             if joint.second_pose is not None and joint.second in affine:
                 raise InputError(
                     f"second_pose of {who} is for a kinematic body; {joint.second!r} is affine "
-                    "and has an initial pose of its own"
+                    "and has its own initial pose"
                 )
         arrays = {field: getattr(joint, field) for field in ("anchor_m", "axis", "second_pose")}
         for field, value in arrays.items():

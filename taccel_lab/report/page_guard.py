@@ -42,7 +42,7 @@ POLICY = (
 """viser's client is one file with its script, styles and fonts inside, and starts a worker."""
 REFUSED = (
     "This page opens at the address that its command printed, with all of its letters. By another "
-    "name of this machine it opens where the command was told that name with --host.\n"
+    "name of this machine it opens where the command got that name with --host.\n"
 )
 _STARTING = threading.Lock()
 

@@ -117,7 +117,7 @@ class SolverIPC(SolverParts):
         started = time.perf_counter()
         with self.at_work():
             if self.progress.underway.any():
-                raise InputError("some environments are in a step of their own: see ReadySteps")
+                raise InputError("some environments are in their own step: see ReadySteps")
             if again:
                 self._require_again(state)
             who = self._everyone if who is None else checked_mask(who, self.model.env_count)

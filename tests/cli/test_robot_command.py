@@ -64,7 +64,7 @@ def test_what_is_refused_is_shown(cli: Cli, tmp_path: Path) -> None:
     # The second face is turned over.
     write(tmp_path, TETRAHEDRON.replace("f 1 2 4", "f 1 4 2"), "mesh.obj")
     path = write(tmp_path, with_mesh("mesh.obj"))
-    assert "refused: collision shape of link 'a': " in cli("robot show", path).out
+    assert "rejected: collision shape of link 'a': " in cli("robot show", path).out
     planar = write(tmp_path, CHAIN.replace('"continuous"', '"planar"'), "planar.urdf")
     assert "joint 'spin' is planar, which is not supported" in cli.refusal("robot show", planar)
     told = cli.refusal("robot show hand")

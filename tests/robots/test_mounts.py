@@ -274,7 +274,7 @@ def test_wrong_coordinates_and_gels_are_refused() -> None:
         (lambda: robot.mount("finger", GEL), "has no link 'finger'"),
         (
             lambda: robot.mount("palm", replace(GEL, mount="hand")),
-            "'gel' has a mount or a pose of its own already",
+            "'gel' already has a mount or a pose",
         ),
         (
             lambda: robot.mount("palm", GEL, np.tile(IDENTITY, (2, 1))),

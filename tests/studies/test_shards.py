@@ -261,7 +261,7 @@ def test_jobs_of_submitit_do_their_shards(file: Path, tmp_path: Path) -> None:
 def test_settings_that_submitit_refuses_are_told(
     file: Path, tmp_path: Path, settings: dict[str, str]
 ) -> None:
-    with pytest.raises(InputError, match="submitit refuses to submit to local: "):
+    with pytest.raises(InputError, match="submitit cannot submit to local: "):
         submit_shards(file, tmp_path / "out", 2, "local", settings=settings)
 
 

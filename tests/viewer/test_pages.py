@@ -132,7 +132,7 @@ def test_of_many_changes_the_last_is_shown_while_files_are_written_and_closing_e
         page.controls.set("shore_a", 20.0)
         page.controls.set("shore_00", 20.0)
         assert page.work.wait(60)
-        assert "**Refused:**" in page._status.content
+        assert "**Rejected:**" in page._status.content
         page.controls.reset()
         page.controls.set("thickness_mm", 4.5)
         limit = time.monotonic() + 60

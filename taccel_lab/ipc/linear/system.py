@@ -104,7 +104,7 @@ def usable_methods(row_count: int, device: wp.Device) -> list[str]:
 def _method(
     pattern: BlockPattern, clusters: list[tuple[int, int]], env_count: int, device: wp.Device
 ) -> str:
-    """The solver that suits the device and the size; docs/solver.md has the times of each."""
+    """The solver that suits the device and the size; docs/ablations.md has the times of each."""
     if device.is_cpu:
         # Gauss-Seidel sweeps run along the rows: quick on one CPU thread, hopeless on thousands.
         return "ssor"
