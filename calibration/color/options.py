@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.press_options import BallPressOptions
@@ -32,12 +31,8 @@ class ColorOptions(ColorTraining, BallPressOptions):
     register: bool = True
     """Whether the circles are read again with the colours of the other fitted presses, where there
     are 8 of them."""
-    surface: Literal["simulated", "each", "hertz"] = "simulated"
-    """Gel surface under a press: the simulation of the presses that span all others, from which the
-    others are read where one law holds; the simulation of each; or a closed form."""
     cache: bool = True
-    """Whether contacts and simulated presses are kept in the user's cache folder, and taken from
-    there."""
+    """Whether contacts are kept in the user's cache folder, and taken from there."""
     drift: DriftMode = "auto"
     """Take the drift of the light off each frame: on for cameras with automatic white balance;
     auto does it where that takes away at least a quarter of the difference between untouched gel
