@@ -35,9 +35,10 @@ from taccel_lab.calibration.capture import find_taxim_pack, load_captures
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.contacts.usable import usable_circles
-from taccel_lab.calibration.simulate import simulate_presses
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_skirts
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.signals.rest_surface import rest_surface
 
 start_warp()
 plt.rcParams["figure.dpi"] = 60
@@ -46,7 +47,8 @@ captures = load_captures(find_taxim_pack())
 captures = dataclasses.replace(captures, presses=captures.presses[:20:10])
 base = catalogue_profile("gelsight")
 usable = usable_circles(captures)
-surfaces = simulate_presses(usable.captures, usable.circles, base, processes=1)
+rest = rest_surface(base.mesh, captures.grid)
+surfaces = layer_skirts(usable.captures, usable.circles, layer_of(base), rest)
 options = ColorFitOptions(steps=300, batch_pixels=4096)
 fit = fit_color(usable.captures, usable.circles, surfaces, options=options)
 profile = fit.apply_to(base)

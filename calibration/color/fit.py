@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Captures and simulated surfaces to the profile blocks ``background`` and ``color``.
+"""Captures and the surfaces of their presses to the profile blocks ``background`` and ``color``.
 
 All that is chosen or fitted rests on the training presses; then the model is frozen, and the
 held-out presses are read, placed and scored (``taccel_lab.calibration.color.heldout``).
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import numpy as np
 
@@ -41,7 +42,7 @@ from taccel_lab.calibration.color.result import ColorCalibration, PressScore, Sp
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode
-from taccel_lab.calibration.simulate import PressSurfaces
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_skirts
 from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
@@ -51,6 +52,7 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.color_model import STEEPEST, ColorModel
+from taccel_lab.signals.rest_surface import rest_surface
 from taccel_lab.signals.tactile_image import tactile_image
 
 SPREAD_PIXELS = 2000
@@ -72,13 +74,12 @@ def calibrate_color(
 
     Args:
         folder: Its background and presses are used.
-        base: Profile that the result extends: its gel is what presses are simulated on.
+        base: Profile that the result extends: its gel is what the ball sinks into.
         options: Which presses are fitted, and how.
         progress: Told what is done.
 
     Raises:
         InputError: Captures that no model can be fitted to, with what their check found.
-        SimulationError: A simulated press that did not converge.
     """
     if options.ensemble == 1 or options.ensemble < 0:
         raise InputError(f"ensemble must be 0 or at least 2, got {options.ensemble}")
@@ -87,8 +88,10 @@ def calibrate_color(
     )
     presses = ball_presses(folder, base, "color", options, progress, cache=options.cache)
     findings = [item for item in presses.findings if item.code not in ASKED_ELSEWHERE]
-    surfaces = PressSurfaces(
-        options.surface, presses.profile, cache=options.cache, progress=progress
+    surfaces = partial(
+        layer_skirts,
+        layer=layer_of(presses.profile),
+        rest=rest_surface(presses.profile.mesh, presses.captures.grid),
     )
     found = fit_color(
         presses.training,

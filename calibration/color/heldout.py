@@ -12,7 +12,7 @@ to the kindest:
   out and flatters by what three numbers can absorb.
 
 Figures that are quoted are those by label where every held-out press has one, else those by tiles.
-A press that cannot be placed or simulated, or that is gone, counts as the bare background.
+A press that cannot be placed or has no surface, or that is gone, counts as the bare background.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.result import mean_figures
-from taccel_lab.calibration.simulate import SurfaceMaker
+from taccel_lab.calibration.surfaces.ball_in_layer import SurfaceMaker
 from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
-from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.errors import InputError
 from taccel_lab.signals.tactile_image import tactile_image
 
 Placement = Literal["label", "tiles", "self"]
@@ -211,12 +211,12 @@ class _HeldoutScoring:
         chosen = replace(self.captures, presses=tuple(presses))
         try:
             return list(self.make(chosen, circles))
-        except (InputError, SimulationError):
+        except InputError:
             found: list[PressSurface | str] = []
             for i, circle in enumerate(circles):
                 try:
                     found += self.make(chosen.only([i]), [circle])
-                except (InputError, SimulationError) as error:
+                except InputError as error:
                     found.append(f"it has no surface: {error}")
             return found
 

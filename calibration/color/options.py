@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.press_options import BallPressOptions
@@ -30,13 +29,10 @@ class ColorOptions(ColorTraining, BallPressOptions):
     """Settings of ``calibrate_color``."""
 
     register: bool = True
-    """Whether to read the circles again with the colours of the other fitted presses, if there
-    are 8."""
-    surface: Literal["simulated", "each", "hertz"] = "simulated"
-    """Gel surface under a press: a few presses are simulated and the rest interpolated; each is
-    simulated; or a closed form."""
+    """Whether the circles are read again with the colours of the other fitted presses, where there
+    are 8 of them."""
     cache: bool = True
-    """Whether to use the user's cache folder for contacts and simulated presses."""
+    """Whether contacts are kept in the user's cache folder, and taken from there."""
     drift: DriftMode = "auto"
     """Remove the drift of the light from each frame: on for cameras with automatic white
     balance. auto does so if it removes at least a quarter of the difference between untouched

@@ -5,8 +5,8 @@ What the depth is counted from has to be said. A ball's shape gives depths below
 contact; the rim itself lies below the untouched face, since the gel sinks around a ball, and by how
 much no image tells. Presses of known travel settle it (``travel``). Without any, ``untouched``
 counts from where the grey is that of untouched gel, so that the curve starts at zero without a
-step; ``rim`` from the rim of the contact; ``hertz`` and ``simulated`` add the sinking of an elastic
-half-space or of the designed gel to that.
+step; ``rim`` from the rim of the contact; ``layer`` adds to that how deep the rim of a ball lies in
+a bonded layer of the gel's thickness.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -50,7 +51,7 @@ from taccel_lab.calibration.depth.remarks import (
     place_remarks,
 )
 from taccel_lab.calibration.depth.result import DepthCalibration, PressFigures
-from taccel_lab.calibration.simulate import PressSurfaces, SurfaceMaker
+from taccel_lab.calibration.surfaces.ball_in_layer import SurfaceMaker, layer_of, layer_skirts
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.thickness.travel import TOUCH_MM
 from taccel_lab.errors import InputError
@@ -58,6 +59,7 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.depth_response import DepthResponse, channel_of
+from taccel_lab.signals.rest_surface import flat_rest
 
 BOOTSTRAPS = 40
 TASK = "finding contacts and fitting the curve"
@@ -75,7 +77,7 @@ def calibrate_depth(
     Args:
         folder: Its background and presses are used.
         base: Profile that the result extends: its camera gives the scale where it was measured, or
-            where neither maps nor captures do; its gel the sunk rim of ``hertz`` and ``simulated``.
+            where neither maps nor captures do; its gel the sunk rim of ``layer``.
         options: What is read, and what depths are counted from.
         progress: Told what is done.
 
@@ -88,10 +90,8 @@ def calibrate_depth(
     on_captures = on_grid(base, captures.grid, captures.provenance)
     findings = capture_findings(with_measured_scale(folder, base), "depth", progress)
     progress(TASK, 0, 1)
-    kind = "each" if options.zero == "simulated" else "hertz"
-    surfaces = PressSurfaces(
-        kind, on_captures, decay_mm=on_captures.gel.thickness_mm, progress=progress
-    )
+    rest = flat_rest(captures.grid)
+    surfaces = partial(layer_skirts, layer=layer_of(on_captures), rest=rest)
     with refusing_with(findings):
         share = stated_scale_share(on_captures.camera)
         found = fit_depth(captures, options, surfaces, assumed, scale_share=share)
@@ -113,7 +113,7 @@ def fit_depth(
     Args:
         captures: Background and presses.
         options: What is read, and what depths are counted from.
-        surfaces: Gives the surfaces of the presses for ``hertz`` and ``simulated``.
+        surfaces: Gives the surfaces of the presses for ``layer``.
         remarks: What is known already of the captures.
         scale_share: Standard deviation of the scale of the pixel grid, as a share of it.
     """
@@ -139,9 +139,9 @@ def fit_depth(
         if by_travel is None:
             raise InputError(f"{captures.source}: zero travel needs depth_mm of a press")
         sunk = by_travel
-    if options.zero in ("hertz", "simulated"):
+    if zero == "layer":
         if surfaces is None:
-            raise InputError(f"zero {options.zero!r} needs the surfaces of the presses")
+            raise InputError("zero layer needs the surfaces of the presses")
         sunk = [
             _rim_depth_mm(surface, circle, captures)
             for surface, circle in zip(surfaces(captures, chosen), chosen, strict=True)

@@ -101,7 +101,6 @@ def calibrate_normals(
 
     Raises:
         InputError: Captures that no model can be fitted to, with what their check found.
-        SimulationError: A simulated press that did not converge.
     """
     settings = InverseFitOptions(
         **{field.name: getattr(options, field.name) for field in fields(NormalTraining)}

@@ -10,19 +10,16 @@ of the fit, one after the other.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from taccel_lab.calibration.base_profile import require_image_of
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
 from taccel_lab.calibration.light.average import RunningMean
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.light.untouched import steady_pixels, untouched_pixels
 from taccel_lab.calibration.refit import remarks
-from taccel_lab.calibration.refit.frames import Surfaces, refit_frames
+from taccel_lab.calibration.refit.frames import refit_frames
 from taccel_lab.calibration.refit.light_change import (
     LightChange,
     LightChangeFit,
@@ -30,12 +27,9 @@ from taccel_lab.calibration.refit.light_change import (
     fit_light_change,
 )
 from taccel_lab.calibration.refit.result import CHANNELS, FrameError, RefitCalibration
-from taccel_lab.calibration.simulate import simulate_presses
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.view import require_view_on_pad
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
-from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 from taccel_lab.sensors.registry import is_of_sensor
 
@@ -48,19 +42,9 @@ FRAME_DRIFT_LEVELS = 3.0
 MIN_GAIN_LEVELS = 0.1
 
 
-@dataclass(frozen=True)
-class RefitOptions:
-    """Settings of a refit."""
-
-    surface: Literal["simulated", "hertz"] = "simulated"
-    """Gel surface under a press: the simulation, or a closed form, which is quick."""
-
-
 def calibrate_refit(
     folder: CaptureFolder,
     base: SensorProfile,
-    options: RefitOptions = RefitOptions(),
-    progress: Progress = silent,
 ) -> RefitCalibration:
     """Correct ``base`` for the light of today, which ``folder`` shows.
 
@@ -74,10 +58,8 @@ def calibrate_refit(
         )
     require_image_of(base, folder)
     _require_background(base)
-    surfaces = _simulated(base, progress) if options.surface == "simulated" else "hertz"
-    if options.surface == "simulated":
-        require_view_on_pad(base, base.grid(), folder.mask, folder.source, "color")
-    new = refit_frames(base, folder, surfaces)
+    require_view_on_pad(base, base.grid(), folder.mask, folder.source, "color")
+    new = refit_frames(base, folder)
     return refit_profile(
         base,
         new.fitted,
@@ -86,13 +68,6 @@ def calibrate_refit(
         mask=folder.mask,
         heldout=new.heldout,
     )
-
-
-def _simulated(profile: SensorProfile, progress: Progress) -> Surfaces:
-    def make(captures: CaptureSet, circles: list[ContactCircle]) -> list[PressSurface]:
-        return simulate_presses(captures, circles, profile, progress=progress)
-
-    return make
 
 
 def _require_background(profile: SensorProfile) -> np.ndarray:

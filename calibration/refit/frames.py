@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -18,16 +16,15 @@ from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.refit.light_change import RefitFrame
-from taccel_lab.calibration.surfaces.analytic import analytic_surface
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_skirts
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.rest_surface import rest_surface
 
 NEAR_RADII = 1.8
 """The model's own error matters less beyond this many contact radii."""
-
-Surfaces = Callable[[CaptureSet, list[ContactCircle]], list[PressSurface]]
 
 
 @dataclass(frozen=True)
@@ -45,16 +42,14 @@ class NewFrames:
 def refit_frames(
     profile: SensorProfile,
     folder: CaptureFolder,
-    surfaces: Surfaces | Literal["hertz"] = "hertz",
 ) -> NewFrames:
     """Frames of ``folder`` with the old profile's render.
 
     Presses are split before an image is read, by the one rule for captures; with fewer than four,
     only what the manifest holds out is. The circles of the training presses are found in their
     images together; a held-out press is placed by its label, as those of the training presses lie,
-    or else found in its own image alone. ``surfaces`` makes the gel's surface under each press,
-    ``hertz`` in closed form. A profile without a colour model takes the untouched frames only.
-    Raises InputError when the images are not of the profile's size.
+    or else found in its own image alone. A profile without a colour model takes the untouched
+    frames only. Raises InputError when the images are not of the profile's size.
     """
     size = profile.camera.width_px, profile.camera.height_px
     frames: list[RefitFrame] = []
@@ -77,35 +72,17 @@ def refit_frames(
     training = captures.only(split.train)
     usable = usable_circles(training, cache=False)
     training, circles = usable.captures, usable.circles
-    made = _surfaces(profile, training, circles, surfaces)
+    pad, rest = layer_of(profile), rest_surface(profile.mesh, captures.grid)
+    made = layer_skirts(training, circles, pad, rest)
     frames += _pressed(profile, training, circles, made)
     if not split.heldout:
         return NewFrames(frames, [], _providers(made))
     others = captures.only(split.heldout)
     shift = LabelPlacement.of(training.presses, circles)
     placed = [place_heldout(press, press.image(), others, shift) for press in others.presses]
-    made_there = _surfaces(profile, others, placed, surfaces)
+    made_there = layer_skirts(others, placed, pad, rest)
     heldout = _pressed(profile, others, placed, made_there)
     return NewFrames(frames, heldout, _providers([*made, *made_there]))
-
-
-def _surfaces(
-    profile: SensorProfile,
-    captures: CaptureSet,
-    circles: list[ContactCircle],
-    surfaces: Surfaces | Literal["hertz"],
-) -> list[PressSurface]:
-    if surfaces != "hertz":
-        return surfaces(captures, circles)
-    return [
-        analytic_surface(
-            circle,
-            captures.grid,
-            press.radius_mm or captures.ball_radius_mm,
-            decay_mm=profile.gel.thickness_mm,
-        )
-        for circle, press in zip(circles, captures.presses, strict=True)
-    ]
 
 
 def _pressed(

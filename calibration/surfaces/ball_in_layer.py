@@ -4,20 +4,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
-from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, check_radius
 from taccel_lab.calibration.surfaces.bonded_layer import (
     FAR_MM,
     BondedLayer,
     LayerPress,
     press_layer,
 )
+from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import slope_of
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
@@ -41,6 +41,10 @@ pressed for the part of them that touches: what 8 to 60 points per radius say of
 of balls 0.3 to 1.6 mm in 4 mm (0.06 to 0.3)."""
 
 
+SurfaceMaker = Callable[[CaptureSet, Sequence[ContactCircle]], list[PressSurface]]
+"""Surfaces of presses in circles, in order; InputError for a circle that the ball cannot leave."""
+
+
 def layer_of(profile: SensorProfile) -> BondedLayer:
     """The pad of a profile as a bonded layer."""
     nearly = min(profile.material.poisson_ratio, 0.4999)
@@ -51,10 +55,17 @@ def layer_skirts(
     captures: CaptureSet, circles: Sequence[ContactCircle], layer: BondedLayer, rest: RestSurface
 ) -> list[PressSurface]:
     """Surfaces of all presses on a pad, in order: the ball's shape in the contact, and what a
-    bonded layer does around it."""
+    bonded layer does around it.
+
+    Raises:
+        InputError: A circle that is larger than the ball.
+    """
+    balls = [press.radius_mm or captures.ball_radius_mm for press in captures.presses]
+    for press, circle, ball_mm in zip(captures.presses, circles, balls, strict=True):
+        check_radius(circle, captures.grid, ball_mm, f"{captures.source}: {press.name}")
     return [
-        ball_surface(circle, press.radius_mm or captures.ball_radius_mm, captures.grid, layer, rest)
-        for press, circle in zip(captures.presses, circles, strict=True)
+        ball_surface(circle, ball_mm, captures.grid, layer, rest)
+        for circle, ball_mm in zip(circles, balls, strict=True)
     ]
 
 
@@ -71,8 +82,6 @@ def ball_surface(
         rest_normals=rest.normals,
         contact_radius_px=circle.radius_px,
         depth_mm=depth_mm,
-        force_n=float("nan"),
-        residual_n=float("nan"),
         provider=f"bonded layer of {layer.thickness_mm:g} mm, nu {layer.poisson_ratio:g}",
     )
 

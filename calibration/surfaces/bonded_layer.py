@@ -106,8 +106,14 @@ def press_layer(
         raise InputError("the tool does not reach the face; give its height over its lowest point")
     # Single precision is a thousandth of the smallest tolerance, and transforms take half the time.
     pressure = _pressure(gap.astype(np.float32), step_mm, layer, tolerance * depth_mm)
-    rise_mm = -_Sinking(gap.shape, step_mm, layer)(pressure)
-    return LayerPress(rise_mm.astype(np.float64), pressure.astype(np.float64))
+    return LayerPress(rise_under(pressure, step_mm, layer), pressure.astype(np.float64))
+
+
+def rise_under(
+    pressure: np.ndarray, step_mm: tuple[float, float], layer: BondedLayer
+) -> np.ndarray:
+    """Rise of the face [mm] under a pressure of ``press_layer``, shape [h, w] of both."""
+    return -_Sinking(pressure.shape, step_mm, layer)(pressure).astype(np.float64)
 
 
 class _Sinking:

@@ -101,8 +101,7 @@ def moved_surfaces(
 ) -> list[PressSurface]:
     """Surfaces simulated at some circles as if simulated at others near them.
 
-    The travel changes with what the gel sinks at the middle. Nobody simulated the force there: it
-    is NaN, and so is the residual.
+    The travel changes with what the gel sinks at the middle.
     """
     grid = library.grid
     moved = []
@@ -127,10 +126,7 @@ def moved_surfaces(
                 height_m=height,
                 contact_radius_px=circle.radius_px,
                 depth_mm=surface.depth_mm + float(deeper_mm[0]),
-                force_n=math.nan,
-                residual_n=math.nan,
                 provider=f"{surface.provider}, moved",
-                effort=None,
             )
         )
     return moved

@@ -12,19 +12,6 @@ from taccel_lab.errors import InputError
 
 
 @dataclass(frozen=True)
-class SimulationEffort:
-    """What the simulation of one press took."""
-
-    step_count: int
-    newton_iterations: int
-    """Over all steps."""
-    seconds_per_step: float
-    """Wall time a step divided by the presses simulated together [s]."""
-    min_distance_m: float
-    """Smallest gap between gel and indenter over all steps [m]."""
-
-
-@dataclass(frozen=True)
 class PressSurface:
     """Deformed and undeformed contact face of the gel on the image's pixel grid, gel frame."""
 
@@ -37,17 +24,11 @@ class PressSurface:
     rest_normals: np.ndarray
     """Outward unit normals of the undeformed face, shape [height_px, width_px, 3]."""
     contact_radius_px: float
-    """Radius of the circle of equal area to the simulated contact patch, in columns [px]."""
+    """Radius of the contact, in columns [px]."""
     depth_mm: float
     """Travel of the indenter past first touch [mm]."""
-    force_n: float
-    """Normal force on the indenter [N]; NaN when the surface is not a simulation's."""
-    residual_n: float
-    """Norm of the unbalanced nodal forces at the end of the simulation [N]; NaN likewise."""
     provider: str
-    """What made the surface: the solver's name, or that of an analytic baseline."""
-    effort: SimulationEffort | None = None
-    """None when the surface is not a simulation's."""
+    """What made the surface."""
 
     def __post_init__(self) -> None:
         shape = self.height_m.shape

@@ -81,7 +81,7 @@ def view_remarks(
         "pad_y": size_y,
     }
     if looks_past_pad(parameters):
-        # Normals are read wherever its camera sees; surfaces are simulated over the pad alone.
+        # Normals are read wherever its camera sees; a layer stands for the pad in plan alone.
         blocks = ("color",)
         return [remarks.SCALE_PAST_PAD(**figures, blocks=blocks)] if least < 0 else []
     if least < -OVERHANG_SHARE * max(size_x, size_y):

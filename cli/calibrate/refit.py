@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from tyro.conf import Positional
 
@@ -27,8 +26,6 @@ class CalibrateRefit:
     also need [indenter] radius_mm. The scale is the profile's."""
     out: Path
     """Profile folder to write."""
-    surface: Literal["simulated", "hertz"] = "simulated"
-    """Gel surface under a press: the simulation, or a closed form, which is quick."""
     report: Path | None = None
     """Folder for the report. Default: <out>_report."""
     json: bool = False
@@ -37,7 +34,7 @@ class CalibrateRefit:
     def run(self) -> None:
         from taccel_lab.calibration.capture import load_capture_folder
         from taccel_lab.calibration.recorded import with_session
-        from taccel_lab.calibration.refit.fit import RefitOptions, calibrate_refit
+        from taccel_lab.calibration.refit.fit import calibrate_refit
         from taccel_lab.calibration.refit.report import refit_page
         from taccel_lab.cli.calibrate.base import (
             Sayings,
@@ -45,17 +42,16 @@ class CalibrateRefit:
             require_outputs,
             write_results,
         )
-        from taccel_lab.cli.console import notes
+        from taccel_lab.cli.console import notes, working
         from taccel_lab.profile import load_profile
-        from taccel_lab.progress import stage_progress
 
         console = notes()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
         profile = load_profile(self.profile)
         folder = load_capture_folder(self.captures)
-        with stage_progress(console) as progress:
-            result = calibrate_refit(folder, profile, RefitOptions(self.surface), progress)
+        with working(console, "finding the presses and fitting the light"):
+            result = calibrate_refit(folder, profile)
         fresh = with_session(profile, result.apply_to(profile), folder)
         say = Sayings("refit", console, self.json)
         write_results(result, refit_page(result, profile), fresh, self.out, report, say)

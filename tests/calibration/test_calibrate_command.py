@@ -25,7 +25,6 @@ from tests.support.synthetic_presses import (
     GRID,
     flat_profile,
     synthetic_captures,
-    tiny_profile,
     without_check,
     write_captures,
 )
@@ -38,13 +37,13 @@ def folder(tmp_path: Path) -> Path:
     """Eight synthetic presses on disk, the last without a circle, and the base profile beside."""
     captures, _ = synthetic_captures(8)
     path = write_captures(tmp_path / "captures", captures, unlabelled=("p7",))
-    save_profile(tiny_profile(GRID), tmp_path / "base")
+    save_profile(flat_profile(GRID, 3.0), tmp_path / "base")
     return path
 
 
 def command(folder: Path, **changes: Any) -> CalibrateColor:
     """A short fit over the base profile into ``profile`` beside the captures."""
-    values = {"base": folder.parent / "base", "surface": "hertz", "steps": 5, "ensemble": 0}
+    values = {"base": folder.parent / "base", "steps": 5, "ensemble": 0}
     return CalibrateColor(
         folder, folder.parent / "profile", **(values | {"drift": "off"} | changes)
     )
@@ -64,7 +63,7 @@ def test_writes_a_profile(
     assert {row["name"] for row in figures["color"]["presses"]} == {"p3", "p7"}
     profile = load_profile(out)
     assert profile.color is not None and profile.background_rgb is not None
-    assert "analytic hertz" in profile.color.provenance.method
+    assert "bonded layer of" in profile.color.provenance.method
     assert profile.color.provenance.residuals["heldout_disc_l1"] == pytest.approx(
         heldout["disc_l1"]
     )

@@ -110,7 +110,7 @@ def test_captures_become_a_profile_that_can_be_pressed(
     profile = load_profile(out)
     assert profile.grid() == GRID
     assert profile.color is not None
-    assert "finite elements, friction 0" in profile.color.provenance.method
+    assert "bonded layer of 5 mm" in profile.color.provenance.method
     assert set(profile.color.provenance.inputs) >= {"background", "p1", "p2", "p3", "p4"}
     assert sorted(os.listdir(out.parent)) == ["unit", "unit_report"]
 
@@ -132,12 +132,12 @@ def test_base_profile_gives_the_design(captures: Path, tmp_path: Path, cli: Cli)
     out = tmp_path / "unit"
     options = ["--base", base, "--steps", "5", "--ensemble", "0", "--holdout-every", "0"]
     for _ in range(2):  # Again, in the place of the first.
-        cli("calibrate color", captures, "--out", out, *options, "--surface", "hertz")
+        cli("calibrate color", captures, "--out", out, *options)
         assert load_profile(out).material == load_profile(base).material
         assert sorted(os.listdir(tmp_path)) == ["base", "captures", "unit", "unit_report"]
 
 
-def test_interrupted_simulation_leaves_the_earlier_profile(
+def test_an_interrupted_calibration_leaves_the_earlier_profile(
     captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
 ) -> None:
     def interrupt(*_: object, **__: object) -> None:
@@ -145,7 +145,7 @@ def test_interrupted_simulation_leaves_the_earlier_profile(
 
     out = write_profile(tmp_path / "unit")
     before = everything_below(tmp_path)
-    monkeypatch.setattr("taccel_lab.calibration.simulate.simulate_presses", interrupt)
+    monkeypatch.setattr("taccel_lab.calibration.color.fit.layer_skirts", interrupt)
     cli("calibrate color", captures, "--out", out, code=130)
     assert everything_below(tmp_path) == before
 

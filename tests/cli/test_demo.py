@@ -56,7 +56,7 @@ def test_interrupted_in_the_middle(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("taccel_lab.calibration.simulate.simulate_presses", interrupt)
+    monkeypatch.setattr("taccel_lab.calibration.color.fit.layer_skirts", interrupt)
     before = everything_below(out.parent)
     for folder in (tmp_path / "new" / "demo", out):
         assert run("demo", "--captures", captures, "--out", folder) == 130

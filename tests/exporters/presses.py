@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 from taccel_lab.signals.normals import normals_from_slopes
 from taccel_lab.signals.rest_surface import rest_surface
 from taccel_lab.signals.tactile_image import tactile_image
+from tests.support.analytic_surface import analytic_surface
 
 CIRCLE = ContactCircle(220.0, 90.0, 30.0)
 """Right of and above the middle of 320 x 240 px."""

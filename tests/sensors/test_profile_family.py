@@ -12,10 +12,8 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.base_profile import base_profile
-from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
-from taccel_lab.calibration.simulate import press_batches
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.presses.physics import SURFACE_PHYSICS
@@ -36,8 +34,12 @@ from taccel_lab.studies.spec import load_spec
 from taccel_lab.studies.study import default_kit, make_study
 from tests.sensors.imported_profiles import SIZE, crowned, imported
 from tests.studies.coarse_presses import coarse
+<<<<<<< HEAD
 from tests.support.synthetic_presses import BALL_RADIUS_MM, synthetic_captures, write_captures
 from tests.support.variants import variants
+=======
+from tests.support.synthetic_presses import synthetic_captures, write_captures
+>>>>>>> h-surf
 
 
 @pytest.fixture(scope="module")
@@ -216,14 +218,3 @@ def test_captures_name_the_folder_as_their_sensor(folder: Path, tmp_path: Path) 
         base_profile(another, captures)
     with pytest.raises(InputError, match="no folder of a profile"):
         load_capture_folder(captures_of(tmp_path, "../nowhere"))
-
-
-def test_presses_of_captures_are_meshed_one_by_one(folder: Path) -> None:
-    captures, _ = synthetic_captures(count=3)
-    circles = [ContactCircle(70.0 + 8 * k, 60.0, 10.0) for k in range(3)]
-    profile = load_profile(folder / "profile")
-    batches = press_batches(captures, circles, profile, SURFACE_PHYSICS, 0.0)
-    assert [batch.presses for batch in batches] == [(0,), (1,), (2,)]
-    assert all(batch.ball_radius_mm == BALL_RADIUS_MM for batch in batches)
-    (mesh,) = batches[0].meshes()
-    assert mesh.tet_count > profile.mesh.tet_count

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from taccel_lab.calibration.capture import CaptureFolder, ContactCircle, load_capture_folder
-from taccel_lab.calibration.surfaces import analytic_surface
 from tests.calibration.drawn.faults import quantise
+from tests.support.analytic_surface import analytic_surface
 from tests.support.synthetic_presses import GRID, flat_background, known_change
 
 BALL_MM = 2.0

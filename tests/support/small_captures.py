@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.cli.app import main
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import (
@@ -24,6 +24,7 @@ from taccel_lab.profile import (
 )
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals.color_model import ColorModelConfig, expected_shapes
+from tests.support.analytic_surface import analytic_surface
 
 GRID = PixelGrid(96, 72, 0.1, 0.1)
 BALL_MM = 2.0

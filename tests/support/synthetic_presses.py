@@ -17,10 +17,11 @@ from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.profile import SensorProfile
+from tests.support.analytic_surface import analytic_surface
 from tests.support.sample_blocks import bare_profile
 
 GRID = PixelGrid(160, 120, 0.1, 0.1)

@@ -19,9 +19,9 @@ from taccel_lab.calibration.color.light_beside import (
     too_little_left,
 )
 from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from tests.support.analytic_surface import analytic_surface
 from tests.support.synthetic_presses import GRID, flat_background, known_change
 
 

@@ -29,7 +29,7 @@ from taccel_lab.calibration.color.result import ColorCalibration
 from taccel_lab.calibration.color.tiles import even_tiles, filled_from
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.surfaces import PressSurface
-from taccel_lab.errors import SimulationError
+from taccel_lab.errors import InputError
 from taccel_lab.report.page import write_page
 from taccel_lab.report.remark import Severity, Verdict, judge
 from tests.calibration.drawn.faults import add_noise, blur, drift, quantise, vignette
@@ -37,8 +37,8 @@ from tests.calibration.judged_once import detect_once, judge_slopes_once
 from tests.support.synthetic_presses import (
     GRID,
     calibrated,
+    flat_profile,
     synthetic_captures,
-    tiny_profile,
     true_surfaces,
     with_circles,
     with_images,
@@ -78,10 +78,10 @@ def test_canary_noise_in_held_out_images_changes_nothing_that_is_fitted(
     if not labelled:
         # What it finds does not depend on labels being there.
         without_check(monkeypatch)
-    options = ColorOptions(surface="hertz", steps=40, ensemble=2, cache=False, table=False)
+    options = ColorOptions(steps=40, ensemble=2, cache=False, table=False)
 
     def run() -> tuple[ColorCalibration, dict[str, Any]]:
-        result = calibrate_color(load_capture_folder(folder), tiny_profile(GRID), options)
+        result = calibrate_color(load_capture_folder(folder), flat_profile(GRID, 3.0), options)
         return result, result.figures()
 
     clean, before = run()
@@ -155,14 +155,14 @@ def test_a_press_without_a_contact_lowers_the_figures(sound: Sound) -> None:
     assert result.heldout_means()["crop_psnr_db"] < whole.heldout_means()["crop_psnr_db"] - 3
 
 
-def test_a_simulation_that_does_not_converge_spoils_no_other(sound: Sound) -> None:
+def test_a_press_without_a_surface_spoils_no_other(sound: Sound) -> None:
     captures, surfaces = sound
     split = captures.split(4)
     bad = split.heldout_names[2]
 
     def stubborn(some: CaptureSet, circles: Any) -> list[PressSurface]:
         if bad in {press.name for press in some.presses}:
-            raise SimulationError("no step converged")
+            raise InputError("larger than the ball")
         return true_surfaces(some, circles)
 
     training = captures.only(split.train)
@@ -332,7 +332,7 @@ def test_an_outlier_is_named(sound: Sound) -> None:
     assert set(figures["left_out_disc_l1"]) == {captures.presses[i].name for i in split.train}
     assert figures["spread"]["fit_count"] == 3 and figures["spread"]["disc_levels"] > 0
     assert figures["taxim_table"]["disc_l1"] > 0
-    block = result.apply_to(tiny_profile(GRID)).color
+    block = result.apply_to(flat_profile(GRID, 3.0)).color
     assert block is not None
     provenance = block.provenance
     assert provenance.verdict == "usable" and any(name in text for text in provenance.remarks)

@@ -18,12 +18,13 @@ from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame, Samples
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.color.registration import place_press, register_presses
-from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.calibration.surfaces.moved_press import MovedPress, moved_surfaces
 from taccel_lab.calibration.surfaces.radial import MARGIN, RadialSurfaces
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from tests.calibration.drawn.faults import poison, quantise
+from tests.support.analytic_surface import analytic_surface
 from tests.support.synthetic_presses import BALL_RADIUS_MM, GRID, synthetic_captures
 
 COUNT = 12

@@ -16,12 +16,12 @@ from taccel_lab.calibration.color.taxim_table import (
     render_taxim_table,
 )
 from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable, bin_indices
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.normals import normals_from_slopes
 from tests.calibration.drawn.faults import poison
+from tests.support.analytic_surface import analytic_surface
 
 GRID = PixelGrid(120, 90, 0.1, 0.1)
 BINS = 12

@@ -23,7 +23,6 @@ from taccel_lab.calibration.depth.options import DepthOptions
 from taccel_lab.calibration.depth.report import depth_page
 from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
-from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.files.regular_file import file_sha256
@@ -31,6 +30,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.report.page import write_page
 from taccel_lab.signals.depth_response import DepthResponse
+from tests.support.analytic_surface import analytic_surface
 from tests.support.real_data import real_data
 from tests.support.synthetic_presses import flat_profile, memory_captures, with_circles, with_images
 
@@ -159,14 +159,14 @@ def test_sunk_rim_adds_to_every_depth() -> None:
     captures = captures_of(CIRCLES)
     surfaces = [analytic_surface(c, GRID, BALL_MM, decay_mm=1.0) for c in CIRCLES]
     by_rim = fit_depth(captures, DepthOptions(zero="rim"))
-    by_face = fit_depth(captures, DepthOptions(zero="hertz"), lambda *_: surfaces)
+    by_face = fit_depth(captures, DepthOptions(zero="layer"), lambda *_: surfaces)
     sunk = np.mean([p.rim_depth_mm for p in by_face.presses])
     assert sunk > 0.1
     drop = np.array([20.0, 40.0])
     more = by_face.response.depth_of(drop) - by_rim.response.depth_of(drop)
     assert more == pytest.approx(sunk, rel=0.15)
     with pytest.raises(InputError, match="needs the surfaces"):
-        fit_depth(captures, DepthOptions(zero="simulated"))
+        fit_depth(captures, DepthOptions(zero="layer"))
 
 
 def test_poisoned_masked_pixels_have_no_effect() -> None:

@@ -19,7 +19,7 @@ from taccel_lab.calibration.normals.report import normals_page
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import SampleOptions, Scene
 from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_mm
-from taccel_lab.calibration.surfaces import PressSurface, analytic_surface
+from taccel_lab.calibration.surfaces import PressSurface
 from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, press_layer
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -37,6 +37,7 @@ from tests.calibration.normals.conftest import (
     circles_of,
     with_images,
 )
+from tests.support.analytic_surface import analytic_surface
 from tests.support.synthetic_presses import (
     BALL_RADIUS_MM,
     GRID,

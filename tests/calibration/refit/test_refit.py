@@ -18,18 +18,18 @@ from taccel_lab.calibration.refit.frames import NewFrames, refit_frames
 from taccel_lab.calibration.refit.light_change import RefitFrame, fit_light_change
 from taccel_lab.calibration.refit.report import refit_page
 from taccel_lab.calibration.refit.result import RefitCalibration
-from taccel_lab.calibration.surfaces import analytic_surface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig, expected_shapes
 from tests.calibration.drawn.faults import add_gradient, add_noise, drift, poison, quantise
 from tests.signals.host_colors import host_change
+from tests.support.analytic_surface import analytic_surface
 from tests.support.synthetic_presses import (
     BALL_RADIUS_MM,
     GRID,
     flat_background,
+    flat_profile,
     synthetic_captures,
-    tiny_profile,
 )
 
 GAIN = np.array([0.7, 0.9, 1.0])
@@ -45,7 +45,7 @@ def old_profile() -> SensorProfile:
         for name, shape in expected_shapes(config).items()
     }
     made_up = Provenance(kind="assumed", method="made up for a test", source="none")
-    profile = tiny_profile(GRID).with_block(
+    profile = flat_profile(GRID, 3.0).with_block(
         BackgroundBlock(provenance=made_up), textured().astype(np.float32)
     )
     return profile.with_block(

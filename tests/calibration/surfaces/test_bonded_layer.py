@@ -3,15 +3,12 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
-from taccel_lab.calibration.simulate import simulate_presses
+from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.surfaces import ball_in_layer as skirt
 from taccel_lab.calibration.surfaces.ball_in_layer import ball_in_layer, layer_of
 from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, press_layer
@@ -19,6 +16,7 @@ from taccel_lab.calibration.surfaces.random_tools import draw_tool
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.sensors.profile import catalogue_profile
+from tests.support.finite_element_press import simulated_press
 
 
 def compliance_by_equations(k: float, thickness: float, nu: float) -> float:
@@ -124,19 +122,13 @@ def test_skirts_are_those_of_finite_elements() -> None:
     profile = catalogue_profile("flat_pad")
     grid = PixelGrid(160, 120, 0.1, 0.1)
     circle = ContactCircle(79.5, 59.5, 15.0)
-    press = Press("p", "memory", "0" * 64, circle, partial(np.zeros, (120, 160, 3), np.uint8))
-    captures = CaptureSet(
-        source="memory", sensor="flat_pad", background=np.zeros((120, 160, 3), np.uint8),
-        background_sha256="0" * 64, mask=np.ones((120, 160), bool), ball_radius_mm=3.0, grid=grid,
-        presses=(press,), provenance={},
-    )  # fmt: skip
-    (simulated,) = simulate_presses(captures, [circle], profile)
     depth_mm, rise_mm = ball_in_layer(circle, 3.0, grid, layer_of(profile))
+    radius_mm, simulated_mm = simulated_press(profile, grid, (0.0, 0.0), 3.0, depth_mm, 1.5)
     # Nodes touch up to 0.02 mm inside the contact's edge, a layer's points up to its edge.
-    assert depth_mm == pytest.approx(simulated.depth_mm, rel=0.06)
-    off = np.abs(rise_mm - simulated.displacement_mm())
+    assert radius_mm == pytest.approx(1.5, rel=0.03)
+    off = np.abs(rise_mm - simulated_mm)
     inside = circle.distance_px(grid) < 15.0
-    assert off[inside].mean() < 0.06 * simulated.depth_mm
+    assert off[inside].mean() < 0.06 * depth_mm
     assert off[~inside].mean() < 0.01
 
 

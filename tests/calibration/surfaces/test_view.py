@@ -14,12 +14,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taccel_lab.calibration import ball_presses
-from taccel_lab.calibration.base_profile import base_profile, captures_on_pad, on_grid
+from taccel_lab.calibration.base_profile import base_profile, captures_on_pad
 from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
 from taccel_lab.calibration.color.fit import calibrate_color
 from taccel_lab.calibration.depth import fit as depth_fit
 from taccel_lab.calibration.normals.fit import calibrate_normals
-from taccel_lab.calibration.simulate import simulate_presses
 from taccel_lab.calibration.surfaces.design import (
     MARGIN_MM,
     design_remarks,
@@ -36,11 +35,8 @@ from taccel_lab.calibration.surfaces.view import (
 )
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.presses import press_surface
-from taccel_lab.presses.physics import SURFACE_PHYSICS
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.remark import Severity
-from taccel_lab.scene import Element
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import profile_parameters, sensor_families, sensor_family
 from tests.support.synthetic_presses import GRID, flat_background, synthetic_captures, write_folder
@@ -155,13 +151,13 @@ def test_what_is_masked_does_not_count() -> None:
 def test_cameras_of_the_catalogue_show_their_pads(name: str) -> None:
     parameters = sensor_family(name).parameters()
     found = view_remarks(parameters, parameters.grid())
-    # Domes are read beside their plan, but not simulated there.
+    # Domes are read beside their plan, but no layer stands for them there.
     assert [remark.blocks for remark in found] == [("color",)] * looks_past_pad(parameters)
 
 
 @pytest.mark.parametrize("size", [(320, 240), (240, 320)])
 @pytest.mark.parametrize("sensor", ["gelsight_mini", "digit", "flat_pad"])
-def test_the_check_looks_at_the_pad_that_is_simulated(sensor: str, size: tuple[int, int]) -> None:
+def test_the_check_looks_at_the_pad_that_is_designed(sensor: str, size: tuple[int, int]) -> None:
     grid = PixelGrid(*size, 0.05, 0.05)
     profile = fitted_design(sensor, grid, {})
     assert fitted_parameters(sensor, grid, {}).pad() == profile_parameters(profile).pad()
@@ -191,28 +187,6 @@ def test_calibrations_refuse_before_they_look_at_a_press(
     with pytest.raises(InputError, match=words[fault]):
         calibrate(folder, base_profile(None, folder))
     assert not looked
-
-
-def test_pixels_that_the_pressed_pad_leaves_are_of_no_use(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As a GelSight Mini's does at the corners of an image of 0.078 mm/px."""
-    captures, _ = synthetic_captures(1)
-    circles = [press.circle for press in captures.presses if press.circle is not None]
-    base = on_grid(catalogue_profile("gelsight"), GRID, {})
-    quick = replace(SURFACE_PHYSICS, element=Element.LINEAR)
-    whole = press_surface.press_surface
-
-    def without_a_corner(*given: Any) -> press_surface.PressSurface:
-        seen = whole(*given)
-        seen.height_m[0, :2] = seen.normals[0, 0] = np.nan
-        return seen
-
-    monkeypatch.setattr(press_surface, "press_surface", without_a_corner)
-    with pytest.raises(InputError, match=r"memory: p0: .* leaves 2 pixels of the image; press far"):
-        simulate_presses(captures, circles, base, physics=quick, processes=1)
-    captures.mask[0, :2] = False
-    (surface,) = simulate_presses(captures, circles, base, physics=quick, processes=1)
-    assert surface.height_m[0, 0] == surface.height_m[1, 0]
-    assert np.array_equal(surface.normals[0, 0], surface.normals[1, 0])
 
 
 def test_an_image_up_to_the_edge_is_used_without_it() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closed-form ball presses: the baseline that a simulated surface has to beat.
+"""Closed-form ball presses, from which tests draw their pictures.
 
 The sphere's cap in the contact circle is continued with the sinking of an elastic half-space
 outside a Hertz contact, K. L. Johnson, Contact Mechanics (1985), eq. 3.42a:
@@ -63,8 +63,6 @@ def analytic_surface(
         rest_normals=np.broadcast_to(np.array([0.0, 0.0, 1.0]), (*shape, 3)),
         contact_radius_px=circle.radius_px,
         depth_mm=float(-height_mm[0]),
-        force_n=math.nan,
-        residual_n=math.nan,
         provider="analytic hertz" + ("" if math.isinf(decay_mm) else f", decay {decay_mm:g} mm"),
     )
 

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A ball pressed into a profile's gel by finite elements: the referee of closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.presses import Indenter, PressEnv, profile_material
+from taccel_lab.presses.physics import SURFACE_PHYSICS
+from taccel_lab.presses.press_surface import contact_radii_m, press_surface
+from taccel_lab.profile import SensorProfile
+from taccel_lab.scene import Ball
+from taccel_lab.sensors.press_mesh import pad_press_mesh
+from taccel_lab.sensors.registry import profile_parameters
+from taccel_lab.signals.rest_surface import rest_surface
+
+
+def simulated_press(
+    profile: SensorProfile,
+    grid: PixelGrid,
+    at_mm: tuple[float, float],
+    ball_mm: float,
+    depth_mm: float,
+    contact_mm: float,
+) -> tuple[float, np.ndarray]:
+    """Radius of the contact [mm] and rise of the face [mm], shape [height_px, width_px], of a ball
+    that goes ``depth_mm`` into the gel without friction; the mesh is fine over ``contact_mm``."""
+    physics = SURFACE_PHYSICS
+    mesh = pad_press_mesh(profile_parameters(profile).pad(), at_mm, contact_mm, physics.mesh)
+    ball = Indenter(f"sphere:{ball_mm:g}", Ball(1e-3 * ball_mm))
+    env = PressEnv(
+        mesh,
+        profile_material(profile.material, mesh),
+        ball,
+        np.array([at_mm]),
+        friction_coefficient=0.0,
+        rest_positions_m=mesh.nodes_m[None],
+        physics=physics,
+    )
+    env.move_to(np.array([depth_mm]))
+    window, pose = PixelGrid(121, 121, ball_mm * 1.4 / 60, ball_mm * 1.4 / 60), np.zeros((1, 7))
+    pose[0, :2], pose[0, 6] = 1e-3 * np.array(at_mm), 1.0
+    radius_mm = 1e3 * float(contact_radii_m(env, ball, window, pose, points=2)[0])
+    seen = press_surface(env, ball, grid, rest_surface(profile.mesh, grid), 0)
+    return radius_mm, 1e3 * (seen.height_m - seen.rest_height_m)
