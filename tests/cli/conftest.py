@@ -29,7 +29,7 @@ from tests.support.small_captures import never, write_captures, write_profile
 def _all_imported() -> None:
     """Commands import as late as they can: what is first imported while a test has replaced a
     function would keep the replacement in every later test of the process."""
-    for room in ("calibration", "cad", "cli", "envs", "sensors", "studies"):
+    for room in ("calibration", "cad", "cli", "presses", "sensors", "studies"):
         package = importlib.import_module(f"taccel_lab.{room}")
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             if not module.name.endswith("__main__"):
