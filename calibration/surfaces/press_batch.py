@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from taccel_lab.calibration.surfaces.depth_search import DepthSearch
 
 from taccel_lab.calibration.capture import CaptureSet
-from taccel_lab.calibration.surfaces.depth_search import DepthSearch
 from taccel_lab.calibration.surfaces.press_surface import PressSurface, SimulationEffort
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, TetMesh

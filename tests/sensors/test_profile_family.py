@@ -34,12 +34,8 @@ from taccel_lab.studies.spec import load_spec
 from taccel_lab.studies.study import default_kit, make_study
 from tests.sensors.imported_profiles import SIZE, crowned, imported
 from tests.studies.coarse_presses import coarse
-<<<<<<< HEAD
-from tests.support.synthetic_presses import BALL_RADIUS_MM, synthetic_captures, write_captures
-from tests.support.variants import variants
-=======
 from tests.support.synthetic_presses import synthetic_captures, write_captures
->>>>>>> h-surf
+from tests.support.variants import variants
 
 
 @pytest.fixture(scope="module")
