@@ -74,7 +74,8 @@ class RemarkKind:
 def remark_kinds() -> list[tuple[str, RemarkKind]]:
     """All kinds with the room of calibration whose table holds them, in the order of the tables."""
     import taccel_lab.calibration as calibration
-    from taccel_lab.calibration import shared_remarks
+
+    shared_remarks = importlib.import_module("taccel_lab.calibration.shared_remarks")
 
     found = [("several", kind) for kind in vars(shared_remarks).values()]
     for module in pkgutil.iter_modules(calibration.__path__):
