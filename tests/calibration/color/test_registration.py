@@ -247,22 +247,18 @@ def test_unmoved_presses_stay_as_they_are() -> None:
         assert np.array_equal(before.rest_normals, after.rest_normals)
 
 
-def test_force_and_residual_of_another_press_are_not_kept() -> None:
+def test_the_depth_of_a_moved_press_goes_with_what_it_sinks() -> None:
     surfaces, library = simulated_presses(False)
-    stated = [
-        replace(surface, force_n=1.5, residual_n=1e-5, depth_mm=0.3 + 0.1 * i)
-        for i, surface in enumerate(surfaces)
-    ]
+    stated = [replace(surface, depth_mm=0.3 + 0.1 * i) for i, surface in enumerate(surfaces)]
     wanted = replace(CIRCLES[2], u_px=CIRCLES[2].u_px + 1.5, radius_px=CIRCLES[2].radius_px * 1.05)
     (moved,) = moved_surfaces([stated[2]], [CIRCLES[2]], [wanted], library)
-    assert np.isnan(moved.force_n) and np.isnan(moved.residual_n)
     truth, before = press(wanted), surfaces[2]
     deeper = before.displacement_mm().min() - truth.displacement_mm().min()
     assert deeper > 0.01
     assert moved.depth_mm - stated[2].depth_mm == pytest.approx(deeper, rel=0.15)
     assert moved.provider != stated[2].provider
     (still,) = moved_surfaces([stated[2]], [CIRCLES[2]], [CIRCLES[2]], library)
-    assert still.force_n == 1.5 and still.depth_mm == stated[2].depth_mm
+    assert still.depth_mm == stated[2].depth_mm
 
 
 def test_radii_stay_near_those_simulated() -> None:

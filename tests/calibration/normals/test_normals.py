@@ -332,7 +332,7 @@ def test_edges_and_punches_are_read_by_a_network_that_practised(
         rise_mm = press_layer(tool, 0.5, (0.1, 0.1), PAD).rise_mm
         flat, rise_m = flat_rest(GRID), 1e-3 * rise_mm
         shown = rise_m, flat.height_m, normals_from_height(rise_m, GRID), flat.normals
-        surface = PressSurface(*shown, 1.0, 0.5, 0, 0, "layer")
+        surface = PressSurface(*shown, 1.0, 0.5, "layer")
         found = reader.read(np.clip(flat_background() + known_change(surface), 0, 255))
         off = np.abs(1e3 * found.rise_m - rise_mm)
         dent = rise_mm < -0.02
