@@ -63,28 +63,3 @@ def hashes_by_name(images: Sequence[BoardView | Frame]) -> dict[str, str]:
         for image in images
         if image.sha256
     }
-
-
-def oriented(index: np.ndarray, uv_px: np.ndarray, square: bool) -> np.ndarray:
-    """Lattice indices [n, 2], from 0, whose x to y turns as in the image, since what looks at the
-    front of a board sees it so, and whose columns run to the right as far as they can.
-
-    By flips of the columns and half turns, or quarter turns for a ``square`` board.
-    """
-    index = np.array(index, dtype=np.int64)
-    if np.linalg.det(_slopes(index, uv_px)) < 0:
-        index[:, 0] = -index[:, 0]
-    along = _slopes(index, uv_px)[0]
-    turns = round(float(np.degrees(np.arctan2(along[1], along[0]))) / 90.0) % 4
-    if not square and turns % 2:
-        turns = 0 if along[0] >= 0 else 2
-    for _ in range(turns):
-        # A column axis that points down in the image becomes the row axis.
-        index = np.column_stack([-index[:, 1], index[:, 0]])
-    return index - index.min(axis=0)
-
-
-def _slopes(index: np.ndarray, uv_px: np.ndarray) -> np.ndarray:
-    """Mean steps to the next column and the next row (u, v), shape [2, 2]."""
-    design = np.column_stack([index, np.ones(len(index))])
-    return np.linalg.lstsq(design, uv_px, rcond=None)[0][:2]

@@ -54,7 +54,10 @@ class Lattice:
     stagger: float
     """Shift of odd rows in pitches along the row: 0, or +-0.5 in a hexagonal lattice."""
     irregularity: float
-    """Median error, in pitches, of predicting a point from the points around it."""
+    """Median error, in pitches, of predicting a point from the points around it; of a board, root
+    mean square error of a smooth map."""
+    strangers: int = 0
+    """Of a board: points in whole rows and columns beyond its size."""
 
     @property
     def rows(self) -> int:
@@ -73,6 +76,16 @@ class Lattice:
     def count(self) -> int:
         """How many points are numbered."""
         return int(self.numbered.sum())
+
+    @property
+    def points(self) -> np.ndarray:
+        """Which points are numbered, int, shape [n]."""
+        return np.flatnonzero(self.numbered)
+
+    @property
+    def index(self) -> np.ndarray:
+        """Column and row of the numbered points, int, shape [n, 2]."""
+        return np.column_stack([self.column, self.row])[self.numbered]
 
     def steps(self) -> np.ndarray:
         """Columns and rows as numbers, with the shift of odd rows, float, shape [point, 2]."""
@@ -120,29 +133,6 @@ def lattice_index(points: np.ndarray) -> Lattice:
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
         raise InputError(f"points must be finite, shape [point, 2], got {points.shape}")
-    grown = _grown(points)
-    return _nothing(len(points)) if grown is None else _canonical(points, *grown)
-
-
-def board_index(uv_px: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Number the points of a square lattice seen from anywhere, in its own shortest steps.
-
-    Returns:
-        Column and row of the numbered points, from 0, int, shape [n, 2], and which points these
-        are, int, shape [n]; None as where ``lattice_index`` finds none.
-    """
-    grown = _grown(np.asarray(uv_px, dtype=np.float64))
-    if grown is None:
-        return None
-    numbered = np.flatnonzero(grown[0].numbered)
-    keys = grown[0].index[numbered]
-    change, _ = shortest_basis(keys, uv_px[numbered])
-    index = np.rint(keys @ np.linalg.inv(change)).astype(int)
-    return index - index.min(axis=0), numbered
-
-
-def _grown(points: np.ndarray) -> tuple[Growth, float] | None:
-    """The numbering that explains most points, and its irregularity; None without one."""
     best: Growth | None = None
     score = 0.0
     if len(points) >= _LEAST:
@@ -157,13 +147,15 @@ def _grown(points: np.ndarray) -> tuple[Growth, float] | None:
             if found.count >= _ENOUGH * len(points) and filled >= _FULL:
                 break
     if best is None:
-        return None
+        return _nothing(len(points))
     errors = leave_one_out(points, best)
     best = best.without(errors > 2.5 * _REGULAR)
     irregularity = float(np.median(errors[np.isfinite(errors)])) if best.count else np.inf
     if best.count < max(_LEAST, 0.5 * len(points)) or irregularity > _REGULAR:
-        return None
-    return (best, irregularity) if best.spans_the_plane else None
+        return _nothing(len(points))
+    if not best.spans_the_plane:
+        return _nothing(len(points))
+    return _canonical(points, best, irregularity)
 
 
 def _nothing(count: int) -> Lattice:
