@@ -29,10 +29,10 @@ class ColorOptions(ColorTraining, BallPressOptions):
     """Settings of ``calibrate_color``."""
 
     register: bool = True
-    """Whether the circles are read again with the colours of the other fitted presses, where there
-    are 8 of them."""
+    """Whether to read the circles again with the colours of the other fitted presses, if there
+    are 8."""
     cache: bool = True
-    """Whether contacts are kept in the user's cache folder, and taken from there."""
+    """Whether to use the user's cache folder for contacts."""
     drift: DriftMode = "auto"
     """Remove the drift of the light from each frame: on for cameras with automatic white
     balance. auto does so if it removes at least a quarter of the difference between untouched

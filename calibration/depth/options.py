@@ -20,10 +20,10 @@ class DepthOptions:
     channel: Literal["grey", "red", "green", "blue"] = "grey"
     """Channel whose drop is read; grey is the luma of red, green and blue."""
     zero: Literal["auto", "travel", "untouched", "rim", "layer"] = "auto"
-    """What depths are counted from: the untouched face, by the depth_mm of presses (travel), which
-    auto takes where a press has one; where the grey is that of untouched gel (untouched), which
-    auto takes where none has; the rim of the contact; or the untouched face, with the rim as deep
-    as a ball's in a bonded layer of the gel's thickness (layer)."""
+    """Zero of the depths. By travel, the untouched face by the depth_mm of presses (auto, if
+    there is one). By untouched, where the grey is that of untouched gel (auto otherwise). By
+    rim, the rim of the contact. By layer, the untouched face, with the rim as deep as a ball's in
+    a bonded layer of the gel's thickness."""
     circles: Literal["auto", "detected"] = "auto"
     """Contact circles: those given, and found where none is given; or all of them found."""
     seed: int = 0

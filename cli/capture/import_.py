@@ -43,12 +43,12 @@ class CaptureImport:
     edge_mm: float | None = None
     """Length of the edge of edge presses [mm]."""
     board: str | None = None
-    """The board of a 9DTact or of Osaka's views, or that all images of a plain folder are views
-    of, such as chessboard:6x6:2.5 (inner corners or dots along a row x rows, and their pitch in mm
-    where it is known; kinds chessboard, charuco, dots, pins)."""
+    """The board of a 9DTact, of Osaka's views or of all images of a plain folder, such as
+    chessboard:6x6:2.5. The numbers are inner corners or dots along a row x rows, and their pitch
+    in mm if known. Kinds: chessboard, charuco, dots, pins."""
     origin: str | None = None
-    """Where the captures come from, kept as provenance; what a README or MANIFEST in the source
-    says when left out, or else unknown."""
+    """Origin of the captures, kept as provenance. Default: from a README or MANIFEST in the
+    source, else unknown."""
     license: str | None = None
     """Licence of the captures, kept as provenance. Default: that of a licence file or README in
     the source, else unknown."""
