@@ -280,7 +280,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: joined(FixedJoint("a", anchor_m=np.zeros((3, 3)))), "anchor_m of.*3 rows, expected 2"),
     (
         lambda: joined(FixedJoint("a", "b", second_pose=STILL)),
-        "'b' is affine and has an initial pose",
+        "'b' is affine and has its own initial pose",
     ),
     (
         lambda: joined(PrismaticJoint("a", drive=PositionDrive(1.0, target=np.zeros(3)))),
