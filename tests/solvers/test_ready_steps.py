@@ -84,7 +84,7 @@ def test_a_call_ends_after_its_iterations_and_leaves_alone_what_is_underway() ->
     np.testing.assert_array_equal(ready.underway, [True, True, False])
     with pytest.raises(InputError, match="environment 0 has not finished its last step"):
         ready.step_ready(poses([3] * ENVS), np.array([True, False, False]))
-    with pytest.raises(InputError, match="in a step of their own"):
+    with pytest.raises(InputError, match="in their own step"):
         solver.step(state, poses([3] * ENVS))
 
 
