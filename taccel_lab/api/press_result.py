@@ -140,7 +140,7 @@ class Press(Summary):
         height, width = self.outcome.height_m.shape
         rows = [
             ("force", f"{self.force_n:.4g} +- {self.force_error_n:.2g} N"),
-            ("deepest", f"{np.nanmax(self.depth_mm):.4g} +- {self.height_error_mm:.2g} mm"),
+            ("deepest", f"{self._deepest_mm():.4g} +- {self.height_error_mm:.2g} mm"),
             ("contact radius", f"{1e3 * self.outcome.contact_radius_m:.3g} mm (equal area)"),
             ("image", f"{width} x {height} px, {self._colours()}"),
             ("residual", f"{last.residual_n[0]:.1e} N after {len(self.outcome.steps)} steps"),
@@ -150,6 +150,11 @@ class Press(Summary):
             rows.append(("stopped", self.failure))
         depth = self.outcome.steps[-1].depth_mm
         return f"{options.indenter} pressed {depth:.4g} mm into {self.plan.sensor}", rows
+
+    def _deepest_mm(self) -> float:
+        """Of the contact [mm]: at a dome's border depths are those of rays that graze it."""
+        depth = self.depth_mm[self.contact_mask] if self.contact_mask.any() else self.depth_mm
+        return float(np.nanmax(depth))
 
     def _colours(self) -> str:
         if self.plan.profile.color is not None:

@@ -134,7 +134,7 @@ def test_missing_presses_leave_figures_without_value() -> None:
 def test_ids_and_names_must_differ() -> None:
     with pytest.raises(InputError, match="unique ids"):
         evaluate_designs([gelsight("a"), gelsight("a")], [SPHERE], SIMPLE)
-    with pytest.raises(InputError, match="names of their own"):
+    with pytest.raises(InputError, match="unique names"):
         evaluate_designs([gelsight("a")], [SPHERE, SPHERE], SIMPLE)
 
 
