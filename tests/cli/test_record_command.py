@@ -44,7 +44,7 @@ def test_a_session_is_recorded_and_goes_on(here: Path, cli: Cli) -> None:
 def test_quick_says_what_it_leaves_out(here: Path, cli: Cli) -> None:
     printed = cli("capture quick", "flat_pad", "--camera", "set", "--out", "out", *FACTS)
     assert "leaves out" in printed.err and "no load cell" in printed.err
-    assert "2 of 20 presses" in printed.out and "same command goes on" in printed.out
+    assert "2 of 20 presses" in printed.out and "same command continues it" in printed.out
     assert "# - force" in (here / "out" / "captures.toml").read_text()
 
 
@@ -75,7 +75,7 @@ def test_what_was_taken_is_told_whatever_ends_it(
 
     monkeypatch.setattr(RecordFolder, "add_press", full)
     said = cli.refusal(*RECORD, *FACTS)
-    assert "stopped at 0 of" in said and "out is whole, and the same command goes on" in said
+    assert "stopped at 0 of" in said and "out is whole, and the same command continues it" in said
     assert "No space left" in said
 
 
