@@ -76,9 +76,9 @@ def test_an_interrupted_training_goes_on_with_the_same_command(
     with monkeypatch.context() as patch:
         patch.setattr(TrainingFile, "save", interrupted)
         patch.setattr(TrainingFile, "due", lambda self: True)
-        assert "the same command goes on after step 30" in cli(*words, code=130).err
+        assert "the same command continues after step 30" in cli(*words, code=130).err
     assert [path.name for path in (tmp_path / "new").iterdir()] == [".p.training.pt"]
-    assert "goes on after step 30" in cli(*words).err
+    assert "continues after step 30" in cli(*words).err
     assert {path.name for path in (tmp_path / "new").iterdir()} == {"p", "p_report"}
     whole, found = load_profile(folder / "p"), load_profile(tmp_path / "new" / "p")
     assert whole.force_weights is not None and found.force_weights is not None

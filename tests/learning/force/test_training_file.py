@@ -100,13 +100,13 @@ def test_it_ends_with_the_same_bits(touches: Path, whole: Trained, stopped: Path
     file = TrainingFile(stopped, said.append, every_s=0.0)
     with pytest.raises(_StoppedError):
         train(touches, file, stop_at(16))
-    assert "goes on after step 11" in said[0] and file.step == 15
+    assert "continues after step 11" in said[0] and file.step == 15
     assert len(whole.curve) == 5
     assert same(train(touches, TrainingFile(stopped, every_s=1e9)), whole)
     # Kept at its end, too: what goes wrong in the figures or the writing costs no training.
     file = TrainingFile(stopped, said.append)
     assert same(train(touches, file, stop_at(1)), whole)
-    assert "goes on after step 20" in said[-1] and file.earlier_s > 0
+    assert "continues after step 20" in said[-1] and file.earlier_s > 0
     file.remove()
     assert not list(stopped.parent.iterdir())
 
