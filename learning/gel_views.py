@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium import spaces
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
+from taccel_lab.learning.gymnasium_names import spaces
 from taccel_lab.outputs import Outputs, to_torch
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS

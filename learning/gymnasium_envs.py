@@ -12,9 +12,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
-
 from taccel_lab.learning.catalogue import make_vec, names
+from taccel_lab.learning.gymnasium_names import register
 from taccel_lab.learning.vector_env import TactileVectorEnv
 
 NAMESPACE = "taccel_lab"
@@ -29,7 +28,7 @@ def env_id(task: str) -> str:
 def register_envs() -> None:
     """Register every task that can be learned, in the namespace of the package."""
     for task in names():
-        gymnasium.register(
+        register(
             f"{NAMESPACE}/{env_id(task)}",
             vector_entry_point=f"{_PACKAGE}:make_registered",
             kwargs={"task": task},

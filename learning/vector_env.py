@@ -15,12 +15,10 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
-from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 
 from taccel_lab.errors import InputError
 from taccel_lab.learning.gel_views import FORCES, VIEWS, Colors, GelViews
+from taccel_lab.learning.gymnasium_names import AutoresetMode, VectorEnv, batch_space, spaces
 from taccel_lab.learning.ranges import Given
 from taccel_lab.learning.starts import EpisodeDraws, randomise
 from taccel_lab.learning.task import LearningTask

@@ -115,6 +115,19 @@ def test_the_core_and_the_presses_of_studies_need_warp_numpy_and_scipy_alone() -
     assert done.returncode == 0, done.stderr
 
 
+def test_calibration_and_force_networks_need_no_gymnasium() -> None:
+    """Only environments need the extra ``learning``; the main job's installation has none."""
+    code = _BARE.format(
+        absent=["gymnasium", "onnx", "h5py", "pyarrow", "newton"],
+        modules="taccel_lab.cli.app, taccel_lab.cli.demo, taccel_lab.cli.calibrate.blocks, "
+        "taccel_lab.api.press, taccel_lab.calibration.calibrate, taccel_lab.learning.force.fit",
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
 def test_public_names_exist() -> None:
     import taccel_lab
 
