@@ -76,7 +76,6 @@ class Learning(Suite):
     def settings(self) -> dict[str, Any]:
         return {
             "steps": self.steps,
-            "warm_up_steps": self.warm_up or "the motion's",
             "repeats": self.repeats,
             "reset_share": self.reset_share,
             "offset_mm": self.offset_mm,

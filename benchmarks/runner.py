@@ -164,10 +164,6 @@ class Runner:
         self.forces = ForceReader(self.solver)
         self.clock = clock_of(self.model.device)
 
-    def contact_counts(self) -> np.ndarray:
-        """Contacts of each environment at the end of the last step, [env]."""
-        return self.solver.collisions.counts.numpy()
-
     def reset(self) -> None:
         """All environments back to the start of the motion."""
         everyone = np.ones(self.model.env_count, dtype=bool)

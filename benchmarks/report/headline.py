@@ -93,9 +93,10 @@ def _speed(results: Results) -> list[str]:
         for row in document["rows"]
         if row["scene"] == "peg" and "phase_thirds" in row and not row["observed"]
     }
-    if not in_step or not whole:
+    counts = {envs for pace, envs in whole if ("own", envs) in whole and pace == "together"}
+    if not counts & set(in_step):
         return []
-    many = max(envs for _, envs in whole)
+    many = max(counts & set(in_step))
     together, own = whole["together", many], whole["own", many]
     failed = own["residual"]["unconverged"] / own["residual"]["env_steps"]
     return [

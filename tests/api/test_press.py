@@ -48,6 +48,18 @@ def test_what_a_press_tells(pressed: tl.Press, tmp_path: Path) -> None:
     } <= {"image.png"}
 
 
+def test_the_deepest_place_is_that_of_the_contact(
+    pressed: tl.Press, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A ray that grazes a dome's border finds a large depth there, without any contact."""
+    told = dict(pressed.summary()[1])["deepest"]
+    grazed = pressed.depth_mm.copy()
+    grazed[0, 0] = 9.0
+    assert not pressed.contact_mask[0, 0]
+    monkeypatch.setattr(type(pressed), "depth_mm", property(lambda _: grazed))
+    assert dict(pressed.summary()[1])["deepest"] == told
+
+
 def test_a_profile_and_its_name_press_alike(pressed: tl.Press) -> None:
     profile = tl.load_sensor("flat_pad")
     again = tl.press(profile, "sphere:4", depth_mm=0.3, accuracy="fast", mesh="profile")
