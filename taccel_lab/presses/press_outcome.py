@@ -180,7 +180,7 @@ def simulate_press(
 
     ``grid``: the pixels, laid over the gel, or the camera that they are of. ``designed_rest`` is
     the pad's contact face on ``face_of(grid)`` where ``mesh`` draws it more coarsely,
-    see ``RestSurface.left_out_by``. ``progress`` is told step, step count and what the step gave.
+    see ``RestSurface.left_out_by``. ``progress`` gets step, step count and outcome.
     ``keep_states`` keeps gel, loads and pixels of every step, at 0.1 to 0.3 s each.
     """
     env = PressEnv(

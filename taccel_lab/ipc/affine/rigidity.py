@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What keeps an affine body rigid, and where it is in free flight.
 
-Energy that keeps an affine body rigid: how far its map A is from a rotation.
+How far its map A is from a rotation:
 
 V E / 8 |A^T A - I|^2 = V E / 8 (sum_i (|a_i|^2 - 1)^2 + 2 sum_{i<j} (a_i . a_j)^2)
 
@@ -10,15 +10,13 @@ kappa = E / 8]. It is St. Venant-Kirchhoff's energy of the uniform strain for la
 mu = E / 2: a solid of Young's modulus E and Poisson's ratio 0. So stress, Hessian and its
 projection are that material's, in singular values and in closed form.
 
-Where an affine body would be at the end of a step in free flight, without any strain.
-
-Implicit Euler minimises sum_k m_k |y_k - y~_k|^2 / (2 s^2) over the inertial positions y~, which
-lie off the rotations by the square of the angle turned. The nearest rigid placement is an
-orthogonal Procrustes problem, solved by the singular vectors of sum_k m_k y~_k e_k^T [Golub and Van
-Loan, Matrix Computations, section 6.4.1]. Newton's steps are straight and stay within the square
-root of the body's compliance of the rotations: without this start a body that spins fast takes
-many of them. Joints keep their points: bodies are placed from the root of each mechanism on. A gel
-that is mounted on such a body rides along with it as it is.
+In free flight, without any strain: implicit Euler minimises sum_k m_k |y_k - y~_k|^2 / (2 s^2) over
+the inertial positions y~, which lie off the rotations by the square of the angle turned. The
+nearest rigid placement is an orthogonal Procrustes problem, solved by the singular vectors of sum_k
+m_k y~_k e_k^T [Golub and Van Loan, Matrix Computations, section 6.4.1]. Newton's steps are straight
+and stay within the square root of the body's compliance of the rotations: without this start a body
+that spins fast takes many of them. Joints keep their points: bodies are placed from the root of
+each mechanism on. A gel that is mounted on such a body rides along with it as it is.
 """
 
 from __future__ import annotations

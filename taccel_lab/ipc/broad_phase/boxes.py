@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Boxes around what moves: of single primitives, of whole bodies.
 
-FP32 boxes, rounded outwards, around straight paths, in the world or in the frame of a body.
-
-Boxes around whole bodies, where they are or along straight ways.
+They are FP32, rounded outwards, around straight paths, in the world or in the frame of a body.
 """
 
 from __future__ import annotations

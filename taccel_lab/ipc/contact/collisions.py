@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The collision set of each environment, and the roles of surfaces in it.
 
-Which surface of a pair measures the contact, how stiff its contact is, and how far a body keeps
-from itself.
-
-The collision set of each environment: an area-weighted contact and a guard around everything.
+Roles say which surface of a pair measures the contact, how stiff its contact is, and how far a body
+keeps from itself. The set has an area-weighted contact, and a guard around everything:
 
     contact    kappa sum_nodes A_i max_faces dhat g(d(x_i, f) / dhat)
     guard      the same with `guard` < dhat in place of dhat, for what the contact leaves out

@@ -1,10 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ragged lists: one array for all environments, with a capacity for each.
 
-How much memory a device has left, so that an allocation that must fail is not tried.
-
-Ragged lists: one array for all environments, with room for so many entries of each.
-
 Kernels append with an atomic counter and drop what does not fit, but count it. The solver ends the
 step of an environment whose list was too short (``overflows``), makes room when the attempt is
 over, and takes the step again there: nothing is missing in what it reports, and no list has to be
@@ -12,8 +8,8 @@ looked at by the host in between.
 
 The entries of an environment follow those of the one before it. An environment that needs more room
 gets it alone: the memory of a list is the sum of what each environment has needed, not the largest
-need times their number. Where the device has no memory left for it, it is given up, and the others
-go on.
+need times their number. The memory left on the device is asked for first: where it does not
+suffice, that environment is given up, and the others go on.
 """
 
 from __future__ import annotations

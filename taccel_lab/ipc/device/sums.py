@@ -1,13 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sums and minima on the device that do not depend on the order of their addends.
 
-Sums and minima over the entries of an environment, on the device; sums in a fixed order.
-
-One thread block an environment (one thread on the CPU): each thread makes a strided partial sum,
-with compensation [Neumaier 1974], and the block adds its threads up as a tree. However many
-environments there are and whatever they hold, the sum of one of them is bitwise the same.
-
-Sums by atomics that do not depend on the order of their addends.
+Over the entries of an environment, one thread block (one thread on the CPU) works: each thread
+makes a strided partial sum, with compensation [Neumaier 1974], and the block adds its threads up as
+a tree. However many environments there are and whatever they hold, the sum of one of them is
+bitwise the same.
 
 Atomic additions arrive in any order on a GPU, and each rounds. They do not where all addends of a
 place are multiples of one power of two that is coarse enough for every partial sum: then the sum is
@@ -226,7 +223,7 @@ ROUND = wp.constant(2)
 
 @wp.struct
 class SumStage:
-    """What becomes of addends.
+    """What a kernel does with its addends.
 
     stage: 0 added as they are, MEASURE noted but not added, ROUND added on the grid of their place.
     seen: largest exponent of the addends of a place, as the bits of a double have it, and their

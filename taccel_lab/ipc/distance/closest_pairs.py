@@ -1,33 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """The closest points of points, edges and triangles on a stencil of four nodes.
 
-The closest points of two primitives on a stencil of four nodes, whatever the primitives are.
-
 Every distance of the contact model is `d = |r|` with `r = sum_i w_i x_i`, where the signed weights
 `w` (sum zero) are affine in zero, one or two free closest-point parameters `beta`. All derivatives
 of `d` follow from `w`, `dw/dbeta` and the positions (`derivatives.py`), so one structure serves
 point-point, point-edge, point-triangle and edge-edge pairs and no formula is written per region.
 
-Distance of two points (stencil nodes 0 and 1).
+Two points are stencil nodes 0 and 1; a point and a segment 0 and 1, 2; a point and a plane or a
+triangle 0 and 1 to 3; two segments 0, 1 and 2, 3.
 
-Distance of a point and a segment (stencil nodes 0; 1, 2).
+Of a plane only the height over it counts, so the weights are those of two points and the tangents
+are not needed: the distance is linear in the positions and its second derivative is zero.
 
-Distance of a point (stencil node 0) and a plane through a node (stencil nodes 1 to 3).
+Of a triangle the face is tried first; where the foot of the perpendicular lies outside, or the
+triangle has no area, the closest point of a convex polygon is on its boundary, hence the nearest of
+three edges. No region test can then pick a wrong feature by rounding: at worst it picks an equally
+near one.
 
-Only the height over the plane counts, so the weights are those of two points and the tangents are
-not needed: the distance is linear in the positions and its second derivative is zero.
-
-Distance of a point and a triangle (stencil nodes 0; 1, 2, 3).
-
-The face is tried first; where the foot of the perpendicular lies outside, or the triangle has no
-area, the closest point of a convex polygon is on its boundary, hence the nearest of three edges.
-No region test can then pick a wrong feature by rounding: at worst it picks an equally near one.
-
-Distance of two segments (stencil nodes 0, 1; 2, 3).
-
-The squared distance is a convex quadratic of the two segment parameters on the unit square: its
-minimum is the interior stationary point or lies on the boundary, which is four point-segment
-queries. Parallel segments have a minimum on the boundary, so they need no case of their own.
+The squared distance of two segments is a convex quadratic of the two segment parameters on the unit
+square: its minimum is the interior stationary point or lies on the boundary, which is four point-
+segment queries. Parallel segments have a minimum on the boundary, so they need no case of their
+own.
 """
 
 from __future__ import annotations

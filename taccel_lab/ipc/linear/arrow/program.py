@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Block-arrow factorisation: the symbolic part, laid out for one thread block.
 
-Symbolic block Cholesky factorisation of a pattern in block-arrow form, once per scene.
-
-Rows of gels are eliminated in the order of least degree [Tinney and Walker 1967]; rows of affine
-bodies come last, as a border that is dense: a body may touch any gel node, and contact of a gel
-with a body fills in nothing else. Columns that do not depend on each other form a level, which a
-GPU eliminates at one time.
-
-Block-arrow factorisation laid out for one thread block, and the memory that it is given.
+The symbolic part is done once a scene. Rows of gels are eliminated in the order of least degree
+[Tinney and Walker 1967]; rows of affine bodies come last, as a border that is dense: a body may
+touch any gel node, and contact of a gel with a body fills in nothing else. Columns that do not
+depend on each other form a level, which a GPU eliminates at one time.
 
 Every index that the factorisation and its solves need is one word of a program of integers, which
 the block copies next to the numbers before it starts: a level then waits for shared memory alone.

@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The arrays of one Newton system an environment, as assembly and solvers share them.
 
-Blocks of the Newton matrix outside of its fixed pattern: contact between two free bodies.
-
-The arrays of one Newton system per environment, as assembly and solvers share them.
-
-What a linear solve did, per environment, read back to the host.
+Beside the fixed pattern of the matrix stand its extra blocks, of contact between two free bodies,
+and what a solve did, which the host reads.
 """
 
 from __future__ import annotations

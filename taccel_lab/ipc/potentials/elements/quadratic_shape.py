@@ -1,18 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Deformation of ten-node tets, and where they are kept from turning inside out.
-
-Deformation of ten-node tets with straight edges at rest, and gradients of their shape functions.
+"""Deformation of ten-node tets, straight at rest, and where they are kept from turning inside out.
 
 F is linear in the element: with F_c the gradient at corner c and barycentric coordinates l of a
 point, F = sum_c l_c F_c, and grad N of corner i is (4 l_i - 1) b_i, of the middle of edge ij
 4 (l_j b_i + l_i b_j), where b_i are the gradients of the barycentric coordinates.
 
-Where a ten-node tet is kept from turning inside out.
-
-It may do so near a corner or along an edge while all its quadrature points are in order. A guard on
-the volume ratio (``elasticity.volume_bounds``) stands at the corners and at points of the edges. It
-is zero above a ratio that few elements come below: these are told by a bound of J over the element
-(in the same place), and the others pay for that only.
+A tet may turn inside out near a corner or along an edge while all its quadrature points are in
+order. A guard on the volume ratio (``elasticity.volume_bounds``) stands at the corners and at
+points of the edges. It is zero above a ratio that few elements come below. A bound of J over the
+element (in the same place) finds these; the others pay for the bound alone.
 """
 
 from __future__ import annotations
