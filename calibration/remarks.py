@@ -7,7 +7,7 @@ finds something calls the kind with the figures of its sentence::
     FEW_FRAMES = RemarkKind("few_frames", Severity.WARNING, "{count} frames: ...")
     remarks.append(FEW_FRAMES(count=3))
 
-``remark_table`` turns all of them into the list of docs/remarks.md.
+``remark_table`` lists them all, for docs/remarks.md.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import pkgutil
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 from taccel_lab.report.remark import Remark, Severity
@@ -71,18 +72,20 @@ class RemarkKind:
         )
 
 
-def remark_kinds() -> list[tuple[str, RemarkKind]]:
-    """All kinds with the room of calibration whose table holds them, in the order of the tables."""
-    import taccel_lab.calibration as calibration
+def remark_kinds(*packages: ModuleType) -> list[tuple[str, RemarkKind]]:
+    """All kinds with the room of ``packages`` whose table holds them, in the order of the tables.
 
-    shared_remarks = importlib.import_module("taccel_lab.calibration.shared_remarks")
-
-    found = [("several", kind) for kind in vars(shared_remarks).values()]
-    for module in pkgutil.iter_modules(calibration.__path__):
-        name = f"{calibration.__name__}.{module.name}.remarks"
-        if not module.ispkg or importlib.util.find_spec(name) is None:
-            continue
-        found += [(module.name, kind) for kind in vars(importlib.import_module(name)).values()]
+    Kinds of a package's ``shared_remarks`` come first, in the room "several".
+    """
+    tables: list[tuple[str, ModuleType]] = []
+    for package in packages:
+        if importlib.util.find_spec(shared := f"{package.__name__}.shared_remarks"):
+            tables.append(("several", importlib.import_module(shared)))
+        for module in pkgutil.iter_modules(package.__path__):
+            name = f"{package.__name__}.{module.name}.remarks"
+            if module.ispkg and importlib.util.find_spec(name) is not None:
+                tables.append((module.name, importlib.import_module(name)))
+    found = [(room, kind) for room, table in tables for kind in vars(table).values()]
     kinds: list[tuple[str, RemarkKind]] = []
     for room, kind in found:  # A table may import what another one holds.
         if isinstance(kind, RemarkKind) and all(kind is not known for _, known in kinds):
@@ -90,13 +93,13 @@ def remark_kinds() -> list[tuple[str, RemarkKind]]:
     return kinds
 
 
-def remark_table() -> str:
+def remark_table(*packages: ModuleType) -> str:
     """docs/remarks.md: a list for each block, an item for each kind."""
     lines = [
         "# Remarks of calibrations and checks",
         "",
-        "<!-- Made by `python -m taccel_lab.calibration.remarks`; edit the tables in",
-        "`calibration/<block>/remarks.py` instead. -->",
+        "<!-- Made by `tools/list_remarks.py`; edit the tables in `calibration/<block>/remarks.py`",
+        "and `learning/force/remarks.py` instead. -->",
         "",
         "Look up a remark of a calibration or a finding of a check, by its code.",
         "",
@@ -109,7 +112,7 @@ def remark_table() -> str:
         "stand for figures and names.",
     ]
     room = ""
-    for name, kind in remark_kinds():
+    for name, kind in remark_kinds(*packages):
         if name != room:
             room = name
             lines += ["", f"## {name}", ""]
@@ -119,12 +122,3 @@ def remark_table() -> str:
         about = "; ".join(filter(None, [" or ".join(severities), ", ".join(kind.blocks)]))
         lines.append(f"- `{kind.code}` ({about}): {meaning}")
     return "\n".join(lines) + "\n"
-
-
-if __name__ == "__main__":
-    import sys
-
-    # As the tables know it: run as a script, this file would hold a second RemarkKind.
-    from taccel_lab.calibration import remarks
-
-    sys.stdout.write(remarks.remark_table())
