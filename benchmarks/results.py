@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.benchmarks.page import benchmark_page
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.output_folder import require_growable
 from taccel_lab.report.machine import describe_run
+from taccel_lab.report.page import write_page_file
 
 SCHEMA = "taccel-lab benchmark 1"
 FOLDER = Path(__file__).parent / "results"
@@ -108,7 +110,9 @@ class ResultFile:
             raise
         self._document["complete"] = not self.deadline.stopped
         self.write()
-        note(f"wrote {self.path}")
+        page = self.path.with_suffix(".html")
+        write_page_file(benchmark_page(self._document), page)
+        note(f"wrote {self.path} and {page}")
 
 
 def result_path(suite: str, out: Path) -> Path:

@@ -20,6 +20,7 @@ from taccel_lab.report.remark import Remark
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.profile_family import IMPORTED
 from taccel_lab.sensors.registry import is_of_sensor, profile_folder
+from taccel_lab.sensors.starters import is_starter
 
 MEASURED = ("calibrated", "measured")
 """Kinds of blocks that say something about the unit at hand."""
@@ -27,7 +28,7 @@ MEASURED = ("calibrated", "measured")
 
 def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder) -> SensorProfile:
     """The profile to extend: given, in a profile folder, that which the captures name as their
-    sensor, or the catalogue's design of the sensor.
+    sensor, or the catalogue's design of the sensor, also in place of a starter profile.
 
     A design has the dimensions that the captures' ``[design]`` states, and takes their image size
     and scale where these state a scale.
@@ -37,6 +38,8 @@ def base_profile(base: SensorProfile | Path | str | None, folder: CaptureFolder)
             than they state.
     """
     base = base or profile_folder(folder.sensor)
+    if isinstance(base, SensorProfile) and is_starter(base):
+        base = None  # Its blocks are of another unit: the design under them is what is known.
     if base is None:
         with naming(folder.source):
             if folder.mm_per_px is None or folder.background is None:

@@ -19,7 +19,8 @@ class Demo:
     Runs calibrate all and press. It checks the captures, fits every block that they allow, and
     writes profile and report. A quarter of the presses is held out before any image is read. Then
     it presses the calibrated sensor at a position that was never captured. The captures are the
-    GelSight ball presses of the PyPI package taxim.
+    GelSight ball presses of the PyPI package taxim. Finished blocks are kept in <out>_unfinished,
+    where the same command continues after a crash.
     """
 
     out: Path = Path("out/demo")
@@ -44,6 +45,7 @@ class Demo:
         from taccel_lab.calibration.capture import find_taxim_pack
         from taccel_lab.calibration.capture.load import load_capture_folder
         from taccel_lab.cli.console import notes, print_json, results, working
+        from taccel_lab.cli.unfinished import kept_blocks
         from taccel_lab.files.output_folder import atomic_directory, require_replaceable
         from taccel_lab.progress import stage_progress
 
@@ -53,15 +55,17 @@ class Demo:
         options = PressOptions(self.depth_mm, indenter=DEMO_INDENTER, at_mm=DEMO_AT_MM)
         # What can be refused is refused before minutes of work.
         PressPlan.of(base_profile(None, folder), options)
-        with atomic_directory(self.out) as staging:
+        with kept_blocks(console, self.out) as unfinished, atomic_directory(self.out) as staging:
             with stage_progress(console) as progress:
-                found = calibrate(folder, only=self.only, progress=progress)
+                found = calibrate(folder, only=self.only, progress=progress, unfinished=unfinished)
             with working(console, "writing the reports"):
                 found.write_report(staging / "report")
             found.save(staging / "profile")
             with step_progress(console, "pressing the calibrated sensor") as told:
                 pressed = run_press(PressPlan.of(found, options), told)
             pressed.save(staging / "press")
+        if found.unfinished is not None:
+            found.unfinished.remove()
         if self.json:
             print_json({"blocks": found.figures(), "press": pressed.figures()})
         else:

@@ -29,8 +29,9 @@ class Depth:
     sensor are listed with the reason. The others are still read, and the exit code is 2.
     """
 
-    profile: Positional[Path]
-    """Profile folder, from `taccel-lab calibrate normals` or `calibrate depth`."""
+    profile: Positional[str]
+    """Profile folder, from `taccel-lab calibrate normals` or `calibrate depth`, or a sensor of the
+    catalogue with a starter profile: then give --background."""
     images: Positional[tuple[Path, ...]]
     """Tactile images (PNG or JPEG) of the profile's size, or raw ones with --maps."""
     out: Path
@@ -56,12 +57,12 @@ class Depth:
         from taccel_lab.files.images import image_size, read_image
         from taccel_lab.files.output_folder import require_replaceable
         from taccel_lab.processes.start_warp import start_warp
-        from taccel_lab.profile import load_profile
+        from taccel_lab.sensors.profile import load_sensor
 
         start_warp()
         require_replaceable(self.out)
         require_images(self.images)
-        profile = load_profile(self.profile)
+        profile = load_sensor(self.profile)
         maps = None if self.maps is None else RectificationMaps.load(self.maps)
 
         def image_of(path: Path) -> np.ndarray:

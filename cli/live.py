@@ -6,7 +6,6 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
@@ -34,8 +33,8 @@ class Live(CameraOptions):
     marked. A depth with mostly such pixels is not shown. The time of each stage is measured.
     """
 
-    profile: Positional[Path]
-    """Profile folder of this sensor."""
+    profile: Positional[str]
+    """Profile folder of this sensor, or a sensor of the catalogue with a starter profile."""
     background: Literal["camera", "profile"] = "camera"
     """The untouched gel: from the camera's first frames (do not touch it), or from the profile."""
     detail: int | None = None
@@ -63,15 +62,15 @@ class Live(CameraOptions):
         from taccel_lab.calibration.live.run import run_live
         from taccel_lab.cli.console import notes
         from taccel_lab.processes.start_warp import start_warp
-        from taccel_lab.profile import load_profile
         from taccel_lab.report.live_page import PageOptions, live_page
+        from taccel_lab.sensors.profile import load_sensor
 
         start_warp()
         if self.frames is not None and self.frames < 1:
             raise InputError(f"--frames is {self.frames}; at least 1 is allowed")
         if not 0.1 <= self.pictures_hz <= 100:
             raise InputError(f"--pictures-hz is {self.pictures_hz:g}; 0.1 to 100 are allowed")
-        profile = load_profile(self.profile)
+        profile = load_sensor(self.profile)
         framing, open_ = self.framing(), self.opener(self.paced)
         rest = profile.background_rgb if self.background == "profile" else None
         if self.background == "profile" and rest is None:
@@ -115,7 +114,7 @@ class Live(CameraOptions):
         found = result.latency.figures()
         if self.json:
             about = {
-                "profile": str(self.profile),
+                "profile": self.profile,
                 "detail": reader.detail,
                 "maps_px": [reader.grid.width_px, reader.grid.height_px],
                 "locks": {lock.name: lock.told for lock in result.locks},

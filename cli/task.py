@@ -52,8 +52,9 @@ class TaskList:
 class TaskRun:
     """Run the baseline policy of a task on its seeds: success rate with its 95 % interval.
 
-    Writes result.json (settings, machine, a row a seed) and seeds.png. A seed whose simulation
-    fails counts as a failure, with its cause. Ctrl-C ends the run and keeps what is done.
+    Writes result.json (settings, machine, a row a seed), seeds.png and the page report.html. A
+    seed whose simulation fails counts as a failure, with its cause. Ctrl-C ends the run and keeps
+    what is done.
     """
 
     task: Positional[str]
@@ -167,6 +168,8 @@ def _begin(name: str, device: str, output: Path) -> Task:
 def _write(task: Task, result: TaskResult, device: str, folder: Path) -> None:
     from taccel_lab.files.atomic_file import write_json
     from taccel_lab.report.machine import describe_run
+    from taccel_lab.report.page import write_page_file
+    from taccel_lab.tasks.page import task_page
 
     table = result.table()
     rows = table.pop("per_seed")
@@ -176,6 +179,7 @@ def _write(task: Task, result: TaskResult, device: str, folder: Path) -> None:
         folder / "result.json", {**table, "settings": settings, "run": run, "per_seed": rows}
     )
     task.made_by.draw(task.parameters, result, folder)
+    write_page_file(task_page(task, result, run, folder), folder / "report.html")
 
 
 def _print(console: Console, result: TaskResult, output: Path) -> None:
@@ -195,6 +199,6 @@ def _print(console: Console, result: TaskResult, output: Path) -> None:
     lines += [f"  seed {seed}: {cause}" for seed, cause in causes[:10]]
     if causes[10:]:
         lines.append(f"  and {len(causes) - 10} more failures")
-    lines.append(f"wrote {output / 'result.json'}")
+    lines.append(f"wrote {output / 'result.json'} and {output / 'report.html'}")
     for line in lines:
         console.print(line, soft_wrap=True)

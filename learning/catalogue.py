@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.toml_file import read_toml
+from taccel_lab.learning.gel_colors import default_colors
 from taccel_lab.learning.grasp_lift import GraspLiftLearning
 from taccel_lab.learning.peg_insertion import PegInsertionLearning
 from taccel_lab.learning.task import LearningTask
@@ -42,8 +43,9 @@ def make_vec(
         task: Of the package by its name, or one that was read from a file
             (``tasks.catalogue.read_task``).
         num_envs: How many.
-        sensor: Whose gels stand in place of the task's.
-        options: Of ``TactileVectorEnv``.
+        sensor: Whose gels stand in place of the task's; pixels see what its camera does.
+        options: Of ``TactileVectorEnv``. Images have ``default_colors`` of the sensor where no
+            ``colors`` are given.
 
     Raises:
         InputError: A task that cannot be learned, or takes no sensor.
@@ -61,6 +63,10 @@ def make_vec(
         parameters = task.parameters
     if parameters.kind not in KINDS:
         raise InputError(f"tasks of kind {parameters.kind!r} cannot be learned: {', '.join(KINDS)}")
+    if {"rgb", "rgb_levels"} & set(options.get("observe", ())) and not options.get("colors"):
+        options["colors"] = default_colors(sensor)
+    if sensor is not None:
+        options.setdefault("view", sensor.grid())
     return TactileVectorEnv(KINDS[parameters.kind](parameters, num_envs, sensor), **options)
 
 

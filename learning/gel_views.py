@@ -2,12 +2,12 @@
 """What the gels of a scene show and feel, by name, as torch tensors on the solver's device.
 
 A gel is a soft body that is bonded. Names, units and frames are those of ``SignalTactile``; pixels
-and markers fill the contact face. Nothing here waits for the device.
+and markers fill the view of a sensor's camera or, without a sensor, the contact face. Nothing here
+waits for the device.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,9 +15,9 @@ import torch
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
+from taccel_lab.learning.gel_colors import Colors
 from taccel_lab.learning.gymnasium_names import spaces
 from taccel_lab.outputs import Outputs, to_torch
-from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
 from taccel_lab.signals.gel_faces import MARKERS, bonded_gels, face_grid, marker_points_mm
 from taccel_lab.signals.markers import MarkerLayout
@@ -29,8 +29,6 @@ VIEWS = (*SIGNALS, "wrench")
 """What gels have to say."""
 FORCES = (*CONTACT_SIGNALS, "wrench")
 """What is zero at a start, where nothing has been stepped."""
-Colors = Callable[[PixelGrid], tuple[ColorModel, np.ndarray]]
-"""Of the pixels of a gel its colour network and its image untouched, levels [height, width, 3]."""
 _VECTORS = ("normals", "points_m", "traction_pa", "slip_m")
 
 
@@ -43,13 +41,15 @@ class GelViews:
         names: tuple[str, ...],
         size_px: tuple[int, int] = (80, 60),
         colors: Colors | None = None,
+        view: PixelGrid | None = None,
     ) -> None:
         """
         Args:
             solver: Of the scene.
             names: Of ``VIEWS``.
             size_px: Width and height of images.
-            colors: For ``rgb`` and ``rgb_levels``.
+            colors: For ``rgb`` and ``rgb_levels``; ``gel_colors.default_colors`` has some.
+            view: What pixels see of each gel, in any number of them; its contact face when None.
 
         Raises:
             InputError: No gel, no colours, sliding of a scene without friction.
@@ -65,7 +65,10 @@ class GelViews:
         self.gels = bonded_gels(solver.model)
         """Indices of the gels among the soft bodies."""
         bodies = [solver.model.scene.soft_bodies[i] for i in self.gels]
-        self.grids = [face_grid(body.nodal_mesh, size_px) for body in bodies]
+        self.grids = [
+            face_grid(body.nodal_mesh, size_px) if view is None else view.resized(*size_px)
+            for body in bodies
+        ]
         """Pixels of each gel."""
         self._signals = [
             _signal(solver, gel, body.nodal_mesh, grid, colors)

@@ -17,7 +17,9 @@ import torch
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.learning.gel_views import FORCES, VIEWS, Colors, GelViews
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.learning.gel_colors import Colors
+from taccel_lab.learning.gel_views import FORCES, VIEWS, GelViews
 from taccel_lab.learning.gymnasium_names import AutoresetMode, VectorEnv, batch_space, spaces
 from taccel_lab.learning.ranges import Given
 from taccel_lab.learning.starts import EpisodeDraws, randomise
@@ -56,6 +58,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         randomised: bool | Given = False,
         size_px: tuple[int, int] = (80, 60),
         colors: Colors | None = None,
+        view: PixelGrid | None = None,
         device: str | None = None,
         solver: dict[str, Any] | None = None,
     ) -> None:
@@ -68,6 +71,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
                 what is drawn, stand in place of the task's or the sensor's.
             size_px: Width and height of images and depth.
             colors: For images: gives the colour network and the untouched image of a pixel grid.
+            view: What pixels see of each gel; its contact face when None.
             device: "cpu" or "cuda:0"; as of ``Scene.finalize`` when None.
             solver: Settings of ``SolverConfig`` other than the task's.
 
@@ -95,7 +99,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
         self._draws = EpisodeDraws(self.model, len(task.start_names) + len(self._ranges))
         self._seeded = False
         self._half = torch.tensor(task.start_half, dtype=torch.float64, device=self.device)
-        self.views = GelViews(self.solver, observe, size_px, colors)
+        self.views = GelViews(self.solver, observe, size_px, colors, view)
         """What the gels show and feel."""
         self._observe = observe
         self._mode = autoreset_mode

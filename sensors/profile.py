@@ -39,6 +39,7 @@ from taccel_lab.sensors.registry import (
     sensor_families,
     sensor_family,
 )
+from taccel_lab.sensors.starters import with_starter
 
 _GRID = ("width_px", "height_px", "mm_per_px", "mm_per_px_y")
 _METHOD = "defaults of the catalogue's family, with the overrides given"
@@ -171,9 +172,10 @@ def catalogue_profile(name: str, overrides: Mapping[str, Any] | None = None) -> 
 
 
 def load_sensor(name: str) -> SensorProfile:
-    """A profile, see ``profile_folder``, or the default design of a catalogue sensor."""
+    """A profile, see ``profile_folder``, or the default design of a catalogue sensor, with the
+    blocks of its starter where there is one (``sensors.starters``)."""
     if name in sensor_families():
-        return catalogue_profile(name)
+        return with_starter(catalogue_profile(name))
     folder = profile_folder(name)
     if folder is not None or Path(name).exists():
         profile = load_profile(folder or name)

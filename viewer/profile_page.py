@@ -80,6 +80,7 @@ def _rows(profile: SensorProfile) -> list[tuple[str, str]]:
     size = 1e3 * np.ptp(profile.mesh.nodes_m, axis=0)
     rows = [
         ("sensor", f"{profile.sensor.name} ({profile.sensor.family})"),
+        *(("note", remark) for remark in profile.sensor.provenance.remarks),
         ("gel", f"{size[0]:.2f} x {size[1]:.2f} x {gel.thickness_mm:.2f} mm"),
         ("mesh", f"{gel.node_count:,} nodes, {gel.tet_count:,} tets"),
         ("Young's modulus", f"{1e-6 * material.young_modulus_pa:.3g} MPa"),

@@ -106,6 +106,8 @@ class LiveReader:
                 f"profile's has {grid.width_px}x{grid.height_px} px; give --size, --crop and "
                 "--resize as they were when the captures were recorded"
             )
+        self.remarks = tuple(f"{_first_up(text)}." for text in profile.sensor.provenance.remarks)
+        """What the profile says of itself, one sentence each."""
         self.unlike_profile = _unlike_profile(profile, background)
         """Why the untouched gel is not that of the profile, in a sentence; empty where it is."""
         self.surface: SurfaceReader | None = None
@@ -168,6 +170,10 @@ class LiveReader:
             with _timed(stages, "force"):
                 forces = self.force(image, self.background)
         return LiveReading(image, surface, figures, refused, places, rest, seen, forces, stages)
+
+
+def _first_up(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _unlike_profile(profile: SensorProfile, background: np.ndarray) -> str:

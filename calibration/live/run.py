@@ -54,7 +54,8 @@ class LiveResult:
     locks: tuple[ControlLock, ...] = ()
     last: LiveReading | None = None
     remarks: tuple[str, ...] = ()
-    """What is wrong with the untouched gel that was measured, one sentence each."""
+    """What is wrong with the profile, or with the untouched gel that was measured, one sentence
+    each."""
     unseen: str = ""
     """Why it could not be measured, in a sentence; empty where it was, or only not yet."""
 
@@ -89,6 +90,8 @@ def run_live(
     """
     values, framing = values or ControlValues(), framing or Framing()
     result = LiveResult(None if background is None else make_reader(background), Latency())
+    if result.reader is not None:
+        result.remarks = result.reader.remarks
     untouched, frozen = _Untouched(), FrozenWatch()
     told = ""
 
@@ -149,7 +152,7 @@ def run_live(
 
 def _remarks(reader: LiveReader, untouched: _Untouched) -> tuple[str, ...]:
     flicker = flicker_words(untouched.flicker_levels)
-    remarks = reader.unlike_profile, f"T{flicker[1:]}." if flicker else ""
+    remarks = *reader.remarks, reader.unlike_profile, f"T{flicker[1:]}." if flicker else ""
     return tuple(remark for remark in remarks if remark)
 
 

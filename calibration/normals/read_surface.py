@@ -76,6 +76,8 @@ class SurfaceReading(Summary):
     sigma_of: SigmaOf | None = None
     """What ``height_sigma_m`` is that of: the absolute depth, or, with profiles of earlier versions
     that know no more, the reading alone; None where the profile tells none."""
+    remarks: tuple[str, ...] = ()
+    """What the profile says of itself, such as that it is of another unit."""
 
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
         """How deep the gel is pressed, and by which model."""
@@ -89,6 +91,7 @@ class SurfaceReading(Summary):
             ("deepest", f"{depth} mm at ({deepest[1]}, {deepest[0]}) px"),
             ("pixels", f"{width} x {height}"),
             ("light", light),
+            *(("note", remark) for remark in self.remarks),
         ]
 
     def figures(self, grid: PixelGrid) -> dict[str, Any]:
@@ -131,7 +134,7 @@ class SurfaceReading(Summary):
 
     def _warnings(self, figures: dict[str, Any]) -> list[str]:
         """What a user should know before trusting the heights, one sentence each."""
-        said = []
+        said = list(self.remarks)
         if self.sigma_of != "absolute depth":
             said.append(NO_SIGMA if self.sigma_of is None else READING_ALONE)
         steep = figures.get("beyond_balls_share", 0.0)
@@ -186,6 +189,7 @@ class SurfaceReader:
         self.background = self._small(self.background)
         if mask is not None and shrink > 1:
             self.mask = self._small(mask.astype(np.float32)) > MOSTLY
+        self.remarks = profile.sensor.provenance.remarks
         self.rest: RestSurface = rest_surface(profile.mesh, self.grid)
         self.normal_model = NormalModel.from_profile(profile) if self.method == "normals" else None
         if self.normal_model is not None and shrink > 1:
@@ -296,6 +300,7 @@ class SurfaceReader:
             method="depth",
             drift_removed=self.drift,
             sigma_of=self.sigma_of,
+            remarks=self.remarks,
         )
 
     def _by_normals(self, levels: np.ndarray, uncertainty: bool) -> SurfaceReading:
@@ -324,6 +329,7 @@ class SurfaceReader:
             method="normals",
             drift_removed=self.drift,
             sigma_of=self.sigma_of,
+            remarks=self.remarks,
         )
 
 

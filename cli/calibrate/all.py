@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,29 +40,21 @@ class CalibrateAll(CalibrationFiles):
     def run(self) -> None:
         from taccel_lab.calibration.calibrate import calibrate
         from taccel_lab.cli.console import notes, print_json, results, working
+        from taccel_lab.cli.unfinished import kept_blocks
         from taccel_lab.progress import stage_progress
 
         console = notes()
         report = report_folder(self.out, self.report)
         require_outputs(self.out, report)
-        beside = Path(os.path.abspath(report))  # "." has no name of its own.
-        unfinished = beside.with_name(f"{beside.name}_unfinished")
-        try:
-            with stage_progress(console) as progress:
-                found = calibrate(
-                    self.captures,
-                    self.base,
-                    self.only,
-                    self._options(),
-                    progress=progress,
-                    unfinished=unfinished,
-                )
-        except KeyboardInterrupt:
-            if unfinished.exists():
-                console.print(
-                    f"finished blocks are kept: the same command continues in {unfinished}"
-                )
-            raise
+        with kept_blocks(console, report) as unfinished, stage_progress(console) as progress:
+            found = calibrate(
+                self.captures,
+                self.base,
+                self.only,
+                self._options(),
+                progress=progress,
+                unfinished=unfinished,
+            )
         with working(console, "writing the reports"):
             found.write_report(report)
         found.save(self.out)

@@ -74,7 +74,9 @@ class PressPlan:
 
     def notes(self) -> list[str]:
         """What a person should know before the press, a sentence each."""
-        found = [] if self.differs is None else [self.differs]
+        found = list(self.profile.sensor.provenance.remarks[:1])
+        if self.differs is not None:
+            found.append(self.differs)
         if self.indenter.name.startswith("mesh:") and isinstance(self.indenter.shape, TriangleMesh):
             words = size_words(self.indenter.shape.vertices_m)
             found.append(f"{self.options.indenter} is {words}")

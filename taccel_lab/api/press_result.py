@@ -15,6 +15,7 @@ from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.presses.press_files import write_press
 from taccel_lab.presses.press_image import PREDICTED_PX, painted_images, predicted_images
 from taccel_lab.presses.press_markers import PressMarkers
+from taccel_lab.sensors.starters import is_starter
 from taccel_lab.summary import Summary
 
 if TYPE_CHECKING:
@@ -158,7 +159,8 @@ class Press(Summary):
 
     def _colours(self) -> str:
         if self.plan.profile.color is not None:
-            return "calibrated colours"
+            starter = is_starter(self.plan.profile)
+            return "colours of a starter profile" if starter else "calibrated colours"
         return "no colours" if self.plan.profile.optics is None else "predicted by the design"
 
     @cached_property

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -58,25 +58,29 @@ class Finding:
         return f"{self.where}: {self.message}"
 
 
-def save_profile(profile: SensorProfile, path: Path | str) -> None:
+def save_profile(
+    profile: SensorProfile, path: Path | str, only: Collection[str] | None = None
+) -> None:
     """Write ``profile`` as the folder ``path``, which appears whole or not at all.
 
-    An earlier profile there is replaced; a folder that holds anything else is refused.
+    An earlier profile there is replaced; a folder that holds anything else is refused. With
+    ``only``, blocks of these keys alone are written: ``load_profile`` needs ``onto`` for them.
     """
     import tomli_w
 
     path = Path(path)
     require_profile_folder(path)
+    blocks = {key: b for key, b in profile.blocks().items() if only is None or key in only}
     files = {
         _ARRAY_FILES[key]: _ENCODERS[key](getattr(profile, ARRAY_FIELDS[key]))
-        for key in profile.blocks()
+        for key in blocks
         if key in ARRAY_FIELDS
     }
     document: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
         "files": {name: _sha256(data) for name, data in files.items()},
     }
-    for key, block in profile.blocks().items():
+    for key, block in blocks.items():
         document[key] = _toml_table(block)
     text = _HEADER + tomli_w.dumps(document)
     with atomic_directory(path, check=require_profile_folder) as staging:
@@ -89,12 +93,13 @@ MOST_LINES = 12
 """Of a refusal; ``validate`` lists all faults."""
 
 
-def load_profile(path: Path | str) -> SensorProfile:
+def load_profile(path: Path | str, onto: SensorProfile | None = None) -> SensorProfile:
     """Read and check the profile folder ``path``.
 
-    Raises InputError that names each wrong file and key: nothing is repaired or assumed.
+    Blocks that the folder lacks are those of ``onto``, where one is given. Raises InputError that
+    names each wrong file and key: nothing is repaired or assumed.
     """
-    profile, findings = _read(Path(path))
+    profile, findings = _read(Path(path), onto)
     errors = [finding for finding in findings if finding.severity == "error"]
     if errors or profile is None:
         more = len(errors) - MOST_LINES
@@ -146,7 +151,9 @@ def require_profile_folder(path: Path | str) -> None:
         raise InputError(f"{path} holds files that are not part of a profile ({shown}); not saved")
 
 
-def _read(path: Path) -> tuple[SensorProfile | None, list[Finding]]:
+def _read(
+    path: Path, onto: SensorProfile | None = None
+) -> tuple[SensorProfile | None, list[Finding]]:
     findings: list[Finding] = []
 
     def error(where: str | Path, problem: object) -> None:
@@ -172,7 +179,7 @@ def _read(path: Path) -> tuple[SensorProfile | None, list[Finding]]:
         error(toml_path, problem)
     for block_type in BLOCK_TYPES:
         try:
-            block = _read_block(block_type, document)
+            block = _read_block(block_type, document, optional=onto is not None)
         except InputError as problem:
             error(toml_path, problem)
             continue
@@ -198,7 +205,8 @@ def _read(path: Path) -> tuple[SensorProfile | None, list[Finding]]:
     if any(finding.severity == "error" for finding in findings):
         return None, findings
     try:
-        return SensorProfile(**parts), findings
+        profile = SensorProfile(**parts) if onto is None else replace(onto, **parts)
+        return profile, findings
     except InputError as problem:
         error(path, problem)
         return None, findings
@@ -221,10 +229,12 @@ def _refuse_unknown_tables(document: dict[str, Any]) -> None:
         raise InputError(f"{names}: unknown key; allowed: {', '.join(allowed)}")
 
 
-def _read_block(block_type: type[Block], document: dict[str, Any]) -> Block | None:
+def _read_block(
+    block_type: type[Block], document: dict[str, Any], *, optional: bool
+) -> Block | None:
     key = block_type.key
     if key not in document:
-        if key in OPTIONAL_BLOCKS:
+        if optional or key in OPTIONAL_BLOCKS:
             return None
         raise InputError(f"{key}: the table is missing")
     if not isinstance(document[key], dict):

@@ -125,6 +125,7 @@ class SensorProfile(Summary):
         """Size, stiffness and pixels, then each block with where it comes from."""
         gel, camera, material = self.gel, self.camera, self.material
         rows = [
+            *(("note", remark) for remark in self.sensor.provenance.remarks),
             ("gel", f"{gel.thickness_mm:.4g} mm thick, {gel.node_count} nodes"),
             (
                 "material",

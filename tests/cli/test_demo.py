@@ -5,6 +5,10 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -57,11 +61,15 @@ def test_interrupted_in_the_middle(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("taccel_lab.calibration.color.fit.layer_skirts", interrupt)
-    before = everything_below(out.parent)
+    before = everything_below(out)
     for folder in (tmp_path / "new" / "demo", out):
         assert run("demo", "--captures", captures, "--out", folder) == 130
-    assert everything_below(tmp_path) == {}
-    assert everything_below(out.parent) == before
+        kept = folder.with_name("demo_unfinished")
+        assert load_profile(kept / "profile").background is not None
+        assert sorted(os.listdir(folder.parent)) == sorted(
+            {kept.name} | ({"demo"} if folder == out else set())
+        )
+    assert everything_below(out) == before
 
 
 @pytest.mark.parametrize(
@@ -88,3 +96,27 @@ def test_bad_input_is_refused_before_any_work(
     told = cli.refusal("demo --captures", folder, *out)
     assert words in told and (options or str(folder) in told)
     assert os.listdir(tmp_path) == ["captures"]
+
+
+def test_a_kill_in_the_middle_keeps_what_is_finished(captures: Path, tmp_path: Path) -> None:
+    """Killed while colours are fitted, the same command goes on after the background."""
+    out, kept = tmp_path / "demo", tmp_path / "demo_unfinished"
+    words = ["demo", "--captures", str(captures), "--out", str(out), "--depth-mm", "0.3"]
+    command = [sys.executable, "-m", "taccel_lab.cli.app", *words, "--only", "background", "color"]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as running:
+        page = kept / "report" / "background" / "report.html"
+        until = time.monotonic() + 120
+        while not (page.is_file() and (kept / "calibration.json").is_file()):
+            assert running.poll() is None and time.monotonic() < until
+            time.sleep(0.02)
+        running.kill()
+    assert running.returncode == -signal.SIGKILL and not out.exists()
+    assert list(json.loads((kept / "calibration.json").read_text())["blocks"]) == ["background"]
+    assert load_profile(kept / "profile").background is not None
+    made = page.read_bytes(), page.stat().st_mtime_ns
+
+    assert run(*words, "--only", "background", "color") == 0
+    page = out / "report" / "background" / "report.html"
+    assert (page.read_bytes(), page.stat().st_mtime_ns) == made
+    assert load_profile(out / "profile").color is not None and (out / "press").is_dir()
+    assert not kept.exists()

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A result file of a suite as a page: what was measured, on which machine, a table of its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from taccel_lab.report.page import Page, Table
+
+SIDE_BY_SIDE = 5
+"""Rows that stand beside one another, a line for each of their figures; more stand one below the
+other."""
+COLUMNS = 7
+"""Of a table of many rows, which goes on in another."""
+
+
+def benchmark_page(document: dict[str, Any]) -> Page:
+    """The page of a result file (``read_result``)."""
+    rows = [dict(_flat(row)) for row in document["rows"]]
+    state = "all rows" if document["complete"] else "not complete"
+    own = ("schema", "suite", "what", "run", "settings", "complete", "rows", "seconds")
+    beside = dict(_flat({k: v for k, v in document.items() if k not in own}))
+    return Page(
+        title=f"Benchmark {document['suite']}",
+        summary=f"{document['what']} {len(rows)} rows in {document['seconds']:.0f} s, {state}.",
+        headline="What was measured",
+        tables=[
+            *(
+                [Table("Figures of the whole", ("figure", "value"), list(beside.items()))]
+                * bool(beside)
+            ),
+            *_tables(rows),
+            Table("Settings", ("setting", "value"), list(_flat(document["settings"])), folded=True),
+            Table("Machine", ("figure", "value"), list(_flat(document["run"])), folded=True),
+        ],
+    )
+
+
+def _tables(rows: list[dict[str, Any]]) -> Iterator[Table]:
+    """Rows side by side where they are few, otherwise as many columns at a time as a page takes."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    if not names:
+        return
+    if len(rows) <= SIDE_BY_SIDE:
+        first, *others = names
+        columns = ["figure", *(str(row.get(first, number)) for number, row in enumerate(rows, 1))]
+        yield Table("Rows", columns, [[n, *(row.get(n) for row in rows)] for n in others])
+        return
+    first, others = names[0], names[1:]
+    for start in range(0, len(others), COLUMNS):
+        part = [first, *others[start : start + COLUMNS]]
+        cells = [[row.get(name) for name in part] for row in rows]
+        yield Table(
+            "Rows" if start == 0 else "Rows, further figures", part, cells, folded=start > 0
+        )
+
+
+def _flat(table: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Figures by their names, those of inner tables after the table's."""
+    for name, value in table.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{before}{name}: ")
+        elif isinstance(value, bool):
+            yield before + name, "yes" if value else "no"
+        elif isinstance(value, (list, tuple)):
+            yield before + name, ", ".join(map(str, value))
+        else:
+            yield before + name, value
