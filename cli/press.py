@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.api.press_result import Press as PressResult
-    from taccel_lab.presses import PressOutcome
 
 
 @dataclass(frozen=True)
@@ -81,14 +80,14 @@ class Press(PressOptions, _Files):
         if self.json:
             print_json({"folder": str(self.out), **pressed.figures()})
         else:
-            _print_outcome(console, pressed.outcome)
+            _print_outcome(console, pressed)
         console.print(f"wrote {self.out}")
 
 
-def _print_outcome(console: Console, outcome: PressOutcome) -> None:
+def _print_outcome(console: Console, pressed: PressResult) -> None:
     from rich.table import Table
 
-    figures = outcome.figures()
+    outcome, figures = pressed.outcome, pressed.figures()
     force = figures["wrench"]["force_n"]
     moment = figures["wrench"]["moment_nm"] * 1e3
     table = Table("figure", "value", "unit", title="press", title_justify="left")
@@ -107,6 +106,12 @@ def _print_outcome(console: Console, outcome: PressOutcome) -> None:
         ("nodes, tets", f"{outcome.mesh.node_count}, {outcome.mesh.tet_count}", ""),
     ):
         table.add_row(name, value, unit)
+    if pressed.like is not None:
+        like = pressed.like
+        x, y = like["at_mm"]
+        table.add_row("place in the photo", f"{x:.3f}  {y:.3f}", "mm")
+        table.add_row("photo and simulation, crop", f"{like['psnr_db']:.1f}", "dB")
+        table.add_row("photo and untouched image", f"{like['untouched_psnr_db']:.1f}", "dB")
     if outcome.fine_force_n is not None:
         table.add_row("force of the contact with the texture", f"{outcome.fine_force_n:.4f}", "N")
     console.print(table)

@@ -24,6 +24,11 @@ class PressOptions:
     """In place of a depth: press until the normal force is this, within 1 per cent [N]. Two to
     four extra presses find the depth. Shear and twist follow at that depth and change the force
     again."""
+    like: Path | None = None
+    """Image of a real press, in place of depth and place: the calibrated sensor reads both from it
+    and presses the indenter there. like.png shows photo, simulation and difference."""
+    untouched: Path | None = None
+    """Image of the untouched sensor for --like, if newer than the profile's."""
     indenter: str = "sphere:2.0"
     """sphere:RADIUS, cylinder:RADIUS, box:XxY, roller:RADIUSxLENGTH, edge:ANGLExLENGTH[xRADIUS],
     grating:PITCHxRIDGESxLENGTH, pair:RADIUSxGAP or mesh:FILE[@AXIS] (STL, PLY, OBJ), in mm and
@@ -66,11 +71,20 @@ class PressOptions:
     """Device of the solver: cpu, cuda:0 or auto."""
 
     def require_aim(self) -> None:
-        """Raises InputError unless either a depth or a force is given."""
+        """Raises InputError unless a depth, a force or a photo is given, and one of them alone."""
         from taccel_lab.presses.press_force import check_force
 
+        if self.untouched is not None and self.like is None:
+            raise InputError("--untouched is the background of --like, which is not given")
+        if self.like is not None:
+            if (self.depth_mm, self.force_n, self.at_mm) != (None, None, (0.0, 0.0)):
+                raise InputError(
+                    "--like takes place and depth from the photo: leave out --depth-mm, --force-n "
+                    "and --at-mm"
+                )
+            return
         if (self.depth_mm is None) == (self.force_n is None):
-            raise InputError("say how far to press: either --depth-mm or --force-n, not both")
+            raise InputError("say how far to press: one of --depth-mm, --force-n and --like")
         if self.force_n is not None:
             check_force(self.force_n)
 
@@ -127,6 +141,8 @@ class PressWords(TypedDict, total=False):
 
     depth_mm: float | None
     force_n: float | None
+    like: Path | None
+    untouched: Path | None
     texture: Path | None
     texture_mm: tuple[float, float]
     at_mm: tuple[float, float]

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taccel_lab.api.press_options import PressOptions
+from taccel_lab.api.press_photo import PressPhoto
 from taccel_lab.api.sensor import AnySensor, profile_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
@@ -41,6 +42,8 @@ class PressPlan:
     physics: PressPhysics
     friction: float
     """Coefficient between indenter and gel."""
+    photo: PressPhoto | None = None
+    """What is to be pressed like."""
 
     @classmethod
     def of(cls, sensor: AnySensor, options: PressOptions) -> PressPlan:
@@ -53,7 +56,11 @@ class PressPlan:
         stated = profile.material.friction_coefficient
         friction = stated if options.friction is None else options.friction
         name = str(sensor) if isinstance(sensor, (str, Path)) else profile.sensor.name
-        plan = cls(name, profile, indenter, options, physics, friction)
+        photo = None
+        if options.like is not None:
+            photo = PressPhoto.read(profile, options.like, options.untouched)
+            options = replace(options, depth_mm=photo.depth_mm, at_mm=photo.at_mm)
+        plan = cls(name, profile, indenter, options, physics, friction, photo)
         options.path(plan.first_mm)
         check_depth(plan.first_mm, profile)
         indenter.require_size(plan.first_mm)
@@ -77,6 +84,8 @@ class PressPlan:
         found = list(self.profile.sensor.provenance.remarks[:1])
         if self.differs is not None:
             found.append(self.differs)
+        if self.photo is not None:
+            found += self.photo.warnings
         if self.indenter.name.startswith("mesh:") and isinstance(self.indenter.shape, TriangleMesh):
             words = size_words(self.indenter.shape.vertices_m)
             found.append(f"{self.options.indenter} is {words}")

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.api.press_photo import LIKE
 from taccel_lab.exporters.image_files import eight_bit
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.presses.press_files import write_press
 from taccel_lab.presses.press_image import PREDICTED_PX, painted_images, predicted_images
 from taccel_lab.presses.press_markers import PressMarkers
+from taccel_lab.report import save_figure
 from taccel_lab.sensors.starters import is_starter
 from taccel_lab.summary import Summary
 
@@ -96,9 +98,19 @@ class Press(Summary):
         places = self.outcome.positions_m[None]
         return PressMarkers.of(self.plan.profile, self.outcome.mesh, places)
 
+    @cached_property
+    def like(self) -> dict[str, Any] | None:
+        """How near the image comes to the photo that the press is like, see
+        ``PressPhoto.figures``; None of other presses."""
+        photo, painted = self.plan.photo, self._painted[0]
+        if photo is None or painted is None:
+            return None
+        return photo.figures(painted, self.contact_mask, self.plan.profile)
+
     def figures(self) -> dict[str, Any]:
         """Every number of the press, as in ``press.json``."""
-        return self.outcome.figures()
+        like = {} if self.like is None else {"like": self.like}
+        return {**self.outcome.figures(), **like}
 
     def save(self, folder: Path | str) -> None:
         """Write pictures, arrays, mesh and ``press.json`` as the folder, whole or not at all.
@@ -122,11 +134,16 @@ class Press(Summary):
             "asked_force_n": options.force_n,
             "friction_coefficient": plan.friction,
             "differs_from_calibration": plan.differs,
+            "like": self.like,
             "failure": self.failure,
             "seconds": self.seconds,
         }
         rgb, frames = self._painted
         write_press(folder, self.outcome, plan.profile, rgb, about, plan.indenter, frames)
+        if plan.photo is not None and self.like is not None:
+            assert rgb is not None
+            figure = plan.photo.draw(rgb, plan.profile, self.like["psnr_db"])
+            save_figure(figure, folder / LIKE)
 
     def plot(self) -> Figure:
         """Image, depth and contact side by side."""
@@ -147,6 +164,8 @@ class Press(Summary):
             ("residual", f"{last.residual_n[0]:.1e} N after {len(self.outcome.steps)} steps"),
             ("time", f"{self.seconds:.1f} s on {options.device}"),
         ]
+        if self.like is not None:
+            rows.append(("photo", f"{self.like['psnr_db']:.1f} dB ({self._untouched()})"))
         if self.failure is not None:
             rows.append(("stopped", self.failure))
         depth = self.outcome.steps[-1].depth_mm
@@ -156,6 +175,10 @@ class Press(Summary):
         """Of the contact [mm]: at a dome's border depths are those of rays that graze it."""
         depth = self.depth_mm[self.contact_mask] if self.contact_mask.any() else self.depth_mm
         return float(np.nanmax(depth))
+
+    def _untouched(self) -> str:
+        assert self.like is not None
+        return f"the untouched image {self.like['untouched_psnr_db']:.1f} dB"
 
     def _colours(self) -> str:
         if self.plan.profile.color is not None:

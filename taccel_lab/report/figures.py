@@ -104,6 +104,27 @@ def draw_press(
 
 
 @in_report_style
+def draw_likeness(
+    photo: np.ndarray, simulated: np.ndarray, grid: PixelGrid, psnr_db: float
+) -> Figure:
+    """Photo of a press, its simulation, and their difference, twofold about middle grey, over the
+    gel; RGB levels, uint8, [height_px, width_px, 3]."""
+    difference = 128 + 2 * (simulated.astype(np.float64) - photo)
+    aspect = (grid.height_px * grid.mm_per_px_y) / (grid.width_px * grid.mm_per_px_x)
+    figure, axes = new_figure(11, 1.2 + 3.4 * aspect, 1, 3)
+    for panel, title, image in (
+        (axes[0], "photo", photo),
+        (axes[1], f"simulated, {psnr_db:.1f} dB", simulated),
+        (axes[2], "difference x 2", difference),
+    ):
+        panel.imshow(as_uint8(image), extent=_extent_mm(grid))
+        panel.set_title(title)
+        panel.set_xlabel("x [mm]")
+    axes[0].set_ylabel("y [mm]")
+    return figure
+
+
+@in_report_style
 def draw_markers(
     rgb: np.ndarray | None,
     size_px: tuple[int, int],
