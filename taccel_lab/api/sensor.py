@@ -38,8 +38,7 @@ def load_sensor(
     Raises:
         InputError: No such sensor, a damaged profile, or options that cannot be used.
     """
-    from taccel_lab.sensors.profile import catalogue_profile
-    from taccel_lab.sensors.profile import load_sensor as load
+    from taccel_lab.sensors.profile import catalogue_profile, stock_sensor
     from taccel_lab.sensors.registry import sensor_families
 
     if Path(name).suffix.lower() in (".step", ".stp"):
@@ -47,7 +46,7 @@ def load_sensor(
     if step:
         raise InputError(f"{', '.join(step)} select faces of a STEP file; {name} is none")
     if not parameters:
-        return load(str(name))
+        return stock_sensor(str(name))
     if str(name) not in sensor_families():
         raise InputError(
             f"parameters change a sensor of the catalogue; {name} is none "
@@ -81,5 +80,7 @@ def profile_of(sensor: AnySensor) -> SensorProfile:
     if isinstance(sensor, SensorProfile):
         return sensor
     if isinstance(sensor, (Path, str)):
-        return load_sensor(sensor)
+        from taccel_lab.sensors.profile import load_sensor as load
+
+        return load(str(sensor))
     return sensor.profile
