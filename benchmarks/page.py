@@ -6,12 +6,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+from taccel_lab.report.html import format_number
 from taccel_lab.report.page import Page, Table
 
 SIDE_BY_SIDE = 5
 """Rows that stand beside one another, a line for each of their figures; more stand one below the
 other."""
-COLUMNS = 7
+COLUMNS = 6
 """Of a table of many rows, which goes on in another."""
 
 
@@ -19,11 +20,12 @@ def benchmark_page(document: dict[str, Any]) -> Page:
     """The page of a result file (``read_result``)."""
     rows = [dict(_flat(row)) for row in document["rows"]]
     state = "all rows" if document["complete"] else "not complete"
+    seconds = format_number(document["seconds"])
     own = ("schema", "suite", "what", "run", "settings", "complete", "rows", "seconds")
     beside = dict(_flat({k: v for k, v in document.items() if k not in own}))
     return Page(
         title=f"Benchmark {document['suite']}",
-        summary=f"{document['what']} {len(rows)} rows in {document['seconds']:.0f} s, {state}.",
+        summary=f"{document['what']} {len(rows)} rows in {seconds} s, {state}.",
         headline="What was measured",
         tables=[
             *(

@@ -57,12 +57,12 @@ class Depth:
         from taccel_lab.files.images import image_size, read_image
         from taccel_lab.files.output_folder import require_replaceable
         from taccel_lab.processes.start_warp import start_warp
-        from taccel_lab.sensors.profile import load_sensor
+        from taccel_lab.sensors.profile import stock_sensor
 
         start_warp()
         require_replaceable(self.out)
         require_images(self.images)
-        profile = load_sensor(self.profile)
+        profile = stock_sensor(self.profile)
         maps = None if self.maps is None else RectificationMaps.load(self.maps)
 
         def image_of(path: Path) -> np.ndarray:

@@ -63,14 +63,14 @@ class Live(CameraOptions):
         from taccel_lab.cli.console import notes
         from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.report.live_page import PageOptions, live_page
-        from taccel_lab.sensors.profile import load_sensor
+        from taccel_lab.sensors.profile import stock_sensor
 
         start_warp()
         if self.frames is not None and self.frames < 1:
             raise InputError(f"--frames is {self.frames}; at least 1 is allowed")
         if not 0.1 <= self.pictures_hz <= 100:
             raise InputError(f"--pictures-hz is {self.pictures_hz:g}; 0.1 to 100 are allowed")
-        profile = load_sensor(self.profile)
+        profile = stock_sensor(self.profile)
         framing, open_ = self.framing(), self.opener(self.paced)
         rest = profile.background_rgb if self.background == "profile" else None
         if self.background == "profile" and rest is None:

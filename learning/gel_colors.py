@@ -30,14 +30,14 @@ def default_colors(sensor: SensorProfile | None) -> Colors:
     Raises:
         InputError: A sensor without a colour model, of a family without a starter.
     """
-    from taccel_lab.sensors.profile import load_sensor
+    from taccel_lab.sensors.profile import stock_sensor
     from taccel_lab.sensors.registry import sensor_families
 
     profile = sensor
     if profile is None:
-        profile = load_sensor(STOCK)
+        profile = stock_sensor(STOCK)
     elif profile.color is None and profile.sensor.family in sensor_families():
-        profile = load_sensor(profile.sensor.family)
+        profile = stock_sensor(profile.sensor.family)
     model, background = ColorModel.from_profile(profile), profile.background_rgb
     if model is None or background is None:
         raise InputError(

@@ -26,10 +26,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from IPython.display import SVG, display
 
-from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.sensors.registry import sensor_family
 
-start_warp()
 warnings.filterwarnings("ignore", message="IProgress")  # of widgets that are not needed
 plt.rcParams["figure.dpi"] = 60
 

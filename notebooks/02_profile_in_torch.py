@@ -36,11 +36,9 @@ from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_skirts
-from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals.rest_surface import rest_surface
 
-start_warp()
 plt.rcParams["figure.dpi"] = 60
 
 captures = load_captures(find_taxim_pack())

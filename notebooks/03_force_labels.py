@@ -25,11 +25,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from taccel_lab import Outputs, PressEnv, SignalTactile, parse_indenter, profile_material
-from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.sensors.press_mesh import profile_press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 
-start_warp()
 plt.rcParams["figure.dpi"] = 60
 
 profile = catalogue_profile("flat_pad")

@@ -32,11 +32,9 @@ import numpy as np
 from taccel_lab import Element, PressEnv, parse_indenter, profile_material
 from taccel_lab.presses import PHYSICS, Accuracy, PressMeshOptions
 from taccel_lab.presses.bonded_layer import layer_force_n
-from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.sensors.press_mesh import profile_press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 
-start_warp()
 plt.rcParams["figure.dpi"] = 60
 print(f"{platform.machine()}, {os.cpu_count()} cores, one of them used; others may be at work too")
 

@@ -26,10 +26,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from taccel_lab import MarkerLayout, PixelGrid, SignalTactile
-from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.tasks.catalogue import named
 
-start_warp()
 plt.rcParams["figure.dpi"] = 60
 
 task = named("touch-insertion")

@@ -171,11 +171,17 @@ def catalogue_profile(name: str, overrides: Mapping[str, Any] | None = None) -> 
     return designed_profile(family, parameters, mesh, quality, mesher="structured")
 
 
+def stock_sensor(name: str) -> SensorProfile:
+    """As ``load_sensor``, for who reads images: a catalogue sensor has the blocks of its starter
+    where there is one (``sensors.starters``)."""
+    profile = load_sensor(name)
+    return with_starter(profile) if name in sensor_families() else profile
+
+
 def load_sensor(name: str) -> SensorProfile:
-    """A profile, see ``profile_folder``, or the default design of a catalogue sensor, with the
-    blocks of its starter where there is one (``sensors.starters``)."""
+    """A profile, see ``profile_folder``, or the default design of a catalogue sensor."""
     if name in sensor_families():
-        return with_starter(catalogue_profile(name))
+        return catalogue_profile(name)
     folder = profile_folder(name)
     if folder is not None or Path(name).exists():
         profile = load_profile(folder or name)

@@ -24,7 +24,7 @@ def task_page(task: Task, result: TaskResult, run: dict[str, Any], folder: Path)
     stopped = "" if table["trials"] == table["asked"] else f" Interrupted: of {table['asked']}."
     return Page(
         title=f"Task {task.name}",
-        summary=f"{task.parameters.summary} Success: {task.parameters.criterion}.{stopped}",
+        summary=f"{task.parameters.summary}. Success: {task.parameters.criterion}.{stopped}",
         headline=f"{table['successes']} of {table['trials']} seeds succeed: "
         f"{table['success_rate']:.1%} (95 %: {low:.1%} to {high:.1%})",
         tables=[

@@ -67,9 +67,9 @@ def serve_source(
 
 def _read(source: Source) -> Any:
     if source.kind is Kind.PROFILE:
-        from taccel_lab.sensors.profile import load_sensor
+        from taccel_lab.sensors.profile import stock_sensor
 
-        return load_sensor(source.name)
+        return stock_sensor(source.name)
     if source.kind is Kind.DATASET:
         from taccel_lab.viewer.dataset_page import open_dataset
 

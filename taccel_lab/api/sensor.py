@@ -18,6 +18,7 @@ class HasProfile(Protocol):
     def profile(self) -> SensorProfile: ...
 
 
+_STEP = (".step", ".stp")
 AnySensor = SensorProfile | HasProfile | Path | str
 """A profile, what has one, the folder of one, or a sensor of the catalogue."""
 
@@ -38,16 +39,15 @@ def load_sensor(
     Raises:
         InputError: No such sensor, a damaged profile, or options that cannot be used.
     """
-    from taccel_lab.sensors.profile import catalogue_profile
-    from taccel_lab.sensors.profile import load_sensor as load
+    from taccel_lab.sensors.profile import catalogue_profile, stock_sensor
     from taccel_lab.sensors.registry import sensor_families
 
-    if Path(name).suffix.lower() in (".step", ".stp"):
+    if Path(name).suffix.lower() in _STEP:
         return _of_step(Path(name), parameters, **step)
     if step:
         raise InputError(f"{', '.join(step)} select faces of a STEP file; {name} is none")
     if not parameters:
-        return load(str(name))
+        return stock_sensor(str(name))
     if str(name) not in sensor_families():
         raise InputError(
             f"parameters change a sensor of the catalogue; {name} is none "
@@ -77,9 +77,12 @@ def _of_step(
 
 
 def profile_of(sensor: AnySensor) -> SensorProfile:
-    """The profile of whatever stands for a sensor; errors as of ``load_sensor``."""
+    """The profile of whatever stands for a sensor, a catalogue name for its design without a
+    starter; errors as of ``load_sensor``."""
     if isinstance(sensor, SensorProfile):
         return sensor
     if isinstance(sensor, (Path, str)):
-        return load_sensor(sensor)
+        from taccel_lab.sensors.profile import load_sensor as load
+
+        return load_sensor(sensor) if Path(sensor).suffix.lower() in _STEP else load(str(sensor))
     return sensor.profile

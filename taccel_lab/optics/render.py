@@ -36,6 +36,7 @@ from taccel_lab.optics.frames import LightField, PreviewImage
 from taccel_lab.optics.light_samples import sample_lights
 from taccel_lab.optics.shading_kernels import Gloss, Layers, hit_kernel, light_kernel
 from taccel_lab.optics.surface import FineFace, GelFace, height_face
+from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.profile.optical_design import MarkerGrid, OpticalDesign
 
 wp.set_module_options({"enable_backward": False})
@@ -97,6 +98,7 @@ class OpticalModel:
         self.design = design
         self.camera = CameraModel(camera)
         self.markers = markers
+        start_warp()
         self.device = device
         self._shadows = shadows
         self._gel: GelFace | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import base64
 import math
+import re
 from typing import Any
 
 
@@ -31,7 +32,16 @@ def report_environment() -> Any:
         lstrip_blocks=True,
     )
     environment.filters["number"] = format_number
+    environment.filters["breakable"] = _breakable
     return environment
+
+
+def _breakable(name: str) -> Any:
+    """A name that may go on in another line after each of its underscores and colons."""
+    import markupsafe
+
+    text = str(markupsafe.escape(name))
+    return markupsafe.Markup(re.sub(r"([_:])(?=\S)", r"\1<wbr>", text))
 
 
 def format_number(value: Any, digits: int | None = None) -> str:

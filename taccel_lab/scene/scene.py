@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.model import Model, build_model
 from taccel_lab.model.turns import in_turn
+from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.scene.checks import check_scene
 from taccel_lab.scene.profile_gel import profile_gel
 
@@ -53,5 +54,6 @@ class Scene(SceneDescription):
         ``device``: "cpu" or "cuda:0", "cuda:1", ...; when None what the environment variable
         TACCEL_LAB_DEVICE says, else the CPU.
         """
+        start_warp()
         check_scene(self)
         return build_model(self, device or os.environ.get("TACCEL_LAB_DEVICE", "cpu"))

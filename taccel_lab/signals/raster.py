@@ -19,6 +19,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.processes.start_warp import start_warp
 
 wp.set_module_options({"enable_backward": False})
 
@@ -212,6 +213,7 @@ class FaceRaster:
             device: Warp device.
         """
         self.grid = grid
+        start_warp()
         self.device = device
         self.faces = wp.array(np.ascontiguousarray(faces, dtype=np.int32), device=device)
         self.map = grid_map(grid)

@@ -22,6 +22,7 @@ import warp as wp
 
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.model.env_rows import chosen_env
+from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.signals.contact_surface import ContactSurface
 from taccel_lab.signals.face_patches import RECORD, build_patches_kernel
 from taccel_lab.signals.gradient_recovery import FEW_SWEEPS, NetworkScratch, recover_gradients
@@ -69,6 +70,7 @@ class SurfaceSampler:
             first_node: Of this gel in the arrays of positions.
             device: Warp device.
         """
+        start_warp()
         self.surface = surface = ContactSurface.from_mesh(mesh)
         """Topology of the contact face."""
         self._area2_m2 = smallest_area2(grid)

@@ -247,8 +247,6 @@ def test_bad_input_is_refused_in_a_sentence() -> None:
     env.reset()
     with pytest.raises(InputError, match=r"actions must have shape \[2, 4\], got \[2, 3\]"):
         env.step(torch.zeros(2, 3))
-    with pytest.raises(InputError, match="rgb needs colors"):
-        make(observe=("rgb",))
     with pytest.raises(InputError, match=r"observe names some of rgb, .*; got smell"):
         make(observe=("smell",))
     with pytest.raises(InputError, match="autoreset_mode must be NEXT_STEP or DISABLED"):

@@ -77,7 +77,7 @@ def test_a_calibration_does_not_begin_with_blocks_of_another_unit(tmp_path: Path
 
 
 def test_a_press_says_so() -> None:
-    pressed = tl.press("gelsight_mini", "sphere:4", depth_mm=0.2, accuracy="fast")
+    pressed = tl.press(tl.load_sensor("gelsight_mini"), "sphere:4", depth_mm=0.2, accuracy="fast")
     assert pressed.plan.notes()[0] == NOT_YOUR_UNIT
     assert "colours of a starter profile" in repr(pressed)
     assert pressed.image is not None and pressed.image.shape == (240, 320, 3)
