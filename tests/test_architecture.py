@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import subprocess
 import sys
@@ -55,6 +56,11 @@ def name_of(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
+@functools.cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def test_there_is_something_to_check() -> None:
     assert len(SOURCES) > 20
     assert {path.relative_to(ROOT).parts[0] for path in SOURCES} == set(PACKAGES)
@@ -65,7 +71,7 @@ def test_files_are_short_and_headed() -> None:
     wrong = {}
     for path in SOURCES + TESTS:
         text = path.read_text(encoding="utf-8")
-        tree = ast.parse(text)
+        tree = tree_of(path)
         wrong[name_of(path)] = [
             what
             for what, found in {
@@ -78,12 +84,9 @@ def test_files_are_short_and_headed() -> None:
     assert not {name: what for name, what in wrong.items() if what}
 
 
-@pytest.mark.parametrize(
-    "statement",
-    ["import taccel_lab", "import taccel_lab.profile, taccel_lab.geometry, taccel_lab.cli.app"],
-)
-def test_imports_are_light(statement: str) -> None:
-    code = f"{statement}\nimport sys\nprint(*sorted(set({HEAVY!r}) & set(sys.modules)))"
+def test_imports_are_light() -> None:
+    names = "taccel_lab, taccel_lab.profile, taccel_lab.geometry, taccel_lab.cli.app"
+    code = f"import {names}, sys\nprint(*sorted(set({HEAVY!r}) & set(sys.modules)))"
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
     )
@@ -194,7 +197,7 @@ def test_every_block_of_a_calibration_has_the_same_shape() -> None:
     for block in BLOCKS:
         folder = ROOT / "calibration" / block.name
         assert {"fit.py", "result.py", "report.py"} <= {path.name for path in folder.iterdir()}
-        fit = ast.parse((folder / "fit.py").read_text(encoding="utf-8"))
+        fit = tree_of(folder / "fit.py")
         verb = next(
             node
             for node in fit.body
@@ -224,7 +227,7 @@ def test_text_formats_are_read_in_one_place() -> None:
         name = name_of(path)
         if name.startswith(("taccel_lab/files/", "benchmarks/")):
             continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree_of(path)):
             modules = {
                 *([alias.name for alias in node.names] if isinstance(node, ast.Import) else []),
                 *([node.module] if isinstance(node, ast.ImportFrom) else []),

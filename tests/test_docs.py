@@ -12,6 +12,7 @@ import pytest
 from taccel_lab.cli.app import main, parse
 from tests.cli.test_press import FILES, IMAGES, PREDICTED
 from tests.sensors.test_template import template  # noqa: F401
+from tests.support.variants import variants
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -50,7 +51,13 @@ def installed(page: Path) -> list[str]:
 WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]
 
 
-@pytest.mark.parametrize("page", WITH_PYTHON, ids=named)
+LONG = DOCS / "tutorials" / "curved_pad.md"
+"""Two presses of the default accuracy."""
+
+
+@pytest.mark.parametrize(
+    "page", variants([page for page in WITH_PYTHON if page != LONG], WITH_PYTHON), ids=named
+)
 def test_python_runs(page: Path, request: pytest.FixtureRequest) -> None:
     if page.name == "newton.md":
         pytest.importorskip("newton", reason="newton is not installed")

@@ -31,6 +31,7 @@ from tests.gradients.gel_scenes import (
     moved,
     press_and_shear,
 )
+from tests.support.variants import variants
 
 Array = np.ndarray
 BALL = Ball(3e-3)
@@ -97,9 +98,21 @@ def compare(
     return np.abs(found - expected) / np.abs(expected)
 
 
-@pytest.mark.parametrize("name", ["young_modulus_pa", "poisson_ratio"])
-@pytest.mark.parametrize("case", [*CASES.values(), *LAWS.values()], ids=[*CASES, *LAWS])
-def test_moduli(case: Case, name: str) -> None:
+MODULI = ("young_modulus_pa", "poisson_ratio")
+FAST = ("quadratic under an edge", "three environments", "on a mount that moves")
+"""Between them all that a slope goes through but the laws."""
+
+
+@pytest.mark.parametrize(
+    ("which", "name"),
+    variants(
+        [*((case, MODULI[1]) for case in (*FAST, *LAWS)), (FAST[0], MODULI[0])],
+        [*CASES, *LAWS],
+        MODULI,
+    ),
+)
+def test_moduli(which: str, name: str) -> None:
+    case = (CASES | LAWS)[which]
     size = {"young_modulus_pa": 50.0, "poisson_ratio": 2e-5}[name]
 
     def changed(by: float) -> Case:
@@ -116,25 +129,30 @@ def test_moduli(case: Case, name: str) -> None:
 RUBBING = {name: case for name, case in CASES.items() if case.friction > 0}
 
 
-@pytest.mark.parametrize("case", RUBBING.values(), ids=RUBBING.keys())
-def test_friction(case: Case) -> None:
+@pytest.mark.parametrize("which", variants([*FAST, "facets"], RUBBING))
+def test_friction(which: str) -> None:
+    case = RUBBING[which]
+
     def changed(by: float) -> Case:
         return replace(case, friction=case.friction + by)
 
     assert (compare(case, lambda g: g.friction[:, 0, 1], changed, 1e-5) < 1e-5).all()
 
 
-@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
-def test_size(case: Case) -> None:
+@pytest.mark.parametrize("which", variants([*FAST, "a stiffness of its own"], CASES))
+def test_size(which: str) -> None:
+    case = CASES[which]
+
     def changed(by: float) -> Case:
         return replace(case, scale=1 + by)
 
     assert (compare(case, lambda g: g.scale[:, 0], changed, 2e-6) < 1e-5).all()
 
 
-@pytest.mark.parametrize("case", CASES.values(), ids=CASES.keys())
-def test_ways_of_the_tools(case: Case) -> None:
+@pytest.mark.parametrize("which", variants([*FAST, "box on its edge"], CASES))
+def test_ways_of_the_tools(which: str) -> None:
     """Along random shifts and turns of all tools at the start and in all steps at once."""
+    case = CASES[which]
     way = np.random.default_rng(1).normal(size=(*case.poses.shape[:-1], 6))
     way[..., 3:] *= 100
 

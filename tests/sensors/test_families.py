@@ -28,6 +28,7 @@ from taccel_lab.sensors.base import STIFFNESS
 from taccel_lab.sensors.derived import derived_figures, pad_volume_mm3
 from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
+from tests.support.variants import variants
 
 _WIDE = 30.0
 """Ratio of the bounds from which on values are drawn evenly in their logarithm."""
@@ -213,9 +214,9 @@ def test_nominal_sensor_is_meshed(family: SensorFamily) -> None:
     assert set(np.unique(mesh.tet_layers)) == set(range(len(parameters.layer_materials())))
 
 
-@pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
-def test_nominal_sensor_is_pressed(family: SensorFamily) -> None:
-    assert_pressed(family.parameters())
+@pytest.mark.parametrize("name", variants(["digit", "digit_360", "rtac"], FAMILIES))
+def test_nominal_sensor_is_pressed(name: str) -> None:
+    assert_pressed(FAMILIES[name].parameters())
 
 
 @pytest.mark.slow

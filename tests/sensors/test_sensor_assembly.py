@@ -19,11 +19,12 @@ from taccel_lab.cad.parts.placeholders import (
 from taccel_lab.profile.optical_design import Camera, Light
 from taccel_lab.sensors.assembly import gel_layers, sensor_parts
 from taccel_lab.sensors.registry import sensor_families, sensor_family
+from tests.support.variants import variants
 
 FAMILIES = sorted(sensor_families())
 
 
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("name", variants(["digit", "digit_360", "rtac"], FAMILIES))
 def test_parts_fit(name: str) -> None:
     parameters = sensor_family(name).parameters()
     pad, optics = parameters.pad(), parameters.optics()

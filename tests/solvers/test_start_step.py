@@ -34,3 +34,20 @@ def test_a_steady_drag_takes_fewer_iterations(monkeypatch: pytest.MonkeyPatch) -
     expected, many = drag()
     np.testing.assert_allclose(found, expected, atol=2e-8)
     assert sum(few[-10:]) <= 0.8 * sum(many[-10:])
+
+
+def test_a_start_that_turns_an_element_inside_out_is_not_taken() -> None:
+    """The last velocities would lead the free face through the bonded one; nothing is in the way
+    of them, and Newton's method would start from an energy that is infinite."""
+    model = gel_above_a_table(TimeStepping(quasi_static=False, dt_s=5e-3)).finalize()
+    solver = SolverIPC(model, SolverConfig(dhat_m=1e-4))
+    state = initial_state(model, hand_poses([(0.0, 0.02)]))
+    velocities = state.velocities.numpy()
+    height = state.positions.numpy()[0, :, 2]
+    gel = slice(0, model.soft_count)
+    # Towards the mount, of twice the way within the step; the mount itself rises a little.
+    velocities[0, gel, 2] = 2 * (height[gel].max() - height[gel]) / 5e-3 + 1e-2
+    state.velocities.assign(velocities)
+    report = solver.step(state, hand_poses([(0.0, 0.02 + 5e-5)]))
+    assert report.converged.all(), report.summary()
+    assert (report.starts_tried, report.starts_taken, report.substeps) == (1, 0, 1)

@@ -18,19 +18,19 @@ CHANGES = {
     }
 }
 
-GP = {
+SEARCH = {
     "parameters": {
         "thickness_mm": {"min": 3, "max": 8},
         "young_modulus_mpa": {"min": 0.05, "max": 1, "scale": "log"},
     },
-    "sweep": {"kind": "optimize", "count": 14, "method": "GP"},
+    "sweep": {"kind": "optimize", "count": 14, "method": "TPE"},
     "objective": {"minimize": "blur"},
 }
 
 if __name__ == "__main__":
     root, processes, *rest = sys.argv[1:]
     run_study(
-        study(**(GP if "optuna" in rest else CHANGES)),
+        study(**(SEARCH if "optuna" in rest else CHANGES)),
         root,
         processes=int(processes),
         shard=Shard.parse(rest[0]) if rest else None,

@@ -30,7 +30,7 @@ from taccel_lab.studies.presses import (
     StandardPress,
     standard_presses,
 )
-from tests.studies.coarse_presses import COARSE, THICK, coarse, jobs, pressed
+from tests.studies.coarse_presses import COARSE, THICK, coarse, jobs, pressed, sphere_on_gelsight
 
 
 def test_the_standard_six() -> None:
@@ -169,17 +169,14 @@ def test_a_flat_punch_on_a_thick_pad() -> None:
 
 def test_thin_bonded_gels_are_stiffer() -> None:
     press = coarse("sphere", depth_fraction=0.0, depth_mm=0.4, steps=2)
-    forces = [
-        pressed(press, thickness_mm=t, crown_radius_mm=0).force_n[-1, 2] for t in (8.0, 4.0, 2.0)
-    ]
-    assert forces[0] < forces[1] < forces[2]
-    assert forces[2] > 1.3 * forces[0]
+    forces = [pressed(press, thickness_mm=t, crown_radius_mm=0).force_n[-1, 2] for t in (8.0, 2.0)]
+    assert forces[1] > 1.3 * forces[0]
 
 
 def test_positions_do_not_depend_on_the_modulus() -> None:
     """What lets designs of other stiffness take over simulations: forces scale, shapes stay; with
     friction as well."""
-    job = jobs(coarse("shear", steps=2, shear_steps=1, twist_steps=1), friction=1.0)[0]
+    job = jobs(coarse("shear", steps=1, shear_steps=1, twist_steps=1), friction=1.0)[0]
     press = job.press
     found = {}
     for modulus in (REFERENCE_PA, 7.3 * REFERENCE_PA):
@@ -202,7 +199,7 @@ def test_positions_do_not_depend_on_the_modulus() -> None:
 
 
 def test_records_scale() -> None:
-    record = pressed(coarse("sphere", steps=2))
+    record = sphere_on_gelsight()
     twice = record.scaled(2.0)
     assert np.array_equal(twice.force_n, 2 * record.force_n)
     assert np.array_equal(twice.bond_peak_pa, 2 * record.bond_peak_pa)
@@ -210,7 +207,7 @@ def test_records_scale() -> None:
 
 
 def test_a_batch_gives_what_its_designs_give_alone() -> None:
-    press = coarse("sphere", steps=2)
+    press = coarse("sphere", steps=1)
     made = [jobs(press, thickness_mm=t)[0] for t in (5.0, 3.0)]
     together = [simulated.record for simulated in simulate(made)]
     for job, record in zip(made, together, strict=True):
@@ -224,7 +221,7 @@ def test_a_batch_gives_what_its_designs_give_alone() -> None:
 
 def test_edges_are_blurred_over_the_thickness() -> None:
     widths = []
-    for thickness in (2.0, 4.0, 8.0):
+    for thickness in (2.0, 8.0):
         record = pressed(
             coarse("edge", depth_fraction=0.0, depth_mm=0.2, steps=1),
             thickness_mm=thickness,
@@ -232,8 +229,7 @@ def test_edges_are_blurred_over_the_thickness() -> None:
         )
         x, change = profile_mm(record, 8.0)
         widths.append(rise_width(x, -change))
-    assert widths[0] < widths[1] < widths[2]
-    assert widths[2] > 1.5 * widths[0]
+    assert widths[1] > 1.5 * widths[0]
 
 
 def test_far_pins_are_told_apart_and_near_ones_less() -> None:
@@ -245,7 +241,7 @@ def test_far_pins_are_told_apart_and_near_ones_less() -> None:
             depth_fraction=0.0,
             depth_mm=0.4,
             steps=1,
-            mesh=replace(DEFAULT, scattered=OutlineMeshOptions(core=8, outer=2, layers=2)),
+            mesh=replace(DEFAULT, scattered=OutlineMeshOptions(core=6, outer=2, layers=2)),
         )
         x, change = profile_mm(pressed(press, thickness_mm=4.0), 0.6 + gap)
         contrasts.append(contrast(x, -change, 0.3 + gap / 2))

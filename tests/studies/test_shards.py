@@ -24,7 +24,7 @@ from taccel_lab.studies.optimise_optuna import JOURNAL
 from taccel_lab.studies.runner import run_study
 from taccel_lab.studies.study_folder import RESULT, STUDY_MARKER, StudyFolder
 from taccel_lab.studies.table import CSV_NAME
-from tests.studies.run_fake import CHANGES, GP
+from tests.studies.run_fake import CHANGES, SEARCH
 from tests.support.fake_kit import evaluate_and_crash, logged, study
 from tests.support.strangers import SECRET, lure
 
@@ -182,7 +182,7 @@ def test_what_is_no_shard_is_refused(text: str) -> None:
 
 
 def test_cobyla_has_no_shards(tmp_path: Path) -> None:
-    planned = study(**{**GP, "sweep": {"kind": "optimize", "count": 9}})
+    planned = study(**{**SEARCH, "sweep": {"kind": "optimize", "count": 9}})
     with pytest.raises(InputError, match="shards need GP, TPE or NSGA2"):
         run_study(planned, tmp_path, processes=0, shard=Shard(1, 2))
 
@@ -190,23 +190,23 @@ def test_cobyla_has_no_shards(tmp_path: Path) -> None:
 def test_two_processes_ask_one_journal(tmp_path: Path) -> None:
     runs = [start(tmp_path, f"{number}/2", "optuna") for number in (1, 2)]
     assert [run.wait(120) for run in runs] == [0, 0]
-    outcome = run_study(study(**GP), tmp_path, processes=0)
+    outcome = run_study(study(**SEARCH), tmp_path, processes=0)
     assert outcome.complete and outcome.new == 0
     # Both may be at their last design at once.
     assert 14 <= len(outcome.rows) <= 15
     assert len(set(logged(tmp_path))) == len(outcome.rows)
     (tmp_path / JOURNAL).unlink()
-    again = run_study(study(**GP), tmp_path, processes=0)
+    again = run_study(study(**SEARCH), tmp_path, processes=0)
     assert again.complete and again.new == 0
 
 
 def test_a_journal_whose_writer_was_killed_amid_a_line_goes_on(tmp_path: Path) -> None:
-    run_study(study(**GP), tmp_path, processes=0, limit=3, shard=Shard(1, 2))
+    run_study(study(**SEARCH), tmp_path, processes=0, limit=3, shard=Shard(1, 2))
     with open(tmp_path / JOURNAL, "ab") as journal:
         journal.write(b'{"op_code":5,"worker_id":"x","trial_id":3,"para')
     left = tmp_path / f"{JOURNAL}.lock"
     left.symlink_to(JOURNAL)  # Optuna's own, of the killed one.
-    outcome = run_study(study(**GP), tmp_path, processes=0, shard=Shard(1, 2))
+    outcome = run_study(study(**SEARCH), tmp_path, processes=0, shard=Shard(1, 2))
     assert outcome.complete and len(outcome.rows) == 14
     assert left.is_symlink()  # Optuna would have waited for half a minute, and then removed it.
     for line in (tmp_path / JOURNAL).read_text().splitlines():

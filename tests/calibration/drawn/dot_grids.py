@@ -31,7 +31,7 @@ def grid_points(
 
 def picture(
     centres: np.ndarray,
-    radius: float = 5.0,
+    radius: float | np.ndarray = 5.0,
     *,
     noise: float = 0.0,
     blur_px: float = 0.8,

@@ -90,6 +90,23 @@ def test_captures_become_a_block_a_report_and_tracks(
     np.testing.assert_allclose(video["time_s"], np.arange(7) / 20.0)
 
 
+def test_the_radius_is_known_better_than_the_dots_differ(
+    tmp_path: Path, base: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The standard deviation of a median of 63, 1.25 spreads over the root of 63, and the scale's
+    of 1 %."""
+    folder = write_captures(tmp_path / "captures", VIDEO, moving())
+    radii = np.random.default_rng(0).normal(5.0, 0.4, 63)
+    rest = picture(moving()[0], radii, noise=1.0)
+    assert cv2.imwrite(str(folder / "000.png"), rest)
+    manifest = folder / "captures.toml"
+    manifest.write_text(manifest.read_text().partition("[[markers.videos]]")[0])
+    assert calibrate(folder, "--out", tmp_path / "profile", "--base", base, "--json") == 0
+    found = json.loads(capsys.readouterr().out)["markers"]["estimates"]["radius_mm"]
+    expected = np.hypot(1.2533 * 0.4 * SCALE / np.sqrt(63), 0.01 * 5.0 * SCALE)
+    assert found["sigma"] == pytest.approx(expected, rel=0.3)
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
 def test_tracks_are_written_as_tables_and_arrays(tmp_path: Path, base: Path, suffix: str) -> None:
     folder = write_captures(tmp_path / "captures", VIDEO, moving())
