@@ -91,8 +91,14 @@ def profile_press_mesh(
     contact: float | ToolSection,
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
 ) -> TetMesh:
-    """As ``press_mesh``, of a profile."""
-    return pad_press_mesh(profile_parameters(profile).pad(), at_mm, contact, options)
+    """As ``press_mesh``, of a profile, with more rings and layers where a ball's contact is small
+    beside the pad: connectivity goes with the contact, too."""
+    pad = profile_parameters(profile).pad()
+    if isinstance(pad, HeightPad) and not isinstance(contact, ToolSection) and contact > 0:
+        low, high = pad.outline.bounds_mm()
+        radius = float(np.clip(contact, LEAST_CONTACT_MM, LARGEST_CONTACT_MM))
+        options = options.for_ball(radius, pad.thickness_mm, 0.5 * float((high - low).mean()))
+    return pad_press_mesh(pad, at_mm, contact, options)
 
 
 def _bisected_around(

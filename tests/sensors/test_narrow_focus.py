@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+from taccel_lab.geometry.press_mesh_options import DEFAULT_PRESS_MESH
 from taccel_lab.sensors.press_mesh import press_mesh
+from taccel_lab.sensors.profile import catalogue_profile
 
 
 def test_a_narrower_focus_is_taken_where_the_usual_one_folds_and_told() -> None:
@@ -14,3 +17,19 @@ def test_a_narrower_focus_is_taken_where_the_usual_one_folds_and_told() -> None:
         beside = press_mesh("gelsight_r15", {}, (0.0, 13.33), 2.1)
     usual = press_mesh("gelsight_r15", {}, (0.0, 0.0), 2.1)
     assert (beside.tets == usual.tets).all()
+
+
+@pytest.mark.filterwarnings("ignore:.*as finely as elsewhere")
+def test_every_place_in_the_image_meshes() -> None:
+    """12 of these 81 were refused."""
+    grid = catalogue_profile("gelsight_r15").grid()
+    half = 0.475 * np.array([grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y])
+    for x in np.linspace(-half[0], half[0], 9).tolist():
+        for y in np.linspace(-half[1], half[1], 9).tolist():
+            press_mesh("gelsight_r15", {}, (x, y), 1.5)
+
+
+def test_a_small_contact_on_a_thick_gel_has_more_layers_and_rings() -> None:
+    thick = DEFAULT_PRESS_MESH.for_ball(0.22, 10.0, 12.5)
+    assert thick.layers > DEFAULT_PRESS_MESH.layers and thick.rings > DEFAULT_PRESS_MESH.rings
+    assert DEFAULT_PRESS_MESH.for_ball(1.5, 4.25, 11.5) == DEFAULT_PRESS_MESH

@@ -246,7 +246,10 @@ G, EDGE, HEIGHT = 9.81, 5e-3, 1e-2
 class Fall:
     """Cubes that fall on a floor, one an environment; energies over m g h."""
 
-    def __init__(self, kind: str, tilt_deg: float, dt: float, scheme: TimeScheme, *rises: float):
+    def __init__(
+        self, kind: str, tilt_deg: float, dt: float, scheme: TimeScheme, *rises: float,
+        young_pa: float = 2e5,
+    ):  # fmt: skip
         places = np.stack([pose(0, 0, HEIGHT + rise, (1, 1, 0), tilt_deg) for rise in rises])
         places[:, 2] += {"affine": 0.9, "linear": 1.5, "quadratic": 1.5}[kind] * EDGE
         bodies: dict = {"planes": Plane()}
@@ -255,7 +258,7 @@ class Fall:
         else:
             bodies["soft_bodies"] = SoftBody(
                 free_block((2, 2, 2), EDGE),
-                Material(2e5, 0.3),
+                Material(young_pa, 0.3),
                 initial_pose=places,
                 element=Element(kind),
             )
@@ -302,8 +305,16 @@ class Fall:
 def test_no_step_of_an_impact_gives_energy(kind: str, tilt: float, dt: float) -> None:
     energies = Fall(kind, tilt, dt, TimeScheme.BDF2, 0.0).run(0.1 if dt > 1e-3 else 0.06)[:, 0]
     # In free flight the energy of a body that vibrates goes up and down with BDF2, by 4e-4 here.
-    assert np.diff(energies).max() < 1e-3
+    assert np.diff(energies).max() < 5e-4
     assert energies[-1] < energies[0]
+
+
+@pytest.mark.parametrize(("young_pa", "dt", "rise"), [(2e4, 1e-3, 0.0), (2e5, 2e-4, 0.0)])
+def test_nor_does_one_of_a_long_contact(young_pa: float, dt: float, rise: float) -> None:
+    """A soft cube of ten-node tets, whose force changes little from step to step, gained 0.8 and
+    0.9 % of m g h in one."""
+    fall = Fall("quadratic", 25.0, dt, TimeScheme.BDF2, rise, young_pa=young_pa)
+    assert np.diff(fall.run(0.07)[:, 0]).max() < 5e-4
 
 
 def test_flight_stays_of_second_order() -> None:
