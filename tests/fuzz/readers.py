@@ -46,7 +46,7 @@ def _show_profile(given: Path, out: Path) -> None:
 
 
 def _read_depth(given: Path, out: Path) -> None:
-    from taccel_lab.calibration.normals import reading_files
+    from taccel_lab.calibration.pressure import reading_files
     from taccel_lab.cli.depth import Depth
 
     command = Depth(
