@@ -62,6 +62,15 @@ def _read_depth(given: Path, out: Path) -> None:
         _run(command)
 
 
+def _read_recorded(given: Path, out: Path) -> None:
+    from taccel_lab.calibration.live import recorded
+    from taccel_lab.cli.read import Read
+
+    background = given / "background.png"
+    with patch.multiple(recorded, draw_recorded=lambda _: None, save_figure=lambda *_: None):
+        _run(Read(given / "profile", given / "press.png", out, background=background))
+
+
 def _load_captures(given: Path, out: Path) -> None:
     from taccel_lab.calibration.capture import load_capture_folder
     from taccel_lab.calibration.capture.video import cut_short
@@ -210,6 +219,7 @@ READERS: dict[str, Reader] = {
     "profile": Reader(profiles.whole, _show_profile, seal=profiles.seal),
     "profile-old": Reader(profiles.old, _show_profile, seal=profiles.seal),
     "depth": Reader(profiles.with_pictures, _read_depth, ("*.png",)),
+    "read": Reader(profiles.with_pictures, _read_recorded, ("*.png",)),
     "force": Reader(
         profiles.with_force,
         _show_profile,
