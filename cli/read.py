@@ -14,8 +14,8 @@ class Read:
     """Read a recorded video, a folder of images or one image, frame by frame.
 
     Every frame gives depth, contact area, normal force with its 95 % interval (contact of an
-    elastic layer) and marker displacements, as far as the profile's blocks allow. Writes `readings.csv`,
-    `readings.json` and curves over the frames, `readings.png`. Frames that cannot be read are rows
+    elastic layer) and marker displacements, as far as the profile's blocks allow. Writes
+    `readings.csv`, `readings.json` and curves over the frames, `readings.png`. Frames that cannot be read are rows
     with the reason. After an interrupt the same command goes on where it stopped.
     """
 
