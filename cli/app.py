@@ -68,6 +68,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
     from taccel_lab.cli.press import Press
     from taccel_lab.cli.preview import Preview
     from taccel_lab.cli.profile import ProfileCompare, ProfileReport, ProfileShow, ProfileValidate
+    from taccel_lab.cli.read import Read
     from taccel_lab.cli.robot import RobotList, RobotShow
     from taccel_lab.cli.sensors import SensorsList, SensorsShow
     from taccel_lab.cli.study import Study
@@ -84,6 +85,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
             "Plan, record, import, check, review and rectify captures.", capture_commands()
         ),
         "depth": Depth,
+        "read": Read,
         "live": Live,
         "force": Force,
         "calibrate": Group("Fit the blocks of a profile to real captures.", calibrate_commands()),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab depth``: tactile images in, height maps out."""
+"""``taccel-lab depth``: tactile images in, height maps, pressures and forces out."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from taccel_lab.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from taccel_lab.calibration.normals.read_surface import SurfaceReading
+    from taccel_lab.calibration.pressure.touch import TouchReading
 
 
 @dataclass(frozen=True)
 class Depth:
-    """Read height maps from tactile images with a calibrated profile.
+    """Read height maps, pressures and forces from tactile images with a calibrated profile.
 
     A normals block (colour sensors) gives normals, which are integrated; a depth_response block
-    (grey sensors) gives depths. For every image, `<name>.npz` holds the height and its standard
-    deviation, `<name>.png` shows it, and `<name>.json` has depth, position and area. Heights are
+    (grey sensors) gives depths. For every image, `<name>.npz` holds the height, its standard
+    deviation and the pressure, `<name>.png` shows them, and `<name>.json` has depth, position, area
+    and force with its 95 % interval, from the contact of an elastic layer. Heights are
     metres in the gel frame, zero on untouched gel, negative in a dent. The +- is one standard
     deviation of the absolute depth, calibration included. Images that cannot be a press of this
     sensor are listed with the reason. The others are still read, and the exit code is 2.
@@ -52,7 +53,8 @@ class Depth:
     def run(self) -> None:
         from taccel_lab.calibration.camera.rectification import RectificationMaps
         from taccel_lab.calibration.normals.read_surface import SurfaceReader
-        from taccel_lab.calibration.normals.reading_files import read_mask, write_reading
+        from taccel_lab.calibration.pressure.reading_files import read_mask, write_reading
+        from taccel_lab.calibration.pressure.touch import TouchReader
         from taccel_lab.cli.each_image import each_image, require_images
         from taccel_lab.files.images import image_size, read_image
         from taccel_lab.files.output_folder import require_replaceable
@@ -85,7 +87,7 @@ class Depth:
                     "profile's calibration"
                 )
             mask = shown if mask is None else mask & shown
-        reader = SurfaceReader(
+        surfaces = SurfaceReader(
             profile,
             background=None if self.background is None else image_of(self.background),
             mask=mask,
@@ -93,13 +95,14 @@ class Depth:
             method=self.method,
             drift=self.drift,
         )
+        reader = TouchReader(surfaces)
 
-        def read(path: Path) -> tuple[SurfaceReading, np.ndarray]:
+        def read(path: Path) -> tuple[TouchReading, np.ndarray]:
             image = image_of(path)
             return reader.read(image, str(path)), image
 
         def keep(
-            found: tuple[SurfaceReading, np.ndarray], path: Path, folder: Path | None
+            found: tuple[TouchReading, np.ndarray], path: Path, folder: Path | None
         ) -> dict[str, Any]:
             assert folder is not None
             return write_reading(*found, path, profile, folder)
@@ -114,5 +117,17 @@ def _lines(path: Path, about: dict[str, Any]) -> list[str]:
         + ("" if sigma is None else f"+- {sigma:.3f} ")
         + f"mm deep at ({about['deepest_px'][0]}, {about['deepest_px'][1]}) px, "
         f"{about['touched_mm2']:.2f} mm2 touched",
-        *(f"  {warning}" for warning in about["warnings"]),
+        *_force_lines(about),
+        *(f"  {warning}" for warning in (*about["warnings"], *about["force_remarks"])),
+    ]
+
+
+def _force_lines(about: dict[str, Any]) -> list[str]:
+    if "force_n" not in about:
+        return []
+    interval = about["force_interval95_n"]
+    band = "" if interval is None else " (95 %: {:.3g} to {:.3g} N)".format(*interval)
+    return [
+        f"  {about['force_n']:.3g} N{band}, {about['contact_mm2']:.2f} mm2 in contact, "
+        f"pressure up to {1e-3 * about['max_pressure_pa']:.3g} kPa"
     ]

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 from taccel_lab.calibration.live.latency import Latency
 from taccel_lab.calibration.live.pictures import pictures
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
+from taccel_lab.calibration.live.strip_chart import StripChart
+from taccel_lab.calibration.pressure.touch import force_words
 from taccel_lab.calibration.record.tiles import show_tiles, wide_panel
 from taccel_lab.report.page_text import PageText, add_note, page_table
 
@@ -38,11 +40,13 @@ class LivePage:
         self._figures = add_note(gui)
         gui.add_button("Take the untouched gel again").on_click(lambda _: self._again.set())
         gui.add_button("Stop").on_click(lambda _: self._stop.set())
+        self._chart = StripChart(gui)
         self._latency = add_note(gui)
 
     def show(self, reading: LiveReading, reader: LiveReader, latency: Latency) -> None:
         """Draw a reading, unless the last one was drawn just now."""
         now = time.monotonic()
+        self._chart.add(now, reading)
         if now - self._drawn_s >= self._every_s:
             self._drawn_s = now
             show_tiles(self._server, pictures(reading, reader.background))
@@ -50,6 +54,7 @@ class LivePage:
             self._told_s = now
             self._figures.content = figures_text(reading, reader)
             self._latency.content = latency_text(latency, reader)
+            self._chart.draw()
 
     def tell(self, text: str) -> None:
         """Say what to do, in bold."""
@@ -80,6 +85,13 @@ def figures_text(reading: LiveReading, reader: LiveReader) -> PageText:
         x, y = figures["deepest_gel_mm"]
         lines.append(f"at ({x:.2f}, {y:.2f}) mm, {figures['touched_mm2']:.1f} mm² touched")
         lines += [PageText("*{}*").format(text) for text in figures["warnings"]]
+    if reading.press is not None:
+        press = reading.press
+        told = PageText("normal force **{}**, by the contact of an elastic layer; {} mm² touch")
+        lines.append(told.format(force_words(press), f"{press.contact_mm2:.1f}"))
+        lines += [PageText("*{}*").format(text) for text in press.remarks]
+    elif reader.no_pressure:
+        lines.append(PageText("{}").format(reader.no_pressure))
     if reading.markers_px is not None and reading.seen is not None and reading.rest_px is not None:
         moved = reading.markers_px - reading.rest_px
         largest = float((moved**2).sum(axis=1).max() ** 0.5)
@@ -91,7 +103,7 @@ def figures_text(reading: LiveReading, reader: LiveReader) -> PageText:
         lines.append(f"markers are not followed: {reader.no_markers}")
     lines += _force_lines(reading.forces)
     if reader.force is None:
-        lines.append("no force: the profile has no force model (taccel-lab calibrate force)")
+        lines.append("shear is not read: the profile has no force model (calibrate force)")
     elif not reading.forces:
         lines.append("no force: this frame is not like those that the force model knows")
     return PageText("\n\n").join(lines)

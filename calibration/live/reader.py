@@ -18,6 +18,7 @@ from taccel_lab.calibration.light.likeness import unlike
 from taccel_lab.calibration.markers.tracking import MarkerTracker
 from taccel_lab.calibration.markers.tracks import Status
 from taccel_lab.calibration.normals.read_surface import SurfaceReader, SurfaceReading
+from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
@@ -60,6 +61,8 @@ class LiveReading:
     """By name; empty where nothing tells them."""
     stages_s: dict[str, float]
     """Time that each stage took [s]."""
+    press: ContactPressure | None = None
+    """What holds the surface so; None without a surface, where it is refused, and of domes."""
 
 
 def require_readable(profile: SensorProfile) -> None:
@@ -82,6 +85,7 @@ class LiveReader:
         *,
         detail: int | None = None,
         force: ForceTold | None = None,
+        sigma_every: int = SIGMA_EVERY,
     ) -> None:
         """
         Args:
@@ -91,11 +95,12 @@ class LiveReader:
             detail: Factor by which images are made smaller for the depth; None takes the finest
                 that this machine reads in ``BUDGET_S``.
             force: Tells forces of an image, where there is a model for it.
+            sigma_every: Frames between two estimates of the depth's standard deviation.
 
         Raises:
             InputError: The profile has none of these blocks, or images of another size.
         """
-        self.profile, self.force = profile, force
+        self.profile, self.force, self._sigma_every = profile, force, sigma_every
         self.background = background
         require_readable(profile)
         has_depth = profile.normals is not None or profile.depth_response is not None
@@ -117,6 +122,12 @@ class LiveReader:
         self._unlike = ""
         if has_depth:
             self.detail, self.surface = self._chosen(detail)
+        self.pressure, self.no_pressure = None, ""
+        if self.surface is not None:
+            try:
+                self.pressure = PressureReader(profile, self.surface.grid)
+            except InputError as error:
+                self.no_pressure = str(error)
         self.tracker: MarkerTracker | None = None
         self.no_markers = ""
         """Why markers are not followed though the profile has some; empty otherwise."""
@@ -145,12 +156,12 @@ class LiveReader:
     def read(self, image: np.ndarray) -> LiveReading:
         """Read the next frame, RGB uint8, of the profile's size."""
         stages: dict[str, float] = {}
-        surface, figures, refused = None, {}, ""
+        surface, press, figures, refused = None, None, {}, ""
         if self.surface is not None:
             with _timed(stages, "light"):
                 levels = self.surface.in_own_light(image)
             with _timed(stages, "depth"):
-                often = self._count % SIGMA_EVERY == 0
+                often = self._count % self._sigma_every == 0
                 surface = self.surface.read_levels(levels, uncertainty=often)
                 figures = surface.figures(self.surface.grid)
                 if often:
@@ -159,6 +170,12 @@ class LiveReader:
                 refused = self._unlike or _refusal(figures)
             self._count += 1
             figures["max_depth_sigma_mm"] = self._sigma_mm
+            if self.pressure is not None and not refused:
+                with _timed(stages, "pressure"):
+                    press = self.pressure.read(
+                        surface.rise_m, surface.height_sigma_m, surface.reading_sigma_m
+                    )
+                figures |= press.figures()
         places = rest = seen = None
         if self.tracker is not None:
             with _timed(stages, "markers"):
@@ -169,7 +186,9 @@ class LiveReader:
         if self.force is not None:
             with _timed(stages, "force"):
                 forces = self.force(image, self.background)
-        return LiveReading(image, surface, figures, refused, places, rest, seen, forces, stages)
+        return LiveReading(
+            image, surface, figures, refused, places, rest, seen, forces, stages, press
+        )
 
 
 def _first_up(text: str) -> str:

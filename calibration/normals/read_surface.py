@@ -98,10 +98,7 @@ class SurfaceReading(Summary):
         """Depth, place and size of what is pressed in, ready for JSON; ``grid`` is the maps'."""
         depth_mm = -1e3 * self.rise_m
         row, column = np.unravel_index(int(np.argmax(depth_mm)), depth_mm.shape)
-        least_mm = max(CONTACT_MM, CONTACT_SHARE * float(depth_mm[row, column]))
-        touched = depth_mm > least_mm
-        if self.reading_sigma_m is not None:
-            touched &= depth_mm > 1e3 * BAND_SIGMAS * self.reading_sigma_m
+        touched, least_mm = pressed_in(self.rise_m, self.reading_sigma_m)
         pixel_mm2 = grid.mm_per_px_x * grid.mm_per_px_y
         at_mm = grid.gel_from_pixel(np.array([column, row], dtype=float))
         found: dict[str, Any] = {
@@ -331,6 +328,16 @@ class SurfaceReader:
             sigma_of=self.sigma_of,
             remarks=self.remarks,
         )
+
+
+def pressed_in(rise_m: np.ndarray, reading_sigma_m: np.ndarray | None) -> tuple[np.ndarray, float]:
+    """Pixels that count as touched, bool, shape [h, w], and the least depth of any [mm]."""
+    depth_mm = -1e3 * rise_m
+    least_mm = max(CONTACT_MM, CONTACT_SHARE * float(depth_mm.max()))
+    touched = depth_mm > least_mm
+    if reading_sigma_m is not None:
+        touched &= depth_mm > 1e3 * BAND_SIGMAS * reading_sigma_m
+    return touched, least_mm
 
 
 def _metres(values_mm: np.ndarray | None) -> np.ndarray | None:

@@ -22,6 +22,7 @@ faces are taken as flat ones with the tool's gap over them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.fft import irfft2, next_fast_len, rfft2
@@ -104,8 +105,7 @@ def press_layer(
     gap = np.minimum(tool_mm, FAR_MM) - depth_mm
     if (gap >= 0).all():
         raise InputError("the tool does not reach the face; give its height over its lowest point")
-    # Single precision is a thousandth of the smallest tolerance, and transforms take half the time.
-    pressure = _pressure(gap.astype(np.float32), step_mm, layer, tolerance * depth_mm)
+    pressure = pressure_under(gap, step_mm, layer, tolerance * depth_mm)
     return LayerPress(rise_under(pressure, step_mm, layer), pressure.astype(np.float64))
 
 
@@ -113,7 +113,7 @@ def rise_under(
     pressure: np.ndarray, step_mm: tuple[float, float], layer: BondedLayer
 ) -> np.ndarray:
     """Rise of the face [mm] under a pressure of ``press_layer``, shape [h, w] of both."""
-    return -_Sinking(pressure.shape, step_mm, layer)(pressure).astype(np.float64)
+    return -_sinking(pressure.shape, step_mm, layer)(pressure).astype(np.float64)
 
 
 class _Sinking:
@@ -138,31 +138,59 @@ class _Sinking:
         return np.asarray(irfft2(self.compliance * waves, s=self.padded, workers=1))[self.kept]
 
 
+@lru_cache(maxsize=32)
+def _sinking(shape: tuple[int, ...], step_mm: tuple[float, float], layer: BondedLayer) -> _Sinking:
+    """That of a grid, which frames of one sensor share."""
+    return _Sinking(shape, step_mm, layer)
+
+
 def _fast_length(count: int) -> int:
     """A length not below ``count`` whose transform is fast."""
     length = next_fast_len(count, real=True)
     return count if length is None else int(length)
 
 
-def _pressure(
-    gap_mm: np.ndarray, step_mm: tuple[float, float], layer: BondedLayer, tolerance_mm: float
+def pressure_under(
+    gap_mm: np.ndarray,
+    step_mm: tuple[float, float],
+    layer: BondedLayer,
+    tolerance_mm: float,
+    start: np.ndarray | None = None,
+    film_mm: float = 0.0,
 ) -> np.ndarray:
-    """Pressure under a tool whose gap over the face at rest is ``gap_mm``, negative below it."""
-    if min(gap_mm.shape) >= 2 * COARSEST:
+    """Contact pressure of a face that may not rise above ``gap_mm``, as of ``LayerPress``.
+
+    Args:
+        gap_mm: Height of the tool over the face at rest [mm], negative below it, shape [h, w];
+            ``FAR_MM`` where there is none.
+        step_mm: Distance of the grid's points along x and y.
+        layer: The gel.
+        tolerance_mm: Largest penetration, and largest gap in the contact.
+        start: A pressure near the answer, such as the last frame's, shape [h, w].
+        film_mm: How far the tool itself gives way under a unit of this pressure.
+
+    Returns:
+        Pressure times 2 (1 - nu^2) / E, at least 0, float32, shape [h, w].
+    """
+    # Single precision is a thousandth of the smallest tolerance, and transforms take half the time.
+    gap_mm = gap_mm.astype(np.float32)
+    if start is not None:
+        pressure = np.where(gap_mm < FAR_MM, start, 0.0).astype(np.float32)
+    elif min(gap_mm.shape) >= 2 * COARSEST:
         # A grid of half the points gives a start from which a few steps are left.
         rows, columns = (count - count % 2 for count in gap_mm.shape)
         blocks = gap_mm[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).min(axis=(1, 3))
         double = (2 * step_mm[0], 2 * step_mm[1])
-        coarse = _pressure(blocks, double, layer, tolerance_mm)
+        coarse = pressure_under(blocks, double, layer, tolerance_mm, film_mm=film_mm)
         pressure = np.zeros_like(gap_mm)
         pressure[:rows, :columns] = coarse.repeat(2, axis=0).repeat(2, axis=1)
     else:
         pressure = np.maximum(-gap_mm, 0.0) / layer.thickness_mm
-    sinking = _Sinking(gap_mm.shape, step_mm, layer)
+    sinking = _sinking(gap_mm.shape, step_mm, layer)
     direction = np.zeros_like(pressure)
     before, keep = 1.0, 0.0
     for _ in range(MAX_ITERATIONS):
-        distance = sinking(pressure) + gap_mm
+        distance = sinking(pressure) + film_mm * pressure + gap_mm
         touching = pressure > 0
         worst = np.abs(distance[touching]).max(initial=0.0)
         if max(worst, -distance.min()) < tolerance_mm:
@@ -170,7 +198,7 @@ def _pressure(
         now = float((distance[touching] ** 2).sum())
         direction = np.where(touching, distance + keep * now / before * direction, 0.0)
         before = now
-        along = sinking(direction)[touching] @ direction[touching]
+        along = (sinking(direction) + film_mm * direction)[touching] @ direction[touching]
         if not along > 0:
             direction, keep = np.zeros_like(pressure), 0.0
             pressure = np.where(distance < 0, pressure - distance / step_mm[0], pressure)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gel's surface under one tactile image of a calibrated sensor."""
+"""Surface, pressure and force of one tactile image of a calibrated sensor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.processes.start_warp import start_warp
 
 if TYPE_CHECKING:
-    from taccel_lab.calibration.normals.read_surface import SurfaceReading
+    from taccel_lab.calibration.pressure.touch import TouchReading
 
 
 def read(
@@ -23,10 +23,10 @@ def read(
     background: np.ndarray | Path | str | None = None,
     mask: np.ndarray | None = None,
     method: Literal["auto", "normals", "depth"] = "auto",
-) -> SurfaceReading:
-    """Read height, its standard deviation, normals and contact from an image.
+) -> TouchReading:
+    """Read height, its standard deviation, normals, pressure and force from an image.
 
-    Many images of one sensor: ``SurfaceReader``, which prepares once what all of them share.
+    Many images of one sensor: ``TouchReader``, which prepares once what all of them share.
 
     Args:
         sensor: A profile with normals or depths, its folder, or a calibration.
@@ -39,6 +39,7 @@ def read(
         InputError: A profile without such a block, an image of another size or sensor.
     """
     from taccel_lab.calibration.normals.read_surface import SurfaceReader
+    from taccel_lab.calibration.pressure.touch import TouchReader
 
     start_warp()
     pixels, name = _pixels(image, "image")
@@ -52,7 +53,7 @@ def read(
         mask=mask,
         method=method,
     )
-    return reader.read(pixels, name)
+    return TouchReader(reader).read(pixels, name)
 
 
 def _pixels(image: np.ndarray | Path | str, name: str) -> tuple[np.ndarray, str]:

@@ -46,7 +46,7 @@ def _show_profile(given: Path, out: Path) -> None:
 
 
 def _read_depth(given: Path, out: Path) -> None:
-    from taccel_lab.calibration.normals import reading_files
+    from taccel_lab.calibration.pressure import reading_files
     from taccel_lab.cli.depth import Depth
 
     command = Depth(
@@ -60,6 +60,15 @@ def _read_depth(given: Path, out: Path) -> None:
     # The figure takes a hundred times as long as all else.
     with patch.multiple(reading_files, draw_reading=lambda *_: None, save_figure=lambda *_: None):
         _run(command)
+
+
+def _read_recorded(given: Path, out: Path) -> None:
+    from taccel_lab.calibration.live import recorded
+    from taccel_lab.cli.read import Read
+
+    background = given / "background.png"
+    with patch.multiple(recorded, draw_recorded=lambda _: None, save_figure=lambda *_: None):
+        _run(Read(given / "profile", given / "press.png", out, background=background))
 
 
 def _load_captures(given: Path, out: Path) -> None:
@@ -210,6 +219,7 @@ READERS: dict[str, Reader] = {
     "profile": Reader(profiles.whole, _show_profile, seal=profiles.seal),
     "profile-old": Reader(profiles.old, _show_profile, seal=profiles.seal),
     "depth": Reader(profiles.with_pictures, _read_depth, ("*.png",)),
+    "read": Reader(profiles.with_pictures, _read_recorded, ("*.png",)),
     "force": Reader(
         profiles.with_force,
         _show_profile,

@@ -108,7 +108,7 @@ def open_replay(path: Path, how: Replay | None = None) -> ReplayCamera:
                 f"{path}: a capture folder is replayed from its background and its presses"
             )
         return ReplayCamera(path, lambda: pressing(rest.image(), presses, how), how)
-    images = sorted((p for p in path.iterdir() if p.suffix.lower() in IMAGES), key=_natural)
+    images = sorted((p for p in path.iterdir() if p.suffix.lower() in IMAGES), key=natural_order)
     if not images:
         raise InputError(f"{path} holds no images to replay")
     return ReplayCamera(path, lambda: (read_image(image) for image in images), how)
@@ -135,7 +135,7 @@ def _blend(one: np.ndarray, other: np.ndarray, share: float) -> np.ndarray:
     return np.rint(mixed).astype(np.uint8)
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
+def natural_order(path: Path) -> list[tuple[int, str]]:
     """frame_2 before frame_10."""
     parts = re.split(r"(\d+)", path.name)
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]

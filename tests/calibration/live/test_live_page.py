@@ -79,7 +79,9 @@ def test_depth_force_and_latency_follow_the_gel_until_it_is_stopped(tmp_path: Pa
             page.get_by_text("± 0.25").wait_for(timeout=SLOW_MS)
             rate = re.compile(r"(?!0\.0 )\d+\.\d frames a second")
             wait_for(page, lambda: rate.search(page.inner_text("body")))
-            for stage in ("all work", "depth", "force", "taken to shown"):
+            page.get_by_text("by the contact of an elastic layer").wait_for(timeout=SLOW_MS)
+            assert page.locator(".uplot canvas").count() == 3
+            for stage in ("all work", "depth", "pressure", "force", "taken to shown"):
                 row = page.get_by_role("row").filter(has_text=re.compile(f"^{stage}"))
                 assert float(row.get_by_role("cell").nth(1).inner_text()) > 0
             # A new untouched gel, of the ball as it lies: nothing is pressed in then.

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded sequence read frame by frame: a table, and curves over the frames.
+
+Rows are kept beside the output as they are read, so that the same call goes on after a kill.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.calibration.capture.camera.replay import IMAGES, VIDEOS, natural_order
+from taccel_lab.calibration.live.reader import LiveReader, LiveReading
+from taccel_lab.errors import InputError
+from taccel_lab.files.atomic_file import content_id, write_json
+from taccel_lab.files.images import read_image
+from taccel_lab.files.output_folder import atomic_directory, require_replaceable
+from taccel_lab.files.videos import count_frames, read_frames
+from taccel_lab.progress import Progress, silent
+from taccel_lab.report.style import BLUE, LIGHT, in_report_style, new_figure, save_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLUMNS: tuple[str, ...] = (
+    "frame",
+    "name",
+    "depth_mm",
+    "depth_sigma_mm",
+    "contact_mm2",
+    "force_n",
+    "force_low_n",
+    "force_high_n",
+    "max_pressure_kpa",
+    "center_x_mm",
+    "center_y_mm",
+    "markers_seen",
+    "marker_mean_mm",
+    "marker_largest_mm",
+    "refused",
+)
+"""Of a row; what a profile does not tell is empty. Force bounds are of the 95 % interval."""
+CURVES = (
+    ("depth [mm]", "depth_mm", "depth_low_mm", "depth_high_mm"),
+    ("contact [mm2]", "contact_mm2", "", ""),
+    ("force [N]", "force_n", "force_low_n", "force_high_n"),
+    ("markers moved, mean [mm]", "marker_mean_mm", "", ""),
+)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Frames of a video, of a folder of images in natural order, or one image."""
+
+    source: Path
+    count: int
+    images: tuple[Path, ...] = ()
+    """Empty for a video."""
+
+    @classmethod
+    def of(cls, source: Path) -> Recorded:
+        """Raises InputError for what holds no frames."""
+        if source.is_dir():
+            found = [p for p in source.iterdir() if p.suffix.lower() in IMAGES and p.is_file()]
+            if not found:
+                raise InputError(f"{source} holds no images; {', '.join(IMAGES)} are read")
+            images = tuple(sorted(found, key=natural_order))
+            return cls(source, len(images), images)
+        if source.suffix.lower() in VIDEOS:
+            return cls(source, count_frames(source)[0])
+        if source.suffix.lower() in IMAGES:
+            return cls(source, 1, (source,))
+        raise InputError(
+            f"{source} is no video ({', '.join(VIDEOS)}), no image ({', '.join(IMAGES)}) and no "
+            "folder of images"
+        )
+
+    def frames(self) -> Iterator[tuple[str, np.ndarray | InputError]]:
+        """Name and RGB levels of each frame, or why it cannot be read."""
+        if not self.images:
+            for number, image in enumerate(read_frames(self.source)):
+                yield f"{number}", image
+        for path in self.images:
+            try:
+                yield path.name, read_image(path)
+            except InputError as error:
+                yield path.name, error
+
+
+def read_recorded(
+    recorded: Recorded,
+    reader: LiveReader,
+    out: Path,
+    recipe: dict[str, Any],
+    progress: Progress = silent,
+) -> list[dict[str, Any]]:
+    """Write ``readings.csv``, ``readings.json`` and ``readings.png`` into ``out``; returns rows.
+
+    Args:
+        recorded: The frames.
+        reader: Of the profile and the untouched gel.
+        out: Folder that appears whole at the end. Until then rows are kept in a hidden file beside.
+        recipe: What the rows depend on; rows that were kept by another recipe are read again.
+        progress: Told after each frame.
+
+    Raises:
+        InputError: No frame can be read.
+    """
+    require_replaceable(out)
+    kept_path = out.parent / f".{out.name}.readings.jsonl"
+    key = content_id(recipe)
+    rows = _kept(kept_path, key)
+    before = len(rows)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with kept_path.open("a" if before else "w", encoding="utf-8") as kept:
+        if not before:
+            kept.write(json.dumps({"key": key}) + "\n")
+        for number, (name, image) in enumerate(recorded.frames()):
+            if number < before:
+                if reader.tracker is not None and isinstance(image, np.ndarray):
+                    reader.tracker.advance(image)  # Markers are followed from frame to frame.
+                continue
+            row = {"frame": number, "name": name, **_row(reader, image, name)}
+            rows.append(row)
+            kept.write(json.dumps(row) + "\n")
+            kept.flush()
+            progress("reading frames", number + 1, recorded.count)
+    if all(row["refused"] for row in rows):
+        kept_path.unlink()
+        raise InputError(f"no frame of {recorded.source} can be read: {rows[0]['refused']}")
+    with atomic_directory(out) as folder:
+        with (folder / "readings.csv").open("w", newline="", encoding="utf-8") as file:
+            table = csv.DictWriter(file, COLUMNS, restval="")
+            table.writeheader()
+            table.writerows(rows)
+        write_json(folder / "readings.json", {"source": str(recorded.source), "frames": rows})
+        save_figure(draw_recorded(rows), folder / "readings.png")
+    kept_path.unlink()
+    return rows
+
+
+def _kept(path: Path, key: str) -> list[dict[str, Any]]:
+    """Rows that an interrupted call left; none of another recipe or behind a torn line."""
+    rows: list[dict[str, Any]] = []
+    if not path.is_file():
+        return rows
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True)
+    try:
+        if json.loads(lines[0]) != {"key": key}:
+            return []
+        for number, line in enumerate(lines[1:]):
+            row = json.loads(line)
+            if not line.endswith("\n") or row["frame"] != number or set(row) - set(COLUMNS):
+                break
+            rows.append(row)
+    except (ValueError, IndexError, KeyError, TypeError):
+        pass
+    whole = [json.dumps({"key": key}), *map(json.dumps, rows)]
+    path.write_text("".join(f"{line}\n" for line in whole), encoding="utf-8")
+    return rows
+
+
+def _row(reader: LiveReader, image: np.ndarray | InputError, name: str) -> dict[str, Any]:
+    if isinstance(image, InputError):
+        return {"refused": str(image)}
+    if image.shape != reader.background.shape:
+        height, width = reader.background.shape[:2]
+        return {
+            "refused": f"frame {name} is {image.shape[1]}x{image.shape[0]} px; the profile's "
+            f"camera has {width}x{height} px"
+        }
+    return figures_of(reader.read(image), reader)
+
+
+def figures_of(reading: LiveReading, reader: LiveReader) -> dict[str, Any]:
+    """The row of a reading, as of ``COLUMNS``."""
+    row: dict[str, Any] = {"refused": reading.refused}
+    found = reading.figures
+    if found and not reading.refused:
+        row |= {"depth_mm": found["max_depth_mm"], "depth_sigma_mm": found["max_depth_sigma_mm"]}
+    if reading.press is not None:
+        press = reading.press
+        low, high = press.force_interval_n or (None, None)
+        x, y = press.center_mm or (None, None)
+        row |= {
+            "contact_mm2": press.contact_mm2,
+            "force_n": press.force_n,
+            "force_low_n": low,
+            "force_high_n": high,
+            "max_pressure_kpa": 1e-3 * float(press.pressure_pa.max()),
+            "center_x_mm": x,
+            "center_y_mm": y,
+        }
+    if reading.markers_px is not None:
+        assert reading.rest_px is not None and reading.seen is not None
+        grid = reader.profile.grid()
+        moved = (reading.markers_px - reading.rest_px) * [grid.mm_per_px_x, grid.mm_per_px_y]
+        moved_mm = np.linalg.norm(moved[reading.seen], axis=1)
+        row["markers_seen"] = len(moved_mm)
+        if len(moved_mm):
+            row |= {
+                "marker_mean_mm": float(moved_mm.mean()),
+                "marker_largest_mm": float(moved_mm.max()),
+            }
+    return row
+
+
+@in_report_style
+def draw_recorded(rows: list[dict[str, Any]]) -> Figure:
+    """Depth, contact, force and markers over the frames, those that were told."""
+
+    def column(name: str) -> np.ndarray:
+        return np.array([np.nan if row.get(name) is None else row[name] for row in rows], float)
+
+    known = {name: column(name) for name in COLUMNS if name not in ("name", "refused")}
+    sigma = 2 * known["depth_sigma_mm"]
+    known["depth_low_mm"] = known["depth_mm"] - sigma
+    known["depth_high_mm"] = known["depth_mm"] + sigma
+    shown = [curve for curve in CURVES if np.isfinite(known[curve[1]]).any()] or [CURVES[0]]
+    figure, axes = new_figure(8.0, 1.2 + 1.6 * len(shown), len(shown), 1)
+    for ax, (label, name, low, high) in zip(np.atleast_1d(axes), shown, strict=True):
+        ax.plot(known["frame"], known[name], color=BLUE, marker=".", lw=1.0)
+        if low:
+            ax.fill_between(known["frame"], known[low], known[high], color=BLUE, alpha=0.2, lw=0)
+        ax.axhline(0, color=LIGHT, lw=0.8)
+        ax.set_ylabel(label)
+    np.atleast_1d(axes)[-1].set_xlabel("frame")
+    return figure

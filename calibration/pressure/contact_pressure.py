@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+r"""What presses a gel into the shape that was read: pressure, force, contact.
+
+The seen face is taken for the underside of a tool, wherever it is pressed in. A bonded layer of the
+profile's thickness, modulus and Poisson's ratio lies under it (``surfaces.bonded_layer``):
+pressures push only, and act only where the layer meets the seen face. So a gel that sinks beside a
+contact needs no pressure there, and no training is needed.
+
+A face that was read wrong by chance would be met at its lowest spots. So the tool is let give way,
+as a film would, by the reading's stated standard deviation on average: that is the one
+regularisation, and it vanishes with the deviation (Morozov's discrepancy principle).
+
+The interval of the force is that of a face lower and higher by the height's standard deviation
+everywhere, of the interval of the thickness, of the layer's own error against finite elements
+(``LAYER_SHARE``) and of the modulus, taken as independent. Friction between gel and tool is not
+seen; the layer's error holds for coefficients of 0 to 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taccel_lab.calibration.normals.read_surface import pressed_in
+from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, pressure_under
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import SensorProfile
+from taccel_lab.signals.rest_surface import rest_surface
+
+STEPS_PER_THICKNESS = 24.0
+"""Of the grid that pressures are sought on: twice as many change forces by less than 1 %."""
+LEAST_STEPS = 64
+"""Of that grid along the longer side of the view."""
+TOLERANCE = 0.01
+"""Largest gap in the contact, as a part of the deepest point."""
+LAYER_SHARE = 0.35
+"""Standard deviation of the layer's force from that of finite elements, as a part of it, over depth
+by thickness. Balls, punch, box and roller in a GelSight Mini's gel with a coefficient of friction
+of 1: -3 to +1 % at a tenth of the thickness, -15 to -5 % at three tenths; balls without friction +2
+to +8 %."""
+LEAST_SHARE = 0.02
+"""The least of it."""
+CONTACT_PRESSURE = 0.05
+"""Part of the greatest pressure from which on a place counts as contact."""
+STEEPEST_REST = 0.5
+"""Slope of the resting face from which on no flat layer stands for the gel."""
+DEEPEST_SHARE = 0.4
+"""Part of the thickness below which strains are small enough for the stated error."""
+NORMAL_95 = 1.96
+
+
+@dataclass(frozen=True)
+class ContactPressure:
+    """What presses the gel."""
+
+    pressure_pa: np.ndarray
+    """Contact pressure [Pa], at least 0, shape [height_px, width_px] of the reading."""
+    force_n: float
+    """Normal force [N], its integral over the view."""
+    force_interval_n: tuple[float, float] | None
+    """95 % interval of the force [N]; None where the height's deviation is not known."""
+    contact_mm2: float
+    """Area in contact [mm2]."""
+    center_mm: tuple[float, float] | None
+    """Centre of pressure in the gel frame [mm]; None without contact."""
+    remarks: tuple[str, ...]
+    """What the force rests on, and what is not in its interval, a sentence each."""
+
+    def figures(self) -> dict[str, Any]:
+        """All numbers, ready for JSON."""
+        return {
+            "force_n": self.force_n,
+            "force_interval95_n": self.force_interval_n and list(self.force_interval_n),
+            "contact_mm2": self.contact_mm2,
+            "max_pressure_pa": float(self.pressure_pa.max()),
+            "center_of_pressure_mm": self.center_mm and list(self.center_mm),
+            "force_remarks": list(self.remarks),
+        }
+
+
+class PressureReader:
+    """Finds pressures of one sensor's readings, one frame after another."""
+
+    def __init__(self, profile: SensorProfile, grid: PixelGrid) -> None:
+        """
+        Args:
+            profile: Whose thickness, modulus and Poisson's ratio are taken, with their intervals.
+            grid: That of the readings.
+
+        Raises:
+            InputError: A dome, for which no flat layer stands.
+        """
+        normals = rest_surface(profile.mesh, grid).normals
+        steepest = float((np.hypot(normals[..., 0], normals[..., 1]) / normals[..., 2]).max())
+        if not steepest < STEEPEST_REST:
+            raise InputError(
+                "no pressure is read: the gel is a dome, and the layer that pressures are found "
+                "by is flat"
+            )
+        self.grid = grid
+        material, gel = profile.material, profile.gel
+        self.layer = BondedLayer(gel.thickness_mm, material.poisson_ratio)
+        self.pa = material.young_modulus_pa / (2 * (1 - material.poisson_ratio**2))
+        """Pressure [Pa] of a unit of the layer's."""
+        self._others = [
+            BondedLayer(t, material.poisson_ratio)
+            for t in gel.provenance.interval.get("thickness_mm", ())
+        ]
+        self._modulus, self._about = _modulus(profile)
+        pixel = grid.mm_per_px_x, grid.mm_per_px_y
+        size = grid.width_px * pixel[0], grid.height_px * pixel[1]
+        step = max(*pixel, min(gel.thickness_mm / STEPS_PER_THICKNESS, max(size) / LEAST_STEPS))
+        self._coarse = grid.resized(*(max(2, round(side / step)) for side in size))
+        self._last: np.ndarray | None = None
+        self._sigma: tuple[np.ndarray, np.ndarray] | None = None
+
+    def read(
+        self,
+        rise_m: np.ndarray,
+        height_sigma_m: np.ndarray | None = None,
+        reading_sigma_m: np.ndarray | None = None,
+    ) -> ContactPressure:
+        """What presses the face so.
+
+        Args:
+            rise_m: Rise over the resting face [m], negative in a dent, shape [h, w] of the grid.
+            height_sigma_m: Its standard deviation [m], shape [h, w]. When None, that of the last
+                frame that had one is taken.
+            reading_sigma_m: That of the reading alone, likewise.
+        """
+        if height_sigma_m is not None:
+            alone = height_sigma_m if reading_sigma_m is None else reading_sigma_m
+            self._sigma = self._small(1e3 * height_sigma_m), 1e3 * alone
+        touched, _ = pressed_in(rise_m, None if self._sigma is None else 1e-3 * self._sigma[1])
+        inside = self._small(touched.astype(np.float32)) >= 0.5
+        if not inside.any():
+            self._last = None
+            return self._found(np.zeros(inside.shape), (0.0, 0.0), ())
+        rise = self._small(1e3 * rise_m)
+        gap = np.where(inside, rise, FAR_MM)
+        reading_mm = 0.0
+        if self._sigma is not None:
+            reading_mm = float(self._small(self._sigma[1])[inside].mean())
+        start, film = self._last, 0.0
+        if reading_mm > 0:
+            start = self._solved(gap, self.layer, start, 0.0)
+            film = reading_mm / max(float(start[start > 0].mean()), 1e-12)
+        pressure = self._solved(gap, self.layer, start, film)
+        self._last = pressure
+        interval = None
+        if self._sigma is not None:
+            interval = self._interval(pressure, gap, self._sigma[0], film)
+        return self._found(pressure, interval, self._limits(rise, pressure))
+
+    def _interval(
+        self, pressure: np.ndarray, gap: np.ndarray, sigma: np.ndarray, film: float
+    ) -> tuple[float, float]:
+        """95 % interval of the force [N], by the height, the thickness, the layer, the modulus."""
+        force = self._force_n(pressure)
+        lower, higher = (
+            self._force_n(self._solved(gap + sign * sigma, self.layer, pressure, film))
+            for sign in (1, -1)
+        )
+        strain = -float(gap.min()) / self.layer.thickness_mm
+        sides = [NORMAL_95 * max(LEAST_SHARE, LAYER_SHARE * strain)] * 2
+        if self._others:
+            thin, thick = (
+                self._force_n(self._solved(gap, layer, pressure, film)) for layer in self._others
+            )
+            sides = [math.hypot(side, 0.5 * abs(math.log(thin / thick))) for side in sides]
+        logs = [math.log(force / lower) if lower > 0 else math.inf, math.log(higher / force)]
+        low, high = (
+            math.hypot(side, NORMAL_95 * log, math.log(modulus))
+            for side, log, modulus in zip(sides, logs, self._modulus, strict=True)
+        )
+        return force * math.exp(-low), force * math.exp(high)
+
+    def _solved(
+        self, gap: np.ndarray, layer: BondedLayer, start: np.ndarray | None, film: float
+    ) -> np.ndarray:
+        step = self._coarse.mm_per_px_x, self._coarse.mm_per_px_y
+        tolerance = TOLERANCE * max(-float(gap.min()), 1e-3)
+        return pressure_under(gap, step, layer, tolerance, start, film)
+
+    def _force_n(self, pressure: np.ndarray) -> float:
+        area_m2 = 1e-6 * self._coarse.mm_per_px_x * self._coarse.mm_per_px_y
+        return self.pa * area_m2 * float(pressure.sum(dtype=np.float64))
+
+    def _found(
+        self,
+        pressure: np.ndarray,
+        interval: tuple[float, float] | None,
+        limits: tuple[str, ...],
+    ) -> ContactPressure:
+        import cv2
+
+        coarse, grid = self._coarse, self.grid
+        contact = pressure > CONTACT_PRESSURE * pressure.max()
+        center = None
+        if contact.any():
+            rows, columns = np.indices(pressure.shape)
+            total = pressure.sum()
+            at = np.array([(columns * pressure).sum() / total, (rows * pressure).sum() / total])
+            x, y = coarse.gel_from_pixel(at)[:2]
+            center = float(x), float(y)
+        size = (grid.width_px, grid.height_px)
+        fine = cv2.resize(pressure.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
+        return ContactPressure(
+            pressure_pa=self.pa * fine,
+            force_n=self._force_n(pressure),
+            force_interval_n=interval,
+            contact_mm2=float(contact.sum()) * coarse.mm_per_px_x * coarse.mm_per_px_y,
+            center_mm=center,
+            remarks=(*self._about, *limits),
+        )
+
+    def _limits(self, rise: np.ndarray, pressure: np.ndarray) -> tuple[str, ...]:
+        """Where the layer does not hold for this reading, a sentence each."""
+        said, deepest = [], -float(rise.min())
+        if deepest > DEEPEST_SHARE * self.layer.thickness_mm:
+            said.append(
+                f"the gel is pressed by {deepest / self.layer.thickness_mm:.0%} of its thickness: "
+                "strains are larger than those that the interval holds for"
+            )
+        border = np.ones(pressure.shape, dtype=bool)
+        border[1:-1, 1:-1] = False
+        if (pressure[border] > CONTACT_PRESSURE * pressure.max()).any():
+            said.append("the contact reaches the border of the image: the force is of what is seen")
+        return tuple(said)
+
+    def _small(self, values: np.ndarray) -> np.ndarray:
+        import cv2
+
+        size = (self._coarse.width_px, self._coarse.height_px)
+        return np.asarray(cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_AREA))
+
+
+def _modulus(profile: SensorProfile) -> tuple[tuple[float, float], tuple[str, ...]]:
+    """Factors of the force at both ends of the modulus' interval, and what it rests on."""
+    material = profile.material
+    pa, told = material.young_modulus_pa, material.provenance
+    interval = told.interval.get("young_modulus_pa") or _two_spreads(told.spread, pa)
+    if interval is not None and 0 < interval[0] <= pa <= interval[1]:
+        return (pa / interval[0], interval[1] / pa), ()
+    return (1.0, 1.0), (
+        f"Young's modulus {1e-3 * pa:.3g} kPa is {told.kind} and its error is not known: forces "
+        "scale with it, and their interval does not hold it",
+    )
+
+
+def _two_spreads(spread: Mapping[str, float], pa: float) -> tuple[float, float] | None:
+    sigma = spread.get("young_modulus_pa")
+    return None if sigma is None else (pa - 2 * sigma, pa + 2 * sigma)

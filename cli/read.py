@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``taccel-lab read``: a recorded sequence in, depth, force and markers by frame out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+
+@dataclass(frozen=True)
+class Read:
+    """Read a recorded video, a folder of images or one image, frame by frame.
+
+    Every frame gives depth, contact area, normal force with its 95 % interval (contact of an
+    elastic layer) and marker displacements, as far as the profile's blocks allow. Writes
+    `readings.csv`, `readings.json` and curves over the frames, `readings.png`. Frames that cannot be read are rows
+    with the reason. After an interrupt the same command goes on where it stopped.
+    """
+
+    profile: Positional[Path]
+    """Profile folder of this sensor."""
+    source: Positional[Path]
+    """A video, a folder of images in natural order, such as those of a rosbag, or one image."""
+    out: Path
+    """Folder to write."""
+    background: Path | None = None
+    """Image of the untouched sensor, if newer than the profile's."""
+    json: bool = False
+    """Print the rows as JSON."""
+
+    def run(self) -> None:
+        import numpy as np
+
+        from taccel_lab.calibration.live.reader import LiveReader
+        from taccel_lab.calibration.live.recorded import Recorded, read_recorded
+        from taccel_lab.cli.console import notes, print_json, results
+        from taccel_lab.files.images import read_image
+        from taccel_lab.files.output_folder import require_replaceable
+        from taccel_lab.files.regular_file import file_sha256
+        from taccel_lab.processes.start_warp import start_warp
+        from taccel_lab.profile import load_profile
+        from taccel_lab.version import __version__
+
+        start_warp()
+        require_replaceable(self.out)
+        profile = load_profile(self.profile)
+        recorded = Recorded.of(self.source)
+        given = None if self.background is None else read_image(self.background)
+        untouched = profile.untouched(given, str(self.background))
+        reader = LiveReader(profile, untouched.astype(np.float32), detail=1, sigma_every=1)
+        recipe = {
+            "version": __version__,
+            "profile": file_sha256(self.profile / "profile.toml"),
+            "source": [str(self.source), recorded.count, [path.name for path in recorded.images]],
+            "background": None if self.background is None else file_sha256(self.background),
+        }
+        console = notes()
+
+        def told(task: str, done: int, total: int) -> None:
+            if done % 50 == 0 or done == total:
+                console.print(f"{task}: {done} of {total}")
+
+        rows = read_recorded(recorded, reader, self.out, recipe, told)
+        if self.json:
+            print_json({"out": str(self.out), "frames": rows})
+            return
+        forces = [row["force_n"] for row in rows if row.get("force_n") is not None]
+        depths = [row["depth_mm"] for row in rows if row.get("depth_mm") is not None]
+        refused = sum(bool(row["refused"]) for row in rows)
+        said = f"{len(rows)} frames, {refused} refused"
+        said += f", up to {max(depths):.3f} mm" if depths else ""
+        said += f" and {max(forces):.3g} N" if forces else ""
+        results().print(f"{said}\nwrote {self.out}", soft_wrap=True)

@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forces of surfaces that are known, against closed forms and finite elements."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.pressure.contact_pressure import PressureReader
+from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, press_layer
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.presses.bonded_layer import layer_force_n
+from taccel_lab.profile import SensorProfile
+from taccel_lab.sensors.profile import catalogue_profile
+
+GRID = PixelGrid(160, 120, 0.12, 0.12)
+THICK_MM, NU, PA = 4.0, 0.46, 3e5
+
+
+@pytest.fixture(scope="module")
+def profile() -> SensorProfile:
+    made = catalogue_profile(
+        "flat_pad",
+        {
+            "thickness_mm": THICK_MM,
+            "poisson_ratio": NU,
+            "young_modulus_mpa": 1e-6 * PA,
+            "length_x_mm": 30.0,
+            "length_y_mm": 30.0,
+        },
+    )
+    return made
+
+
+def rise_m(kind: str, radius_mm: float, depth_mm: float) -> np.ndarray:
+    """Face under a tool on the grid of the view, of a finer one [m]."""
+    fine = GRID.resized(320, 240)
+    x, y = np.meshgrid(fine.x_mm(), fine.y_mm())
+    away = np.hypot(x - 1.0, y + 0.5)
+    if kind == "sphere":
+        inside = np.minimum(away, 0.999 * radius_mm)
+        tool = np.where(away < radius_mm, radius_mm - np.sqrt(radius_mm**2 - inside**2), FAR_MM)
+    else:
+        tool = np.where(away <= radius_mm, 0.0, FAR_MM)
+    step = fine.mm_per_px_x, fine.mm_per_px_y
+    found = press_layer(tool, depth_mm, step, BondedLayer(THICK_MM, NU), tolerance=3e-4)
+    return 1e-3 * found.rise_mm.reshape(120, 2, 160, 2).mean(axis=(1, 3))
+
+
+@pytest.mark.parametrize(
+    ("kind", "radius_mm", "depth_mm", "within"),
+    [
+        ("sphere", 4.0, 0.3, 0.03),
+        ("sphere", 4.0, 1.0, 0.03),
+        ("sphere", 2.0, 0.6, 0.03),
+        ("cylinder", 2.0, 0.4, 0.05),
+        ("cylinder", 3.5, 0.8, 0.05),
+    ],
+)
+def test_forces_of_known_faces_are_those_of_the_closed_form(
+    profile: SensorProfile, kind: str, radius_mm: float, depth_mm: float, within: float
+) -> None:
+    found = PressureReader(profile, GRID).read(rise_m(kind, radius_mm, depth_mm))
+    tool = "sphere" if kind == "sphere" else "cylinder"
+    true = float(layer_force_n(tool, np.array(depth_mm), radius_mm, THICK_MM, NU, PA))
+    assert found.force_n == pytest.approx(true, rel=within)
+    assert found.center_mm == pytest.approx((1.0, -0.5), abs=0.05)
+    assert (found.pressure_pa >= 0).all()
+    pixel_m2 = 1e-6 * GRID.mm_per_px_x * GRID.mm_per_px_y
+    assert found.pressure_pa.sum() * pixel_m2 == pytest.approx(found.force_n, rel=0.02)
+    if kind == "cylinder":
+        assert found.contact_mm2 == pytest.approx(np.pi * radius_mm**2, rel=0.15)
+
+
+def test_an_error_as_large_as_stated_leaves_the_force_within_its_interval(
+    profile: SensorProfile,
+) -> None:
+    """Rough and smooth errors of 20 um on a dent of 0.6 mm."""
+    from scipy.ndimage import gaussian_filter
+
+    true_rise = rise_m("sphere", 4.0, 0.6)
+    true = float(layer_force_n("sphere", np.array(0.6), 4.0, THICK_MM, NU, PA))
+    sigma = np.full(true_rise.shape, 2e-5)
+    rng = np.random.default_rng(0)
+    inside = []
+    for smooth in (0, 0, 2, 2, 6, 6, 15, 15):
+        error = gaussian_filter(rng.standard_normal(true_rise.shape), smooth)
+        error *= 2e-5 / error.std()
+        found = PressureReader(profile, GRID).read(true_rise + error, sigma, sigma)
+        assert found.force_n == pytest.approx(true, rel=0.12)
+        assert found.force_interval_n is not None
+        low, high = found.force_interval_n
+        inside.append(low <= true <= high)
+        assert high / low < 1.6
+    assert sum(inside) >= 7
+
+
+def test_unknown_thickness_and_modulus_widen_the_interval(profile: SensorProfile) -> None:
+    rise, sigma = rise_m("sphere", 4.0, 0.6), np.full((120, 160), 1e-5)
+
+    def width(of: SensorProfile) -> float:
+        interval = PressureReader(of, GRID).read(rise, sigma, sigma).force_interval_n
+        assert interval is not None
+        return float(np.log(interval[1] / interval[0]))
+
+    def with_interval(key: str, name: str, interval: tuple[float, float]) -> SensorProfile:
+        block = profile.blocks()[key]
+        told = block.provenance.model_copy(update={"interval": {name: interval}})
+        return replace(profile, **{key: block.model_copy(update={"provenance": told})})
+
+    known = width(profile)
+    assert width(with_interval("gel", "thickness_mm", (3.2, 5.0))) > 1.2 * known
+    modulus = with_interval("material", "young_modulus_pa", (0.8 * PA, 1.25 * PA))
+    assert width(modulus) == pytest.approx(np.hypot(known, 2 * np.log(1.25)), rel=0.02)
+    assert "scale with it" in PressureReader(profile, GRID).read(rise).remarks[0]
+    assert PressureReader(modulus, GRID).read(rise).remarks == ()
+
+
+def test_frames_that_follow_each_other_read_as_they_would_alone(profile: SensorProfile) -> None:
+    reader = PressureReader(profile, GRID)
+    for depth in (0.3, 0.6, 1.0, 0.5):
+        rise = rise_m("sphere", 4.0, depth)
+        alone = PressureReader(profile, GRID).read(rise).force_n
+        assert reader.read(rise).force_n == pytest.approx(alone, rel=0.02)
+    untouched = reader.read(np.zeros((120, 160)))
+    assert untouched.force_n == 0
+    assert untouched.center_mm is None
+
+
+def test_a_contact_that_leaves_the_image_and_a_deep_one_are_said(profile: SensorProfile) -> None:
+    x, y = np.meshgrid(GRID.x_mm(), GRID.y_mm())
+    away2 = (x - 9.0) ** 2 + y**2
+    tool = np.where(away2 < 9.0, 4.0 - np.sqrt(16.0 - np.minimum(away2, 9.0)), FAR_MM)
+    layer = BondedLayer(THICK_MM, NU)
+    rise = 1e-3 * press_layer(tool, 0.6, (0.12, 0.12), layer).rise_mm
+    assert any("border" in text for text in PressureReader(profile, GRID).read(rise).remarks)
+    deep = PressureReader(profile, GRID).read(rise_m("sphere", 4.0, 1.9)).remarks
+    assert any("of its thickness" in text for text in deep)
+
+
+def test_a_dome_is_refused() -> None:
+    dome = catalogue_profile("digit_360", {})
+    with pytest.raises(InputError, match="dome"):
+        PressureReader(dome, dome.grid())
