@@ -23,7 +23,6 @@ from taccel_lab.presses import Indenter, PressEnv
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.scene import Material, MaterialField, MaterialModel
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
-from taccel_lab.solvers.sensitivity import elastic_power, groups_of, node_rates
 
 wp.set_module_options({"enable_backward": False})
 
@@ -90,10 +89,9 @@ class GelPresses(PressEnv):
             config=config,
             device=device,
         )
-        self._whole = self.model.elastic
-        self._split = not alike
-        if self._split:
-            self.model.elastic = self._groups(materials)
+        if not alike:
+            whole = self.model.elastic
+            self.model.elastic = [g for part in whole for g in split_by_modulus(part, materials)]
             self.solver = SolverIPC(self.model, self.solver.config)
         if not one_friction:
             pad, tool = (body.name for body in self.model.bodies)
@@ -110,37 +108,6 @@ class GelPresses(PressEnv):
             np.zeros(len(stops)),
             stay,
         )
-
-    def force_slopes(self, steps: Sequence[MaterialStep]) -> np.ndarray:
-        """How the force against the motion downwards [N] changes with parameters of the material at
-        the depth where the tools are, shape [env, step]. Without friction only.
-
-        One linear solve serves all parameters, see ``taccel_lab.solvers.sensitivity``.
-        """
-        down = np.tile([0.0, 0.0, -1.0], (len(self.at_m), 1, 1))
-        rates = node_rates(self.solver, self.state, down)
-
-        def power(materials: Sequence[Material | MaterialField]) -> np.ndarray:
-            return elastic_power(self.solver, self.state, rates, self._groups(materials))
-
-        slopes = [(power(s.after) - power(s.before)) / np.array(s.difference) for s in steps]
-        return np.stack(slopes, axis=1)
-
-    def _groups(self, materials: Sequence[Material | MaterialField]) -> list[ElementArrays]:
-        """The elements of this scene with other moduli, one material an environment."""
-        if not self._split:
-            return groups_of(self._whole, materials[:1])
-        return [part for group in self._whole for part in split_by_modulus(group, materials)]
-
-
-@dataclass(frozen=True)
-class MaterialStep:
-    """Materials of the environments on both sides of their own, along one parameter."""
-
-    before: Sequence[Material | MaterialField]
-    after: Sequence[Material | MaterialField]
-    difference: Sequence[float]
-    """Of the parameter in each environment."""
 
 
 def split_by_modulus(

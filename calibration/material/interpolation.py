@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Smooth functions of two parameters of the gel and of a way of the tool, through simulated values.
 
-Over the parameters they are Chebyshev polynomials, along the way (the depth) cubic splines. Where
-only values are known at m x n nodes, the polynomials are P_m x P_n (of degree below m and n). A
-slope at each node along one axis doubles the degrees there: P_m x P_2n + P_2m x P_n holds exactly
-as many polynomials as there are values and slopes along both axes, and one that is zero in all of
-them is zero (Hermite along one, Lagrange along the other).
+Over the parameters they are Chebyshev polynomials through the values at the nodes, along the way
+(the depth) cubic splines.
 """
 
 from __future__ import annotations
@@ -15,6 +12,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebvander
 from scipy.interpolate import CubicSpline
 
 
@@ -84,31 +82,14 @@ class ResponseTable:
 
     @classmethod
     def through(
-        cls,
-        first: Axis,
-        second: Axis,
-        way: np.ndarray,
-        values: np.ndarray,
-        slopes: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
+        cls, first: Axis, second: Axis, way: np.ndarray, values: np.ndarray
     ) -> ResponseTable:
-        """The table through values at the nodes, shape [first, second, ..., knot].
-
-        ``slopes`` are derivatives of the values by the first and by the second parameter, where
-        they are known.
-        """
-        m, n = values.shape[:2]
-        nodes = [[axis.place(v) for v in axis.nodes(c)] for axis, c in ((first, m), (second, n))]
-        flat = values.reshape(m, n, -1)
-        scaled = []
-        for axis, found in enumerate(slopes):
-            if found is not None:
-                per = np.array([by for _, by in nodes[axis]])
-                per = per[:, None, None] if axis == 0 else per[None, :, None]
-                found = found.reshape(flat.shape) / per
-            scaled.append(found)
-        places = [np.array([z for z, _ in each]) for each in nodes]
-        found = fit_surface(places[0], places[1], flat, *scaled)
-        return cls(first, second, way, found.reshape(*found.shape[:2], *values.shape[2:]))
+        """The table through values at the nodes, shape [first, second, ..., knot]."""
+        one, two = (
+            np.linalg.inv(chebvander([axis.place(v)[0] for v in axis.nodes(count)], count - 1))
+            for axis, count in zip((first, second), values.shape[:2], strict=True)
+        )
+        return cls(first, second, way, np.einsum("im,jn,mn...->ij...", one, two, values))
 
     def __post_init__(self) -> None:
         spline = CubicSpline(self.way, self.coefficients, axis=-1)
@@ -147,46 +128,3 @@ def chebyshev_basis(z: float, count: int) -> tuple[np.ndarray, np.ndarray]:
         value.append(2 * z * value[-1] - value[-2])
         slope.append(2 * value[-2] + 2 * z * slope[-1] - slope[-2])
     return np.array(value[:count]), np.array(slope[:count])
-
-
-def fit_surface(
-    first: np.ndarray,
-    second: np.ndarray,
-    values: np.ndarray,
-    first_slopes: np.ndarray | None = None,
-    second_slopes: np.ndarray | None = None,
-) -> np.ndarray:
-    """Chebyshev coefficients of the polynomial through values, and slopes where they are given.
-
-    Args:
-        first: Nodes of the first parameter in -1..1, shape [m].
-        second: Of the second one, shape [n].
-        values: Shape [m, n, item].
-        first_slopes: Derivatives by the first parameter, shape [m, n, item].
-        second_slopes: By the second one.
-
-    Returns:
-        Shape [m or 2 m, n or 2 n, item]; zero where the polynomial has no term.
-    """
-    m, n = len(first), len(second)
-    rows = m if first_slopes is None else 2 * m
-    columns = n if second_slopes is None else 2 * n
-    terms = [(j, i) for j in range(rows) for i in range(columns) if j < m or i < n]
-    equations, right = [], []
-    for a, x in enumerate(first):
-        for b, y in enumerate(second):
-            at_x, by_x = chebyshev_basis(float(x), rows)
-            at_y, by_y = chebyshev_basis(float(y), columns)
-            equations.append([at_x[j] * at_y[i] for j, i in terms])
-            right.append(values[a, b])
-            if first_slopes is not None:
-                equations.append([by_x[j] * at_y[i] for j, i in terms])
-                right.append(first_slopes[a, b])
-            if second_slopes is not None:
-                equations.append([at_x[j] * by_y[i] for j, i in terms])
-                right.append(second_slopes[a, b])
-    found = np.linalg.solve(np.array(equations), np.array(right))
-    result = np.zeros((rows, columns, values.shape[2]))
-    for term, row in zip(terms, found, strict=True):
-        result[term] = row
-    return result

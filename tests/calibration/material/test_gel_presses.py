@@ -13,7 +13,6 @@ import pytest
 
 from taccel_lab.calibration.material.gel_presses import (
     GelPresses,
-    MaterialStep,
     Stop,
 )
 from taccel_lab.calibration.material.press_plans import PressPlan, follow, prepare, simulate
@@ -60,24 +59,6 @@ def test_gels_of_unlike_moduli_in_one_scene_are_those_of_scenes_of_their_own(
         np.testing.assert_allclose(together[i, 2], alone[0, 2], rtol=1e-7)
     # With the moduli of the other they are another gel.
     assert abs(moved(press(materials[1:], (0.0,)), [Stop(0.3)])[0, 2] / together[0, 2] - 1) > 0.05
-
-
-def test_slopes_of_gels_in_one_scene_are_those_of_scenes_of_their_own() -> None:
-    gels = [Material(1e6, nu) for nu in (0.49, 0.4)]
-
-    def step(nus: Sequence[float]) -> MaterialStep:
-        sides = [[Material(1e6, nu + s * 1e-6) for nu in nus] for s in (-1, 1)]
-        return MaterialStep(sides[0], sides[1], [2e-6] * len(nus))
-
-    env = press(gels, (0.0, 0.0))
-    moved(env, [Stop(0.4)] * 2)
-    together = env.force_slopes([step((0.49, 0.4))])
-    assert together.shape == (2, 1)
-    for i, nu in enumerate((0.49, 0.4)):
-        single = press(gels[i : i + 1], (0.0,))
-        moved(single, [Stop(0.4)])
-        np.testing.assert_allclose(single.force_slopes([step((nu,))])[0], together[i], rtol=1e-5)
-    assert together[0, 0] > 2 * together[1, 0] > 0
 
 
 def test_coefficients_of_friction_and_ways_differ_by_environment() -> None:
