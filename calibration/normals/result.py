@@ -33,8 +33,6 @@ class NormalCalibration(ResultSummary):
     """Held-out presses that could not be read, and why: they count as a flat guess."""
     split: PressSplit | None
     """How the held-out presses were chosen; None where there are none."""
-    baseline_deg: float | None
-    """Mean held-out error of the single-pixel baseline in the circles as used [degrees]."""
     reliability: Reliability | None
     practised: PracticeScore | None
     """Heights of practice presses that the networks never saw; None without practice."""
@@ -96,7 +94,6 @@ class NormalCalibration(ResultSummary):
             "heldout": held,
             "split": None if self.split is None else self.split.figures(),
             "failures": self.failures,
-            "pixel_baseline_deg": self.baseline_deg,
             "reliability": None if self.reliability is None else asdict(self.reliability),
             "practice": None if self.practised is None else asdict(self.practised),
             "gel_thickness": None if self.gel is None else self.gel.figures(),
@@ -165,7 +162,7 @@ class NormalCalibration(ResultSummary):
                 f"of {', '.join(f'{s:g}' for s in config.scales_px)} px and position"
                 + f" in {config.position_bands} bands"
                 * (config.position_bands > 0)
-                + f"; {options.steps} Adam steps, stopped on left-out presses; practice on "
+                + f"; {options.steps} Muon steps, stopped on left-out presses; practice on "
                 f"{options.practice if self.practised else 0} other presses; circles: "
                 f"{self.circles}; sink-in: {self.surfaces}; light drift "
                 + ("taken off" if config.light_drift else "left in")
