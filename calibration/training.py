@@ -149,7 +149,7 @@ def descend(
         value = loss()
         optimizer.zero_grad()
         value.backward()
-        hidden.step(schedule.get_last_lr()[0])
+        hidden.step(float(schedule.get_last_lr()[0]))
         optimizer.step()
         schedule.step()
         after_step(step, value)
