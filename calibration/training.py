@@ -5,10 +5,6 @@ Adam with a learning rate that rises and falls once (L. N. Smith, N. Topin, Supe
 torch's ``OneCycleLR``), on one thread: batches are small, and sums then do not depend on the
 machine. Layers are pairs of weight and bias, with members of an ensemble along the first axis or
 without one.
-
-Hidden layers may be turned instead: each step of their weights is the nearest orthogonal matrix to
-its momentum (K. Jordan et al., Muon, 2024), as large as a step of Adam (J. Liu et al., Muon is
-scalable for LLM training, 2025). The networks of normals then need 800 steps for what takes 2,000.
 """
 
 from __future__ import annotations
@@ -21,12 +17,6 @@ import numpy as np
 import torch
 
 Layers = Sequence[tuple[torch.Tensor, torch.Tensor]]
-MOMENTUM = 0.95
-ADAM_SIZE = 0.2
-"""Root mean square of Adam's steps over its learning rate, as it is found in training."""
-QUINTIC = (3.4445, -4.7750, 2.0315)
-"""Coefficients of the iteration that brings singular values near one."""
-QUINTIC_ROUNDS = 5
 LEAST_SCHEDULE = 11
 """Steps that the learning rate is planned for at least."""
 
@@ -82,35 +72,6 @@ def arrays_of(shapes: Mapping[str, tuple[int, ...]], layers: Layers) -> dict[str
     }
 
 
-def nearly_orthogonal(matrices: torch.Tensor) -> torch.Tensor:
-    """Matrices with the singular vectors of those given and values of 0.7 to 1.2, [..., m, n]."""
-    wide = matrices if matrices.shape[-2] <= matrices.shape[-1] else matrices.mT
-    found = wide / (wide.norm(dim=(-2, -1), keepdim=True) + 1e-7)
-    a, b, c = QUINTIC
-    for _ in range(QUINTIC_ROUNDS):
-        square = found @ found.mT
-        found = a * found + (b * square + c * square @ square) @ found
-    return found if wide is matrices else found.mT
-
-
-class _Turned:
-    """Steps of hidden weights along orthogonal matrices."""
-
-    def __init__(self, weights: Sequence[torch.Tensor]) -> None:
-        self.weights = weights
-        self.momenta = [torch.zeros_like(weight) for weight in weights]
-
-    def step(self, learning_rate: float) -> None:
-        for weight, momentum in zip(self.weights, self.momenta, strict=True):
-            assert weight.grad is not None
-            with torch.no_grad():
-                momentum.lerp_(weight.grad, 1 - MOMENTUM)
-                ahead = weight.grad.lerp(momentum, MOMENTUM)
-                size = ADAM_SIZE * max(weight.shape[-2:]) ** 0.5
-                weight.sub_(nearly_orthogonal(ahead), alpha=learning_rate * size)
-            weight.grad = None
-
-
 def descend(
     layers: Layers,
     loss: Callable[[], torch.Tensor],
@@ -119,7 +80,6 @@ def descend(
     steps: int,
     learning_rate: float,
     warm_up: float,
-    turned: bool = False,
     keeper: Keeper | None = None,
 ) -> None:
     """Lower ``loss`` over the layers' values.
@@ -131,14 +91,10 @@ def descend(
         steps: Number of steps.
         learning_rate: Its peak.
         warm_up: Share of the steps in which it rises.
-        turned: Whether hidden weights step along orthogonal matrices; not with ``keeper``, which
-            would lose their momentum.
         keeper: Goes on with what was kept of an interrupted training, and keeps this one.
     """
-    hidden = _Turned([weight for weight, _ in layers[:-1]] if turned else [])
-    others = [layer[1:] for layer in layers[:-1]] + [layers[-1]] if turned else layers
     optimizer = torch.optim.Adam(
-        [tensor for layer in others for tensor in layer], lr=learning_rate, fused=True
+        [tensor for layer in layers for tensor in layer], lr=learning_rate, fused=True
     )
     # A rise of a single step divides by zero in torch.
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -149,7 +105,6 @@ def descend(
         value = loss()
         optimizer.zero_grad()
         value.backward()
-        hidden.step(float(schedule.get_last_lr()[0]))
         optimizer.step()
         schedule.step()
         after_step(step, value)

@@ -271,7 +271,7 @@ class _Training:
 
         descend(
             self.layers, loss, after_step,
-            steps=options.steps, learning_rate=options.learning_rate, warm_up=WARM_UP, turned=True,
+            steps=options.steps, learning_rate=options.learning_rate, warm_up=WARM_UP,
         )  # fmt: skip
 
     def _draw(self, pool: torch.Tensor) -> torch.Tensor:

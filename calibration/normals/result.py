@@ -162,7 +162,7 @@ class NormalCalibration(ResultSummary):
                 f"of {', '.join(f'{s:g}' for s in config.scales_px)} px and position"
                 + f" in {config.position_bands} bands"
                 * (config.position_bands > 0)
-                + f"; {options.steps} Muon steps, stopped on left-out presses; practice on "
+                + f"; {options.steps} Adam steps, stopped on left-out presses; practice on "
                 f"{options.practice if self.practised else 0} other presses; circles: "
                 f"{self.circles}; sink-in: {self.surfaces}; light drift "
                 + ("taken off" if config.light_drift else "left in")
