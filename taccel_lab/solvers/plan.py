@@ -56,7 +56,6 @@ def make_plan(solver: SolverParts) -> Plan:
     bonded = model.soft_count + 4 * model.affine.count - model.free_count - carried
     mounted = [b.name for b in scene.soft_bodies if b.mount is not None and not scene.carrier(b)]
     stiff = len(jobs.node_target) + len(jobs.face_target) + len(jobs.edge_target)
-    gate_count = solver.candidates.gate_count
     selves = [model.bodies[i].name for i, j in jobs.pairs if i == j]
     groups = ", ".join(
         f"{_count(group.element_count, 'tets')} ({group.law}, {group.element})"
@@ -109,13 +108,6 @@ def make_plan(solver: SolverParts) -> Plan:
             "planes",
             len(jobs.node_plane) > 0,
             _count(len(jobs.node_plane), "nodes") if len(jobs.node_plane) else "no plane",
-        ),
-        (
-            "gates of held faces",
-            gate_count > 0,
-            f"{_count(gate_count, 'pairs')} of a held surface and a body, searched when near"
-            if gate_count
-            else "no held surface that a stiff body may touch",
         ),
         (
             "search among soft bodies",

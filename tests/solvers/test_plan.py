@@ -45,15 +45,14 @@ CUBE = AffineBody(box_mesh((1e-3,) * 3), initial_pose=pose(0, 0, 6e-4))
         (Scene(SoftBody(MESH, GEL, element=Element.LINEAR)), {"elasticity"}),
         (
             Scene(SoftBody(MESH, GEL, element=Element.LINEAR), KinematicBody(Ball(1e-3))),
-            {"elasticity", "prescribed motion", "search of balls", "gates of held faces"},
+            {"elasticity", "prescribed motion", "search of balls"},
         ),
         (
             Scene(
                 SoftBody(MESH, GEL, element=Element.LINEAR),
                 KinematicBody(box_mesh((1e-3,) * 3), 0.5),
             ),
-            {"elasticity", "prescribed motion", "search in body frames", "friction"}
-            | {"gates of held faces"},
+            {"elasticity", "prescribed motion", "search in body frames", "friction"},
         ),
         (
             Scene(SoftBody(MESH, GEL, self_contact=True, element=Element.LINEAR)),

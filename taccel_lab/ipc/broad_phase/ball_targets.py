@@ -15,8 +15,6 @@ wp.set_module_options({"enable_backward": False})
 def _ball_face_kernel(
     active: wp.array(dtype=wp.int32),
     jobs: wp.array(dtype=wp.vec2i),
-    job_gates: wp.array(dtype=wp.int32),
-    are_open: wp.array2d(dtype=wp.int32),
     node_bodies: wp.array(dtype=wp.int32),
     node_radii: wp.array(dtype=wp.float64),
     present: wp.array2d(dtype=wp.int32),
@@ -33,10 +31,6 @@ def _ball_face_kernel(
     face = faces[jobs[i][1]]
     if active[env] == 0 or present[env, node_bodies[ball]] == 0:
         return
-    gate = job_gates[i]
-    if gate >= 0:
-        if are_open[env, gate] == 0:
-            return
     if present[env, node_bodies[face[0]]] == 0:
         return
     centre = positions[env, ball]

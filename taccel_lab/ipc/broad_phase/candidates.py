@@ -14,7 +14,6 @@ from typing import ClassVar
 import warp as wp
 
 from taccel_lab.ipc.broad_phase.ball_targets import BALL_JOBS
-from taccel_lab.ipc.broad_phase.held_patches import HeldPatches
 from taccel_lab.ipc.broad_phase.soft_targets import SoftTrees
 from taccel_lab.ipc.broad_phase.stiff_targets import (
     make_frames,
@@ -57,25 +56,9 @@ class Candidates:
         """(edge, edge) pairs."""
         self._soft = SoftTrees(model) if soft else None
         self._needs_frames = faces > len(plan.ball_face) or len(plan.edge_target) > 0
-        self._patches = HeldPatches(model)
-        self._stiff = stiff_search(model, self._patches)
-        self._ball_gates = self._gates_of_balls()
+        self._stiff = stiff_search(model)
         self._frames = make_frames(model)
         self._reach = wp.zeros(env_count, dtype=wp.float64, device=device)
-
-    def _gates_of_balls(self) -> wp.array:
-        """Gate of each job of a ball, int32, shape [job_count]."""
-        model = self.model
-        jobs = model.contact_plan.ball_face.numpy().reshape(-1, 2)
-        corners = model.surface.faces.numpy()[jobs[:, 1]]
-        balls = model.surface.node_bodies.numpy()[jobs[:, 0]]
-        gates = self._patches.gates_of(corners, balls)
-        return wp.array(gates, dtype=wp.int32, device=model.device)
-
-    @property
-    def gate_count(self) -> int:
-        """Pairs of a held surface and a stiff body, see ``held_patches``."""
-        return self._patches.are_open.shape[1]
 
     @property
     def lists(self) -> list[PairList]:
@@ -139,16 +122,14 @@ class Candidates:
         node_face = [self.node_faces.room, self.node_faces.pairs]
         edge_edge = [self.edge_edges.room, self.edge_edges.pairs]
         path = [margins, positions, displacements]
-        self._patches.update(active, margins, positions, displacements, self._frames)
-        are_open = self._patches.are_open
-        run_search(self._stiff, model, active, path, self._frames, are_open, node_face + edge_edge)
+        run_search(self._stiff, model, active, path, self._frames, node_face + edge_edge)
         balls = model.contact_plan.ball_face
         if len(balls):
             wp.launch(
                 BALL_JOBS,
                 dim=(model.env_count, len(balls)),
-                inputs=[active, balls, self._ball_gates, are_open, surface.node_bodies]
-                + [surface.node_radii, model.present, surface.faces, *path],
+                inputs=[active, balls, surface.node_bodies, surface.node_radii, model.present]
+                + [surface.faces, *path],
                 outputs=node_face,
                 device=model.device,
             )

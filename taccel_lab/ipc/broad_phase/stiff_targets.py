@@ -24,7 +24,6 @@ from taccel_lab.ipc.broad_phase.boxes import (
     rounded_out,
     widened_margin,
 )
-from taccel_lab.ipc.broad_phase.held_patches import HeldPatches
 from taccel_lab.ipc.device.launches import launch
 from taccel_lab.ipc.device.ragged_lists import ListRoom
 from taccel_lab.model import Model
@@ -62,12 +61,10 @@ class StiffSearch:
     """(primitive, frame, what), vec3i, shape [job_count]."""
     nodes: wp.array
     """Nodes of the primitive of each job, repeated where it has fewer, vec3i, [job_count]."""
-    gates: wp.array
-    """Gate of each job, see ``held_patches``, int32, shape [job_count]."""
     trees: TargetTrees
 
 
-def stiff_search(model: Model, patches: HeldPatches) -> StiffSearch:
+def stiff_search(model: Model) -> StiffSearch:
     """Nodes and faces against faces and vertices, edges against edges, as the plan says."""
     plan, surface = model.contact_plan, model.surface
     bodies = [model.bodies[target.body] for target in model.targets]
@@ -90,7 +87,6 @@ def stiff_search(model: Model, patches: HeldPatches) -> StiffSearch:
     trees.bodies = put(targets, wp.int32)
     faces, edges = surface.faces.numpy(), surface.edges.numpy()
     jobs, nodes = [np.zeros((0, 3), dtype=np.int32)], [np.zeros((0, 3), dtype=np.int32)]
-    gates = [np.zeros(0, dtype=np.int32)]
     for what, pairs, corners in (
         (NODE_FACE, plan.node_target, lambda i: np.stack([i, i, i], axis=1)),
         (FACE_VERTEX, plan.face_target, lambda i: faces[i]),
@@ -99,11 +95,9 @@ def stiff_search(model: Model, patches: HeldPatches) -> StiffSearch:
         found = pairs.numpy().reshape(-1, 2)
         jobs.append(np.column_stack([found, np.full(len(found), what)]))
         nodes.append(corners(found[:, 0]).reshape(-1, 3))
-        gates.append(patches.gates_of(nodes[-1], targets[found[:, 1]]))
     return StiffSearch(
         put(np.concatenate(jobs).astype(np.int32), wp.vec3i),
         put(np.concatenate(nodes).astype(np.int32), wp.vec3i),
-        put(np.concatenate(gates), wp.int32),
         trees,
     )
 
@@ -222,8 +216,6 @@ def _search_kernel(
     active: wp.array(dtype=wp.int32),
     jobs: wp.array(dtype=wp.vec3i),
     job_nodes: wp.array(dtype=wp.vec3i),
-    job_gates: wp.array(dtype=wp.int32),
-    are_open: wp.array2d(dtype=wp.int32),
     trees: TargetTrees,
     node_bodies: wp.array(dtype=wp.int32),
     present: wp.array2d(dtype=wp.int32),
@@ -244,10 +236,6 @@ def _search_kernel(
     nodes = job_nodes[i]
     if active[env] == 0:
         return
-    gate = job_gates[i]
-    if gate >= 0:
-        if are_open[env, gate] == 0:
-            return
     if is_absent(env, nodes[0], trees.bodies[frame], node_bodies, present):
         return
     low = wp.vec3d(_BIG, _BIG, _BIG)
@@ -281,16 +269,15 @@ def run_search(
     active: wp.array,
     path: list,
     frames: Frames,
-    are_open: wp.array,
     outputs: list,
 ) -> None:
     """Append pairs to ``outputs`` (room, pairs of nodes and faces, then of edges); ``path``:
-    margins, positions, displacements; ``are_open``: the gates of what is held."""
+    margins, positions, displacements."""
     if len(search.jobs):
         launch(
             _search_kernel,
             dim=(model.env_count, len(search.jobs)),
-            inputs=[active, search.jobs, search.nodes, search.gates, are_open, search.trees]
+            inputs=[active, search.jobs, search.nodes, search.trees]
             + [model.surface.node_bodies, model.present, *path, frames],
             outputs=outputs,
             device=model.device,

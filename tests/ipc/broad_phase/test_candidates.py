@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The broad phase against all pairs: no pair that comes within the margin may be missing.
 
-The broad phase against all pairs: no pair that comes within the margin may be missing.
-
 Pairs that are kept hold every pair that a search would find.
 """
 
@@ -17,7 +15,6 @@ from hypothesis import strategies as st
 
 from taccel_lab.bodies.primitives import unique_edges
 from taccel_lab.ipc.broad_phase.candidates import Candidates
-from taccel_lab.ipc.broad_phase.held_patches import hull_corners
 from taccel_lab.ipc.broad_phase.kept_pairs import KeptPairs
 from taccel_lab.ipc.contact.gaps import edge_edge_distances, point_triangle_distances
 from taccel_lab.model import Model
@@ -174,29 +171,6 @@ def test_pairs_far_away_are_left_out() -> None:
     away = wp.array(far, dtype=wp.transformd)
     candidates.update(wp.array([1], dtype=wp.int32), y, still, away, away, 1e-4)
     assert [part.counts.numpy()[0] for part in candidates.lists] == [0, 0]
-
-
-def test_corners_hold_a_patch() -> None:
-    """Whatever its shape: the box of the corners, widened by the slack, is that of all points."""
-    rng = np.random.default_rng(0)
-    flat = np.column_stack([rng.uniform(-1, 1, (50, 2)), np.zeros(50)])
-    patches = [
-        rng.normal(size=(50, 3)),
-        flat,
-        flat + 1e-8 * rng.normal(size=flat.shape),
-        np.outer(np.linspace(0, 1, 9), [1.0, 2.0, 3.0]),
-        np.zeros((3, 3)),
-        np.eye(3)[:2],
-    ]
-    for points in patches:
-        turned = 1e-3 * points @ np.linalg.qr(rng.normal(size=(3, 3)))[0] + rng.normal(size=3)
-        corners, slack = hull_corners(turned)
-        held = turned[corners]
-        assert (turned.min(axis=0) >= held.min(axis=0) - slack).all()
-        assert (turned.max(axis=0) <= held.max(axis=0) + slack).all()
-        assert slack < 1e-9
-    assert len(hull_corners(flat)[0]) < 20
-    assert len(hull_corners(patches[3])[0]) == 2
 
 
 def test_a_turn_in_one_environment_leaves_the_others_as_alone() -> None:
