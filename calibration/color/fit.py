@@ -19,7 +19,6 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.color.evaluate import ImageScore, score_image
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.folds import FoldResult, fold_fits
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.heldout import (
     HeldoutFailure,
@@ -38,7 +37,7 @@ from taccel_lab.calibration.color.network_fit import ColorFit, fit_color_model
 from taccel_lab.calibration.color.options import ColorOptions, ColorTraining
 from taccel_lab.calibration.color.registration import MIN_PRESSES, Registration, register_presses
 from taccel_lab.calibration.color.remarks import color_remarks
-from taccel_lab.calibration.color.result import ColorCalibration, PressScore, Spread
+from taccel_lab.calibration.color.result import ColorCalibration, PressScore
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode
@@ -53,10 +52,7 @@ from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.color_model import STEEPEST, ColorModel
 from taccel_lab.signals.rest_surface import rest_surface
-from taccel_lab.signals.tactile_image import tactile_image
 
-SPREAD_PIXELS = 2000
-"""Pixels of each press at which the fits' disagreement is taken."""
 COMPARING = "comparing the light of the frames"
 REGISTERING = "reading the circles again with the colours"
 SCORING = "scoring the held-out presses"
@@ -81,8 +77,6 @@ def calibrate_color(
     Raises:
         InputError: Captures that no model can be fitted to, with what their check found.
     """
-    if options.ensemble == 1 or options.ensemble < 0:
-        raise InputError(f"ensemble must be 0 or at least 2, got {options.ensemble}")
     settings = ColorFitOptions(
         **{item.name: getattr(options, item.name) for item in fields(ColorTraining)}
     )
@@ -101,7 +95,6 @@ def calibrate_color(
         options=settings,
         drift=options.drift,
         register=options.register,
-        folds=min(options.ensemble, len(presses.training.presses)),
         table=options.table,
         remarks=(*presses.lost, *findings, *presses.remarks),
         progress=progress,
@@ -118,7 +111,6 @@ def fit_color(
     options: ColorFitOptions = ColorFitOptions(),
     drift: DriftMode | None = None,
     register: bool = False,
-    folds: int = 0,
     table: bool = False,
     remarks: Sequence[Remark] = (),
     progress: Progress = silent,
@@ -133,7 +125,6 @@ def fit_color(
         options: Settings of the fit.
         drift: Whether drift is taken off (``DriftChoice``); None leaves it to ``options``.
         register: Read the training circles again with the colours of the other training presses.
-        folds: Fits that leave training presses out: their spread; 0 for none.
         table: Fit Taxim's table too, as a baseline and for export.
         remarks: What is known of the captures already.
         progress: Told what is done.
@@ -154,7 +145,7 @@ def fit_color(
         ColorFrame(press.name, press.image(), circle, surface, press.sha256)
         for press, circle, surface in zip(captures.presses, circles, surfaces, strict=True)
     ]
-    found = _Fitting(captures, frames, options, progress, drift, register, folds, table)
+    found = _Fitting(captures, frames, options, progress, drift, register, table)
     result = found.run(surfaces, heldout)
     return replace(result, remarks=(*remarks, *color_remarks(result)))
 
@@ -169,7 +160,6 @@ class _Fitting:
     progress: Progress
     drift: DriftMode | None
     register: bool
-    folds: int
     table: bool
     drift_choice: DriftChoice | None = None
     registration: Registration | None = None
@@ -191,12 +181,6 @@ class _Fitting:
         fit = fit_color_model(
             self.frames, captures.background, grid, self.options, mask=mask, progress=self.progress
         )
-        found: FoldResult | None = None
-        if self.folds > 1:
-            found = fold_fits(
-                self.frames, captures.background, grid, self.options, folds=self.folds,
-                mask=mask, progress=self.progress,
-            )  # fmt: skip
         table = None
         if self.table:
             table = fit_taxim_table(self.frames, fit.background, fit.drifts, grid, mask=mask)
@@ -214,7 +198,6 @@ class _Fitting:
             split=None if heldout is None else heldout.split,
             label_shift=shift,
             noise_floor_l1=self._noise_floor(),
-            validated=[] if found is None else self._validated(found),
             captures=captures,
             surface_provider=", ".join(sorted({surface.provider for surface in surfaces})),
             valid_region=_valid_region(self.frames, fit.model),
@@ -222,7 +205,6 @@ class _Fitting:
             start_circles=tuple(start),
             drift_choice=self.drift_choice,
             registration=self.registration,
-            spread=None if found is None else self._spread(found),
             table=table,
             table_scores=[] if table is None else self._table_scores(table, fit, held),
         )
@@ -267,17 +249,6 @@ class _Fitting:
             for frame, circle, surface in zip(frames, circles, surfaces, strict=True)
         ]
 
-    def _validated(self, found: FoldResult) -> list[PressScore]:
-        """Training presses by fits without them, in the circles that the colours gave them."""
-        scores = []
-        for i, frame in enumerate(self.frames):
-            fit, surface = found.fit_without(i), frame.surface
-            rendered = tactile_image(fit.model, fit.background, surface)
-            given = self.captures.presses[i].circle or frame.circle
-            score = self._in_its_light(rendered, frame.image, frame.circle, given, fit)
-            scores.append(PressScore(frame.name, score))
-        return scores
-
     def _table_scores(
         self, table: TaximTable, fit: ColorFit, held: Sequence[HeldoutPress]
     ) -> list[PressScore]:
@@ -312,19 +283,6 @@ class _Fitting:
             drift = fit_light_beside(captured, fit.background, circle, grid, self.captures.mask)
             rendered = np.clip(drift.apply(rendered), 0.0, 255.0)
         return score_image(rendered, captured, figures_in, grid, pixels)
-
-    def _spread(self, found: FoldResult) -> Spread:
-        """Disagreement of the fits inside and outside the contacts."""
-        grid = self.captures.grid
-        inside, beside = [], []
-        for frame in self.frames:
-            away = frame.circle.distance_px(grid) / frame.circle.radius_px
-            for region, kept in ((away <= 1, inside), ((away > 1) & (away <= 2), beside)):
-                idx = np.flatnonzero(region & self.captures.mask)
-                idx = idx[:: max(1, len(idx) // SPREAD_PIXELS)]
-                if len(idx):
-                    kept.append(found.spread_levels(frame, idx).mean())
-        return Spread(float(np.mean(inside)), float(np.mean(beside)), len(found.fits))
 
     def _noise_floor(self) -> float:
         floors = []

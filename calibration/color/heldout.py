@@ -40,7 +40,7 @@ from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
 from taccel_lab.calibration.surfaces.press_surface import PressSurface
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.errors import InputError
-from taccel_lab.signals.tactile_image import tactile_image
+from taccel_lab.signals.tactile_image import tactile_images
 
 Placement = Literal["label", "tiles", "self"]
 PLACEMENTS: tuple[Placement, ...] = ("label", "tiles", "self")
@@ -240,13 +240,18 @@ class _HeldoutScoring:
         even = even_tiles(self.grid, self._ball_px(press))
         frame = ColorFrame(press.name, image, start, surface)
         labelled = press.circle is not None
-        placed: dict[Placement, Placed] = {}
-        if labelled:
-            placed["label"] = self._rendered(frame, drift, figures_in, None)
         on_tiles = self._moved(frame, drift, self.mask & even)
-        placed["tiles"] = self._rendered(on_tiles, drift, figures_in, ~even)
-        on_all = self._moved(frame, drift, self.mask)
-        placed["self"] = self._rendered(on_all, drift, figures_in, None)
+        ways: dict[Placement, ColorFrame] = {"label": frame} if labelled else {}
+        ways |= {"tiles": on_tiles, "self": self._moved(frame, drift, self.mask)}
+        renders = tactile_images(
+            self.fit.model, self.fit.background, [way.surface for way in ways.values()]
+        )
+        placed: dict[Placement, Placed] = {}
+        for (name, way), rendered in zip(ways.items(), renders, strict=True):
+            shown = np.clip(drift.apply(rendered), 0.0, 255.0)
+            pixels = ~even if name == "tiles" else None
+            score = score_image(shown, image, figures_in, self.grid, pixels)
+            placed[name] = Placed(way.circle, rendered, shown, score)
         return HeldoutPress(
             press.name, image, figures_in, placed,
             surface if labelled else on_tiles.surface, None if labelled else ~even, bare,
@@ -259,15 +264,3 @@ class _HeldoutScoring:
         )
         (surface,) = moved_surfaces([frame.surface], [frame.circle], [circle], self.library)
         return replace(frame, circle=circle, surface=surface)
-
-    def _rendered(
-        self,
-        frame: ColorFrame,
-        drift: Light,
-        figures_in: ContactCircle,
-        pixels: np.ndarray | None,
-    ) -> Placed:
-        rendered = tactile_image(self.fit.model, self.fit.background, frame.surface)
-        shown = np.clip(drift.apply(rendered), 0.0, 255.0)
-        score = score_image(shown, frame.image, figures_in, self.grid, pixels)
-        return Placed(frame.circle, rendered, shown, score)

@@ -16,7 +16,7 @@ class ColorTraining:
     position_bands: int = 0
     """Bands of the positional encoding: sines and cosines of the pixel's position, for light
     that changes within parts of the image. 0 to 8; 0 gives the network the position alone."""
-    steps: int = 2000
+    steps: int = 1000
     """Optimiser steps of the fit."""
     batch_pixels: int = 1024
     """Batch size in pixels; it sets the time of a fit."""
@@ -30,16 +30,13 @@ class ColorOptions(ColorTraining, BallPressOptions):
 
     register: bool = True
     """Whether to read the circles again with the colours of the other fitted presses, if there
-    are 8."""
+    are 8; their fits name captures that are off, too."""
     cache: bool = True
     """Whether to use the user's cache folder for contacts."""
     drift: DriftMode = "auto"
     """Remove the drift of the light from each frame: on for cameras with automatic white
     balance. auto does so if it removes at least a quarter of the difference between untouched
     gel and background."""
-    ensemble: int = 3
-    """Fits that each leave some of the fitted presses out: they name captures that are off, and
-    their spread says how sure the model is; 0 skips them."""
     table: bool = True
     """Whether to fit Taxim's table too. The report shows its figures; polycalib.npz beside it is
     for `taccel-lab export --to taxim --table`."""

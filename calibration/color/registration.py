@@ -25,11 +25,11 @@ from taccel_lab.calibration.color.frames import (
     join_samples,
     samples_at,
 )
-from taccel_lab.calibration.color.network_fit import rest_background
+from taccel_lab.calibration.color.network_fit import disc_l1, rest_background
 from taccel_lab.calibration.color.training import train
 from taccel_lab.calibration.contacts.refine import refine_circle
 from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.surfaces.moved_press import MovedPress
+from taccel_lab.calibration.surfaces.moved_press import MovedPress, moved_surfaces
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -73,6 +73,9 @@ class Registration:
     """Factor on all radii that predicts left-out presses best."""
     scale_losses: list[tuple[float, float]]
     """(scale, loss of left-out presses in levels), by scale."""
+    left_out_l1: dict[str, float]
+    """L1 in the disc of each press, where the short fit without it placed it [levels]: which are
+    worst, no score."""
 
 
 def register_presses(
@@ -114,14 +117,18 @@ def register_presses(
     scale, losses = _best_scale(job, circles, scales, tell)
     circles = [replace(c, radius_px=c.radius_px * scale) for c in circles]
     start = circles
-    sigma = np.zeros((len(frames), 3))
+    sigma, fits = np.zeros((len(frames), 3)), []
     for _ in range(ROUNDS):
         fits = [job.fit_without(circles, k) for k in range(FOLDS)]
         placed = [job.place(i, fits[i % FOLDS], circles[i], start[i]) for i in range(len(frames))]
         circles = [circle for circle, _ in placed]
         sigma = np.array([deviation for _, deviation in placed])
         tell()
-    return Registration(circles, sigma, scale, losses)
+    left_out = {
+        frame.name: job.left_out_l1(i, fits[i % FOLDS], circles[i])
+        for i, frame in enumerate(frames)
+    }
+    return Registration(circles, sigma, scale, losses, left_out)
 
 
 def place_press(
@@ -242,6 +249,13 @@ class _Job:
                 )
                 losses[i] = np.abs(change - s.change).mean()
         return losses
+
+    def left_out_l1(self, i: int, model: ColorModel, circle: ContactCircle) -> float:
+        """Mean absolute error of a press inside ``circle`` by a model without it [levels]."""
+        frame = self.frames[i]
+        (surface,) = moved_surfaces([frame.surface], [frame.circle], [circle], self.library)
+        frame = replace(frame, circle=circle, surface=surface)
+        return disc_l1(model, frame, self.rest_image, self.drifts[i], self.grid, self.mask)
 
     def place(
         self, i: int, model: ColorModel, start: ContactCircle, prior: ContactCircle

@@ -73,7 +73,7 @@ def _few(result: ColorCalibration) -> list[Remark]:
 
 def _against_background(result: ColorCalibration) -> list[Remark]:
     if not result.has_scores:
-        return [] if result.validated else [NOTHING_HELD_OUT()]
+        return [] if result.left_out_l1 else [NOTHING_HELD_OUT()]
     model = result.heldout_means()["crop_psnr_db"]
     bare = mean_bare(result.heldout, result.failures)["crop_psnr_db"]
     if model - bare >= LEAST_GAIN_DB:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.color.evaluate import ImageScore, crop_slices
 from taccel_lab.calibration.color.heldout import HeldoutPress, Placed, mean_bare
 from taccel_lab.calibration.color.result import ColorCalibration
@@ -124,12 +125,6 @@ def _summary(result: ColorCalibration) -> str:
         )
     else:
         parts.append("No press was held out, so there are no figures of presses it never saw.")
-    if result.spread is not None:
-        parts.append(
-            f"{result.spread.fit_count} fits to different presses disagree by "
-            f"{result.spread.disc_levels:.2f} levels inside the contacts and "
-            f"{result.spread.ring_levels:.2f} beside them."
-        )
     return " ".join(parts)
 
 
@@ -149,7 +144,7 @@ def _tables(result: ColorCalibration) -> list[Table]:
                    if result.drift_corrected else ""),
             )
         )  # fmt: skip
-    if result.validated or result.heldout:
+    if result.left_out_l1 or result.heldout:
         tables.append(_press_table(result))
     region = [(name, *bounds) for name, bounds in result.valid_region.items()]
     tables.append(Table("Valid region", ("quantity", "from", "to"), region))
@@ -177,28 +172,28 @@ def _tables(result: ColorCalibration) -> list[Table]:
 
 
 def _press_table(result: ColorCalibration) -> Table:
-    rows = [
-        (item.name, "held out", _quoted(result, item).circle, _quoted(result, item).score)
-        for item in result.heldout
-    ]
-    rows += [
-        (item.name, "left out of a fit", circle, item.score)
-        for item, circle in zip(result.validated, result.circles, strict=False)
-    ]
-    rows.sort(key=lambda row: row[3].crop_psnr_db)
+    rows: list[tuple[str, str, ContactCircle, float, ImageScore | None]] = []
+    for item in result.heldout:
+        placed = _quoted(result, item)
+        rows.append((item.name, "held out", placed.circle, placed.score.disc_l1, placed.score))
+    for name, circle in zip(result.train_names, result.circles, strict=True):
+        if name in result.left_out_l1:
+            rows.append((name, "left out of a fit", circle, result.left_out_l1[name], None))
+    rows.sort(key=lambda row: -row[3])
     return Table(
         "Presses that the model rendering them never saw",
-        ("press", "", "u [px]", "v [px]", "radius [px]", "PSNR crop [dB]", "SSIM crop", "L1 disc",
+        ("press", "", "u [px]", "v [px]", "radius [px]", "L1 disc", "PSNR crop [dB]", "SSIM crop",
          "L1 crop"),
         [
             (
-                name, kind, circle.u_px, circle.v_px, circle.radius_px, score.crop_psnr_db,
-                score.crop_ssim, score.disc_l1, score.crop_l1,
+                name, kind, circle.u_px, circle.v_px, circle.radius_px, disc_l1,
+                *((None,) * 3 if score is None else
+                  (score.crop_psnr_db, score.crop_ssim, score.crop_l1)),
             )
-            for name, kind, circle, score in rows
+            for name, kind, circle, disc_l1, score in rows
         ],
-        "Worst first. Training presses that were left out of a fit are placed by the colours of "
-        "the others and tell which capture is off; only held-out ones are scores.",
+        "Worst first. Training presses that were left out of a short fit are placed by the colours "
+        "of the others and tell which capture is off; only held-out ones are scores.",
     )  # fmt: skip
 
 

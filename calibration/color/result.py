@@ -41,17 +41,6 @@ class PressScore:
     score: ImageScore
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Standard deviation of the renders of fits to different presses [levels]."""
-
-    disc_levels: float
-    """Mean inside the contacts."""
-    ring_levels: float
-    """Mean from one to two contact radii."""
-    fit_count: int
-
-
 @dataclass(frozen=True, repr=False)
 class ColorCalibration(ResultSummary):
     """Result of ``calibrate_color``."""
@@ -77,14 +66,10 @@ class ColorCalibration(ResultSummary):
     """Circles that the surfaces belong to, of the training presses in order."""
     start_circles: tuple[ContactCircle, ...]
     """Circles of theirs that were simulated."""
-    validated: list[PressScore] = field(default_factory=list)
-    """Training presses by fits without them, in the circles that the colours gave them: which are
-    worst, no score. Empty if not asked."""
     drift_choice: DriftChoice | None = None
     """None where the options alone said whether drift is taken off."""
     registration: Registration | None = None
     """How the circles of the training presses were read again; None if not."""
-    spread: Spread | None = None
     table: TaximTable | None = None
     """Taxim's table, fitted to the training presses; None if not asked."""
     table_scores: list[PressScore] = field(default_factory=list)
@@ -106,9 +91,9 @@ class ColorCalibration(ResultSummary):
 
     @property
     def left_out_l1(self) -> dict[str, float]:
-        """L1 in the disc of each training press by a fit without it [levels]; empty if not
-        asked."""
-        return {item.name: item.score.disc_l1 for item in self.validated}
+        """L1 in the disc of each training press by a short fit without it [levels]; empty where
+        circles were not read again."""
+        return {} if self.registration is None else self.registration.left_out_l1
 
     @property
     def has_scores(self) -> bool:
@@ -190,8 +175,6 @@ class ColorCalibration(ResultSummary):
             }
         if self.drift_choice is not None:
             found["drift_choice"] = asdict(self.drift_choice)
-        if self.spread is not None:
-            found["spread"] = asdict(self.spread)
         if self.table_scores:
             found["taxim_table"] = mean_figures([item.score for item in self.table_scores])
         if self.registration is not None:
@@ -266,13 +249,10 @@ class ColorCalibration(ResultSummary):
                 "crop_psnr_db"
             ]
             residuals["heldout_failures"] = float(len(self.failures))
-        if self.validated:
+        if self.left_out_l1:
             values = list(self.left_out_l1.values())
             residuals["left_out_disc_l1_levels"] = float(np.mean(values))
             spread["left_out_disc_l1_levels"] = float(np.std(values))
-        if self.spread is not None:
-            spread["ensemble_disc_levels"] = self.spread.disc_levels
-            spread["ensemble_ring_levels"] = self.spread.ring_levels
         return Provenance(
             kind="calibrated",
             method=self._method(),

@@ -75,12 +75,6 @@ from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.rest_surface import flat_rest, rest_surface
 
-PIXEL_BASELINE = InverseFitOptions(
-    scales_px=(0.0,), slopes=False, members=1, hidden=(32, 32, 32), steps=600
-)
-"""The colour change and position of a pixel alone, as in gs_sdk with its background subtracted."""
-
-
 CHECKED = 16
 """Practice presses that the networks never see and heights are judged by."""
 
@@ -145,7 +139,6 @@ def fit_normals(
     rest_normals: np.ndarray | None = None,
     options: InverseFitOptions = InverseFitOptions(),
     drift: DriftMode = "auto",
-    baseline: bool = True,
     circle_source: str = "given",
     circle_sigmas_px: Sequence[CircleSigma] | None = None,
     background: np.ndarray | None = None,
@@ -166,7 +159,6 @@ def fit_normals(
         rest_normals: Normals of the undeformed face, shape [height_px, width_px, 3]; flat if None.
         options: Settings of the networks and their fit.
         drift: Whether each frame is brought to the background's light; ``auto`` looks at the noise.
-        baseline: Also fit the single-pixel baseline for comparison.
         circle_source: How the circles were chosen, for the record.
         circle_sigmas_px: What each circle may be off by; nothing when None.
         background: What images will be compared with, RGB levels; that of the captures when None.
@@ -244,18 +236,12 @@ def fit_normals(
     if items:
         unseen_balls = map(partial(_heldout_ball, scene), items, wanted)
         fit = replace(fit, model=widened(fit.model, unseen_balls, scene))
-    baseline_deg = None
-    if baseline and items:
-        plain = fit_normal_model(training, scene, replace(PIXEL_BASELINE, seed=options.seed))
-        scores = [score_heldout(plain.model, item.frame, None, scene) for item in items]
-        baseline_deg = float(np.mean([item.used.mean_deg for item in scores]))
     result = NormalCalibration(
         fit=fit,
         scene=replace(scene, background=captures.background, mask=captures.mask),
         heldout=tuple(items),
         failures=failures,
         split=split,
-        baseline_deg=baseline_deg,
         reliability=reliability_of(items, scene) if items else None,
         practised=practised,
         gel=None,

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter
@@ -22,7 +23,7 @@ from taccel_lab.calibration.surfaces.radial import slope_of
 from taccel_lab.calibration.surfaces.random_tools import draw_tool
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.color_model import ColorModel
-from taccel_lab.signals.normal_features import color_change
+from taccel_lab.signals.normal_features import blurred, color_change
 from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import normals_from_slopes, rotate_to_z, slopes_from_height
 
@@ -106,11 +107,10 @@ class ImageNoise:
 
         Blur, uneven colours and light, white noise, and full level where it is too bright.
         """
-        blur = rng.uniform(0.0, MAX_BLUR_PX)
-        change = gaussian_filter(change, (blur, blur, 0))
+        change = blurred(change, rng.uniform(0.0, MAX_BLUR_PX))
         change = change * (1.0 + self.uneven_share * _uneven(rng, change.shape))
         image = background + change + self.uneven_levels * _uneven(rng, change.shape)
-        image += self.white_levels * rng.standard_normal(change.shape)
+        image += self.white_levels * rng.standard_normal(change.shape, dtype=np.float32)
         return np.clip(image, 0.0, 255.0).astype(np.float32)
 
 
@@ -147,6 +147,18 @@ class Practice:
             yield self._press()
             progress(TASK, done, count)
 
+    @cached_property
+    def _rest(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Normals at rest [h, w, 3], their slopes [h, w, 2], and what the colours give for each
+        pixel at rest [levels], shape [h * w, 3]."""
+        grid, rest = self.scene.grid, self.scene.rest_normals
+        if rest is None:
+            rest = np.zeros((grid.height_px, grid.width_px, 3))
+            rest[..., 2] = 1.0
+        pixels = np.arange(grid.height_px * grid.width_px)
+        still = self.colors.network_levels(pixels, rest.reshape(-1, 3), np.zeros(len(pixels)))
+        return rest, slope_of(rest), still
+
     def _press(self) -> PracticePress:
         grid, rng = self.scene.grid, self.rng
         step = (grid.mm_per_px_x, grid.mm_per_px_y)
@@ -157,19 +169,16 @@ class Practice:
         rise_mm = press_layer(
             tool_mm, depth_mm, step, self.pad, tolerance=SOLVED_TO
         ).rise_mm  # fmt: skip
-        rest = self.scene.rest_normals
-        if rest is None:
-            rest = np.zeros((*rise_mm.shape, 3))
-            rest[..., 2] = 1.0
+        rest, lean, still = self._rest
         slope = slopes_from_height(1e-3 * rise_mm, grid)
-        sharp = normals_from_slopes(slope_of(rest) + slope)
+        sharp = normals_from_slopes(lean + slope)
         moved = (np.abs(rise_mm) > STILL_MM) | (np.hypot(*np.moveaxis(slope, -1, 0)) > STILL_SLOPE)
         change = np.zeros((*rise_mm.shape, 3), dtype=np.float32)
-        change[moved] = self.colors.predict_pixels(
-            np.flatnonzero(moved), sharp[moved], rise_mm[moved], rest[moved]
-        )
-        smooth_m = gaussian_filter(1e-3 * rise_mm, SEEN_PX)
-        seen = normals_from_slopes(slope_of(rest) + slopes_from_height(smooth_m, grid))
+        pixels = np.flatnonzero(moved)
+        pressed = self.colors.network_levels(pixels, sharp[moved], rise_mm[moved])
+        change[moved] = pressed - still[pixels]
+        smooth_m = blurred(1e-3 * rise_mm, SEEN_PX)
+        seen = normals_from_slopes(lean + slopes_from_height(smooth_m, grid))
         return PracticePress(
             image=self.noise.spoil(change, self.scene.background, rng),
             normals=rotate_to_z(seen, rest).astype(np.float32),

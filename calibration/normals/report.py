@@ -112,8 +112,6 @@ def _summary(result: NormalCalibration) -> Table:
             ["heights within one standard deviation (68 %)", absolute["within_68"], "-"],
             ["heights within two (95 %)", absolute["within_95"], "-"],
         ]
-    if result.baseline_deg is not None:
-        rows.insert(1, ["colour of the pixel alone, mean [deg]", result.baseline_deg, "-"])
     return Table(
         "Held-out presses",
         ["figure", "in the circles used", "in the circles given"],

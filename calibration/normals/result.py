@@ -33,8 +33,6 @@ class NormalCalibration(ResultSummary):
     """Held-out presses that could not be read, and why: they count as a flat guess."""
     split: PressSplit | None
     """How the held-out presses were chosen; None where there are none."""
-    baseline_deg: float | None
-    """Mean held-out error of the single-pixel baseline in the circles as used [degrees]."""
     reliability: Reliability | None
     practised: PracticeScore | None
     """Heights of practice presses that the networks never saw; None without practice."""
@@ -96,7 +94,6 @@ class NormalCalibration(ResultSummary):
             "heldout": held,
             "split": None if self.split is None else self.split.figures(),
             "failures": self.failures,
-            "pixel_baseline_deg": self.baseline_deg,
             "reliability": None if self.reliability is None else asdict(self.reliability),
             "practice": None if self.practised is None else asdict(self.practised),
             "gel_thickness": None if self.gel is None else self.gel.figures(),

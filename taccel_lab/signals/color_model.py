@@ -206,22 +206,27 @@ class ColorModel:
         ``pixel_idx`` counts along rows, shape [n]; ``normals`` and ``rest_normals`` have shape
         [n, 3], ``displacement_mm`` [n].
         """
+        still = np.zeros(len(pixel_idx))
+        pressed = self.network_levels(pixel_idx, normals, displacement_mm)
+        return pressed - self.network_levels(pixel_idx, rest_normals, still)
+
+    def network_levels(
+        self, pixel_idx: np.ndarray, normals: np.ndarray, displacement_mm: np.ndarray
+    ) -> np.ndarray:
+        """What the network gives for pixels [levels], float32, shape [n, 3]; a change of colour is
+        the difference to the same pixels at rest. Arguments as of ``predict_pixels``."""
         import torch
 
-        change = np.empty((len(pixel_idx), 3), dtype=np.float32)
+        levels = np.empty((len(pixel_idx), 3), dtype=np.float32)
         normals = within_cone(normals, self.cone_deg)
-        rest_normals = within_cone(rest_normals, self.cone_deg)
         layers = layer_tensors(self.config, self.weights)
         with torch.inference_mode():
             for start in range(0, len(pixel_idx), CHUNK_PIXELS):
                 part = slice(start, start + CHUNK_PIXELS)
                 uv = pixel_uv(self.config, pixel_idx[part])
-                pressed = stack_inputs(self.config, uv, normals[part], displacement_mm[part])
-                at_rest = stack_inputs(self.config, uv, rest_normals[part], np.zeros(len(uv)))
-                change[part] = color_change(
-                    self.config, layers, torch.from_numpy(pressed), torch.from_numpy(at_rest)
-                ).numpy()
-        return change
+                inputs = stack_inputs(self.config, uv, normals[part], displacement_mm[part])
+                levels[part] = _network(self.config, layers, torch.from_numpy(inputs)).numpy()
+        return levels
 
 
 def within_cone(normals: np.ndarray, cone_deg: float) -> np.ndarray:
@@ -293,11 +298,22 @@ def color_change(
     """Change in levels of 255 between two sets of network inputs, shape [n, 3]; differentiable."""
     import torch
 
-    both = torch.cat([pressed, at_rest])
+    both = _network(config, layers, torch.cat([pressed, at_rest]))
+    return both[: len(pressed)] - both[len(pressed) :]
+
+
+def _network(
+    config: ColorModelConfig,
+    layers: Sequence[tuple[torch.Tensor, torch.Tensor]],
+    inputs: torch.Tensor,
+) -> torch.Tensor:
+    """Outputs [levels] of network inputs, shape [n, 3]; differentiable."""
+    import torch
+
+    values = inputs
     activation = getattr(torch.nn.functional, config.activation)
     for weight, bias in layers[:-1]:
-        both = activation(torch.nn.functional.linear(both, weight, bias))
+        values = activation(torch.nn.functional.linear(values, weight, bias))
     # The last bias cancels in the difference; it is kept so that the layers are ordinary ones.
     last_weight, last_bias = layers[-1]
-    both = torch.nn.functional.linear(both, last_weight, last_bias) * config.output_scale
-    return both[: len(pressed)] - both[len(pressed) :]
+    return torch.nn.functional.linear(values, last_weight, last_bias) * config.output_scale

@@ -108,21 +108,22 @@ def _average(
     if sigma_px <= 0:
         return values if mask is None else np.where(mask[..., None], values, np.float32(0))
     if mask is None or mask.all():
-        return _blur(values, sigma_px)
+        return blurred(values, sigma_px)
     weight = mask.astype(np.float32)
     if sigma_px not in cover:
-        cover[sigma_px] = _blur(weight, sigma_px)
+        cover[sigma_px] = blurred(weight, sigma_px)
     share = cover[sigma_px][..., None]
-    total = _blur(values * weight[..., None], sigma_px)
+    total = blurred(values * weight[..., None], sigma_px)
     return np.where(share > MIN_COVER, total / np.maximum(share, MIN_COVER), np.float32(0))
 
 
-def _blur(values: np.ndarray, sigma_px: float) -> np.ndarray:
+def blurred(values: np.ndarray, sigma_px: float) -> np.ndarray:
+    """Gaussian average of a picture, shape [h, w] or [h, w, channel]; window cut at 3 sigma."""
     import cv2
 
     size = 2 * math.ceil(3 * sigma_px) + 1
-    blurred: Any = cv2.GaussianBlur(values, (size, size), sigma_px)
-    return blurred
+    averaged: Any = cv2.GaussianBlur(values, (size, size), sigma_px)
+    return averaged
 
 
 def _derivative(values: np.ndarray, axis: int) -> np.ndarray:

@@ -9,6 +9,7 @@ approximate tanh, hundredths of a grey level on average, which ``benchmarks/imag
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -206,12 +207,22 @@ def tactile_image(model: ColorModel, background_rgb: np.ndarray, face: PressedFa
     Raises:
         InputError: Sizes that differ, or a network that is too wide, see ``DeviceColorModel``.
     """
-    rise_m = face.height_m - face.rest_height_m
-    rest = _samples(face.rest_normals, np.zeros_like(rise_m))
+    return tactile_images(model, background_rgb, [face])[0]
+
+
+def tactile_images(
+    model: ColorModel, background_rgb: np.ndarray, faces: Sequence[PressedFace]
+) -> list[np.ndarray]:
+    """``tactile_image`` of several presses of one gel: its colours at rest are found once."""
+    rest = _samples(faces[0].rest_normals, np.zeros_like(faces[0].height_m))
     painter = DeviceColorModel(model, background_rgb, rest)
     levels = wp.empty((1, *rest.shape, 3), dtype=wp.float32, device="cpu")
-    painter.render(_samples(face.normals, rise_m).reshape((1, *rest.shape)), levels=levels)
-    return levels.numpy()[0]
+    images = []
+    for face in faces:
+        pressed = _samples(face.normals, face.height_m - face.rest_height_m)
+        painter.render(pressed.reshape((1, *rest.shape)), levels=levels)
+        images.append(levels.numpy()[0].copy())
+    return images
 
 
 def _samples(normals: np.ndarray, height_m: np.ndarray) -> wp.array:

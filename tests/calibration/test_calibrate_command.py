@@ -43,7 +43,7 @@ def folder(tmp_path: Path) -> Path:
 
 def command(folder: Path, **changes: Any) -> CalibrateColor:
     """A short fit over the base profile into ``profile`` beside the captures."""
-    values = {"base": folder.parent / "base", "steps": 5, "ensemble": 0}
+    values = {"base": folder.parent / "base", "steps": 5}
     return CalibrateColor(
         folder, folder.parent / "profile", **(values | {"drift": "off"} | changes)
     )
@@ -54,7 +54,7 @@ def test_writes_a_profile(
 ) -> None:
     without_check(monkeypatch)
     out = folder.parent / "profile"
-    command(folder, steps=60, ensemble=2, json=True).run()
+    command(folder, steps=60, json=True).run()
     figures = json.loads(capsys.readouterr().out)
     assert figures["profile"] == str(out)
     heldout = figures["color"]["heldout"]
@@ -183,7 +183,6 @@ def test_an_empty_frame_stops_it(folder: Path) -> None:
     [
         ({"holdout_every": 1}, "holdout_every must be 0 or at least 2"),
         ({"holdout_every": 9}, "too few to hold out"),
-        ({"ensemble": 1}, "ensemble must be 0 or at least 2"),
         ({"steps": 0}, "steps must be at least 1"),
         ({"captures": Path("nowhere")}, "nowhere does not exist"),
     ],

@@ -97,7 +97,7 @@ def test_captures_become_a_profile_that_can_be_pressed(
     captures: Path, tmp_path: Path, cli: Cli
 ) -> None:
     out = tmp_path / "calibrated" / "unit"
-    options = ("--steps", "150", "--ensemble", "0", "--drift", "off", "--json")
+    options = ("--steps", "150", "--drift", "off", "--json")
     captured = cli("calibrate color", captures, "--out", out, *options)
     color = json.loads(captured.out)["color"]
     for key in ("crop_psnr_db", "crop_ssim", "disc_l1", "full_l1"):
@@ -129,7 +129,7 @@ def test_captures_become_a_profile_that_can_be_pressed(
 def test_base_profile_gives_the_design(captures: Path, tmp_path: Path, cli: Cli) -> None:
     base = write_profile(tmp_path / "base", color=False)
     out = tmp_path / "unit"
-    options = ["--base", base, "--steps", "5", "--ensemble", "0", "--holdout-every", "0"]
+    options = ["--base", base, "--steps", "5", "--holdout-every", "0"]
     for _ in range(2):  # Again, in the place of the first.
         cli("calibrate color", captures, "--out", out, *options)
         assert load_profile(out).material == load_profile(base).material

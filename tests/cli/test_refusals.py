@@ -132,8 +132,6 @@ def test_bad_captures(here: Path, capsys: Capsys, change: Change, words: list[st
     [
         ("--steps 0", "steps must be at least 1, got 0"),
         ("--steps -5", "steps must be at least 1, got -5"),
-        ("--ensemble 1", "ensemble must be 0 or at least 2, got 1"),
-        ("--ensemble -1", "ensemble must be 0 or at least 2, got -1"),
         ("--holdout-every 1", "holdout_every must be 0 or at least 2, got 1"),
         ("--holdout-every 6", r"captures\.toml holds 5 presses, too few to hold out"),
         ("--base absent", r"absent/profile\.toml: no such profile folder"),

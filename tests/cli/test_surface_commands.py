@@ -20,7 +20,6 @@ from taccel_lab.calibration.base_profile import lost_blocks, on_grid
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.check.block_findings import joined, refusing_with
-from taccel_lab.calibration.normals import fit
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, load_profile, save_profile
 from taccel_lab.report.remark import Remark, Severity
@@ -36,10 +35,8 @@ from tests.support.synthetic_presses import (
 
 
 @pytest.fixture(autouse=True)
-def quick_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+def quick_on_one_thread() -> None:
     torch.set_num_threads(1)
-    baseline = replace(fit.PIXEL_BASELINE, steps=20)
-    monkeypatch.setattr(fit, "PIXEL_BASELINE", baseline)
 
 
 @pytest.fixture

@@ -13,7 +13,6 @@ import torch
 from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.folds import fold_fits
 from taccel_lab.calibration.color.frames import ColorFrame, Samples
 from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.network_fit import fit_color_model
@@ -161,8 +160,6 @@ def test_bad_fits_are_refused() -> None:
     captures, surfaces = synthetic_captures(3)
     with pytest.raises(InputError, match="at least one press"):
         fit_color_model([], captures.background, GRID)
-    with pytest.raises(InputError, match=r"folds must lie in 2\.\.3"):
-        fold_fits(frames_of(captures, surfaces), captures.background, GRID, QUICK, folds=4)
     with pytest.raises(InputError, match="steps must be at least 1"):
         ColorFitOptions(steps=0)
     with pytest.raises(InputError, match="learning_rate must be positive"):
@@ -181,8 +178,9 @@ def test_bad_fits_are_refused() -> None:
 
 
 def test_blocks_go_through_a_profile(tmp_path: Path) -> None:
-    captures, surfaces = synthetic_captures(8)
-    result = calibrated(captures, surfaces, options=dataclasses.replace(QUICK, steps=60), folds=2)
+    captures, surfaces = synthetic_captures(12)
+    options = dataclasses.replace(QUICK, steps=60)
+    result = calibrated(captures, surfaces, options=options, register=True)
     save_profile(result.apply_to(tiny_profile(GRID)), tmp_path / "profile")
     loaded = load_profile(tmp_path / "profile")
     assert loaded.color is not None and loaded.color_weights is not None

@@ -47,7 +47,7 @@ def circles_of(captures: CaptureSet) -> list[ContactCircle]:
 def calibrated(
     captures: CaptureSet, surfaces: list[PressSurface] | None, **changes: object
 ) -> NormalCalibration:
-    settings = {"options": QUICK, "baseline": False} | changes
+    settings = {"options": QUICK} | changes
     split = captures.split(4)
     training = captures.only(split.train)
     return fit_normals(

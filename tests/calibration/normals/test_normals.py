@@ -92,7 +92,6 @@ def test_a_few_presses_do_not_make_a_good_model(count: int, verdict: Verdict) ->
         circles_of(captures),
         surfaces,
         options=replace(QUICK, steps=20),
-        baseline=False,
     )
     assert judge(r for r in result.remarks if r.code == "too_few") is verdict
 
@@ -102,7 +101,7 @@ def test_a_wrong_circle_stands_out_where_its_press_was_left_out() -> None:
     circles = circles_of(captures)
     circles[4] = replace(circles[4], u_px=circles[4].u_px + 5)
     surfaces[4] = analytic_surface(circles[4], GRID, BALL_RADIUS_MM, decay_mm=1.0)
-    result = fit_normals(captures, circles, surfaces, options=QUICK, baseline=False)
+    result = fit_normals(captures, circles, surfaces, options=QUICK)
     errors = result.fit.left_out_deg
     assert max(errors, key=lambda name: errors[name]) == "p4"
     assert errors["p4"] > 2 * np.median(list(errors.values()))

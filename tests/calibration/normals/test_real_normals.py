@@ -61,7 +61,7 @@ def heldout(captures: CaptureSet) -> tuple[dict[str, float], float]:
     surfaces = layer_skirts(usable.captures, usable.circles, PAD, flat_rest(training.grid))
     result = fit_normals(
         usable.captures, usable.circles, surfaces, captures.only(split.heldout),
-        split=split, baseline=False, circle_source="fused", circle_sigmas_px=usable.sigmas_px,
+        split=split, circle_source="fused", circle_sigmas_px=usable.sigmas_px,
         pad=PAD,
     )  # fmt: skip
     assert result.reliability is not None
