@@ -15,8 +15,8 @@ class Read:
 
     Every frame gives depth, contact area, normal force with its 95 % interval (contact of an
     elastic layer) and marker displacements, as far as the profile's blocks allow. Writes
-    `readings.csv`, `readings.json` and curves over the frames, `readings.png`. Frames that cannot be read are rows
-    with the reason. After an interrupt the same command goes on where it stopped.
+    `readings.csv`, `readings.json` and curves over the frames, `readings.png`. Frames that cannot
+    be read are rows with the reason. After an interrupt the same command goes on where it stopped.
     """
 
     profile: Positional[Path]

@@ -94,10 +94,10 @@ class LabelGap:
 
 
 def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap]:
-    """Of every press that has both a label and a contact found."""
-    gaps = []
+    """Of every press that has both a label that can be one and a contact found."""
+    gaps, wrong = [], _misplaced(frames, grid)
     for frame in frames:
-        if frame.contact is None or frame.press.circle is None:
+        if frame.contact is None or frame.press.circle is None or frame.press.name in wrong:
             continue
         found, label = frame.contact.circle, frame.press.circle
         center = found.center_gap_px(label, grid)
@@ -112,18 +112,25 @@ def label_gaps(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[LabelGap
     return gaps
 
 
-def _check_places(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:
-    """Labels that can be of no press: outside of the image, or too small."""
-    labels = {f.press.name: f.press.circle for f in frames if f.press.circle is not None}
+def _misplaced(frames: Sequence[FrameFigures], grid: PixelGrid) -> dict[str, str]:
+    """Labels that can be of no press, outside of the image or too small: why, by the press."""
     wrong = {}
-    for name, circle in labels.items():
+    for frame in frames:
+        if frame.press.circle is None:
+            continue
         try:
-            check_place(circle, grid, name)
+            check_place(frame.press.circle, grid, frame.press.name)
         except InputError as error:
-            wrong[name] = str(error)
+            wrong[frame.press.name] = str(error)
+    return wrong
+
+
+def _check_places(frames: Sequence[FrameFigures], grid: PixelGrid) -> list[Remark]:
+    wrong = _misplaced(frames, grid)
     if not wrong:
         return []
-    figures = {"off": len(wrong), "count": len(labels), "advice": "Correct them"}
+    count = sum(frame.press.circle is not None for frame in frames)
+    figures = {"off": len(wrong), "count": count, "advice": "Correct them"}
     how = f"they can be of no press, {next(iter(wrong.values()))}"
     blocks = ("color", "normals", "depth")
     return [

@@ -12,7 +12,6 @@ from taccel_lab.calibration.live.latency import Latency
 from taccel_lab.calibration.live.pictures import pictures
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
 from taccel_lab.calibration.live.strip_chart import StripChart
-from taccel_lab.calibration.pressure.touch import force_words
 from taccel_lab.calibration.record.tiles import show_tiles, wide_panel
 from taccel_lab.report.page_text import PageText, add_note, page_table
 
@@ -88,7 +87,7 @@ def figures_text(reading: LiveReading, reader: LiveReader) -> PageText:
     if reading.press is not None:
         press = reading.press
         told = PageText("normal force **{}**, by the contact of an elastic layer; {} mm² touch")
-        lines.append(told.format(force_words(press), f"{press.contact_mm2:.1f}"))
+        lines.append(told.format(press.force_words, f"{press.contact_mm2:.1f}"))
         lines += [PageText("*{}*").format(text) for text in press.remarks]
     elif reader.no_pressure:
         lines.append(PageText("{}").format(reader.no_pressure))

@@ -6,7 +6,6 @@ Rows are kept beside the output as they are read, so that the same call goes on 
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -135,14 +134,23 @@ def read_recorded(
         kept_path.unlink()
         raise InputError(f"no frame of {recorded.source} can be read: {rows[0]['refused']}")
     with atomic_directory(out) as folder:
-        with (folder / "readings.csv").open("w", newline="", encoding="utf-8") as file:
-            table = csv.DictWriter(file, COLUMNS, restval="")
-            table.writeheader()
-            table.writerows(rows)
+        (folder / "readings.csv").write_text(_table(rows), encoding="utf-8")
         write_json(folder / "readings.json", {"source": str(recorded.source), "frames": rows})
         save_figure(draw_recorded(rows), folder / "readings.png")
     kept_path.unlink()
     return rows
+
+
+def _table(rows: list[dict[str, Any]]) -> str:
+    """Comma-separated values; texts are quoted, what is not known is empty (RFC 4180)."""
+
+    def cell(value: Any) -> str:
+        if isinstance(value, str) and value:
+            return '"' + value.replace('"', '""') + '"'
+        return "" if value is None else f"{value}"
+
+    lines = [COLUMNS, *([cell(row.get(name)) for name in COLUMNS] for row in rows)]
+    return "".join(",".join(line) + "\n" for line in lines)
 
 
 def _kept(path: Path, key: str) -> list[dict[str, Any]]:

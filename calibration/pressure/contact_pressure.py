@@ -71,6 +71,14 @@ class ContactPressure:
     remarks: tuple[str, ...]
     """What the force rests on, and what is not in its interval, a sentence each."""
 
+    @property
+    def force_words(self) -> str:
+        """Force and its interval in words."""
+        told = f"{self.force_n:.3g} N"
+        if self.force_interval_n is not None:
+            told += " (95 %: {:.3g} to {:.3g} N)".format(*self.force_interval_n)
+        return told
+
     def figures(self) -> dict[str, Any]:
         """All numbers, ready for JSON."""
         return {

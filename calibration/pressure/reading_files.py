@@ -8,24 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.calibration.pressure.touch import TouchReading, force_words
+from taccel_lab.calibration.pressure.figures import draw_reading
+from taccel_lab.calibration.pressure.touch import TouchReading
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.images import read_grey
-from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.style import (
-    BLUE,
-    LIGHT,
-    ORANGE,
-    in_report_style,
-    new_figure,
     save_figure,
 )
-from taccel_lab.signals.read_heights import BAND_SIGMAS
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 ARRAYS = (
     "height_m",
@@ -72,53 +66,8 @@ def write_reading(
     if found.press is not None:
         stored["pressure_pa"] = found.pressure_pa.astype(np.float32)
     np.savez_compressed(folder / f"{source.stem}.npz", **stored)
-    picture = draw_reading(image, found, profile.grid(), source.stem)
+    picture = draw_reading(image, found, found.press, profile.grid(), source.stem)
     save_figure(picture, folder / f"{source.stem}.png")
     figures = {"image": str(source), **found.figures(profile.grid())}
     write_json(folder / f"{source.stem}.json", figures)
     return figures
-
-
-@in_report_style
-def draw_reading(
-    image: np.ndarray | None, found: TouchReading, grid: PixelGrid, title: str
-) -> Figure:
-    """Image, depth and pressure maps, and the section through the deepest pixel; no image when
-    None, no pressure where there is none."""
-    depth_mm = -1e3 * found.rise_m
-    extent = (0.0, grid.width_px * grid.mm_per_px_x, grid.height_px * grid.mm_per_px_y, 0.0)
-    maps = [("depth [mm]", depth_mm, "viridis")]
-    if found.press is not None:
-        maps.append(("pressure [kPa]", 1e-3 * found.pressure_pa, "magma"))
-    pictures = len(maps) + (image is not None)
-    figure, axes = new_figure(3.7 * (pictures + 1), 3.3, 1, pictures + 1)
-    axes[0].set_title(title, fontsize="medium")
-    if image is not None:
-        axes[0].imshow(np.clip(image, 0, 255).astype(np.uint8), extent=extent)
-    for ax, (label, values, colors) in zip(axes[pictures - len(maps) :], maps, strict=False):
-        shown = ax.imshow(values, extent=extent, cmap=colors)
-        figure.colorbar(shown, ax=ax, shrink=0.8).set_label(label)
-    if found.press is not None:
-        axes[pictures - 1].set_title(force_words(found.press), fontsize="medium")
-    for ax in axes[:pictures]:
-        ax.set_xlabel("x [mm]")
-    axes[0].set_ylabel("y [mm]")
-    row, column = np.unravel_index(int(np.argmax(depth_mm)), depth_mm.shape)
-    x = np.arange(grid.width_px) * grid.mm_per_px_x
-    y = np.arange(grid.height_px) * grid.mm_per_px_y
-    axes[-1].axhline(0, color=LIGHT, lw=0.8)
-    sections = (
-        ("along x", BLUE, x - x[column], np.s_[row, :]),
-        ("along y", ORANGE, y - y[row], np.s_[:, column]),
-    )
-    for label, color, away, section in sections:
-        axes[-1].plot(away, depth_mm[section], color=color, label=label)
-        if found.height_sigma_m is not None:
-            depth = depth_mm[section]
-            band = BAND_SIGMAS * 1e3 * found.height_sigma_m[section]
-            axes[-1].fill_between(away, depth - band, depth + band, color=color, alpha=0.2, lw=0)
-    axes[-1].invert_yaxis()
-    axes[-1].set_xlabel("from the deepest point [mm]")
-    axes[-1].set_ylabel("depth [mm]")
-    axes[-1].legend(loc="lower right")
-    return figure

@@ -63,7 +63,7 @@ class TouchReading(SurfaceReading):
         if self.press is None:
             return title, [*rows, ("force", self.no_press)]
         press = self.press
-        rows.append(("force", f"{force_words(press)}, by the contact of an elastic layer"))
+        rows.append(("force", f"{press.force_words}, by the contact of an elastic layer"))
         peak = 1e-3 * float(press.pressure_pa.max())
         rows.append(("contact", f"{press.contact_mm2:.3g} mm2, pressure up to {peak:.3g} kPa"))
         if press.center_mm is not None:
@@ -79,17 +79,9 @@ class TouchReading(SurfaceReading):
 
     def plot(self) -> Figure:
         """Depth, pressure and a section, with their units."""
-        from taccel_lab.calibration.pressure.reading_files import draw_reading
+        from taccel_lab.calibration.pressure.figures import draw_reading
 
-        return draw_reading(None, self, self.grid, self.summary()[0])
-
-
-def force_words(press: ContactPressure) -> str:
-    """Force and its interval in words."""
-    told = f"{press.force_n:.3g} N"
-    if press.force_interval_n is not None:
-        told += " (95 %: {:.3g} to {:.3g} N)".format(*press.force_interval_n)
-    return told
+        return draw_reading(None, self, self.press, self.grid, self.summary()[0])
 
 
 class TouchReader:

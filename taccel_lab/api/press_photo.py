@@ -76,7 +76,7 @@ class PressPhoto:
             )
         depth = -found.rise_m
         column, row = figures["deepest_px"]
-        parts = ndimage.label(depth > _CORE * depth[row, column])[0]
+        parts, _ = ndimage.label(depth > _CORE * depth[row, column])  # type: ignore[misc]
         core = parts == parts[row, column]
         middle = ndimage.center_of_mass(depth * core)[::-1]
         x, y = reader.grid.gel_from_pixel(np.array(middle))

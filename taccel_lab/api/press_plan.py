@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from taccel_lab.api.press_options import PressOptions
 from taccel_lab.api.press_photo import PressPhoto
-from taccel_lab.api.sensor import AnySensor, profile_of
+from taccel_lab.api.sensor import AnySensor, profile_of, reading_profile_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.length_units import size_words
@@ -52,7 +52,10 @@ class PressPlan:
         require_device(options.device)
         options.require_aim()
         indenter = parse_indenter(options.indenter, options.read_texture())
-        physics, profile = options.physics(), profile_of(sensor)
+        physics, profile = (
+            options.physics(),
+            reading_profile_of(sensor) if options.like else profile_of(sensor),
+        )
         stated = profile.material.friction_coefficient
         friction = stated if options.friction is None else options.friction
         name = str(sensor) if isinstance(sensor, (str, Path)) else profile.sensor.name

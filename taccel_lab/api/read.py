@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from taccel_lab.api.sensor import AnySensor, load_sensor, profile_of
+from taccel_lab.api.sensor import AnySensor, reading_profile_of
 from taccel_lab.errors import InputError
 from taccel_lab.processes.start_warp import start_warp
 
@@ -47,7 +47,7 @@ def read(
     if background is not None:
         untouched, background_name = _pixels(background, "the background")
     reader = SurfaceReader(
-        load_sensor(sensor) if isinstance(sensor, (Path, str)) else profile_of(sensor),
+        reading_profile_of(sensor),
         background=untouched,
         background_name=background_name,
         mask=mask,

@@ -86,3 +86,8 @@ def profile_of(sensor: AnySensor) -> SensorProfile:
 
         return load_sensor(sensor) if Path(sensor).suffix.lower() in _STEP else load(str(sensor))
     return sensor.profile
+
+
+def reading_profile_of(sensor: AnySensor) -> SensorProfile:
+    """As ``profile_of``, for who reads images: a catalogue name stands for its starter."""
+    return load_sensor(sensor) if isinstance(sensor, (Path, str)) else profile_of(sensor)

@@ -19,7 +19,8 @@ SENSOR = "gelsight_mini"
 @pytest.fixture(scope="module")
 def photo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated press stands for the photo: its place and depth are known."""
-    press = tl.press(SENSOR, "sphere:4", depth_mm=0.5, at_mm=(2.0, -1.5), accuracy="fast")
+    unit = tl.load_sensor(SENSOR)
+    press = tl.press(unit, "sphere:4", depth_mm=0.5, at_mm=(2.0, -1.5), accuracy="fast")
     assert press.image is not None
     path = tmp_path_factory.mktemp("photo") / "photo.png"
     write_rgb(path, press.image)

@@ -210,6 +210,15 @@ def test_labels_that_disagree(tmp_path: Path) -> None:
     assert many.severity == Severity.ERROR and "--circles detected" in many.message
 
 
+def test_a_label_outside_the_image_is_told_once(tmp_path: Path) -> None:
+    maker = CaptureMaker()
+    maker.labels = [
+        replace(c, u_px=c.u_px + 10 * WIDTH) if i == 2 else c for i, c in enumerate(maker.circles)
+    ]
+    told = [f for f in check(maker, tmp_path / "out").findings if f.code == "labels_off"]
+    assert [remark.frames for remark in told] == [("p02",)]
+
+
 def test_labels_of_images_of_another_size_are_told_so(tmp_path: Path) -> None:
     maker = CaptureMaker()
     maker.labels = [
