@@ -23,6 +23,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.errors import InputError
+from taccel_lab.gradients.elastic_forces import elastic_gradient
 from taccel_lab.gradients.motion import GelMotion, MotionRecord
 from taccel_lab.gradients.rest_scale import RestScale
 from taccel_lab.ipc.potentials.contact_derivatives import (
@@ -34,7 +35,6 @@ from taccel_lab.ipc.potentials.contact_derivatives import (
 )
 from taccel_lab.ipc.potentials.friction import step_motion
 from taccel_lab.model.elastic import ElementArrays
-from taccel_lab.solvers.sensitivity import elastic_gradient
 from taccel_lab.solvers.tangent import INDEFINITE, Tangent, sparse_matrix
 from taccel_lab.state import State
 

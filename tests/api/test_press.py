@@ -88,8 +88,8 @@ def test_the_command_has_the_same_options_and_defaults() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ({}, "either --depth-mm or --force-n"),
-        ({"depth_mm": 0.3, "force_n": 1.0}, "either --depth-mm or --force-n"),
+        ({}, "one of --depth-mm, --force-n and --like"),
+        ({"depth_mm": 0.3, "force_n": 1.0}, "one of --depth-mm, --force-n and --like"),
         ({"depth_mm": 9.0}, "goes past the gel"),
         ({"depth_mm": 0.3, "accuracy": "best"}, "accuracy 'best' is not known; allowed: fast"),
         ({"depth_mm": 0.3, "element": "cubic"}, "element 'cubic' is not known"),
