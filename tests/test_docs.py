@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from taccel_lab.api.press_photo import LIKE
 from taccel_lab.cli.app import main, parse
 from tests.cli.test_press import FILES, IMAGES, PREDICTED
 from tests.sensors.test_template import template  # noqa: F401
@@ -149,6 +150,7 @@ def outputs(page: Path) -> dict[str, set[str]]:
             calibrated.add(out)
         command = " ".join(words[:2]) if words[0] in ("capture", "calibrate") else words[0]
         of_press = FILES | (IMAGES if set(words) & calibrated else PREDICTED)
+        of_press |= {LIKE} if "--like" in words else set()
         found[out] = of_press if command == "press" else WRITTEN.get(command, set())
     return found
 

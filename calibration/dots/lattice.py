@@ -54,8 +54,8 @@ class Lattice:
     stagger: float
     """Shift of odd rows in pitches along the row: 0, or +-0.5 in a hexagonal lattice."""
     irregularity: float
-    """Error, in pitches, of predicting a point from the points around it: the median; of a board
-    the root of the mean square."""
+    """Median error, in pitches, of predicting a point from the points around it; of a board, root
+    mean square error of a smooth map."""
     strangers: int = 0
     """Of a board: points in whole rows and columns beyond its size."""
 

@@ -43,7 +43,7 @@ SQUARE = {
 class Page(HTMLParser):
     """Ids, links and pictures of a page; complains about tags that are not closed in order."""
 
-    VOID = ("meta", "img", "br", "link", "input", "hr")
+    VOID = ("meta", "img", "br", "wbr", "link", "input", "hr")
 
     def __init__(self) -> None:
         super().__init__()
