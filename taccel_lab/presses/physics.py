@@ -59,7 +59,7 @@ class PressPhysics:
 
 PHYSICS: dict[Accuracy, PressPhysics] = {
     Accuracy.FAST: PressPhysics(
-        Accuracy.FAST, mesh=PressMeshOptions(rings=6, outline=OutlineMeshOptions(outer=4, layers=3))
+        Accuracy.FAST, mesh=PressMeshOptions(rings=8, outline=OutlineMeshOptions(outer=4, layers=3))
     ),
     Accuracy.DEFAULT: PressPhysics(),
     Accuracy.REFERENCE: PressPhysics(
