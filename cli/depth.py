@@ -46,7 +46,8 @@ class Depth:
     method: Literal["auto", "normals", "depth"] = "auto"
     """Model to read with. auto: normals, if the profile has both."""
     drift: Literal["auto", "on", "off"] = "auto"
-    """Bring the light of each image to the background's first. auto: as in the calibration."""
+    """Bring the light of each image to the background's first. auto: as in the
+    calibration, and of colour images whose light lies beyond the calibrated."""
     json: bool = False
     """Print the figures as JSON instead of a line per image."""
 

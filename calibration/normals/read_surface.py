@@ -28,6 +28,12 @@ from taccel_lab.summary import Summary
 
 MOSTLY = 0.5
 """Share of a larger pixel that has to count."""
+LEAST_LIGHT_LEVELS = 4.0
+"""A change of light below this is left in, whatever the calibration saw: contacts shift the fit of
+the light by as much."""
+UNKNOWN_LIGHT_LEVELS = 8.0
+"""Largest change of light left in where a profile does not say how much its frames had. Presses of
+four sensors that are read as they are have 0.7 to 6.7."""
 Method = Literal["auto", "normals", "depth"]
 STEEP_SHARE = 0.02
 """Share of pixels that the calibration says nothing of, from which on a user is told."""
@@ -169,7 +175,7 @@ class SurfaceReader:
             mask: Pixels that count, bool, shape [height_px, width_px].
             method: ``normals`` or ``depth``; ``auto`` takes the block that the profile has.
             drift: Whether each image is brought to the background's light first; ``auto`` does as
-                in the calibration.
+                in the calibration, and does it for colours whose light lies beyond the calibrated.
             background_name: How an error calls ``background``, such as by its file.
             shrink: Images are made smaller by about this factor before they are read, and so are
                 the maps (``grid``): a live picture at 3 takes a sixth of the time.
@@ -193,8 +199,10 @@ class SurfaceReader:
             self.normal_model = _shrunk(self.normal_model, self.grid)
         self.response = DepthResponse.from_profile(profile) if self.method == "depth" else None
         self.drift = drift == "on"
-        if drift == "auto":
-            self.drift = self.normal_model is not None and self.normal_model.config.light_drift
+        self._light_limit = np.full(3, np.inf)
+        if drift == "auto" and self.normal_model is not None:
+            self.drift = self.normal_model.config.light_drift
+            self._light_limit = _light_limit(profile)
 
     @property
     def sigma_of(self) -> SigmaOf | None:
@@ -238,7 +246,9 @@ class SurfaceReader:
         why = unlike(levels, self.background, light, self.mask)
         if why is not None:
             raise InputError(f"{name} is no image of the sensor that was calibrated: {why}")
-        found = self.read_levels(light.remove(levels).astype(np.float32) if self.drift else levels)
+        removed = self._is_removed(light)
+        levels = light.remove(levels).astype(np.float32) if removed else levels
+        found = replace(self.read_levels(levels), drift_removed=removed)
         deepest_mm, gel_mm = -1e3 * float(found.rise_m.min()), self.profile.gel.thickness_mm
         if deepest_mm > gel_mm:
             raise InputError(
@@ -253,12 +263,17 @@ class SurfaceReader:
         return unlike(levels, self.background, self._light(levels), self.mask)
 
     def in_own_light(self, image: np.ndarray) -> np.ndarray:
-        """The image as small as it is read, in the background's light where that is asked for;
-        float32, shape [height_px, width_px, 3] of ``grid``."""
+        """The image as small as it is read, in the background's light where that is asked for, or
+        where its own was never calibrated; float32, shape [height_px, width_px, 3] of ``grid``."""
         levels = self._small(image).astype(np.float32)
+        light = self._light(levels)
+        return light.remove(levels).astype(np.float32) if self._is_removed(light) else levels
+
+    def _is_removed(self, light: Light) -> bool:
         if self.drift:
-            levels = self._light(levels).remove(levels).astype(np.float32)
-        return levels
+            return True
+        level = self.background.reshape(-1, 3).mean(axis=0)
+        return bool((np.abs(light.shift(level)) > self._light_limit).any())
 
     def _light(self, levels: np.ndarray) -> Light:
         part = np.s_[:: self._light_step, :: self._light_step]
@@ -338,6 +353,16 @@ def pressed_in(rise_m: np.ndarray, reading_sigma_m: np.ndarray | None) -> tuple[
     if reading_sigma_m is not None:
         touched &= depth_mm > 1e3 * BAND_SIGMAS * reading_sigma_m
     return touched, least_mm
+
+
+def _light_limit(profile: SensorProfile) -> np.ndarray:
+    """Change of each channel's mean level [levels], shape [3], beyond which an image's light is
+    none that the calibration saw: its colours would be read as slopes. Three standard deviations of
+    the unit's frames where the profile has them."""
+    known = profile.perturbation
+    if known is None or not any(known.offset_rgb):
+        return np.full(3, UNKNOWN_LIGHT_LEVELS)
+    return np.maximum(3 * np.array(known.offset_rgb), LEAST_LIGHT_LEVELS)
 
 
 def _metres(values_mm: np.ndarray | None) -> np.ndarray | None:

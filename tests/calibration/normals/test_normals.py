@@ -179,6 +179,27 @@ def test_drifting_light_is_taken_off() -> None:
     assert means[0] < 0.6 * means[1]
 
 
+@pytest.mark.parametrize("gain", [(0.9, 1.0, 1.0), (0.8, 0.8, 0.8), (1.08, 1.08, 1.08)])
+def test_light_that_was_never_calibrated_is_taken_off(
+    clean: Clean, gain: tuple[float, float, float]
+) -> None:
+    """A lamp that ages or a camera that warms up is no contact and changes none."""
+    captures, _, result = clean
+    reader = SurfaceReader(result.apply_to(flat_profile(GRID)))
+    held = captures.presses[captures.split(4).heldout[0]].image()
+
+    def seen(image: np.ndarray) -> np.ndarray:
+        return np.clip(np.rint(image * np.array(gain)), 0, 255).astype(np.uint8)
+
+    rest, other = np.asarray(reader.profile.background_rgb), reader.read(seen(held))
+    own = reader.read(held)
+    assert not own.drift_removed and other.drift_removed
+    assert reader.read(seen(rest)).figures(GRID)["touched_mm2"] == 0.0
+    one, two = own.figures(GRID), other.figures(GRID)
+    assert two["touched_mm2"] == pytest.approx(one["touched_mm2"], rel=0.05)
+    assert two["max_depth_mm"] == pytest.approx(one["max_depth_mm"], rel=0.08)
+
+
 def test_fit_is_deterministic() -> None:
     captures, surfaces = synthetic_captures(6)
     short = replace(QUICK, steps=20)
