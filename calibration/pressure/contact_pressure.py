@@ -157,7 +157,8 @@ class PressureReader:
         start, film = self._last, 0.0
         if reading_mm > 0:
             start = self._solved(gap, self.layer, start, 0.0)
-            film = reading_mm / max(float(start[start > 0].mean()), 1e-12)
+            pressed = start[start > 0]
+            film = reading_mm / float(pressed.mean()) if len(pressed) else 0.0
         pressure = self._solved(gap, self.layer, start, film)
         self._last = pressure
         interval = None
@@ -170,6 +171,8 @@ class PressureReader:
     ) -> tuple[float, float]:
         """95 % interval of the force [N], by the height, the thickness, the layer, the modulus."""
         force = self._force_n(pressure)
+        if not force > 0:
+            return 0.0, self._force_n(self._solved(gap - sigma, self.layer, None, film))
         lower, higher = (
             self._force_n(self._solved(gap + sign * sigma, self.layer, pressure, film))
             for sign in (1, -1)

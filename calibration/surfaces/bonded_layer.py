@@ -196,7 +196,8 @@ def pressure_under(
         if max(worst, -distance.min()) < tolerance_mm:
             break
         now = float((distance[touching] ** 2).sum())
-        direction = np.where(touching, distance + keep * now / before * direction, 0.0)
+        kept = keep * now / before if keep else 0.0
+        direction = np.where(touching, distance + kept * direction, 0.0)
         before = now
         along = (sinking(direction) + film_mm * direction)[touching] @ direction[touching]
         if not along > 0:

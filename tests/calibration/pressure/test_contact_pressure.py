@@ -130,6 +130,21 @@ def test_frames_that_follow_each_other_read_as_they_would_alone(profile: SensorP
     assert untouched.center_mm is None
 
 
+def test_a_press_elsewhere_in_the_next_frame_reads_as_it_would_alone(
+    profile: SensorProfile,
+) -> None:
+    """The last frame's pressure has nothing to do with it."""
+    here = rise_m("sphere", 2.0, 0.6)
+    there = np.roll(here, (35, 55), axis=(0, 1))
+    sigma = np.full_like(here, 2e-5)
+    reader = PressureReader(profile, GRID)
+    for frame in (here, there, here):
+        alone = PressureReader(profile, GRID).read(frame, sigma, sigma)
+        after = reader.read(frame, sigma, sigma)
+        assert after.force_n == pytest.approx(alone.force_n, rel=0.03)
+        assert after.force_interval_n == pytest.approx(alone.force_interval_n, rel=0.05)
+
+
 def test_a_contact_that_leaves_the_image_and_a_deep_one_are_said(profile: SensorProfile) -> None:
     x, y = np.meshgrid(GRID.x_mm(), GRID.y_mm())
     away2 = (x - 9.0) ** 2 + y**2
