@@ -19,8 +19,9 @@ OUTPUT ?= out/explore
 
 PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install -q --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt
-# One thread a process: the tests run in parallel processes.
-TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg
+# One thread a process: the tests run in parallel processes. Bytecode is kept, whatever the user's
+# setting: each process would compile the package and rewrite the tests' assertions anew.
+TEST_ENV := OMP_NUM_THREADS=1 MPLBACKEND=Agg PYTHONDONTWRITEBYTECODE=
 PYTEST := $(TEST_ENV) $(PY) -m pytest -q -n $(JOBS) --dist loadfile
 
 .PHONY: help demo test style lint check slow explore mutants notebook docs wheel doctor clean
@@ -93,7 +94,7 @@ $(VENV)/.installed-demo: pyproject.toml constraints.txt
 
 $(VENV)/.installed-dev: $(VENV)/.installed-demo
 	@tools/system_libraries.sh --browser
-	$(PIP) -e ".[demo,dev,docs]"
+	$(PIP) -e ".[demo,dev,docs,repair]"
 	@touch $@
 
 $(VENV)/.installed-peers: $(VENV)/.installed-dev

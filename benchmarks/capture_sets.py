@@ -27,7 +27,7 @@ from taccel_lab.exporters.published_meshes import data_folder
 
 
 @dataclass(frozen=True)
-class Figure:
+class CaptureFigure:
     """A figure of a report with its goal."""
 
     name: str
@@ -39,7 +39,7 @@ class Figure:
 
 
 @dataclass(frozen=True)
-class Case:
+class CaptureCase:
     """One command on one set."""
 
     name: str
@@ -48,35 +48,29 @@ class Case:
     part: str
     """Folder of the import; empty where there is one."""
     command: str
-    figures: tuple[Figure, ...]
+    figures: tuple[CaptureFigure, ...]
     changes: tuple[tuple[str, Any], ...] = ()
     """Options that differ from the defaults."""
 
 
-def _colors(psnr: float, disc: float) -> tuple[Figure, ...]:
-    ways = (
-        ("label", "placed by label"),
-        ("tiles", "checkerboard split"),
-        ("self", "self-registered"),
-    )
+def _colors(psnr: float, disc: float) -> tuple[CaptureFigure, ...]:
     return (
-        *(
-            Figure(f"PSNR, {words} [dB]", f"color.heldout_by.{way}.crop_psnr_db", psnr, True)
-            for way, words in ways
-        ),
-        Figure("L1 in the disc, placed by label [levels]", "color.heldout_by.label.disc_l1", disc),
-        Figure("held-out presses that failed", "color.heldout_failed", 0),
+        CaptureFigure("PSNR, placed by label [dB]", "color.heldout.crop_psnr_db", psnr, True),
+        CaptureFigure("L1 in the disc, placed by label [levels]", "color.heldout.disc_l1", disc),
+        CaptureFigure("held-out presses that failed", "color.heldout_failed", 0),
     )
 
 
-def _normals(goal: float) -> tuple[Figure, ...]:
-    return (Figure("normals, placed by label [deg]", "heldout.in_used_circles.mean_deg", goal),)
-
-
-def _contacts() -> tuple[Figure, ...]:
+def _normals(goal: float) -> tuple[CaptureFigure, ...]:
     return (
-        Figure("centre, median [px]", "agreement.center_median_px", 2.0),
-        Figure("radius, median [px]", "agreement.radius_median_px", 2.0),
+        CaptureFigure("normals, placed by label [deg]", "heldout.in_used_circles.mean_deg", goal),
+    )
+
+
+def _contacts() -> tuple[CaptureFigure, ...]:
+    return (
+        CaptureFigure("centre, median [px]", "agreement.center_median_px", 2.0),
+        CaptureFigure("radius, median [px]", "agreement.radius_median_px", 2.0),
     )
 
 
@@ -84,37 +78,41 @@ TAXIM, FOTS, RVSATHU = "taxim:gelsight", "fots_calib", "gelsight_rvsathu_sim2rea
 STATED = {"9dtact_official": ("--board", "dots:9x7:2.5")}
 """What the files of a set do not say, and importers ask for: its authors' board."""
 CASES = (
-    Case("GelSight (taxim)", TAXIM, "", "contacts", _contacts()),
-    Case("GelSight Mini (FOTS)", FOTS, "gelsight", "contacts", _contacts()),
-    Case("lab-made (RVSATHU)", RVSATHU, "", "contacts", _contacts()),
-    Case("GelSight (taxim)", TAXIM, "", "color", _colors(34.0, 2.5)),
-    Case("GelSight Mini (FOTS)", FOTS, "gelsight", "color", _colors(32.7, 4.9)),
-    Case("lab-made (RVSATHU)", RVSATHU, "", "color", _colors(29.5, 9.0)),
-    Case("GelSight (taxim)", TAXIM, "", "normals", _normals(3.3)),
-    Case("GelSight Mini (FOTS)", FOTS, "gelsight", "normals", _normals(6.0)),
-    Case("lab-made (RVSATHU)", RVSATHU, "", "normals", _normals(3.2)),
-    Case(
+    CaptureCase("GelSight (taxim)", TAXIM, "", "contacts", _contacts()),
+    CaptureCase("GelSight Mini (FOTS)", FOTS, "gelsight", "contacts", _contacts()),
+    CaptureCase("lab-made (RVSATHU)", RVSATHU, "", "contacts", _contacts()),
+    CaptureCase("GelSight (taxim)", TAXIM, "", "color", _colors(34.0, 2.5)),
+    CaptureCase("GelSight Mini (FOTS)", FOTS, "gelsight", "color", _colors(32.7, 4.9)),
+    CaptureCase("lab-made (RVSATHU)", RVSATHU, "", "color", _colors(29.5, 9.0)),
+    CaptureCase("GelSight (taxim)", TAXIM, "", "normals", _normals(3.3)),
+    CaptureCase("GelSight Mini (FOTS)", FOTS, "gelsight", "normals", _normals(6.0)),
+    CaptureCase("lab-made (RVSATHU)", RVSATHU, "", "normals", _normals(3.2)),
+    CaptureCase(
         "fisheye GelSight (Photon26)", "gelsight_osaka_photon26", "", "camera",
-        (Figure("held-out reprojection [px]", "intrinsics.heldout_rms_px", 0.70),),
+        (CaptureFigure("held-out reprojection [px]", "intrinsics.heldout_rms_px", 0.70),),
     ),
-    Case(
+    CaptureCase(
         "9DTact, unit 1", "9dtact_official", "sensor_1", "camera",
-        (Figure("scale against 0.0510 mm/px", "on_gel.mm_per_px_x.value|0.0510", 0.01),),
+        (CaptureFigure("scale against 0.0510 mm/px", "on_gel.mm_per_px_x.value|0.0510", 0.01),),
     ),
-    Case(
+    CaptureCase(
         "9DTact, unit 2", "9dtact_official", "sensor_2", "camera",
-        (Figure("scale against 0.0500 mm/px", "on_gel.mm_per_px_x.value|0.0500", 0.01),),
+        (CaptureFigure("scale against 0.0500 mm/px", "on_gel.mm_per_px_x.value|0.0500", 0.01),),
     ),
-    Case(
+    CaptureCase(
         "GelSight Mini video (gsrobotics)", "gsmini_markers_video", "", "markers",
         (
-            Figure("rest jitter [px]", "residuals.rest_jitter_px", 0.02),
-            Figure("return error [px]", "residuals.return_error_px", 0.6),
+            CaptureFigure("rest jitter [px]", "residuals.rest_jitter_px", 0.02),
+            CaptureFigure("return error [px]", "residuals.return_error_px", 0.6),
         ),
     ),
-    Case(
+    CaptureCase(
         "GelSight Mini (FEATS)", "gsmini_feats_calib", "", "material",
-        (Figure("worst point, left out", "residuals.indentation_held_out_worst_relative", 0.03),),
+        (
+            CaptureFigure(
+                "worst point, left out", "residuals.indentation_held_out_worst_relative", 0.03
+            ),
+        ),
     ),
 )  # fmt: skip
 
@@ -127,6 +125,7 @@ class Captures(Suite):
     what: ClassVar[str] = (
         "real captures through the commands of calibration; goals beside the figures"
     )
+    shown: ClassVar[tuple[str, ...]] = ("command", "figure", "value", "goal", "met", "seconds")
     only: tuple[str, ...] = ()
     """Commands to run: contacts, color, normals, camera, markers, material. Default: all."""
 
@@ -147,16 +146,7 @@ class Captures(Suite):
                     note(f"{case.name}, {case.command}: {spent}")
                     continue
                 for row in _run_case(case, folder, Path(scratch)):
-                    result.add(row)
-                    note(_describe(row))
-
-
-def _describe(row: dict[str, Any]) -> str:
-    goal = "at least" if row["at_least"] else "at most"
-    return (
-        f"{row['set']}, {row['command']}: {row['figure']} {row['value']:.4g} "
-        f"({goal} {row['goal']:g}), {row['seconds']:.0f} s"
-    )
+                    result.add(row, case.name)
 
 
 class ImportedSets:
@@ -166,7 +156,7 @@ class ImportedSets:
         self._scratch = scratch
         self._done: dict[str, Path | None] = {}
 
-    def folder(self, case: Case) -> Path | None:
+    def folder(self, case: CaptureCase) -> Path | None:
         """Capture folder of a case, or None where the set is not on this machine."""
         if case.source not in self._done:
             self._done[case.source] = self._import(case.source)
@@ -190,7 +180,7 @@ class ImportedSets:
         return out
 
 
-def _run_case(case: Case, folder: Path, scratch: Path) -> Iterator[dict[str, Any]]:
+def _run_case(case: CaptureCase, folder: Path, scratch: Path) -> Iterator[dict[str, Any]]:
     started = time.perf_counter()
     report = (
         _contact_report(folder) if case.command == "contacts" else _report(case, folder, scratch)
@@ -213,12 +203,14 @@ def _run_case(case: Case, folder: Path, scratch: Path) -> Iterator[dict[str, Any
         }
 
 
-def _report(case: Case, folder: Path, scratch: Path) -> dict[str, Any]:
+def _report(case: CaptureCase, folder: Path, scratch: Path) -> dict[str, Any]:
     name = f"{case.source}_{case.part}_{case.command}".replace(":", "_").replace("/", "_")
     out = scratch / name
     arguments = [f"--{key}={value}" for key, value in case.changes]
-    _main("calibrate", case.command, str(folder), "--out", str(out), *arguments)
+    errors = _main("calibrate", case.command, str(folder), "--out", str(out), *arguments)
     path = out.with_name(out.name + "_report") / "report.json"
+    if not path.is_file():
+        raise InputError(f"calibrate {case.command} of {case.name} wrote no report: {errors}")
     return json.loads(path.read_text(encoding="utf-8"))
 
 
@@ -251,11 +243,12 @@ def _fit_seconds(report: dict[str, Any]) -> float | None:
     return None
 
 
-def _main(*arguments: str) -> None:
-    """A command in a process of its own, as a user runs it."""
+def _main(*arguments: str) -> str:
+    """Run a command in its own process, as a user does; return what it writes to stderr."""
     # Exit code 1: done, and parts of it weak or refused; the report says which.
     done = subprocess.run(
         [sys.executable, "-m", "taccel_lab.cli.app", *arguments], capture_output=True, text=True
     )
     if done.returncode not in (0, 1):
         raise InputError(f"taccel-lab {' '.join(arguments)}: {done.stderr.strip()}")
+    return done.stderr.strip()

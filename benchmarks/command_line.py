@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """``taccel-lab bench`` and ``python -m taccel_lab.benchmarks``: the options of each command, which
-stand in its own file, as arguments. A command's module is imported when it is asked for.
+stand in its own file, as arguments. A command's module is imported on demand.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ Suites write a JSON file and a page into --out; `report` makes docs/benchmarks.m
 benchmarks/results."""
 
 
-class Command(Protocol):
+class BenchmarkCommand(Protocol):
     """Options of a command, ready to run."""
 
     def run(self) -> None: ...
 
 
-def options_of(command: str) -> type[Command]:
+def options_of(command: str) -> type[BenchmarkCommand]:
     """The dataclass of a command's options."""
     module, name = COMMANDS[command].split(":")
     return getattr(import_module(f"taccel_lab.benchmarks.{module}"), name)
@@ -47,7 +47,7 @@ def options_of(command: str) -> type[Command]:
 
 def parse(
     arguments: Sequence[str] | None = None, program: str = "python -m taccel_lab.benchmarks"
-) -> Command:
+) -> BenchmarkCommand:
     """The command that the arguments name, with its options; --help and usage errors leave through
     SystemExit (0 and 2)."""
     import tyro

@@ -42,7 +42,7 @@ UNSPREAD = 0.05
 
 
 @dataclass(frozen=True)
-class Change:
+class FigureChange:
     """One figure of one row."""
 
     row: str
@@ -60,7 +60,7 @@ class Change:
         )
 
 
-def compare(first: dict[str, Any], second: dict[str, Any]) -> tuple[list[str], list[Change]]:
+def compare(first: dict[str, Any], second: dict[str, Any]) -> tuple[list[str], list[FigureChange]]:
     """Remarks on what makes the two hard to compare, and the figures that changed.
 
     A figure with a spread has changed when its ranges do not overlap, another one when it differs
@@ -96,11 +96,11 @@ def compare(first: dict[str, Any], second: dict[str, Any]) -> tuple[list[str], l
     return remarks, changes
 
 
-def _changes(row: str, before: Any, after: Any, path: str) -> Iterator[Change]:
+def _changes(row: str, before: Any, after: Any, path: str) -> Iterator[FigureChange]:
     if isinstance(before, dict) and isinstance(after, dict):
         if {"median", "min", "max"} <= before.keys() & after.keys():
             if before["max"] < after["min"] or after["max"] < before["min"]:
-                yield Change(row, path, before["median"], after["median"])
+                yield FigureChange(row, path, before["median"], after["median"])
             return
         for name in before:
             if name in after and name not in SILENT:
@@ -108,7 +108,7 @@ def _changes(row: str, before: Any, after: Any, path: str) -> Iterator[Change]:
     elif _is_number(before) and _is_number(after):
         scale = max(abs(before), abs(after))
         if abs(after - before) > UNSPREAD * scale:
-            yield Change(row, path, float(before), float(after))
+            yield FigureChange(row, path, float(before), float(after))
 
 
 def _is_number(value: Any) -> TypeGuard[float]:

@@ -52,6 +52,11 @@ class Images(Suite):
 
     name: ClassVar[str] = "images"
     what: ClassVar[str] = "Tactile images and markers a second, and their error in grey levels."
+    shown: ClassVar[tuple[str, ...]] = (
+        *(f"{name}: images_per_s" for name in READS),
+        "view beyond the pad: images_per_s", "errors: levels_mean", "errors: levels_max",
+        "errors: markers_px_max", "captured_equals_eager", "build_and_first_read_s",
+    )  # fmt: skip
     sensors: tuple[int, ...] = (1, 64, 1024)
     """Numbers of sensors at once, a row each for each size of the image."""
     repeats: int = 20
@@ -66,7 +71,7 @@ class Images(Suite):
         with wp.ScopedDevice(self.device):
             for size, count in itertools.product(SIZES, self.sensors):
                 row = partial(measure, mesh, size, count, self.device, self.repeats)
-                result.measure(f"{size[0]}x{size[1]}, {count} sensors", row, describe)
+                result.measure(f"{size[0]}x{size[1]}, {count} sensors", row)
         rows = [row for row in result.rows if tuple(row["size"]) == SIZES[0]]
         if rows:
             most = max(rows, key=lambda row: row["sensors"])
@@ -295,39 +300,3 @@ def measure(
     if wp_device.is_cuda:
         row["device_memory_high_mib"] = wp.get_mempool_used_mem_high(wp_device) / 2**20
     return row
-
-
-def describe(row: dict[str, Any]) -> str:
-    """Lines for the person who waits."""
-    figures_of = {name: row[name] for name in READS}
-    still = {name: f for name, f in row["still"].items() if isinstance(f, dict)}
-    figures_of |= {f"RGB, still {STILL_LEVELS}, {name}": f for name, f in still.items()}
-    figures_of["RGB, view beyond the pad"] = row["view beyond the pad"]
-    lines = [f"{row['size'][0]}x{row['size'][1]}, {row['sensors']} sensors"]
-    lines += [
-        f"  {name:34s} {figures['images_per_s']:12,.0f} /s {figures['median'] * 1e3:9.3f} ms"
-        f" ({figures['min'] * 1e3:.3f} to {figures['max'] * 1e3:.3f})"
-        for name, figures in figures_of.items()
-    ]
-    error = row["errors"]
-    lines.append(
-        f"  error: {describe_levels(error)}; bytes differing {error['rgb_differing_share']:.4f} "
-        f"by at most {error['rgb_max']:.0f}; markers {error['markers_px_max']:.1e} px"
-    )
-    lines += [
-        f"  error, still {STILL_LEVELS}, {name}: {describe_levels(figures['errors'])}"
-        for name, figures in still.items()
-    ]
-    if row.get("captured_equals_eager") is not None:
-        lines.append(f"  captured equals eager: {row['captured_equals_eager']}")
-    lines.append(f"  built and first read in {row['build_and_first_read_s']:.2f} s")
-    return "\n".join(lines)
-
-
-def describe_levels(error: dict[str, Any]) -> str:
-    """Error in grey levels as text."""
-    return (
-        f"{error['levels_mean']:.4f} levels mean, {error['levels_p99']:.4f} p99, "
-        f"{error['levels_max']:.4f} max (change {error['change_levels_mean']:.1f} mean, "
-        f"{error['change_levels_max']:.0f} max)"
-    )

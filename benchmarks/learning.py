@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The suite ``learning``: steps a second as a learning loop uses the solver.
 
-Environments that all do the same are the best case of a batch. In a learning loop each is in a
-phase of its own, its targets are an untrained policy's, and some begin anew at every step; the
+Environments that all do the same are the best case of a batch. In a learning loop each is in its
+own phase, its targets are an untrained policy's, and some begin anew at every step; the
 batch waits for its slowest environment, unless each goes at its own pace (``ReadySteps``), as those
 who make data may let it. Resets, the check of new starts, setting targets, stepping and reading
 forces are timed, and what a policy sees of a step where one looks (``observation``).
@@ -21,7 +21,7 @@ from taccel_lab.benchmarks.clock import clock_name, clock_of
 from taccel_lab.benchmarks.memory import MemoryMeter
 from taccel_lab.benchmarks.observation import OBSERVED, Observer, Sight
 from taccel_lab.benchmarks.results import ResultFile, Ticker, spread
-from taccel_lab.benchmarks.runner import ForceReader, Motion
+from taccel_lab.benchmarks.runner import SHOWN, BenchmarkMotion, ForceProbe, figures_of, middle_of
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 from taccel_lab.benchmarks.scenes.base import BenchScene
 from taccel_lab.benchmarks.speed import parse_settings
@@ -41,6 +41,11 @@ class Learning(Suite):
         "Environments x steps / seconds of a learning loop: every environment in its own phase, "
         "random targets, some reset at every step, new starts checked, forces read."
     )
+    shown: ClassVar[tuple[str, ...]] = (
+        *SHOWN, "beside_steps_ms", "resets_per_step", "newton_p999", "newton_largest_mean",
+        "observed: rgb_us_per_env_step", "observed: wrench_us_per_env_step",
+        "observed: fps_without",
+    )  # fmt: skip
     scene: str = "peg"
     """Scene: peg, press_239, press_2005, press_5215, bolt, hand or squeeze."""
     envs: tuple[int, ...] = (16,)
@@ -48,7 +53,7 @@ class Learning(Suite):
     steps: int = 100
     """Timed steps."""
     warm_up: int = 0
-    """Steps before, in which each environment gets a phase of its own; 0: as many as the motion
+    """Steps before, in which each environment gets its own phase; 0: as many as the motion
     has, so that the phases of the timed steps are uniform over it."""
     repeats: int = 1
     """Timed runs, one going on where the other ended; the median counts."""
@@ -101,10 +106,10 @@ class Learning(Suite):
         for count in self.envs:
             for pace in self.pace:
                 row = partial(measure, count, pace, self)
-                result.measure(f"{self.scene}, {count}, {pace}", row, describe)
+                result.measure(f"{self.scene}, {count}, {pace}", row)
 
 
-class Phases:
+class LearningPhases:
     """Where in the motion each environment stands, and which begin anew."""
 
     def __init__(
@@ -113,7 +118,7 @@ class Phases:
         self.steps = steps
         """Of the motion."""
         self.warm_up = warm_up or steps
-        """Steps after which each environment has begun anew once, at a step of its own."""
+        """Steps after which each environment has begun anew once, at its own step."""
         self.now = np.zeros(count, dtype=np.int64)
         """Steps of the motion that each environment has begun."""
         self._taken = np.zeros(count, dtype=np.int64)
@@ -133,7 +138,7 @@ class Phases:
 
 
 class LearningLoop:
-    """A scene stepped by an untrained policy, environments in phases of their own."""
+    """A scene stepped by an untrained policy, environments in their own phases."""
 
     def __init__(self, bench: BenchScene, options: Learning, pace: str = "together") -> None:
         self._bench = bench
@@ -141,13 +146,13 @@ class LearningLoop:
         self.model = bench.scene.finalize(options.device)
         self.solver = SolverIPC(self.model, replace(bench.config, check_start=True))
         self.state = initial_state(self.model, bench.targets(0))
-        self._forces = None if "wrench" in options.observe else ForceReader(self.solver)
+        self._forces = None if "wrench" in options.observe else ForceProbe(self.solver)
         self.observer = Observer(self.solver, options.observe) if options.observe else None
         self._clock = clock_of(self.model.device)
         self._random = np.random.default_rng(options.seed)
         self._moves = (np.ptp(bench.path, axis=0) > 0).any(axis=1)
         """Bodies whose targets are off, bool, [kinematic_count]."""
-        self.phases = Phases(
+        self.phases = LearningPhases(
             self.model.env_count,
             bench.steps,
             options.warm_up,
@@ -172,10 +177,10 @@ class LearningLoop:
         targets[:, self._moves, :3] += self._random.uniform(-reach, reach, shape)
         return targets
 
-    def run(self, steps: int, progress: Progress = silent) -> Motion:
+    def run(self, steps: int, progress: Progress = silent) -> BenchmarkMotion:
         """So many steps of each environment (in the mean, at their own pace) from where the loop
         stands."""
-        motion = Motion()
+        motion = BenchmarkMotion()
         wp.synchronize_device(self.model.device)
         wanted = steps * self.model.env_count
         while motion.env_steps < wanted:
@@ -228,27 +233,19 @@ def measure(count: int, pace: str, options: Learning) -> dict[str, Any]:
             runs.append(loop.run(options.steps, Ticker(f"{label}, run {i + 1}/{options.repeats}")))
             sights.append(loop.take_sight())
     bytes_used = meter.used_bytes()
-    middle = int(np.argsort([run.fps for run in runs])[len(runs) // 2])
+    middle = middle_of(runs)
     median, sight = runs[middle], sights[middle]
     beside_s = sum(median.seconds) - sum(median.solver_seconds) - sight.total_s
     observed = None
     if loop.observer is not None:
         observed = loop.observer.figures(sight, median.env_steps, sum(median.seconds))
     thirds = np.histogram(np.concatenate(loop.places), bins=3, range=(0, 1))[0]
-    residuals = [run.residual() for run in runs]
     # Of environments at their own pace a call is less than a step.
     calls = [len(run.seconds) / options.steps for run in runs]
     return {
-        "scene": options.scene,
-        "what": bench.what,
-        "source": bench.source,
-        "envs": count,
+        **figures_of(runs, bench, loop.model),
         "pace": pace,
         "steps": options.steps,
-        "soft_nodes": loop.model.soft_count,
-        "unknowns": 3 * loop.model.free_count,
-        "fps": spread([run.fps for run in runs]),
-        "solver_fps": spread([run.solver_fps for run in runs]),
         "ms_per_step": spread([1e3 * sum(run.seconds) / options.steps for run in runs]),
         "calls_per_step": float(np.mean(calls)),
         "beside_steps_ms": 1e3 * beside_s / options.steps,
@@ -257,32 +254,7 @@ def measure(count: int, pace: str, options: Learning) -> dict[str, Any]:
         "motion_steps": bench.steps,
         "phase_thirds": (thirds / thirds.sum()).tolist(),
         "resets_per_step": (loop.resets - before) / (options.steps * options.repeats),
-        "residual": max(residuals, key=lambda r: (r["unconverged"], r["worst_over_allowed"])),
-        **median.work(),
         "newton_largest_mean": float(np.average(median.newton_max, weights=median.counts)),
         "memory_mib_per_env": bytes_used / 2**20 / count,
         "observed": observed,
     }
-
-
-def describe(row: dict[str, Any]) -> str:
-    """A line for the person who waits."""
-    residual = row["residual"]
-    line = (
-        f"{row['scene']}, {row['envs']} environments, {row['pace']}: "
-        f"{row['fps']['median']:,.1f} FPS, "
-        f"{row['ms_per_step']['median']:.2f} ms a step ({row['beside_steps_ms']:.2f} of it "
-        f"{row['resets_per_step']:.1f} resets and reading forces), "
-        f"Newton {row['newton_mean']:.1f}, 99.9 % of the steps within {row['newton_p999']:.0f}, "
-        f"largest of the batch {row['newton_largest_mean']:.1f}, "
-        f"residual {residual['worst_over_contact_force']:.1e} of the contact force"
-    )
-    if observed := row["observed"]:
-        took = {name: observed[f"{name}_us_per_env_step"] for name in observed["what"]}
-        spent = ", ".join(f"{name} {us:,.0f} us" for name, us in took.items())
-        line += f"; observing {spent} a step of an environment"
-        line += f", {observed['fps_without']:,.1f} FPS without"
-    if residual["unconverged"]:
-        line += f"; {residual['unconverged']} of {residual['env_steps']} NOT converged"
-        line += f" ({residual['causes']})"
-    return line

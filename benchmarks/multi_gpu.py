@@ -2,10 +2,10 @@
 """The suite ``multi_gpu``: the peg scene over several GPUs, a process each.
 
 Strong scaling keeps the number of environments, weak scaling the number on each
-GPU. Timed are whole motions: targets set, stepped, forces of all environments on the host. In the
-table, "ideal" is the speed over that of one GPU times the number of GPUs, and "differ" counts the
-steps of environments whose Newton iterations are not those of the first environment on one GPU: all
-of them do the same, and only the order of sums tells them apart.
+GPU. Timed are whole motions: targets set, stepped, forces of all environments on the host. The
+efficiency is the speed over that of one GPU times the number of GPUs, and ``newton_differ`` counts
+the steps of environments whose Newton iterations are not those of the first environment on one GPU:
+all of them do the same, and only the order of sums tells them apart.
 """
 
 from __future__ import annotations
@@ -22,14 +22,12 @@ from typing import Any, ClassVar
 import numpy as np
 import warp as wp
 
-from taccel_lab.benchmarks.results import Deadline, ResultFile, note, spread
-from taccel_lab.benchmarks.runner import ForceReader, Motion
+from taccel_lab.benchmarks.results import Deadline, ResultFile, spread
+from taccel_lab.benchmarks.runner import BenchmarkMotion, Runner
 from taccel_lab.benchmarks.scenes import SceneOptions, build_scene
 from taccel_lab.benchmarks.suite import Suite
 from taccel_lab.errors import InputError
 from taccel_lab.scene.shards import shard_of, shard_slice
-from taccel_lab.solvers import SolverIPC
-from taccel_lab.state import initial_state
 
 MODE = "processes"
 """Of all rows, for comparison with results that have rows of threads, too."""
@@ -45,6 +43,10 @@ class MultiGpu(Suite):
     what: ClassVar[str] = (
         "The peg scene over several GPUs: environments x steps / seconds, forces on the host."
     )
+    shown: ClassVar[tuple[str, ...]] = (
+        "scaling", "fps: median", "efficiency", "ms_per_step: median", "newton_mean",
+        "newton_differ", "force_spread_n", "worst_over_contact_force", "unconverged",
+    )  # fmt: skip
     devices: tuple[str, ...] = ()
     """Such as cuda:0 cuda:1; all GPUs of the machine when left out. They take --device's place."""
     counts: tuple[int, ...] = (1, 2, 4)
@@ -83,87 +85,32 @@ class MultiGpu(Suite):
 
     def measure_rows(self, result: ResultFile) -> None:
         """What matters most first."""
-        settings = Settings(self.source, self.steps, self.warm_up)
         counts = [count for count in self.counts if count <= min(len(self.devices), self.envs)]
         base: dict[str, Any] | None = None
 
         def row(scaling: str, count: int, envs: int) -> dict[str, Any]:
             nonlocal base
             alike = None if base is None else base["newton_by_step"]
-            found = measure(workers, count, envs, settings, self.repeats, result.deadline, alike)
+            found = measure(workers, count, envs, self, result.deadline, alike)
             base = base or found
             # FPS counts all environments, so that ideal is the same for both kinds of scaling.
             efficiency = found["fps"]["median"] / (count * base["fps"]["median"])
             return found | {"mode": MODE, "scaling": scaling, "efficiency": efficiency}
 
         result.put("device_names", [wp.get_device(name).name for name in self.devices])
-        note(HEAD)
         with closing(Workers(self.devices[: max(counts)])) as workers:
             for planned in plan_rows(counts, self.envs):
                 _, count, envs = planned
                 label = f"{count} GPUs, {envs:,} environments"
-                result.measure(label, partial(row, *planned), describe)
+                result.measure(label, partial(row, *planned))
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What is the same in all rows."""
-
-    source: str
-    steps: int
-    warm_up: int
-
-
-@dataclass
-class Run:
-    """One motion of the environments of a process."""
-
-    motion: Motion
-    newton: np.ndarray
-    """Newton iterations, [steps, env]."""
-    forces_n: np.ndarray
-    """Forces on the gels at the end [N], [env, gel, 3]."""
-
-
-class Party:
-    """The part of the scene that one process has, on its device."""
-
-    def __init__(
-        self, device: str, env_count: int, settings: Settings, rank: int, world: int
-    ) -> None:
-        """``rank``, ``world``: which of how many processes this is; ``env_count``: of all."""
-        self._bench = build_scene("peg", SceneOptions(env_count, settings.source))
-        self.source = self._bench.source
-        self._part = shard_slice(env_count, rank, world)
-        scene = shard_of(self._bench.scene, rank, world)
-        # Every environment starts alike, with a gap that is known: no need to search them all.
-        config = replace(self._bench.config, check_start=False)
-        model = scene.finalize(device)
-        self._solver = SolverIPC(model, config)
-        self._state = initial_state(model, self._targets(0))
-        self._forces = ForceReader(self._solver)
-        self.run(settings.warm_up)
-
-    def _targets(self, step: int) -> np.ndarray:
-        return self._bench.targets(step)[self._part]
-
-    def reset(self) -> None:
-        """All environments back to the start."""
-        model = self._solver.model
-        self._solver.reset(self._state, np.ones(model.env_count, dtype=bool), self._targets(0))
-        wp.synchronize_device(model.device)
-
-    def run(self, steps: int) -> Run:
-        """The first steps of the motion, from where the environments are."""
-        motion, newton = Motion(), []
-        forces = np.zeros((self._solver.model.env_count, 0, 3))
-        for step in range(1, steps + 1):
-            started = time.perf_counter()
-            report = self._solver.step(self._state, self._targets(step))
-            forces = self._forces.read(self._state)
-            motion.add(report, time.perf_counter() - started, report.seconds)
-            newton.append(report.newton_iterations)
-        return Run(motion, np.array(newton), forces)
+def built(device: str, env_count: int, options: MultiGpu, rank: int, world: int) -> Runner:
+    """The part of the scene that process ``rank`` of ``world`` has, on its device, warmed up."""
+    bench = build_scene("peg", SceneOptions(env_count, options.source))
+    runner = Runner(replace(bench, scene=shard_of(bench.scene, rank, world)), device)
+    runner.run(options.warm_up)
+    return runner
 
 
 # Workers: one process a device -------------------------------------------------------------------
@@ -172,17 +119,22 @@ class Party:
 def _work(pipe: Connection, device: str) -> None:
     """Do what the parent asks for until it asks for nothing."""
     wp.config.log_level = wp.LOG_WARNING
-    party: Party | None = None
+    runner: Runner | None = None
     while True:
         what, *values = pipe.recv()
         if what == "stop":
             return
         if what == "build":
-            party = None
-            party = Party(device, *values)
-            pipe.send(party.source)
-        elif party is not None:
-            pipe.send(party.reset() if what == "reset" else party.run(*values))
+            runner = None
+            runner = built(device, *values)
+            pipe.send(runner.bench.source)
+        elif runner is not None and what == "reset":
+            runner.reset()
+            wp.synchronize_device(device)
+            pipe.send(None)
+        elif runner is not None:
+            motion = runner.run(*values, keep_forces=True)
+            pipe.send(replace(motion, forces_n=motion.forces_n[-1:]))
 
 
 class Workers:
@@ -201,7 +153,7 @@ class Workers:
             self._processes.append(process)
 
     def ask(self, count: int, what: str, *values: Any, ranked: bool = False) -> list[Any]:
-        """Answers of the first ``count`` workers; each is told its rank when ``ranked``."""
+        """Answers of the first ``count`` workers; each gets its rank when ``ranked``."""
         for rank, pipe in enumerate(self._pipes[:count]):
             pipe.send((what, *values, rank, count) if ranked else (what, *values))
         answers = []
@@ -232,8 +184,7 @@ def measure(
     workers: Workers,
     count: int,
     env_count: int,
-    settings: Settings,
-    repeats: int,
+    options: MultiGpu,
     end: Deadline,
     alike: Sequence[int] | None,
 ) -> dict[str, Any]:
@@ -243,26 +194,26 @@ def measure(
     first environment when None.
     """
     started = time.perf_counter()
-    sources = workers.ask(count, "build", env_count, settings, ranked=True)
+    sources = workers.ask(count, "build", env_count, options, ranked=True)
     setup_s = time.perf_counter() - started
     seconds: list[float] = []
-    runs: list[Run] = []
-    while len(seconds) < repeats and not (seconds and end.passed):
+    runs: list[BenchmarkMotion] = []
+    while len(seconds) < options.repeats and not (seconds and end.passed):
         workers.ask(count, "reset")
         started = time.perf_counter()
-        runs = workers.ask(count, "run", settings.steps)
+        runs = workers.ask(count, "run", options.steps)
         seconds.append(time.perf_counter() - started)
-    newton = np.concatenate([run.newton for run in runs], axis=1)
-    forces = np.concatenate([run.forces_n for run in runs])
-    residuals = [run.motion.residual() for run in runs]
+    newton = np.concatenate([np.array(run.iterations) for run in runs], axis=1)
+    forces = np.concatenate([run.forces_n[-1] for run in runs])
+    residuals = [run.residual() for run in runs]
     parts = [shard_slice(env_count, rank, count) for rank in range(count)]
     expected = newton[:, :1] if alike is None else np.array(alike)[:, None]
     return {
         "gpus": count,
         "envs": env_count,
         "source": sources[0],
-        "fps": spread([env_count * settings.steps / s for s in seconds]),
-        "ms_per_step": spread([1e3 * s / settings.steps for s in seconds]),
+        "fps": spread([env_count * options.steps / s for s in seconds]),
+        "ms_per_step": spread([1e3 * s / options.steps for s in seconds]),
         "setup_s": setup_s,
         "newton_mean": float(newton.mean()),
         "newton_by_step": newton[:, 0].tolist(),
@@ -287,22 +238,3 @@ def plan_rows(counts: Sequence[int], envs: int) -> list[tuple[str, int, int]]:
         for count in several:
             rows.append((scaling, count, envs * (count if scaling == "weak" else 1)))
     return rows
-
-
-HEAD = (
-    "scaling   GPUs    envs          FPS  spread  ideal  ms/step  Newton  differ  "
-    "force spread [N]  residual/contact  unconverged"
-)
-
-
-def describe(row: dict[str, Any]) -> str:
-    """A line of the table."""
-    fps = row["fps"]
-    width = (fps["max"] - fps["min"]) / fps["median"]
-    return (
-        f"{row['scaling']:<8} {row['gpus']:>4} {row['envs']:>7,} "
-        f"{fps['median']:>12,.0f} {width:>6.1%}  {row['efficiency']:>5.0%} "
-        f"{row['ms_per_step']['median']:>8.2f} {row['newton_mean']:>7.2f} "
-        f"{row['newton_differ']:>7,} {row['force_spread_n']:>17.1e} "
-        f"{row['worst_over_contact_force']:>17.1e} {row['unconverged']:>12,}"
-    )

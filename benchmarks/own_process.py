@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Python in a process of its own, which imports the package from a folder of choice."""
+"""Python in its own process, which imports the package from a folder of choice."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from taccel_lab.report.html import format_number
-from taccel_lab.report.page import Page, Table
+from taccel_lab.report.page import Page, Table, sentence
 
 SIDE_BY_SIDE = 5
 """Rows that stand beside one another, a line for each of their figures; more stand one below the
@@ -18,14 +18,14 @@ COLUMNS = 6
 
 def benchmark_page(document: dict[str, Any]) -> Page:
     """The page of a result file (``read_result``)."""
-    rows = [dict(_flat(row)) for row in document["rows"]]
+    rows = [dict(flat(row)) for row in document["rows"]]
     state = "all rows" if document["complete"] else "not complete"
     seconds = format_number(document["seconds"])
     own = ("schema", "suite", "what", "run", "settings", "complete", "rows", "seconds")
-    beside = dict(_flat({k: v for k, v in document.items() if k not in own}))
+    beside = dict(flat({k: v for k, v in document.items() if k not in own}))
     return Page(
         title=f"Benchmark {document['suite']}",
-        summary=f"{document['what']} {len(rows)} rows in {seconds} s, {state}.",
+        summary=f"{sentence(document['what'])} {len(rows)} rows in {seconds} s, {state}.",
         headline="What was measured",
         tables=[
             *(
@@ -33,8 +33,8 @@ def benchmark_page(document: dict[str, Any]) -> Page:
                 * bool(beside)
             ),
             *_tables(rows),
-            Table("Settings", ("setting", "value"), list(_flat(document["settings"])), folded=True),
-            Table("Machine", ("figure", "value"), list(_flat(document["run"])), folded=True),
+            Table("Settings", ("setting", "value"), list(flat(document["settings"])), folded=True),
+            Table("Machine", ("figure", "value"), list(flat(document["run"])), folded=True),
         ],
     )
 
@@ -58,11 +58,11 @@ def _tables(rows: list[dict[str, Any]]) -> Iterator[Table]:
         )
 
 
-def _flat(table: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+def flat(table: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
     """Figures by their names, those of inner tables after the table's."""
     for name, value in table.items():
         if isinstance(value, dict):
-            yield from _flat(value, f"{before}{name}: ")
+            yield from flat(value, f"{before}{name}: ")
         elif isinstance(value, bool):
             yield before + name, "yes" if value else "no"
         elif isinstance(value, (list, tuple)):

@@ -2,7 +2,7 @@
 """The suite ``peers``: run another simulator's driver of the peg scene, and keep what it says.
 
 ``peers.json`` holds the field's figures with their conditions. A driver prints, for each number of
-environments, a line ``RESULT name ... N=16 ... FPS=123.4 ...``; it runs in a process of its own,
+environments, a line ``RESULT name ... N=16 ... FPS=123.4 ...``; it runs in its own process,
 with this machine's device, so that both figures come from one machine on one day.
 """
 
@@ -54,6 +54,7 @@ class Peers(Suite):
 
     name: ClassVar[str] = "peers"
     what: ClassVar[str] = "Frames a second of another simulator on the peg scene, run beside ours."
+    shown: ClassVar[tuple[str, ...]] = ("envs", "fps")
     driver: Path
     """Script that prints a line RESULT NAME ... N=16 ... FPS=123.4 for each row."""
     arguments: str = ""
@@ -77,7 +78,7 @@ class Peers(Suite):
             for line in process.stdout or ():
                 tail = [*tail[-20:], line]
                 for row in parse_results([line]):
-                    result.measure(row["name"], lambda row=row: row, describe)
+                    result.measure(row["name"], lambda row=row: row)
                 if result.deadline.passed:
                     process.kill()
                     return
@@ -87,8 +88,3 @@ class Peers(Suite):
             raise
         if code != 0:
             raise SimulationError(f"{self.driver} ended with {code}:\n{''.join(tail)}")
-
-
-def describe(row: dict[str, Any]) -> str:
-    """A line for the person who waits."""
-    return f"{row['name']}, {row['envs']} environments: {row['fps']:,.1f} FPS"

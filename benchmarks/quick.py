@@ -49,7 +49,7 @@ FORCE_RATIO, FORCE_N = 2e-3, 2e-4
 
 
 @dataclass(frozen=True)
-class Finding:
+class QuickFinding:
     """A figure that is out of bounds, or much better than the baseline."""
 
     scene: str
@@ -108,28 +108,28 @@ def measure_all() -> dict[str, dict[str, Any]]:
 
 def judge(
     baseline: dict[str, dict[str, Any]], found: dict[str, dict[str, Any]]
-) -> Iterator[Finding]:
+) -> Iterator[QuickFinding]:
     """What is out of bounds, and what has become better by as much."""
     for scene, now in found.items():
         for name, allowed in (("unconverged", 0), ("intersections", 0), ("taken_in_parts", 0)):
             if now[name] > allowed:
-                yield Finding(scene, name, allowed, now[name], True)
+                yield QuickFinding(scene, name, allowed, now[name], True)
         if now["worst_residual_over_allowed"] > 1:
             value = now["worst_residual_over_allowed"]
-            yield Finding(scene, "worst_residual_over_allowed", 1, value, True)
+            yield QuickFinding(scene, "worst_residual_over_allowed", 1, value, True)
         before = baseline.get(scene)
         if before is None or before["steps"] != now["steps"]:
-            yield Finding(scene, "baseline", None, "another number of steps or none", True)
+            yield QuickFinding(scene, "baseline", None, "another number of steps or none", True)
             continue
         for name, rise in RISE.items():
             if now[name] > (1 + rise) * before[name]:
-                yield Finding(scene, name, before[name], now[name], True)
+                yield QuickFinding(scene, name, before[name], now[name], True)
             elif now[name] < (1 - rise) * before[name]:
-                yield Finding(scene, name, before[name], now[name], False)
+                yield QuickFinding(scene, name, before[name], now[name], False)
         forces, expected = np.array(now["forces_n"]), np.array(before["forces_n"])
         error = float(np.abs(forces - expected).max())
         if error > max(FORCE_RATIO * float(np.abs(expected).max()), FORCE_N):
-            yield Finding(scene, "forces_n", before["forces_n"], now["forces_n"], True)
+            yield QuickFinding(scene, "forces_n", before["forces_n"], now["forces_n"], True)
 
 
 def read_baseline() -> dict[str, dict[str, Any]]:

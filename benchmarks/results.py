@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.benchmarks.page import benchmark_page
+from taccel_lab.benchmarks.page import benchmark_page, flat
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.output_folder import require_growable
+from taccel_lab.report.html import format_number
 from taccel_lab.report.machine import describe_run
 from taccel_lab.report.page import write_page_file
 
@@ -36,12 +37,14 @@ class ResultFile:
         device: str,
         settings: dict[str, Any],
         budget_s: float | None = None,
+        shown: tuple[str, ...] = (),
     ) -> None:
-        """``out``: a folder, or a JSON file, refused where nothing can be written; ``budget_s``:
-        see ``measure``."""
+        """``out``: a folder, or a JSON file, refused where nothing can be written; ``budget_s`` and
+        ``shown``: see ``Suite``."""
         self.path = result_path(suite, out)
         require_growable(self.path.parent)
         self.deadline = Deadline(budget_s)
+        self._shown = shown
         self._started = time.perf_counter()
         self._document: dict[str, Any] = {
             "schema": SCHEMA,
@@ -59,24 +62,23 @@ class ResultFile:
         """What is finished."""
         return self._document["rows"]
 
-    def add(self, row: dict[str, Any]) -> None:
-        """A finished row."""
+    def add(self, row: dict[str, Any], label: str) -> None:
+        """Keep a finished row and show its main figures."""
         self.rows.append(row)
         self.write()
+        figures = dict(flat(row))
+        shown = [
+            f"{n} {format_number(figures[n])}" for n in self._shown if figures.get(n, "") != ""
+        ]
+        note(f"{label}: {', '.join(shown)}")
 
-    def measure(
-        self,
-        label: str,
-        measure: Callable[[], dict[str, Any]],
-        describe: Callable[[dict[str, Any]], str],
-    ) -> dict[str, Any] | None:
-        """Measure a row, add it and say what it holds; None once the budget is spent."""
+    def measure(self, label: str, measure: Callable[[], dict[str, Any]]) -> dict[str, Any] | None:
+        """Measure a row and add it; None once the budget is spent."""
         if self.deadline.passed:
             note(f"{label}: not started, the budget is spent")
             return None
         row = measure()
-        self.add(row)
-        note(describe(row))
+        self.add(row, label)
         return row
 
     def put(self, name: str, value: Any) -> None:

@@ -7,7 +7,7 @@ The end-to-end time of a step is that of all three, until the forces on each gel
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.benchmarks.clock import clock_of
+from taccel_lab.benchmarks.results import spread
 from taccel_lab.benchmarks.scenes.base import RESIDUAL_N, RESIDUAL_RATIO, BenchScene
 from taccel_lab.ipc.contact.start_checks import check_start
 from taccel_lab.model import Model
@@ -23,8 +24,14 @@ from taccel_lab.progress import Progress, silent
 from taccel_lab.solvers import EnvStatus, SolverIPC, StepReport
 from taccel_lab.state import State, initial_state
 
+SHOWN = (
+    "fps: median", "fps: min", "fps: max", "ms_per_step: median", "newton_mean",
+    "residual: worst_over_contact_force", "residual: unconverged", "memory_mib_per_env",
+)  # fmt: skip
+"""Of a row of steps, what is shown while it runs."""
 
-class ForceReader:
+
+class ForceProbe:
     """Contact and friction force on each soft body [N], [env, soft body, 3], on the host."""
 
     def __init__(self, solver: SolverIPC) -> None:
@@ -36,7 +43,7 @@ class ForceReader:
 
 
 @dataclass
-class Motion:
+class BenchmarkMotion:
     """Figures of a run, a list over its steps each unless said otherwise."""
 
     env_steps: int = 0
@@ -149,6 +156,30 @@ class Motion:
         }
 
 
+def middle_of(runs: Sequence[BenchmarkMotion]) -> int:
+    """Which of repeated runs has the median speed."""
+    return int(np.argsort([run.fps for run in runs])[len(runs) // 2])
+
+
+def figures_of(runs: Sequence[BenchmarkMotion], bench: BenchScene, model: Model) -> dict[str, Any]:
+    """What rows of repeated runs have in common: the scene, speeds, the worst residual, the work of
+    the median run."""
+    residuals = [run.residual() for run in runs]
+    worst = max(residuals, key=lambda r: (r["unconverged"], r["worst_over_allowed"]))
+    return {
+        "scene": bench.name,
+        "what": bench.what,
+        "source": bench.source,
+        "envs": model.env_count,
+        "soft_nodes": model.soft_count,
+        "unknowns": 3 * model.free_count,
+        "fps": spread([run.fps for run in runs]),
+        "solver_fps": spread([run.solver_fps for run in runs]),
+        "residual": {**worst, "repeats": len(runs)},
+        **runs[middle_of(runs)].work(),
+    }
+
+
 class Runner:
     """Model, solver and state of a scene on a device, built once and run as often as wanted.
 
@@ -161,7 +192,7 @@ class Runner:
         self.solver = SolverIPC(self.model, replace(bench.config, check_start=False))
         self.state = initial_state(self.model, bench.targets(0))
         check_start(self.model, self.state, bench.config.dhat_m)
-        self.forces = ForceReader(self.solver)
+        self.forces = ForceProbe(self.solver)
         self.clock = clock_of(self.model.device)
 
     def reset(self) -> None:
@@ -175,11 +206,10 @@ class Runner:
         *,
         keep_forces: bool = False,
         progress: Progress = silent,
-        after_step: Callable[[int, StepReport], None] | None = None,
-    ) -> Motion:
+    ) -> BenchmarkMotion:
         """The first ``steps`` of the motion, all of it when None, from the start."""
         count = self.bench.steps if steps is None else min(steps, self.bench.steps)
-        motion = Motion()
+        motion = BenchmarkMotion()
         wp.synchronize_device(self.model.device)
         for step in range(1, count + 1):
             started = self.clock()
@@ -191,7 +221,5 @@ class Runner:
             motion.add(report, self.clock() - started, after - before)
             if keep_forces:
                 motion.forces_n.append(forces.copy())
-            if after_step is not None:
-                after_step(step, report)
             progress("steps", step, count)
         return motion

@@ -15,7 +15,7 @@ from taccel_lab.benchmarks.clock import clock_name
 from taccel_lab.benchmarks.launches import LaunchCounter
 from taccel_lab.benchmarks.memory import MemoryMeter
 from taccel_lab.benchmarks.results import Deadline, ResultFile, Ticker, spread
-from taccel_lab.benchmarks.runner import Motion, Runner
+from taccel_lab.benchmarks.runner import SHOWN, BenchmarkMotion, Runner, figures_of, middle_of
 from taccel_lab.benchmarks.scenes import SCENES, SceneOptions, build_scene
 from taccel_lab.benchmarks.startup import measure_startup
 from taccel_lab.benchmarks.suite import Suite
@@ -34,6 +34,7 @@ class Speed(Suite):
     what: ClassVar[str] = (
         "Environments x steps / seconds, end to end: targets set, stepped, forces read."
     )
+    shown: ClassVar[tuple[str, ...]] = SHOWN
     scene: tuple[str, ...] = ("peg",)
     """Scenes: peg, press_239, press_2005, press_5215, bolt, hand, squeeze, or all."""
     envs: tuple[int, ...] = (1,)
@@ -49,7 +50,7 @@ class Speed(Suite):
     lag: int = 0
     """Environment e is e modulo (LAG + 1) steps behind, so that they differ; 0: all do the same."""
     startup: bool = True
-    """Time import to first step, with a warm and a cold kernel cache, in processes of their own."""
+    """Time import to first step, with a warm and a cold kernel cache, in their own processes."""
     check: bool = False
     """Look for intersections after the last step (slow: the referee is numpy)."""
 
@@ -76,7 +77,7 @@ class Speed(Suite):
             for count in self.envs:
                 chosen = SceneOptions(count, self.source, config, self.lag)
                 row = partial(measure, scene, chosen, self, result.deadline)
-                result.measure(f"{scene}, {count}", row, describe)
+                result.measure(f"{scene}, {count}", row)
             if self.startup and not result.deadline.passed:
                 found = measure_startup(scene, self.source, self.device)
                 result.put("startup", {**result.get("startup", {}), scene: found})
@@ -98,32 +99,22 @@ def measure(scene: str, chosen: SceneOptions, options: Speed, deadline: Deadline
         # a GPU's pool shows at the end, and here the record of allocations.
         with LaunchCounter() as launches:
             again = runner.run(warm_up if device.is_cuda else options.steps)
-    runs: list[Motion] = []
+    runs: list[BenchmarkMotion] = []
     label = f"{scene}, {chosen.env_count} environments"
     while len(runs) < options.repeats and not (runs and deadline.passed):
         runner.reset()
         ticker = Ticker(f"{label}, run {len(runs) + 1}/{options.repeats}")
         runs.append(runner.run(options.steps, keep_forces=len(runs) == 0, progress=ticker))
-    by_speed = sorted(runs, key=lambda run: run.fps)
-    median = by_speed[len(runs) // 2]
+    median = runs[middle_of(runs)]
     bytes_used = meter.used_bytes()
     row: dict[str, Any] = {
-        "scene": scene,
-        "what": bench.what,
-        "source": bench.source,
-        "envs": chosen.env_count,
+        **figures_of(runs, bench, runner.model),
         "lag": chosen.lag,
         "steps": len(median.seconds),
         "is_whole_motion": len(median.seconds) == bench.steps,
         "dt_s": bench.scene.time.dt_s,
-        "soft_nodes": runner.model.soft_count,
-        "unknowns": 3 * runner.model.free_count,
-        "fps": spread([run.fps for run in runs]),
-        "solver_fps": spread([run.solver_fps for run in runs]),
         "ms_per_step": spread([1e3 * float(np.mean(run.seconds)) for run in runs]),
         "worst_step_ms": 1e3 * max(median.seconds),
-        "residual": _worst([run.residual() for run in runs]),
-        **median.work(),
         "memory_mib": bytes_used / 2**20,
         "memory_mib_per_env": bytes_used / 2**20 / chosen.env_count,
         "allocations": meter.allocations().count,
@@ -140,29 +131,6 @@ def measure(scene: str, chosen: SceneOptions, options: Speed, deadline: Deadline
         found = find_intersections(runner.model, runner.state)
         row["intersections"] = sum(len(env) for env in found)
     return row
-
-
-def _worst(residuals: list[dict[str, Any]]) -> dict[str, Any]:
-    """Over all repeats."""
-    worst = dict(max(residuals, key=lambda r: (r["unconverged"], r["worst_over_allowed"])))
-    worst["repeats"] = len(residuals)
-    return worst
-
-
-def describe(row: dict[str, Any]) -> str:
-    """A line for the person who waits."""
-    fps, residual = row["fps"], row["residual"]
-    line = (
-        f"{row['scene']}, {row['envs']} environments, {row['steps']} steps: "
-        f"{fps['median']:,.1f} FPS ({fps['min']:,.1f} to {fps['max']:,.1f}, {fps['count']} runs), "
-        f"{row['ms_per_step']['median']:.2f} ms a step, Newton {row['newton_mean']:.1f}, "
-        f"residual {residual['worst_over_contact_force']:.1e} of the contact force, "
-        f"{row['memory_mib_per_env']:.2f} MiB an environment"
-    )
-    if residual["unconverged"]:
-        line += f"; {residual['unconverged']} of {residual['env_steps']} NOT converged"
-        line += f" ({residual['causes']})"
-    return line
 
 
 def parse_settings(texts: tuple[str, ...]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time from nothing to the first step of a scene, and of compiling its kernels, each in a process
-of its own: what a person waits for."""
+"""Time from nothing to the first step of a scene, and of compiling its kernels, each in its
+own process: what a person waits for."""
 
 from __future__ import annotations
 

@@ -18,6 +18,9 @@ class Suite:
     """Of its command and its result file."""
     what: ClassVar[str]
     """A line for the result file."""
+    shown: ClassVar[tuple[str, ...]] = ()
+    """Figures of a row to show when it is finished, those of inner tables named as on the page; one
+    that a row lacks is left out."""
     device: str = "cpu"
     """cpu, cuda:0, ..."""
     budget_s: float | None = None
@@ -38,7 +41,9 @@ class Suite:
         start_warp()
         wp.config.log_level = wp.LOG_WARNING
         settings = self.settings()
-        result = ResultFile(self.name, self.what, self.out, self.device, settings, self.budget_s)
+        result = ResultFile(
+            self.name, self.what, self.out, self.device, settings, self.budget_s, self.shown
+        )
         with result.finishing():
             self.measure_rows(result)
         return result

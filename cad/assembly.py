@@ -23,7 +23,7 @@ _NEAR_MM = 5.0
 
 
 @dataclass(frozen=True)
-class Clearance:
+class PartClearance:
     """How two parts of an assembly stand to each other."""
 
     first: str
@@ -61,7 +61,7 @@ class Assembly:
             children.append(child)
         return Compound(label=self.name, children=children)
 
-    def clearances(self) -> list[Clearance]:
+    def clearances(self) -> list[PartClearance]:
         """Gap and common volume of every two parts that come within 5 mm of each other."""
         found = []
         for first, second in combinations(self.parts, 2):
@@ -72,7 +72,7 @@ class Assembly:
                 continue
             overlap = 0.0 if gap > TOUCHING_MM else common_volume_mm3(first.solid, second.solid)
             found.append(
-                Clearance(
+                PartClearance(
                     first=first.name,
                     second=second.name,
                     gap_mm=gap if gap > TOUCHING_MM else 0.0,
@@ -82,7 +82,7 @@ class Assembly:
             )
         return found
 
-    def to_json(self, clearances: Sequence[Clearance] | None = None) -> dict[str, Any]:
+    def to_json(self, clearances: Sequence[PartClearance] | None = None) -> dict[str, Any]:
         """Parts, joints and clearances (measured unless given) as plain values."""
         found = self.clearances() if clearances is None else clearances
         return {
@@ -102,12 +102,12 @@ class Assembly:
         }
 
 
-def overlapping(clearances: Sequence[Clearance]) -> list[Clearance]:
+def overlapping(clearances: Sequence[PartClearance]) -> list[PartClearance]:
     """Pairs that interpenetrate by more than the kernel's noise."""
     return [c for c in clearances if c.overlap_mm3 > OVERLAP_MM3]
 
 
-def require_no_overlap(clearances: Sequence[Clearance]) -> list[str]:
+def require_no_overlap(clearances: Sequence[PartClearance]) -> list[str]:
     """Raise InputError when made parts interpenetrate; say in words which placeholders do.
 
     The size of a placeholder is an assumption, so that its overlaps are a warning only.

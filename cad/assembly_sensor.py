@@ -9,7 +9,7 @@ import dataclasses
 from build123d import Location, Wire
 
 from taccel_lab.cad.assembly import Assembly, joint
-from taccel_lab.cad.parts.housing import HousingParts, Seat, housing_parts
+from taccel_lab.cad.parts.housing import GelSeat, HousingParts, housing_parts
 from taccel_lab.cad.parts.housing_shape import HousingShape
 from taccel_lab.cad.parts.outline import base_outline
 from taccel_lab.cad.parts.part import Part
@@ -22,7 +22,7 @@ from taccel_lab.cad.parts.placeholders import (
 )
 from taccel_lab.cad.parts.window import window_part
 from taccel_lab.errors import InputError
-from taccel_lab.profile.optical_design import Camera, Light, Window
+from taccel_lab.profile.optical_design import DesignedCamera, Light, Window
 
 _LEDGE_MM, _LEAST_LEDGE_MM = 1.0, 0.3
 
@@ -34,7 +34,7 @@ def sensor_assembly(
     *,
     window: Window | None = None,
     housing: HousingShape | None = None,
-    camera: Camera | None = None,
+    camera: DesignedCamera | None = None,
     leds: tuple[Light, ...] = (),
     view_mm: tuple[float, float] = (0.0, 0.0),
 ) -> Assembly:
@@ -43,7 +43,7 @@ def sensor_assembly(
     ``gel`` are the gel's layers, core first, as modelled in the gel frame; ``thickness_mm`` lies
     between its apex and what it is glued to. The window's joint "bond" meets the gel's "back", the
     window's "seat" the housing's, camera and LEDs sit on joints of the housing (of the gel when
-    there is none). ``view_mm`` is what the camera sees: a face of its own on a plate's front, and
+    there is none). ``view_mm`` is what the camera sees: a separate face on a plate's front, and
     what the seat must leave open.
     """
     layers = tuple(_own_copy(part) for part in gel)
@@ -80,7 +80,7 @@ def sensor_assembly(
 
 
 def _own_copy(part: Part) -> Part:
-    """The part with a solid of its own, so that joints do not hang on the caller's."""
+    """The part with a copied solid, so that joints do not hang on the caller's."""
     return dataclasses.replace(part, solid=copy.copy(part.solid))
 
 
@@ -92,7 +92,7 @@ def _housed(
     pane: Part | None,
     window: Window | None,
     view_mm: tuple[float, float],
-    camera: Camera | None,
+    camera: DesignedCamera | None,
     leds: tuple[Light, ...],
 ) -> HousingParts:
     """Housing and cover made for gel and window, joined seat to seat."""
@@ -108,7 +108,7 @@ def _housed(
     else:
         ledge = _ledge_mm(ledge_on, view_mm)
     made = housing_parts(
-        shape, Seat(resting, tuple(outlines), ledge_on, ledge), camera, leds
+        shape, GelSeat(resting, tuple(outlines), ledge_on, ledge), camera, leds
     )  # fmt: skip
     seat = joint(made.housing.solid, "seat", Location((0, 0, resting)))
     if pane is None:

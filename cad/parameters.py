@@ -12,9 +12,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
@@ -24,6 +26,15 @@ from taccel_lab.files.cell_number import number
 from taccel_lab.files.text_file import shown
 
 _KEY = "parameter"
+_SPELLED = {
+    "young modulus": "Young's modulus",
+    "poisson ratio": "Poisson's ratio",
+    "led": "LED",
+    "focal": "focal length",
+    "index": "refractive index",
+    "ambient": "ambient light",
+}
+"""Words of names, as people say them."""
 _Group = TypeVar("_Group", bound="ParameterSet")
 
 
@@ -57,8 +68,31 @@ class Parameter:
         text = f"{value:.4g}" if isinstance(value, float) else f"{value}"
         if self.unit.startswith("Shore"):
             return f"{self.unit} {text}"
-        name = self.name.removesuffix("_" + self.unit.lower().replace("/", "_")).replace("_", " ")
-        return f"{name} {text}" if self.unit in ("", "1") else f"{name} {text} {self.unit}"
+        unit = "" if self.unit in ("", "1") else f" {self.unit}"
+        return f"{self.words} {text}{unit}"
+
+    @property
+    def words(self) -> str:
+        """The name as one says it, without its unit: ``thickness``, ``scale y``, ``Shore A``."""
+        if self.unit.startswith("Shore"):
+            return self.unit
+        # As names have units: mm_per_px, per_mm, kg_m3.
+        unit = self.unit.lower()
+        endings = {unit.replace("/", "_per_").removeprefix("1_"), unit.replace("/", "_")} - {""}
+        name = self.name
+        for ending in endings:
+            name = re.sub(rf"^{re.escape(ending)}(?=_|$)", "scale", name)
+            name = re.sub(rf"_{re.escape(ending)}(?=_|$)", "", name)
+        words = name.replace("_", " ")
+        for ours, theirs in _SPELLED.items():
+            words = re.sub(rf"\b{ours}\b", theirs, words)
+        return words
+
+    @property
+    def label(self) -> str:
+        """The name as one says it, with its unit: ``Young's modulus [MPa]``, ``Shore A``."""
+        bare = self.unit in ("", "1") or self.unit.startswith("Shore")
+        return self.words + ("" if bare else f" [{self.unit}]")
 
     def check(self, value: Any) -> Any:
         """Return ``value`` as the parameter's own type; raise InputError when it is not allowed."""
@@ -182,6 +216,16 @@ def restated(
     return _Restated(default, of, name, changes)
 
 
+@cache
+def _declared(fields: tuple[dataclasses.Field[Any], ...]) -> dict[str, Parameter]:
+    """Parameters among the fields of a class, made once: every design asks for them many times."""
+    return {
+        f.name: Parameter(name=f.name, default=f.default, **f.metadata[_KEY])
+        for f in fields
+        if _KEY in f.metadata
+    }
+
+
 class ParameterSet:
     """Base of frozen dataclasses whose fields are declared with ``parameter``."""
 
@@ -208,12 +252,7 @@ class ParameterSet:
     @classmethod
     def parameters(cls) -> dict[str, Parameter]:
         """What can be set, by name, in the order of declaration."""
-        fields: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(cls)  # type: ignore[arg-type]
-        return {
-            f.name: Parameter(name=f.name, default=f.default, **f.metadata[_KEY])
-            for f in fields
-            if _KEY in f.metadata
-        }
+        return dict(_declared(dataclasses.fields(cls)))  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         for name, spec in self.parameters().items():

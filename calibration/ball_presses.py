@@ -17,6 +17,7 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.block_findings import capture_findings, refusing_with
+from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.press_options import BallPressOptions
 from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
@@ -42,8 +43,10 @@ class BallPresses:
     """Where the training presses are taken to be, in order."""
     circle_sigmas_px: list[tuple[float, float]]
     """Standard deviations of their centres along an axis and of their radii."""
+    labels: LabelPlacement
+    """How labels lie against these circles, which says where held-out presses are."""
     lost: tuple[Remark, ...]
-    """Blocks of the profile that do not go with the captures' grid."""
+    """Blocks of the profile that do not fit the captures' grid."""
     findings: tuple[Remark, ...]
     """What the check of the captures says of the block, worst first."""
     remarks: tuple[Remark, ...]
@@ -97,6 +100,7 @@ def ball_presses(
         training=usable.captures,
         circles=usable.circles,
         circle_sigmas_px=usable.sigmas_px,
+        labels=usable.labels,
         lost=tuple(lost_blocks(base, profile)),
         findings=tuple(findings),
         remarks=tuple(usable.remarks),

@@ -72,8 +72,8 @@ def require_image_of(profile: SensorProfile, folder: CaptureFolder) -> None:
     if profile.camera.rectified and not folder.rectified:
         raise InputError(
             f"{folder.source}: these images are raw, the profile's pixel grid is that of rectified "
-            "ones; make those with `taccel-lab capture rectify` and the maps of the profile's "
-            "calibration, or, if they are rectified already, write rectified = true into "
+            "ones; rectify them with `taccel-lab capture rectify` and the maps of the profile's "
+            "calibration; if they are rectified already, write rectified = true into "
             "captures.toml"
         )
 

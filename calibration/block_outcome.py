@@ -11,7 +11,7 @@ from typing import Any
 from taccel_lab.report.page import Page
 
 
-class State(StrEnum):
+class BlockState(StrEnum):
     """How the calibration of a block ended."""
 
     DONE = "done"
@@ -28,7 +28,7 @@ class BlockOutcome:
     """How the calibration of one block ended."""
 
     name: str
-    state: State
+    state: BlockState
     message: str
     """The verdict, or the reason why the block is as before."""
     seconds: float = 0.0
@@ -41,7 +41,7 @@ class BlockOutcome:
     @property
     def is_unfit(self) -> bool:
         """Whether there are captures for the block and they cannot be used."""
-        return self.state in (State.BLOCKED, State.REFUSED)
+        return self.state in (BlockState.BLOCKED, BlockState.REFUSED)
 
     def figures(self) -> dict[str, Any]:
         """Ready for JSON."""

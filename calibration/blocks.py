@@ -7,31 +7,31 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from taccel_lab.calibration.background.background_page import background_page
 from taccel_lab.calibration.background.fit import calibrate_background
-from taccel_lab.calibration.background.report import background_page
+from taccel_lab.calibration.camera.camera_page import camera_page
 from taccel_lab.calibration.camera.fit import calibrate_camera
 from taccel_lab.calibration.camera.options import CameraOptions
-from taccel_lab.calibration.camera.report import camera_page
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.color.color_page import color_page
 from taccel_lab.calibration.color.fit import calibrate_color
 from taccel_lab.calibration.color.options import ColorOptions
-from taccel_lab.calibration.color.report import color_page
+from taccel_lab.calibration.depth.depth_page import depth_page
 from taccel_lab.calibration.depth.fit import calibrate_depth
 from taccel_lab.calibration.depth.options import DepthOptions
-from taccel_lab.calibration.depth.report import depth_page
 from taccel_lab.calibration.markers.fit import calibrate_markers
-from taccel_lab.calibration.markers.report import marker_page
+from taccel_lab.calibration.markers.markers_page import marker_page
 from taccel_lab.calibration.material.fit import calibrate_material
+from taccel_lab.calibration.material.material_page import material_page
 from taccel_lab.calibration.material.options import MaterialOptions
-from taccel_lab.calibration.material.report import material_page
 from taccel_lab.calibration.normals.fit import calibrate_normals
+from taccel_lab.calibration.normals.normals_page import normals_page
 from taccel_lab.calibration.normals.options import NormalOptions
-from taccel_lab.calibration.normals.report import normals_page
 from taccel_lab.calibration.result import CalibrationResult
 from taccel_lab.calibration.scale.fit import calibrate_scale
-from taccel_lab.calibration.scale.report import scale_page
+from taccel_lab.calibration.scale.scale_page import scale_page
 from taccel_lab.calibration.spread.fit import SpreadOptions, calibrate_spread
-from taccel_lab.calibration.spread.report import spread_page
+from taccel_lab.calibration.spread.spread_page import spread_page
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent

@@ -14,11 +14,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from taccel_lab.calibration.background.result import BackgroundCalibration
 from taccel_lab.calibration.base_profile import base_profile, with_measured_scale
-from taccel_lab.calibration.block_outcome import BlockOutcome, State
+from taccel_lab.calibration.block_outcome import BlockOutcome, BlockState
 from taccel_lab.calibration.blocks import BLOCKS, CalibrationBlock
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.camera.rectify_captures import LEFT_OUT, rectify_captures
@@ -45,9 +45,12 @@ from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.processes.start_warp import start_warp
 from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.progress import Progress, bars_if_watched
-from taccel_lab.report.page import Page, Table, write_page
+from taccel_lab.report.page import Page, Table, first_figure, write_page
 from taccel_lab.report.remark import Severity, judge
 from taccel_lab.summary import Summary
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Result = TypeVar("Result")
 _MEASURE_SCALE = ("camera", "scale")
@@ -67,7 +70,8 @@ class Calibration(Summary):
     notes: tuple[str, ...] = ()
     """What rectification left out of the captures."""
     rectified: TemporaryDirectory[str] | None = None
-    """Rectified captures, which pages read while they are written; they go with this object."""
+    """Rectified captures, which pages read while they are written; they live as long as this
+    object."""
     unfinished: UnfinishedCalibration | None = None
     """Where blocks were kept as they were finished."""
 
@@ -132,7 +136,7 @@ class Calibration(Summary):
         return {name: result.figures() for name, result in self.results.items()}
 
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
-        """How each block ended."""
+        """List how each block ended."""
         rows = [
             (o.name, f"{o.state}: {o.message}" + (f" ({o.seconds:.0f} s)" if o.seconds else ""))
             for o in self.blocks
@@ -144,8 +148,21 @@ class Calibration(Summary):
         """Blocks whose captures are there and cannot be used."""
         return tuple(outcome for outcome in self.blocks if outcome.is_unfit)
 
+    def plot(self, block: str | None = None) -> Figure:
+        """Draw the first figure of a block's page, of the colours' where ``block`` is None.
+
+        Raises:
+            InputError: No such block was fitted, or none has a figure.
+        """
+        pages = {o.name: o.page for o in self.blocks if o.page is not None}
+        if block is not None and block not in pages:
+            raise InputError(f"{block!r} was not fitted; allowed: {', '.join(pages) or 'none'}")
+        first = "color" if block is None else block
+        order = sorted(pages, key=lambda name: name != first) if block is None else [first]
+        return first_figure(pages[name] for name in order)
+
     def page(self) -> Page:
-        """The whole: how each block ended, then the profile's own page."""
+        """Return the page of the whole: how each block ended, then the profile's own page."""
         page = profile_page(self.profile)
         unfit = [
             BLOCK(block=o.name, what=f"{o.state}: {o.message}", grave=True) for o in self.unfit
@@ -208,8 +225,8 @@ def calibrate(
             captures that calibrate nothing, with the reason for each block.
     """
     start_warp()
-    with bars_if_watched(progress) as told:
-        return _calibrate(folder, base, only, dict(options or {}), told, unfinished)
+    with bars_if_watched(progress) as bars:
+        return _calibrate(folder, base, only, dict(options or {}), bars, unfinished)
 
 
 def _calibrate(
@@ -239,7 +256,7 @@ def _calibrate(
     for block in chosen:
         state, message = ready[block.name]
         if block.name == "scale" and rectified is not None:
-            state, message = State.SKIPPED, "the board on the gel gave the scale"
+            state, message = BlockState.SKIPPED, "the board on the gel gave the scale"
         if state is not None:
             outcomes.append(BlockOutcome(block.name, state, message))
             continue
@@ -252,7 +269,7 @@ def _calibrate(
         if rectified is not None:  # In a folder that goes: the user knows what it was made of.
             known = outcome.message.replace(str(folder.root), str(raw.root))
             outcome = replace(outcome, message=known)
-        if block.name == "camera" and on_gel and outcome.state is State.DONE:
+        if block.name == "camera" and on_gel and outcome.state is BlockState.DONE:
             maps = result.maps() if result is not None else kept and kept.maps
         if result is not None:
             results[block.name] = result
@@ -266,7 +283,7 @@ def _calibrate(
             # Boards have done all they can: the maps are of them.
             notes = tuple(note for note in left_out if note != LEFT_OUT.format("boards"))
             folder = replace(load_capture_folder(place), source=raw.source)
-    if not any(outcome.state is State.DONE for outcome in outcomes):
+    if not any(outcome.state is BlockState.DONE for outcome in outcomes):
         if kept is not None:  # A refusal is an end: there is nothing to go on with.
             kept.remove()
         lines = "\n".join(f"  {o.name}: {o.message}" for o in outcomes)
@@ -283,12 +300,12 @@ def _chosen(only: Sequence[str], options: Mapping[str, Any]) -> list[Calibration
     return [block for block in BLOCKS if not only or block.name in only]
 
 
-def _readiness(check: CaptureCheck) -> dict[str, tuple[State | None, str]]:
+def _readiness(check: CaptureCheck) -> dict[str, tuple[BlockState | None, str]]:
     """Why a block is not fitted, by its name; None where it is."""
-    found: dict[str, tuple[State | None, str]] = {}
+    found: dict[str, tuple[BlockState | None, str]] = {}
     for block in check.blocks:
         if block.readiness is Readiness.ABSENT:
-            found[block.command] = State.SKIPPED, f"needs {block.missing}"
+            found[block.command] = BlockState.SKIPPED, f"needs {block.missing}"
         elif block.readiness is Readiness.BLOCKED:
             # Warnings do not stop it: the check tells them, and the block's own report.
             stops = [
@@ -297,7 +314,7 @@ def _readiness(check: CaptureCheck) -> dict[str, tuple[State | None, str]]:
                 if block.command in finding.blocks and finding.severity is Severity.ERROR
             ]
             needs = [f"needs {block.missing}"] if block.missing else []
-            found[block.command] = State.BLOCKED, "; ".join([*needs, *stops])
+            found[block.command] = BlockState.BLOCKED, "; ".join([*needs, *stops])
         else:
             found[block.command] = None, block.found
     return found
@@ -310,18 +327,18 @@ def _fit(
     options: Mapping[str, Any],
     progress: Progress,
 ) -> tuple[BlockOutcome, Any, SensorProfile]:
-    """How it ended, the result (None where it was refused) and the profile after it."""
+    """How it ended, the result (None where it was rejected) and the profile after it."""
 
-    def told(task: str, done: int, total: int) -> None:
+    def block_progress(task: str, done: int, total: int) -> None:
         progress(f"{block.name}: {task}", done, total)
 
     started = time.perf_counter()
     try:
-        result = block.fit(folder, base, options.get(block.name), told)
+        result = block.fit(folder, base, options.get(block.name), block_progress)
         profile, page = result.apply_to(base), block.page(result, folder)
     except InputError as error:
         seconds = time.perf_counter() - started
-        return BlockOutcome(block.name, State.REFUSED, str(error), seconds), None, base
+        return BlockOutcome(block.name, BlockState.REFUSED, str(error), seconds), None, base
     seconds = time.perf_counter() - started
     verdict = str(judge(result.remarks))
-    return BlockOutcome(block.name, State.DONE, verdict, seconds, page), result, profile
+    return BlockOutcome(block.name, BlockState.DONE, verdict, seconds, page), result, profile

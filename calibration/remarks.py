@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What calibrations and checks can remark: each kind has a code, a severity and one sentence.
 
-The kinds of a block are in a table of its own, ``calibration/<block>/remarks.py``; code that
+The kinds of a block are in its own table, ``calibration/<block>/remarks.py``; code that
 finds something calls the kind with the figures of its sentence::
 
     FEW_FRAMES = RemarkKind("few_frames", Severity.WARNING, "{count} frames: ...")
@@ -73,9 +73,9 @@ class RemarkKind:
 
 
 def remark_kinds(*packages: ModuleType) -> list[tuple[str, RemarkKind]]:
-    """All kinds with the room of ``packages`` whose table holds them, in the order of the tables.
+    """All kinds with the one of ``packages`` whose table holds them, in the order of the tables.
 
-    Kinds of a package's ``shared_remarks`` come first, in the room "several".
+    Kinds of a package's ``shared_remarks`` come first, under "several".
     """
     tables: list[tuple[str, ModuleType]] = []
     for package in packages:
@@ -85,11 +85,11 @@ def remark_kinds(*packages: ModuleType) -> list[tuple[str, RemarkKind]]:
             name = f"{package.__name__}.{module.name}.remarks"
             if module.ispkg and importlib.util.find_spec(name) is not None:
                 tables.append((module.name, importlib.import_module(name)))
-    found = [(room, kind) for room, table in tables for kind in vars(table).values()]
+    found = [(block, kind) for block, table in tables for kind in vars(table).values()]
     kinds: list[tuple[str, RemarkKind]] = []
-    for room, kind in found:  # A table may import what another one holds.
+    for block, kind in found:  # A table may import what another one holds.
         if isinstance(kind, RemarkKind) and all(kind is not known for _, known in kinds):
-            kinds.append((room, kind))
+            kinds.append((block, kind))
     return kinds
 
 
@@ -111,10 +111,10 @@ def remark_table(*packages: ModuleType) -> str:
         "most `usable`. Brackets hold the severity and the blocks concerned. *Words in italics*",
         "stand for figures and names.",
     ]
-    room = ""
+    block = ""
     for name, kind in remark_kinds(*packages):
-        if name != room:
-            room = name
+        if name != block:
+            block = name
             lines += ["", f"## {name}", ""]
         severities = [kind.severity] if kind.graver is None else [kind.severity, kind.graver]
         meaning = _FIELD.sub(lambda field: f"*{field[1].replace('_', ' ')}*", kind.text)

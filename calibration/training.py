@@ -21,7 +21,7 @@ LEAST_SCHEDULE = 11
 """Steps that the learning rate is planned for at least."""
 
 
-class Keeper(Protocol):
+class TrainingStore(Protocol):
     """Keeps a training, so that a later one goes on with it."""
 
     def restore(self, **parts: Any) -> int:
@@ -80,7 +80,7 @@ def descend(
     steps: int,
     learning_rate: float,
     warm_up: float,
-    keeper: Keeper | None = None,
+    keeper: TrainingStore | None = None,
 ) -> None:
     """Lower ``loss`` over the layers' values.
 

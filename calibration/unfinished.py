@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from taccel_lab.calibration.block_outcome import BlockOutcome, State
+from taccel_lab.calibration.block_outcome import BlockOutcome, BlockState
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.errors import InputError
@@ -36,7 +36,7 @@ def calibration_key(
     options: Mapping[str, Any],
 ) -> str:
     """Stands for all that a calibration depends on: files of the captures by size and time, the
-    base, what is asked for, and this version."""
+    base, what is requested, and this version."""
     files = {
         str(path.relative_to(captures.root)): [path.stat().st_size, path.stat().st_mtime_ns]
         for path in sorted(captures.root.rglob("*"))
@@ -91,7 +91,7 @@ class UnfinishedCalibration:
             page = folder / _REPORT / name
             kept.outcomes[name] = BlockOutcome(
                 name,
-                State(item["state"]),
+                BlockState(item["state"]),
                 item["message"],
                 item["seconds"],
                 written=page if page.is_dir() else None,

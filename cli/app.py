@@ -26,6 +26,8 @@ from typing import Any, NoReturn, Protocol
 
 from taccel_lab.errors import InputError, InputWarning, SimulationError
 
+OLD_NAMES = {"import-step": "import-gel"}
+"""Names that commands had, still understood."""
 DESCRIPTION = """Design and calibrate vision-based tactile sensors.
 
 From a parametric gel pad to simulated presses, a calibration to real captures block by block, and
@@ -52,7 +54,7 @@ class Group:
 
 def command_tree() -> dict[str, type[Command] | Group]:
     """The commands by name; imported here so that other imports of this module are light."""
-    from taccel_lab.cli.bench import Bench
+    from taccel_lab.cli.bench import BenchCommand
     from taccel_lab.cli.calibrate import calibrate_commands
     from taccel_lab.cli.capture import capture_commands
     from taccel_lab.cli.dataset import COMMANDS as DATASET_COMMANDS
@@ -63,24 +65,24 @@ def command_tree() -> dict[str, type[Command] | Group]:
     from taccel_lab.cli.doctor import Doctor
     from taccel_lab.cli.export import Export
     from taccel_lab.cli.force import Force
-    from taccel_lab.cli.import_step import ImportStep
+    from taccel_lab.cli.import_gel import ImportGel
     from taccel_lab.cli.live import Live
-    from taccel_lab.cli.press import Press
+    from taccel_lab.cli.press import PressCommand
     from taccel_lab.cli.preview import Preview
     from taccel_lab.cli.profile import ProfileCompare, ProfileReport, ProfileShow, ProfileValidate
     from taccel_lab.cli.read import Read
     from taccel_lab.cli.robot import RobotList, RobotShow
     from taccel_lab.cli.sensors import SensorsList, SensorsShow
-    from taccel_lab.cli.study import Study
+    from taccel_lab.cli.study import StudyCommand
     from taccel_lab.cli.task import TaskList, TaskRecord, TaskRun
-    from taccel_lab.cli.view import View
+    from taccel_lab.cli.view import ViewCommand
 
     return {
         "demo": Demo,
         "design": Design,
-        "import-step": ImportStep,
+        "import-gel": ImportGel,
         "preview": Preview,
-        "press": Press,
+        "press": PressCommand,
         "capture": Group(
             "Plan, record, import, check, review and rectify captures.", capture_commands()
         ),
@@ -110,10 +112,10 @@ def command_tree() -> dict[str, type[Command] | Group]:
             "Tasks with criterion, seeds and a baseline policy.",
             {"list": TaskList, "run": TaskRun, "record": TaskRecord},
         ),
-        "study": Study,
+        "study": StudyCommand,
         "dataset": Group(DATASET_HELP, DATASET_COMMANDS),
-        "view": View,
-        "bench": Bench,
+        "view": ViewCommand,
+        "bench": BenchCommand,
         "doctor": Doctor,
     }
 
@@ -128,6 +130,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
 
     words, quiet = common_words(sys.argv[1:] if arguments is None else arguments)
     words = with_make(words)
+    words[:1] = [OLD_NAMES.get(word, word) for word in words[:1]]
     be_quiet(quiet)
     if words[:1] == ["bench"]:
         return parse_bench(words[1:])

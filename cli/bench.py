@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from taccel_lab.benchmarks.command_line import Command
+    from taccel_lab.benchmarks.command_line import BenchmarkCommand
 
 
 @dataclass(frozen=True)
-class Bench:
+class BenchCommand:
     """Measure speed at a stated error, and compare results."""
 
     def run(self) -> None:
@@ -20,7 +20,7 @@ class Bench:
         parse_bench([]).run()
 
 
-def parse_bench(arguments: Sequence[str]) -> Command:
+def parse_bench(arguments: Sequence[str]) -> BenchmarkCommand:
     """The command that the words after ``bench`` name."""
     from taccel_lab.benchmarks.command_line import parse
 

@@ -13,13 +13,14 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CameraOptions:
+class CameraFlags:
     """Of a camera, or of files that are replayed in its place."""
 
     camera: str
     """The camera: its id or serial number, or a part of either that no other has (taccel-lab
-    capture devices lists them); a number on macOS and Windows. The path of a video, of a folder of
-    images or of a capture folder is replayed instead."""
+    capture devices lists them); a number on macOS and Windows. The path of a recording (as
+    for taccel-lab read) or of a capture folder is replayed instead; that of a data set may go on
+    with the name of its camera: demo.hdf5/left_tactile/rgb."""
     size: str | None = None
     """Camera format, WIDTHxHEIGHT. Default: the camera's choice."""
     crop: str | None = None
@@ -37,11 +38,11 @@ class CameraOptions:
     def opener(self, paced: bool) -> Callable[[], Camera]:
         """Opens the camera; a replay keeps its frames' times when ``paced``. Raises InputError for
         a size that is none."""
-        from taccel_lab.calibration.capture.camera import Replay, open_camera
+        from taccel_lab.calibration.capture.camera import CameraReplay, open_camera
         from taccel_lab.calibration.capture.camera.framing import parse_size
 
         size = None if self.size is None else parse_size(self.size, "--size")
-        return lambda: open_camera(self.camera, size, Replay(paced=paced))
+        return lambda: open_camera(self.camera, size, CameraReplay(paced=paced))
 
     def framing(self) -> Framing:
         """What is kept of each frame."""

@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.status import Status
 
-_told = {"quiet": False}
+_settings = {"quiet": False}
 _results: list[IO[str]] = []
 """Where ``print_json`` writes when standard output is for it alone; empty otherwise."""
 
 
 def be_quiet(quiet: bool) -> None:
     """Whether commands leave out how far they are and what they noted; errors are said anyway."""
-    _told["quiet"] = quiet
+    _settings["quiet"] = quiet
 
 
 def results() -> Console:
@@ -42,7 +42,7 @@ def notes() -> Console:
     words as they are."""
     from rich.console import Console
 
-    return Console(stderr=True, quiet=_told["quiet"], markup=False, highlight=False)
+    return Console(stderr=True, quiet=_settings["quiet"], markup=False, highlight=False)
 
 
 def print_json(value: Any) -> None:

@@ -16,12 +16,12 @@ from taccel_lab.errors import InputError, SimulationError, naming
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.datasets.plan import Plan
-    from taccel_lab.datasets.runner import Outcome
+    from taccel_lab.datasets.plan import DatasetPlan
+    from taccel_lab.datasets.runner import DatasetOutcome
     from taccel_lab.files.shard import Shard
 
 LONG_DRAW = 20_000
-"""Episodes whose drawing is told about: it takes a second."""
+"""Episodes whose drawing is announced: it takes a second."""
 HELP = "Make data sets of simulated touches; check them, cut them down, export and show them."
 
 
@@ -59,7 +59,7 @@ class DatasetMake:
 
     def run(self) -> None:
         from taccel_lab.cli.console import notes, working
-        from taccel_lab.datasets.plan import Plan
+        from taccel_lab.datasets.plan import DatasetPlan
         from taccel_lab.datasets.spec import load_spec
         from taccel_lab.files.inner_path import real_path
         from taccel_lab.files.shard import Shard
@@ -79,7 +79,7 @@ class DatasetMake:
             _require_zarr()
         with working(console, "reading sensors and objects"):
             with naming(self.spec):
-                plan = Plan(load_spec(self.spec), real_path(self.spec).parent)
+                plan = DatasetPlan(load_spec(self.spec), real_path(self.spec).parent)
         if plan.spec.dataset.episodes >= LONG_DRAW:
             with stage_progress(console) as progress:
                 plan.group(progress)
@@ -97,7 +97,9 @@ class DatasetMake:
             raise SystemExit(130) from None
         self._conclude(console, outcome, root)
 
-    def _make(self, plan: Plan, root: Path | None, shard: Shard, console: Console) -> Outcome:
+    def _make(
+        self, plan: DatasetPlan, root: Path | None, shard: Shard, console: Console
+    ) -> DatasetOutcome:
         from taccel_lab.datasets.runner import make_dataset
         from taccel_lab.files.text_file import read_text
         from taccel_lab.files.toml_file import TOML_LIMIT_BYTES
@@ -118,7 +120,7 @@ class DatasetMake:
                 say=lambda words: console.print(words, soft_wrap=True),
             )
 
-    def _conclude(self, console: Console, outcome: Outcome, root: Path) -> None:
+    def _conclude(self, console: Console, outcome: DatasetOutcome, root: Path) -> None:
         from taccel_lab.cli.console import print_json
 
         record = outcome.record()
@@ -244,7 +246,7 @@ class DatasetExport:
 
 
 @dataclass(frozen=True)
-class DatasetPage:
+class DatasetPageCommand:
     """Write one HTML page that shows a data set: sampled touches, force curves, histograms."""
 
     folders: Positional[tuple[Path, ...]]
@@ -308,7 +310,7 @@ COMMANDS = {
     "check": DatasetCheck,
     "lite": DatasetLite,
     "export": DatasetExport,
-    "page": DatasetPage,
+    "page": DatasetPageCommand,
     "channels": DatasetChannels,
 }
 
@@ -338,7 +340,7 @@ def _require_zarr() -> None:
         )
 
 
-def _describe(console: Console, plan: Plan, shard: Shard) -> None:
+def _describe(console: Console, plan: DatasetPlan, shard: Shard) -> None:
     parts = plan.shard(shard.number, shard.count)
     touches = sum(len(part.episodes) for part in parts)
     steps = sum(part.steps for part in parts)

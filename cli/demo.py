@@ -53,7 +53,7 @@ class Demo:
         require_replaceable(self.out)
         folder = load_capture_folder(self.captures or find_taxim_pack())
         options = PressOptions(self.depth_mm, indenter=DEMO_INDENTER, at_mm=DEMO_AT_MM)
-        # What can be refused is refused before minutes of work.
+        # What can be rejected is rejected before minutes of work.
         PressPlan.of(base_profile(None, folder), options)
         with kept_blocks(console, self.out) as unfinished, atomic_directory(self.out) as staging:
             with stage_progress(console) as progress:
@@ -61,8 +61,8 @@ class Demo:
             with working(console, "writing the reports"):
                 found.write_report(staging / "report")
             found.save(staging / "profile")
-            with step_progress(console, "pressing the calibrated sensor") as told:
-                pressed = run_press(PressPlan.of(found, options), told)
+            with step_progress(console, "pressing the calibrated sensor") as bar:
+                pressed = run_press(PressPlan.of(found, options), bar)
             pressed.save(staging / "press")
         if found.unfinished is not None:
             found.unfinished.remove()

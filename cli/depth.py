@@ -106,7 +106,7 @@ class Depth:
             found: tuple[TouchReading, np.ndarray], path: Path, folder: Path | None
         ) -> dict[str, Any]:
             assert folder is not None
-            return write_reading(*found, path, profile, folder)
+            return write_reading(*found, path, folder)
 
         each_image(self.images, self.out, read, keep, as_json=self.json, lines=_lines)
 

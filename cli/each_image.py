@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that read many images: one that is refused stops no other."""
+"""Commands that read many images: one that is rejected stops no other."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def each_image(
         lines: What to print of an image.
 
     Raises:
-        InputError: With the reasons, when images were refused; after the others' files are written
+        InputError: With the reasons, when images were rejected; after the others' files are written
             and told. Where none could be read, nothing is written.
     """
     from taccel_lab.cli.console import print_json, results
@@ -73,8 +73,8 @@ def each_image(
                 print_json({"out": None, "images": {}, "refused": refused})
             raise InputError("\n".join(refused.values()))
     if as_json:
-        told = None if out is None else str(out)
-        print_json({"out": told, "images": figures, "refused": refused})
+        folder = None if out is None else str(out)
+        print_json({"out": folder, "images": figures, "refused": refused})
     elif out is not None:
         console.print(f"wrote {out}", soft_wrap=True)
     if refused:

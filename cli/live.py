@@ -3,21 +3,25 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Generator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
-from taccel_lab.cli.camera_options import CameraOptions
+from taccel_lab.cli.camera_options import CameraFlags
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
 
     from taccel_lab.calibration.live.latency import Latency
-    from taccel_lab.calibration.live.reader import ForceTold, LiveReader, LiveReading
+    from taccel_lab.calibration.live.page import LiveSheet
+    from taccel_lab.calibration.live.reader import ForceReadings, LiveReader, LiveReading
     from taccel_lab.calibration.live.run import LiveResult, LiveWatcher
     from taccel_lab.profile import SensorProfile
 
@@ -25,7 +29,7 @@ PORT = 8092
 
 
 @dataclass(frozen=True, kw_only=True)
-class Live(CameraOptions):
+class Live(CameraFlags):
     """Show depth, normals and markers of a camera's frames, live.
 
     Reads what the profile's blocks allow: depth and normals with normals (colour sensors) or
@@ -34,7 +38,8 @@ class Live(CameraOptions):
     """
 
     profile: Positional[str]
-    """Profile folder of this sensor, or a sensor of the catalogue with a starter profile."""
+    """Profile folder of this sensor, or a sensor of the catalogue with a starter profile. Several
+    sensors at once: left=PROFILE,right=PROFILE, or one for all, with --camera left=ID,right=ID."""
     background: Literal["camera", "profile"] = "camera"
     """The untouched gel: from the camera's first frames (do not touch it), or from the profile."""
     detail: int | None = None
@@ -48,6 +53,11 @@ class Live(CameraOptions):
     """Show the page in the browser; --no-page reads and measures alone."""
     pictures_hz: float = 15.0
     """Largest number of page updates a second."""
+    snapshots: Path = Path("snapshots")
+    """Folder for the page's snapshots: image, depth, pressure, force."""
+    ros: str | None = None
+    """Publish image, depth, contact and wrench as ROS 2 topics under this name, such as
+    tactile/left. Needs ROS 2 in this environment."""
     port: int = PORT
     """Port of the page on this machine; 0 takes any that is free."""
     browser: bool = True
@@ -57,67 +67,108 @@ class Live(CameraOptions):
 
     def run(self) -> None:
         from taccel_lab.calibration.capture.camera import CameraLostError
-        from taccel_lab.calibration.live.page import LivePage
-        from taccel_lab.calibration.live.reader import LiveReader, require_readable
-        from taccel_lab.calibration.live.run import run_live
-        from taccel_lab.cli.console import notes
+        from taccel_lab.calibration.live.page import LiveSheet
+        from taccel_lab.calibration.live.run import run_together
+        from taccel_lab.cli.console import notes, print_json
         from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.report.live_page import PageOptions, live_page
-        from taccel_lab.sensors.profile import stock_sensor
 
         start_warp()
         if self.frames is not None and self.frames < 1:
             raise InputError(f"--frames is {self.frames}; at least 1 is allowed")
         if not 0.1 <= self.pictures_hz <= 100:
             raise InputError(f"--pictures-hz is {self.pictures_hz:g}; 0.1 to 100 are allowed")
-        profile = stock_sensor(self.profile)
-        framing, open_ = self.framing(), self.opener(self.paced)
-        rest = profile.background_rgb if self.background == "profile" else None
-        if self.background == "profile" and rest is None:
-            raise InputError(f"{self.profile} has no background; leave --background profile away")
+        cameras, profiles = named(self.camera, "--camera"), named(self.profile, "PROFILE")
+        if unknown := profiles.keys() - cameras.keys() - {""}:
+            raise InputError(f"PROFILE names {', '.join(sorted(unknown))}, --camera does not")
+        if missing := [] if "" in profiles else sorted(cameras.keys() - profiles.keys()):
+            raise InputError(f"PROFILE has none for {', '.join(missing)}; add {missing[0]}=PROFILE")
+        given = {name: profiles.get(name, profiles.get("", "")) for name in cameras}
+        loaded = {name: self._readable(of) for name, of in given.items()}
+        say = partial(notes().print, soft_wrap=True)
+        with ExitStack() as stack:
+            sheet = None
+            if self.page:
+                options = PageOptions(port=self.port, browser=self.browser)
+                title = f"Live {', '.join(profiles.values())}"
+                sheet = LiveSheet(stack.enter_context(live_page(title, options, say)))
+            try:
+                sessions = [
+                    self._session(name, camera, loaded[name], sheet, say, stack)
+                    for name, camera in cameras.items()
+                ]
+                found = dict(zip(cameras, run_together(sessions), strict=True))
+            except CameraLostError as error:
+                raise InputError(str(error)) from None
+        reports = {name: self._report(name, given[name], result) for name, result in found.items()}
+        if self.json:
+            print_json(reports[""] if list(reports) == [""] else reports)
+
+    def _readable(self, of: str) -> SensorProfile:
+        """The profile of a sensor; InputError for one that tells nothing of a frame."""
+        from taccel_lab.calibration.live.reader import require_readable
+        from taccel_lab.sensors.profile import stock_sensor
+
+        profile = stock_sensor(of)
+        if self.background == "profile" and profile.background_rgb is None:
+            raise InputError(f"{of} has no background; leave --background profile away")
         require_readable(profile)
-        console = notes()
-        say = partial(console.print, soft_wrap=True)
+        return profile
+
+    def _session(
+        self,
+        name: str,
+        camera: str,
+        profile: SensorProfile,
+        sheet: LiveSheet | None,
+        say: partial[None],
+        stack: ExitStack,
+    ) -> Generator[LiveResult, None, None]:
+        """The session of one sensor, whose name is empty where there is no other."""
+        from taccel_lab.calibration.live.page import LivePage
+        from taccel_lab.calibration.live.reader import LiveReader
+        from taccel_lab.calibration.live.ros import RosPublisher
+        from taccel_lab.calibration.live.run import live_session
+
+        rest = profile.background_rgb if self.background == "profile" else None
 
         def make_reader(background: np.ndarray) -> LiveReader:
             force = None if profile.force is None else _forces(profile, background)
             return LiveReader(profile, background, detail=self.detail, force=force)
 
-        with ExitStack() as stack:
-            watchers: list[LiveWatcher] = [_Lines(say)]
-            try:
-                if self.page:
-                    options = PageOptions(port=self.port, browser=self.browser)
-                    title = f"Live {profile.sensor.name}"
-                    server = stack.enter_context(live_page(title, options, say))
-                    watchers.append(LivePage(server, self.pictures_hz))
-                result = run_live(
-                    make_reader,
-                    open_,
-                    watchers,
-                    background=rest,
-                    frames=self.frames,
-                    values=self.values(),
-                    framing=framing,
-                )
-            except CameraLostError as error:
-                raise InputError(str(error)) from None
-        self._report(result)
+        watchers: list[LiveWatcher] = [_Lines(say, name)]
+        if self.ros is not None:
+            publisher = RosPublisher(f"{self.ros}/{name}" if name else self.ros)
+            stack.callback(publisher.close)
+            watchers.append(publisher)
+        if sheet is not None:
+            watchers.append(LivePage(sheet, self.pictures_hz, self.snapshots / name, name))
+        own = replace(self, camera=camera)
+        return live_session(
+            make_reader,
+            own.opener(self.paced),
+            watchers,
+            background=rest,
+            frames=self.frames,
+            values=self.values(),
+            framing=self.framing(),
+        )
 
-    def _report(self, result: LiveResult) -> None:
-        from taccel_lab.cli.console import print_json, results
+    def _report(self, name: str, profile: str, result: LiveResult) -> dict[str, Any]:
+        """What a session came to, ready for JSON; printed where that is not asked for."""
+        from taccel_lab.cli.console import results
 
         reader = result.reader
         if reader is None or result.last is None:
-            ended = f"{self.camera} ended before a frame was read"
+            ended = f"{name or self.camera} ended before a frame was read"
             raise InputError(f"{ended}. {result.unseen}" if result.unseen else ended)
         found = result.latency.figures()
         if self.json:
-            about = {
-                "profile": self.profile,
+            return {
+                "profile": profile,
                 "detail": reader.detail,
                 "maps_px": [reader.grid.width_px, reader.grid.height_px],
-                "locks": {lock.name: lock.told for lock in result.locks},
+                "locks": {lock.name: lock.text for lock in result.locks},
                 "remarks": list(result.remarks),
                 "last": {
                     **result.last.figures,
@@ -126,29 +177,48 @@ class Live(CameraOptions):
                 },
                 "latency": found,
             }
-            print_json(about)
-            return
         console = results()
         busy, cpu = found["busy_ms"], found["cpu_ms"]
         console.print(
-            f"{found['frames']} frames, {found['rate_hz']:.1f} a second; work {busy['median']:.1f} "
-            f"ms a frame (95 %: {busy['p95']:.1f} ms), {cpu['median']:.1f} ms of a core",
+            f"{name}{': ' if name else ''}{found['frames']} frames, {found['rate_hz']:.1f} a "
+            f"second; work {busy['median']:.1f} ms a frame (95 %: {busy['p95']:.1f} ms), "
+            f"{cpu['median']:.1f} ms of a core",
         )
         for name, ms in found["stages_ms"].items():
             line = f"  {name}: {ms['median']:.1f} ms (95 %: {ms['p95']:.1f} ms)"
             console.print(line)
+        return {}
 
 
-def _forces(profile: SensorProfile, background: np.ndarray) -> ForceTold:
+_NAMED = re.compile(r"([A-Za-z]\w*)=(.+)")
+
+
+def named(text: str, what: str) -> dict[str, str]:
+    """``left=A,right=B`` by name; any other text under the empty name.
+
+    Raises InputError for a name that stands twice, and for a part without one.
+    """
+    parts = [_NAMED.fullmatch(part.strip()) for part in text.split(",")]
+    if not any(parts) or Path(text).exists():
+        return {"": text}
+    if not all(parts):
+        raise InputError(f"{what} is {text!r}; several are given as left=A,right=B")
+    pairs = [(part[1], part[2]) for part in parts if part is not None]
+    if len(dict(pairs)) < len(pairs):
+        raise InputError(f"{what} is {text!r}; each name may stand once")
+    return dict(pairs)
+
+
+def _forces(profile: SensorProfile, background: np.ndarray) -> ForceReadings:
     """What the profile's force model says of a frame, by the names of the page."""
     from taccel_lab.learning.force.read_force import ForceReader
 
     reader = ForceReader(profile, background=background)
 
-    def told(image: np.ndarray, _: np.ndarray) -> dict[str, float]:
+    def read(image: np.ndarray, _: np.ndarray) -> dict[str, float]:
         try:
             found = reader.read(image, "frame")
-        except InputError:  # Too few markers are seen: nothing is told of this frame.
+        except InputError:  # Too few markers are seen: nothing is read from this frame.
             return {}
         if found.outside:
             return {}
@@ -157,20 +227,20 @@ def _forces(profile: SensorProfile, background: np.ndarray) -> ForceTold:
             forces[f"F{axis} [N]"], forces[f"F{axis} +- [N]"] = float(force), float(sigma)
         return forces | {"contact area [mm2]": float(found.area_mm2)}
 
-    return told
+    return read
 
 
 class _Lines:
     """A ``LiveWatcher`` that prints what to do."""
 
-    def __init__(self, say: partial[None]) -> None:
-        self._say = say
+    def __init__(self, say: partial[None], name: str) -> None:
+        self._say, self._name = say, name
 
     def show(self, reading: LiveReading, reader: LiveReader, latency: Latency) -> None: ...
 
     def tell(self, text: str) -> None:
         if text:
-            self._say(text)
+            self._say(f"{self._name}: {text}" if self._name else text)
 
     def wants_background(self) -> bool:
         return False

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,7 +30,7 @@ class _Files:
 
 
 @dataclass(frozen=True)
-class Press(PressOptions, _Files):
+class PressCommand(PressOptions, _Files):
     """Press an indenter into a gel: height map, normals, image, force and wrench, mesh, figures.
 
     Lengths are in mm in the gel frame: x right and y down in the image, z out of the gel; the
@@ -71,6 +72,8 @@ class Press(PressOptions, _Files):
                     raise
                 failure, pressed = error, finished[-1]
             pressed.write_into(folder)
+        if pressed.refinement is not None:
+            console.print(f"note: stated error {pressed.refinement.words()}", soft_wrap=True)
         if failure is not None:
             steps = pressed.outcome.steps
             console.print(
@@ -84,6 +87,10 @@ class Press(PressOptions, _Files):
         console.print(f"wrote {self.out}")
 
 
+def _stated(error: float, digits: str) -> str:
+    return "unknown" if math.isnan(error) else format(error, digits)
+
+
 def _print_outcome(console: Console, pressed: PressResult) -> None:
     from rich.table import Table
 
@@ -95,8 +102,8 @@ def _print_outcome(console: Console, pressed: PressResult) -> None:
         ("depth past first touch", f"{outcome.path.depth_mm:.4g}", "mm"),
         ("force of the gel on the indenter", "  ".join(f"{v:.4f}" for v in force), "N"),
         ("moment about the gel's origin", "  ".join(f"{v:.4f}" for v in moment), "N mm"),
-        ("error of the force, estimated", f"{figures['force_error_n']:.4f}", "N"),
-        ("error of the heights, estimated", f"{figures['height_error_m'] * 1e6:.1f}", "um rms"),
+        ("error of the force, stated", _stated(outcome.force_error_n, ".4f"), "N"),
+        ("error of the heights, stated", _stated(1e6 * outcome.height_error_m, ".1f"), "um rms"),
         ("contact radius (equal area)", f"{figures['contact_radius_mm']:.3f}", "mm"),
         ("force residual", f"{figures['residual_n']:.1e}", "N"),
         ("Newton iterations", f"{figures['newton_iterations']}", ""),

@@ -29,7 +29,7 @@ class Preview:
 
     sensor: Positional[str]
     """Sensor of the catalogue, e.g. gelsight_mini, or the folder of a profile, such as that of
-    taccel-lab import-step."""
+    taccel-lab import-gel."""
     out: Path
     """Folder to write; an earlier one is replaced when everything is done."""
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE")] = field(default=())

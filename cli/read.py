@@ -11,7 +11,7 @@ from tyro.conf import Positional
 
 @dataclass(frozen=True)
 class Read:
-    """Read a recorded video, a folder of images or one image, frame by frame.
+    """Read a recording frame by frame: a video, images, UniVTAC's HDF5 or a LeRobot data set.
 
     Every frame gives depth, contact area, normal force with its 95 % interval (contact of an
     elastic layer) and marker displacements, as far as the profile's blocks allow. Writes
@@ -19,12 +19,15 @@ class Read:
     be read are rows with the reason. After an interrupt the same command goes on where it stopped.
     """
 
-    profile: Positional[Path]
-    """Profile folder of this sensor."""
+    profile: Positional[str]
+    """Profile folder of this sensor, or a sensor of the catalogue with a starter profile."""
     source: Positional[Path]
-    """A video, a folder of images in natural order, such as those of a rosbag, or one image."""
+    """A video, a folder of images in natural order, such as those of a rosbag, one image, an HDF5
+    file of UniVTAC, or the folder of a LeRobot data set (v2, v3)."""
     out: Path
     """Folder to write."""
+    camera: str | None = None
+    """Camera of a data set that has several, by its name or the end of it: left_tactile/rgb."""
     background: Path | None = None
     """Image of the untouched sensor, if newer than the profile's."""
     json: bool = False
@@ -33,36 +36,37 @@ class Read:
     def run(self) -> None:
         import numpy as np
 
+        from taccel_lab.calibration.capture.camera.recording import Recording
         from taccel_lab.calibration.live.reader import LiveReader
-        from taccel_lab.calibration.live.recorded import Recorded, read_recorded
+        from taccel_lab.calibration.live.recorded import read_recorded
         from taccel_lab.cli.console import notes, print_json, results
         from taccel_lab.files.images import read_image
         from taccel_lab.files.output_folder import require_replaceable
         from taccel_lab.files.regular_file import file_sha256
         from taccel_lab.processes.start_warp import start_warp
-        from taccel_lab.profile import load_profile
+        from taccel_lab.sensors.profile import profile_folder, stock_sensor
         from taccel_lab.version import __version__
 
         start_warp()
         require_replaceable(self.out)
-        profile = load_profile(self.profile)
-        recorded = Recorded.of(self.source)
+        profile, own = stock_sensor(self.profile), profile_folder(self.profile)
+        recording = Recording.of(self.source, self.camera)
         given = None if self.background is None else read_image(self.background)
         untouched = profile.untouched(given, str(self.background))
         reader = LiveReader(profile, untouched.astype(np.float32), detail=1, sigma_every=1)
         recipe = {
             "version": __version__,
-            "profile": file_sha256(self.profile / "profile.toml"),
-            "source": [str(self.source), recorded.count, [path.name for path in recorded.images]],
+            "profile": self.profile if own is None else file_sha256(own / "profile.toml"),
+            "source": [str(self.source), recording.camera, recording.names],
             "background": None if self.background is None else file_sha256(self.background),
         }
         console = notes()
 
-        def told(task: str, done: int, total: int) -> None:
+        def bar(task: str, done: int, total: int) -> None:
             if done % 50 == 0 or done == total:
                 console.print(f"{task}: {done} of {total}")
 
-        rows = read_recorded(recorded, reader, self.out, recipe, told)
+        rows = read_recorded(recording, reader, self.out, recipe, bar)
         if self.json:
             print_json({"out": str(self.out), "frames": rows})
             return

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.studies.cluster import Where
-    from taccel_lab.studies.runner import Outcome
+    from taccel_lab.studies.runner import StudyOutcome
     from taccel_lab.studies.study import Study as StudyToRun
 
 
 @dataclass(frozen=True)
-class Study:
+class StudyCommand:
     """Sweep a sensor's parameters: standard presses on every design, a table, a report.
 
     The study file names sensor, parameters, presses and metrics (docs/studies.md). Every finished
@@ -148,7 +148,9 @@ class Study:
                 words += [f"--{name}", str(getattr(self, name))]
         return shlex.join(words)
 
-    def _evaluate(self, study: StudyToRun, root: Path, file: Path, console: Console) -> Outcome:
+    def _evaluate(
+        self, study: StudyToRun, root: Path, file: Path, console: Console
+    ) -> StudyOutcome:
         from taccel_lab.api.study import evaluate_study
         from taccel_lab.cli.study_progress import StudyProgress
         from taccel_lab.files.shard import Shard
@@ -172,7 +174,7 @@ class Study:
             )
 
     def _conclude(
-        self, console: Console, outcome: Outcome, values: dict, root: Path, again: str
+        self, console: Console, outcome: StudyOutcome, values: dict, root: Path, again: str
     ) -> None:
         from taccel_lab.cli.console import print_json
         from taccel_lab.studies.table import CSV_NAME, has_parquet
@@ -195,7 +197,7 @@ class Study:
             raise SystemExit(1)
 
 
-def _print_lists(options: Study) -> None:
+def _print_lists(options: StudyCommand) -> None:
     from taccel_lab.cli.console import print_json
     from taccel_lab.studies.describe import press_in_words
     from taccel_lab.studies.readings import described

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.studies.design_row import DesignRow
-    from taccel_lab.studies.runner import Outcome
+    from taccel_lab.studies.runner import StudyOutcome
     from taccel_lab.studies.study import Study
 
 
@@ -108,7 +108,7 @@ class StudyProgress(Listener):
         self._bar.update(self._workers[worker], completed=done, total=total, note=what)
 
 
-def print_summary(outcome: Outcome, values: dict[str, Any]) -> None:
+def print_summary(outcome: StudyOutcome, values: dict[str, Any]) -> None:
     """The verdict and the best designs, on standard output."""
     from rich.table import Table
     from rich.text import Text

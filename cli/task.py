@@ -59,7 +59,7 @@ class TaskRun:
 
     task: Positional[str]
     """A task of ``task list``, or a file like those of the package."""
-    output: Path
+    out: Path
     """Folder to write; an earlier one is replaced when everything is done."""
     seeds: int | None = None
     """Run seeds 0 to N - 1. Default: the task's number."""
@@ -81,12 +81,12 @@ class TaskRun:
             raise InputError(f"seeds must lie in 1..{MOST_SEEDS}, got {self.seeds}")
         if self.environments is not None and not 1 <= self.environments <= MOST_SEEDS:
             raise InputError(f"environments must lie in 1..{MOST_SEEDS}, got {self.environments}")
-        task = _begin(self.task, self.device, self.output)
+        task = _begin(self.task, self.device, self.out)
         if self.environments is not None:
             parameters = task.parameters.replace(environments=self.environments)
             task = replace(task, parameters=parameters)
         console = notes()
-        with atomic_directory(self.output) as folder:
+        with atomic_directory(self.out) as folder:
             with stage_progress(console) as progress:
                 seeds = range(self.seeds or task.parameters.seeds)
                 result = run_task(task, seeds, self.device, progress=progress)
@@ -94,7 +94,7 @@ class TaskRun:
         if self.json:
             print_json(result.table())
         else:
-            _print(console, result, self.output)
+            _print(console, result, self.out)
         if len(result.trials) < result.asked:
             console.print(
                 f"interrupted; {len(result.trials)} of {result.asked} seeds are kept",
@@ -111,12 +111,13 @@ class TaskRecord:
 
     task: Positional[str]
     """A task of ``task list``, or a file like those of the package."""
-    output: Path
+    out: Path
     """Folder to write; an earlier one is replaced when everything is done."""
     seed: int = 0
     """Which start."""
     states: bool = False
-    """Keep the bodies of every frame in replay.npz, for taccel-lab view."""
+    """Keep bodies, tactile image, depth, pressure and markers of every frame in replay.npz, for
+    taccel-lab view."""
     device: str = "cpu"
     """Device of the solver: cpu, cuda:0 or auto."""
     json: bool = False
@@ -126,29 +127,31 @@ class TaskRecord:
         from taccel_lab.cli.console import notes, print_json, working
         from taccel_lab.files.atomic_file import write_json
         from taccel_lab.files.output_folder import atomic_directory
+        from taccel_lab.learning.gel_colors import default_colors
         from taccel_lab.progress import stage_progress
         from taccel_lab.tasks.film import film_seed, write_film_files
         from taccel_lab.tasks.replay import write_replay
 
         if not 0 <= self.seed < MOST_SEEDS:
             raise InputError(f"seed must lie in 0..{MOST_SEEDS - 1}, got {self.seed}")
-        task = _begin(self.task, self.device, self.output)
+        task = _begin(self.task, self.device, self.out)
         console = notes()
-        with atomic_directory(self.output) as folder:
+        with atomic_directory(self.out) as folder:
             with stage_progress(console) as progress:
-                film, trial = film_seed(task, self.seed, self.device, progress)
+                colors = default_colors(None) if self.states else None
+                film, trial = film_seed(task, self.seed, self.device, progress, colors)
             with working(console, "writing the film"):
                 write_film_files(film, folder)
                 if self.states:
-                    write_replay(film, folder)
-            told = {name: value for name, value in vars(trial).items() if name != "felt"}
-            told = {"task": task.name, **told}
-            write_json(folder / "trial.json", told)
+                    write_replay(film, trial, folder)
+            values = {name: value for name, value in vars(trial).items() if name != "felt"}
+            values = {"task": task.name, **values}
+            write_json(folder / "trial.json", values)
         if self.json:
-            print_json(told)
+            print_json(values)
         done = "success" if trial.success else trial.cause
         console.print(f"seed {trial.seed}: {done}")
-        console.print(f"wrote {self.output / 'film.mp4'}", soft_wrap=True)
+        console.print(f"wrote {self.out / 'film.mp4'}", soft_wrap=True)
 
 
 def _begin(name: str, device: str, output: Path) -> Task:

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 @contextmanager
 def kept_blocks(console: Console, folder: Path) -> Iterator[Path]:
-    """The place beside ``folder``; who interrupts is told of what is kept there."""
-    beside = Path(os.path.abspath(folder))  # "." has no name of its own.
+    """The place beside ``folder``; whoever interrupts learns what is kept there."""
+    beside = Path(os.path.abspath(folder))  # "." has no name.
     unfinished = beside.with_name(f"{beside.name}_unfinished")
     try:
         yield unfinished

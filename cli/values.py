@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values of options: what is wrong with one is told in words, whichever option it stands behind."""
+"""Values of options: what is wrong with one is said in words, whichever option it stands behind."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from taccel_lab.report.page_options import PageOptions
 
 
 @dataclass(frozen=True)
-class View:
+class ViewCommand:
     """Look at a result in the browser, step by step: gel with pressure, stress and displacement,
     sections, force arrows, sensor image with markers.
 

@@ -39,8 +39,8 @@ _TYPE_BYTES = {
 
 
 class Arrays(Mapping[str, Any]):
-    """The arrays of the group at ``path`` by their names, opened when they are asked for; its group
-    ``meshes`` is a mapping of its own.
+    """The arrays of the group at ``path`` by their names, opened on demand; its group
+    ``meshes`` is a mapping, too.
 
     Raises InputError for another format, codec or type, and for sizes beyond the limits; errors of
     Python and zarr for what is damaged: LookupError, TypeError and ValueError, and OSError where a
@@ -117,7 +117,7 @@ def _bounded(codecs: Iterable[Any]) -> tuple[Any, ...]:
     from zarr.codecs import ShardingCodec, ZstdCodec
 
     class ExactZstd(ZstdCodec):
-        """Arrow's, which is told the size; zarr's believes the file."""
+        """Arrow's, which is given the size; zarr's believes the file."""
 
         def _decode_sync(self, chunk_bytes: Any, chunk_spec: Any) -> Any:
             import pyarrow as pa

@@ -16,14 +16,14 @@ import numpy as np
 from taccel_lab.camera.gel_camera import GelCamera
 from taccel_lab.datasets.motion import rolled_mm
 from taccel_lab.datasets.sensor import Sensor
-from taccel_lab.datasets.view import View
+from taccel_lab.datasets.view import TouchView
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.model.embedding import rotate
 from taccel_lab.signals.tactile import SIGNALS
 
 if TYPE_CHECKING:
-    from taccel_lab.datasets.spec import Output
+    from taccel_lab.datasets.spec import DatasetOutput
 
 DEPTH_STEP_MM = 2.0**-17
 """Depths are multiples of 7.6 nm: far finer than they are known, and their last bits compress."""
@@ -39,26 +39,26 @@ class Channel:
     """Of a row, in words; empty for a number."""
     unit: str
     what: str
-    read: Callable[[View], np.ndarray]
+    read: Callable[[TouchView], np.ndarray]
     """[row, ...] of the environments that a view shows."""
     may_be_nan: bool = False
 
 
-def _command(view: View) -> np.ndarray:
+def _command(view: TouchView) -> np.ndarray:
     """Commands with what a roll adds, [row, 6]."""
     asked = view.commands.copy()
     asked[:, 1:3] += rolled_mm(view.commands, 1e3 * view.env.touch_m[view.who])
     return asked
 
 
-def _friction_use(view: View) -> np.ndarray:
+def _friction_use(view: TouchView) -> np.ndarray:
     """Friction over the largest possible friction, 0 without contact, [row]."""
     friction, normal = view.rubbing_n
     most = np.array([view.touches[env].friction for env in view.who.tolist()]) * normal
     return np.divide(friction, most, out=np.zeros(len(most)), where=most > 0)
 
 
-def _contact_center(view: View) -> np.ndarray:
+def _contact_center(view: TouchView) -> np.ndarray:
     """Middle of the normal force, gel xy [mm], NaN without contact, [row, 2]."""
     weights = np.abs(np.einsum("rni,ri->rn", view.forces_n, _axes(view)))
     total = weights.sum(axis=1)
@@ -66,18 +66,18 @@ def _contact_center(view: View) -> np.ndarray:
         return 1e3 * np.einsum("rn,rni->ri", weights, view.positions_m[..., :2]) / total[:, None]
 
 
-def _axes(view: View) -> np.ndarray:
+def _axes(view: TouchView) -> np.ndarray:
     """Way that the objects came, against it, unit vectors, [row, 3]."""
     frames = np.stack([view.touches[env].frame for env in view.who.tolist()])
     return rotate(frames[:, 3:], np.array([0.0, 0.0, 1.0]))
 
 
-def _depth(view: View) -> np.ndarray:
+def _depth(view: TouchView) -> np.ndarray:
     depth = 1e3 * view.tactile("depth_m").astype(np.float64)
     return np.rint(np.nan_to_num(depth) / DEPTH_STEP_MM) * DEPTH_STEP_MM
 
 
-def _rgb(view: View) -> np.ndarray:
+def _rgb(view: TouchView) -> np.ndarray:
     levels = view.levels
     for row, env in enumerate(view.who.tolist()):
         touch = view.touches[env]
@@ -87,7 +87,7 @@ def _rgb(view: View) -> np.ndarray:
     return np.rint(levels.clip(0, 255))
 
 
-def _markers(view: View) -> np.ndarray:
+def _markers(view: TouchView) -> np.ndarray:
     markers = view.markers_px.copy()
     for row, env in enumerate(view.who.tolist()):
         touch = view.touches[env]
@@ -97,7 +97,7 @@ def _markers(view: View) -> np.ndarray:
     return markers
 
 
-def _patch_forces(view: View) -> np.ndarray:
+def _patch_forces(view: TouchView) -> np.ndarray:
     """Nodal forces, spread over the four patches around each node: their sum is the force and,
     within the grid of patch centres, their moment is the moment."""
     columns, rows = view.patches
@@ -118,16 +118,16 @@ def _patch_forces(view: View) -> np.ndarray:
     return found.reshape(len(view.who), rows, columns, 3)
 
 
-def _normals(view: View) -> np.ndarray:
+def _normals(view: TouchView) -> np.ndarray:
     return np.nan_to_num(view.tactile("normals"))
 
 
-def _moved(view: View) -> np.ndarray:
+def _moved(view: TouchView) -> np.ndarray:
     rest = np.stack([view.meshes[env].nodes_m[view.face_nodes] for env in view.who.tolist()])
     return 1e3 * (view.positions_m[:, view.face_nodes] - rest)
 
 
-def _area(view: View) -> np.ndarray:
+def _area(view: TouchView) -> np.ndarray:
     return 1e6 * view.contact_area_m2
 
 
@@ -206,7 +206,7 @@ def known_channels() -> list[str]:
 
 
 def channels_of(names: tuple[str, ...]) -> list[Channel]:
-    """What is always kept and what is asked for; InputError for an unknown name."""
+    """What is always kept and what is requested; InputError for an unknown name."""
     found = list(ALWAYS)
     for name in names:
         if name in {channel.name for channel in ALWAYS}:
@@ -219,7 +219,7 @@ def channels_of(names: tuple[str, ...]) -> list[Channel]:
     return found
 
 
-def check_channels(output: Output, sensor: Sensor) -> None:
+def check_channels(output: DatasetOutput, sensor: Sensor) -> None:
     """Reject channels that a sensor lacks."""
     channels_of(output.channels)
     wanted = set(output.channels)

@@ -37,7 +37,7 @@ from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.files.text_file import shown
 
 if TYPE_CHECKING:
-    from taccel_lab.datasets.plan import Part, Plan
+    from taccel_lab.datasets.plan import DatasetPart, DatasetPlan
 
 ABOUT = "dataset.json"
 ABOUT_KEYS = {
@@ -62,7 +62,7 @@ class DatasetFolder:
     def __init__(self, root: Path | str) -> None:
         self.root = Path(os.path.abspath(root))
 
-    def require_usable(self, plan: Plan) -> None:
+    def require_usable(self, plan: DatasetPlan) -> None:
         """Refuse a folder of somebody else, or of another data set than ``plan``."""
         if not self.root.is_dir():
             require_growable(self.root)
@@ -96,7 +96,7 @@ class DatasetFolder:
                 raise InputError(f"{path} is no description of a data set: {key!r} is {found}")
         return about
 
-    def begin(self, plan: Plan, source: str) -> None:
+    def begin(self, plan: DatasetPlan, source: str) -> None:
         """Write what does not depend on any part, unless it is there. ``source``: the file."""
         from taccel_lab.datasets.plan import tool_file
         from taccel_lab.profile import save_profile
@@ -126,14 +126,14 @@ class DatasetFolder:
 
     @contextmanager
     def locked(self, shard: str) -> Iterator[None]:
-        """Hold a shard; raises InputError while another run does. Goes with the process."""
+        """Hold a shard; raises InputError while another run does. It ends with the process."""
         self.root.mkdir(parents=True, exist_ok=True)
         with open(self.root / f"{LOCK}{shard.replace('/', '-of-')}", "a+") as marker:
             busy = f"another run makes shard {shard} in {self.root}"
             hold(marker, busy, "wait for its end or choose another shard")
             yield
 
-    def part(self, part: Part) -> Path:
+    def part(self, part: DatasetPart) -> Path:
         """Folder of a part."""
         return self.root / PARTS / part.name
 
@@ -143,8 +143,8 @@ class DatasetFolder:
         return sorted(path for path in found if path.name.isdecimal() and path.is_dir())
 
     def without_damaged(
-        self, parts: Sequence[Part], say: Callable[[str], None]
-    ) -> tuple[list[Part], list[Part]]:
+        self, parts: Sequence[DatasetPart], say: Callable[[str], None]
+    ) -> tuple[list[DatasetPart], list[DatasetPart]]:
         """The parts that are there, and those that are missing.
 
         One of which files are missing or cut short is taken away, so that it is made again, and
@@ -234,7 +234,7 @@ def is_as_written(path: Path, table: Any) -> bool:
     return pq.read_metadata(path).created_by != now or path.read_bytes() == written
 
 
-def _about(plan: Plan) -> dict[str, Any]:
+def _about(plan: DatasetPlan) -> dict[str, Any]:
     from taccel_lab.datasets.channels import camera_record, channels_of, grid_record
 
     spec = plan.spec
@@ -291,4 +291,4 @@ def _differences(earlier: dict[str, Any], now: dict[str, Any]) -> str:
             found += [f"{key}.{k}" for k in sorted({*a, *b}) if a.get(k) != b.get(k)]
         else:
             found.append(key)
-    return "its " + ", ".join(found) + " differ from what is asked for" if found else "it differs"
+    return "its " + ", ".join(found) + " differ from what is requested" if found else "it differs"

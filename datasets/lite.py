@@ -15,7 +15,7 @@ from taccel_lab.files.inner_path import copy_inner, inner_files
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
 
 RESERVE_BYTES = 1_000_000
-"""Kept for tables and what goes with the parts."""
+"""Kept for tables and other files of the parts."""
 
 
 def make_lite(

@@ -14,7 +14,7 @@ motion along the face, rotation vector. A roll moves the object on besides (``ro
 
 
 @dataclass(frozen=True)
-class Motion:
+class TouchMotion:
     """Down to a depth, then sideways, about the axis or rolling, in equal steps."""
 
     kind: str

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.datasets.reading import Dataset
+from taccel_lab.datasets.touch_figure import tangential_n
 from taccel_lab.errors import InputError
 from taccel_lab.report.figures_mesh import draw_mesh
 from taccel_lab.report.mesh_view import mesh_view
 from taccel_lab.report.page import Page, Picture, Table
 from taccel_lab.report.style import BLUE, GREEN, GREY, ORANGE, in_report_style, new_figure
 
-STRIP = 7
-"""Images of a touch."""
 _GROUP_COLUMNS = (
     "sensor", "object", "motion", "touches", "steps", "largest depth [mm]", "largest force [N]",
     "stopped or failed",
@@ -133,14 +132,10 @@ def _figures(data: Dataset) -> list[tuple[str, str]]:
     share = steps["force_error_n"][pressed] / steps["press_force_z_n"][pressed]
     return [
         ("largest normal force", f"{steps['press_force_z_n'].max():.3g} N"),
-        ("largest tangential force", f"{_tangential(steps).max():.3g} N"),
+        ("largest tangential force", f"{tangential_n(steps).max():.3g} N"),
         ("largest contact", f"{steps['contact_area_mm2'].max():.3g} mm²"),
         ("estimated force error, median", f"{100 * float(np.median(share)):.1f} %"),
     ]
-
-
-def _tangential(steps: dict[str, np.ndarray]) -> np.ndarray:
-    return np.hypot(steps["press_force_x_n"], steps["press_force_y_n"])
 
 
 @in_report_style
@@ -157,7 +152,7 @@ def _overview(data: Dataset) -> Any:
     )
     for axis, values, label, color in (
         (axes[0, 0], steps["press_force_z_n"][pressed], "normal force [N]", BLUE),
-        (axes[0, 1], _tangential(steps)[pressed], "tangential force [N]", ORANGE),
+        (axes[0, 1], tangential_n(steps)[pressed], "tangential force [N]", ORANGE),
         (axes[0, 2], steps["contact_area_mm2"][pressed], "contact area [mm²]", GREEN),
         (axes[1, 0], steps["depth_mm"][pressed], "depth past first touch [mm]", BLUE),
         (axes[1, 1], 100 * share[pressed], "estimated force error [%]", GREY),
@@ -193,43 +188,4 @@ def _touch(data: Dataset, episode: int) -> Picture:
         f"{moved}; friction {row['friction']:.2f}, modulus x {row['young_modulus_factor']:.2f}. "
         f"{row['cause'] or ''}"
     )
-    return Picture(f"touch_{episode}", partial(_draw_touch, data, episode), caption.strip())
-
-
-@in_report_style
-def _draw_touch(data: Dataset, episode: int) -> Any:
-    """Images above how far the face sank, dark for nothing, at ``STRIP`` steps; forces beside them
-    with the band of the estimated error."""
-    rows, steps = data.rows_of(episode), data.steps
-    picked = rows[np.unique(np.linspace(0, len(rows) - 1, STRIP).round().astype(int))]
-    figure, axes = new_figure(13, 3.1, 2, STRIP + 2)
-    grid = axes[0, 0].get_gridspec()
-    for axis in axes.ravel():
-        axis.set_axis_off()
-    for column, k in enumerate(picked.tolist()):
-        if "rgb" in data.channels:
-            axes[0, column].imshow(data.read("rgb", [k])[0])
-        axes[0, column].set_title(
-            f"{steps['depth_mm'][k]:.2f} mm\n{steps['press_force_z_n'][k]:.2f} N", fontsize=8
-        )
-        if "depth_mm" in data.channels:
-            deepest = max(float(steps["depth_mm"][k]), 0.05)
-            axes[1, column].imshow(data.read("depth_mm", [k])[0], vmin=0, vmax=deepest)
-    for axis in axes[:, STRIP:].ravel():
-        axis.remove()
-    _draw_forces(figure.add_subplot(grid[:, STRIP:]), data, rows)
-    return figure
-
-
-def _draw_forces(axes: Any, data: Dataset, rows: np.ndarray) -> None:
-    steps = data.steps
-    number, normal = steps["step"][rows], steps["press_force_z_n"][rows]
-    error = steps["force_error_n"][rows]
-    axes.plot(number, normal, color=BLUE, marker=".", label="normal")
-    axes.fill_between(number, normal - error, normal + error, color=BLUE, alpha=0.2, linewidth=0)
-    axes.plot(number, _tangential(steps)[rows], color=ORANGE, marker=".", label="tangential")
-    axes.set_xlabel("step")
-    axes.set_ylabel("force [N]")
-    axes.set_ylim(top=1.3 * axes.get_ylim()[1])
-    axes.xaxis.get_major_locator().set_params(integer=True)
-    axes.legend(loc="upper center", ncols=2)
+    return Picture(f"touch_{episode}", partial(data.plot, episode), caption.strip())

@@ -27,7 +27,7 @@ from taccel_lab.files.atomic_file import to_jsonable
 from taccel_lab.files.output_folder import atomic_directory
 
 if TYPE_CHECKING:
-    from taccel_lab.datasets.plan import Part, Plan
+    from taccel_lab.datasets.plan import DatasetPart, DatasetPlan
 
 ARRAYS, EPISODES, STEPS = "data.zarr", "episodes.parquet", "steps.parquet"
 ZSTD_LEVEL = 3
@@ -45,7 +45,7 @@ _COLUMNS = {
 class PartData:
     """A part in memory."""
 
-    part: Part
+    part: DatasetPart
     channels: Sequence[Channel]
     arrays: dict[str, np.ndarray]
     """By channel, a row a step."""
@@ -61,7 +61,7 @@ class PartData:
         return len(self.arrays["step"])
 
 
-def part_data(plan: Plan, part: Part, records: Sequence[TouchRecord]) -> PartData:
+def part_data(plan: DatasetPlan, part: DatasetPart, records: Sequence[TouchRecord]) -> PartData:
     """The arrays and tables of a part whose episodes were simulated, in order."""
     channels = _channels(plan)
     arrays = joined(records, channels)
@@ -81,14 +81,14 @@ def part_data(plan: Plan, part: Part, records: Sequence[TouchRecord]) -> PartDat
     )
 
 
-def _channels(plan: Plan) -> list[Channel]:
+def _channels(plan: DatasetPlan) -> list[Channel]:
     from taccel_lab.datasets.channels import channels_of
 
     return channels_of(plan.spec.output.channels)
 
 
 def episode_row(
-    plan: Plan, record: TouchRecord, part: Part, place: int, first: int, kept: int
+    plan: DatasetPlan, record: TouchRecord, part: DatasetPart, place: int, first: int, kept: int
 ) -> dict[str, Any]:
     """What the table says of an episode."""
     episode = plan.episodes[record.episode]
@@ -131,7 +131,7 @@ def episode_row(
     }
 
 
-def _light_text(plan: Plan, episode: Any) -> str:
+def _light_text(plan: DatasetPlan, episode: Any) -> str:
     """What changed the light, as JSON; empty where nothing did."""
     found = [plan.sensors[episode.sensor].units[episode.unit].light, plan.light(episode)]
     drawn = [
@@ -142,7 +142,7 @@ def _light_text(plan: Plan, episode: Any) -> str:
     return json.dumps(to_jsonable(drawn)) if drawn else ""
 
 
-def write_part(folder: Path, data: PartData, plan: Plan) -> None:
+def write_part(folder: Path, data: PartData, plan: DatasetPlan) -> None:
     """Write a part, which appears whole or not at all; OSError for a full disk and the like."""
     with atomic_directory(folder) as staging:
         sensor = plan.sensors[data.part.sensor]

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from taccel_lab.datasets.channels import camera_record, check_channels
-from taccel_lab.datasets.motion import Motion
+from taccel_lab.datasets.motion import TouchMotion
 from taccel_lab.datasets.placing import Placing, view_range_mm
 from taccel_lab.datasets.sensor import UNITS_KEY, Sensor, sensor_of
 from taccel_lab.errors import InputError, naming
@@ -43,7 +43,7 @@ _TOLD_EVERY = 4096
 
 
 @dataclass(frozen=True)
-class Episode:
+class PlannedTouch:
     """One touch as it was drawn."""
 
     index: int
@@ -53,14 +53,14 @@ class Episode:
     motion: int
     """Entries of the file, from 0."""
     placing: Placing
-    path: Motion
+    path: TouchMotion
     friction: float
     young_modulus_factor: float
     split: str
 
 
 @dataclass(frozen=True)
-class Part:
+class DatasetPart:
     """Episodes that are written together, of one sensor and object."""
 
     index: int
@@ -75,31 +75,31 @@ class Part:
         return f"{self.index:06d}"
 
 
-class Episodes(Sequence[Episode]):
-    """All episodes of a plan by index, each drawn when it is asked for: ten million would fill the
+class Episodes(Sequence[PlannedTouch]):
+    """All episodes of a plan by index, each drawn on demand: ten million would fill the
     memory."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: DatasetPlan) -> None:
         self._plan = plan
 
     def __len__(self) -> int:
         return self._plan.spec.dataset.episodes
 
     @overload
-    def __getitem__(self, index: int) -> Episode: ...
+    def __getitem__(self, index: int) -> PlannedTouch: ...
     @overload
-    def __getitem__(self, index: slice) -> list[Episode]: ...
-    def __getitem__(self, index: int | slice) -> Episode | list[Episode]:
+    def __getitem__(self, index: slice) -> list[PlannedTouch]: ...
+    def __getitem__(self, index: int | slice) -> PlannedTouch | list[PlannedTouch]:
         chosen = range(len(self))[index]
         if isinstance(chosen, range):
             return [self._plan.draw(number) for number in chosen]
         return self._plan.draw(chosen)
 
-    def __iter__(self) -> Iterator[Episode]:
+    def __iter__(self) -> Iterator[PlannedTouch]:
         return map(self._plan.draw, range(len(self)))
 
 
-class Plan:
+class DatasetPlan:
     """A checked file with what it names, ready to be simulated."""
 
     def __init__(self, spec: DatasetSpec, base: Path, physics: PressPhysics | None = None) -> None:
@@ -195,7 +195,7 @@ class Plan:
     def _place_ranges_mm(self) -> list[tuple[np.ndarray, np.ndarray]]:
         return [self.place_range_mm(sensor) for sensor in self.sensors]
 
-    def draw(self, index: int) -> Episode:
+    def draw(self, index: int) -> PlannedTouch:
         """Episode ``index``, of its own seed."""
         spec = self.spec
         rng = np.random.default_rng([spec.dataset.seed, EPISODE_KEY, index])
@@ -221,12 +221,12 @@ class Plan:
         if spec.randomise.young_modulus_factor is not None:
             factor *= float(rng.uniform(*spec.randomise.young_modulus_factor))
         test = by.split == "test" or thing.split == "test" or unit >= by.units - by.test_units
-        return Episode(
+        return PlannedTouch(
             index, sensor, unit, touched, motion, placing, path, friction, factor,
             "test" if test else "train",
         )  # fmt: skip
 
-    def light(self, episode: Episode) -> Perturbation | None:
+    def light(self, episode: PlannedTouch) -> Perturbation | None:
         """What [randomise] does to the light of an episode; one row."""
         from taccel_lab.profile import PerturbationBlock, Provenance
 
@@ -248,7 +248,7 @@ class Plan:
         return draw_perturbation(block, 1, rng)
 
     @functools.cached_property
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[DatasetPart]:
         """All episodes, grouped as they are written."""
         return self._grouped(silent)
 
@@ -257,7 +257,7 @@ class Plan:
         if "parts" not in self.__dict__:
             self.parts = self._grouped(progress)
 
-    def _grouped(self, progress: Progress) -> list[Part]:
+    def _grouped(self, progress: Progress) -> list[DatasetPart]:
         count, size = len(self.episodes), self.spec.output.episodes_per_part
         pairs, steps = np.empty((2, count), dtype=np.int32)
         for episode in self.episodes:
@@ -266,7 +266,7 @@ class Plan:
             if episode.index % _TOLD_EVERY == 0:
                 progress("drawing touches", episode.index, count)
         progress("drawing touches", count, count)
-        parts: list[Part] = []
+        parts: list[DatasetPart] = []
         for pair in np.unique(pairs).tolist():
             group = np.flatnonzero(pairs == pair)
             group = group[np.argsort(steps[group], kind="stable")]
@@ -274,14 +274,14 @@ class Plan:
                 chosen = group[first : first + size]
                 rows = int(steps[chosen].sum()) + len(chosen)
                 sensor, thing = divmod(pair, len(self.tools))
-                parts.append(Part(len(parts), sensor, thing, tuple(chosen.tolist()), rows))
+                parts.append(DatasetPart(len(parts), sensor, thing, tuple(chosen.tolist()), rows))
         return parts
 
-    def shard(self, number: int, count: int) -> list[Part]:
+    def shard(self, number: int, count: int) -> list[DatasetPart]:
         """The parts of shard ``number`` of ``count``, from 1."""
         return self.parts[number - 1 :: count]
 
-    # What it is known by ---------------------------------------------------------------------
+    # Its name ---------------------------------------------------------------------
 
     @functools.cached_property
     def recipe(self) -> dict[str, Any]:
@@ -338,7 +338,7 @@ def _weighted(rng: np.random.Generator, edges: np.ndarray) -> int:
     return min(int(np.searchsorted(edges, rng.random() * edges[-1], side="right")), len(edges) - 1)
 
 
-def _drawn_motion(rng: np.random.Generator, entry: MotionEntry) -> Motion:
+def _drawn_motion(rng: np.random.Generator, entry: MotionEntry) -> TouchMotion:
     def drawn(ends: tuple[float, float] | None) -> float:
         value = rng.uniform(*(ends or (0.0, 0.0)))
         return float(value) if ends is not None else 0.0
@@ -351,4 +351,4 @@ def _drawn_motion(rng: np.random.Generator, entry: MotionEntry) -> Motion:
         "roll_deg": drawn(entry.roll_deg),
     }
     assert all(math.isfinite(value) for value in values.values())
-    return Motion(entry.kind, **values, step_mm=entry.step_mm, step_deg=entry.step_deg)
+    return TouchMotion(entry.kind, **values, step_mm=entry.step_mm, step_deg=entry.step_deg)

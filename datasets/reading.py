@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from taccel_lab.datasets.part import ARRAYS, EPISODES, STEPS
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import inner_files, inner_path
 from taccel_lab.summary import Summary
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FORMATS = (1,)
 """Formats of folders that this reads."""
@@ -103,7 +106,7 @@ class Dataset(Summary):
         return len(self.steps["row"])
 
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
-        """Touches, steps and channels."""
+        """List touches, steps and channels."""
         table = self.episode_table
         kinds = {
             name: ", ".join(sorted({str(value) for value in table[name]}))
@@ -117,7 +120,7 @@ class Dataset(Summary):
         ]
 
     def rows_of(self, episode: int) -> np.ndarray:
-        """Steps of an episode by its place in ``episodes``."""
+        """Return the steps of an episode by its place in ``episodes``."""
         return np.flatnonzero(self.steps["place"] == episode)
 
     def _table(self, number: int, name: str) -> dict[str, np.ndarray]:
@@ -145,8 +148,8 @@ class Dataset(Summary):
     # Arrays ----------------------------------------------------------------------------------
 
     def group(self, folder: int, part: int) -> Arrays:
-        """The zarr arrays of a part; InputError for links that lead out of the folder, and for what
-        ``Arrays`` does not read."""
+        """Open the zarr arrays of a part; InputError for links that lead out of the folder, and for
+        what ``Arrays`` does not read."""
         if (folder, part) not in self._groups:
             root = self.folders[folder].root
             for _ in inner_files(root, f"{PARTS}/{part:06d}"):
@@ -171,7 +174,7 @@ class Dataset(Summary):
             ) from None
 
     def read(self, channel: str, steps: Sequence[int] | np.ndarray | slice) -> np.ndarray:
-        """A channel at some steps, [step, ...]. Neighbours are read together.
+        """Read a channel at some steps, [step, ...]. Neighbours are read together.
 
         Raises InputError: no such channel, or rows of different size (nodes of different meshes),
         which are read an episode at a time.
@@ -215,8 +218,28 @@ class Dataset(Summary):
             nodes, faces = meshes["nodes_m"][row["place"]], meshes["faces"][row["place"]]
         return nodes[np.isfinite(nodes[:, 0])], faces[faces[:, 0] >= 0]
 
+    def plot(self, episode: int = 0) -> Figure:
+        """Draw a touch, by its place in ``episodes``: images, depths and forces over its steps.
+
+        Raises:
+            InputError: No such episode, or damaged files.
+        """
+        from taccel_lab.datasets.touch_figure import draw_touch, picked
+
+        rows = self.rows_of(episode)
+        if not len(rows):
+            raise InputError(
+                f"there is no episode {episode}; 0 to {len(self.episodes) - 1} are allowed"
+            )
+        shown = rows[picked(len(rows))]
+        images, depths = (
+            self.read(channel, shown) if channel in self.channels else None
+            for channel in ("rgb", "depth_mm")
+        )
+        return draw_touch({k: column[rows] for k, column in self.steps.items()}, images, depths)
+
     def profile(self, episode: int) -> Any:
-        """The ``SensorProfile`` that an episode was made with."""
+        """Return the ``SensorProfile`` that an episode was made with."""
         from taccel_lab.profile import load_profile
 
         row = self.episodes[episode]
@@ -228,7 +251,8 @@ class Dataset(Summary):
 def open_dataset(
     folders: str | Path | Sequence[str | Path], split: Literal["train", "test"] | None = None
 ) -> Dataset:
-    """The data set of one folder or of several, all of it or a split; errors as of ``Dataset``."""
+    """Open the data set of one folder or of several, all of it or a split; errors as of
+    ``Dataset``."""
     return Dataset(folders, split=split)
 
 

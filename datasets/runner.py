@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from taccel_lab.datasets.folder import DatasetFolder
 from taccel_lab.datasets.part import PartData, part_data, write_part
-from taccel_lab.datasets.plan import NOISE_KEY, Part, Plan
-from taccel_lab.datasets.simulate import Bench, simulate_touches
+from taccel_lab.datasets.plan import NOISE_KEY, DatasetPart, DatasetPlan
+from taccel_lab.datasets.simulate import TouchBench, simulate_touches
 from taccel_lab.datasets.touch import Touch, TouchRecord, failed_touch
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
@@ -49,7 +49,7 @@ class Done:
 
 
 @dataclass
-class Outcome:
+class DatasetOutcome:
     """A run."""
 
     root: Path | None
@@ -97,12 +97,14 @@ def default_processes(device: str) -> int:
     return 0 if device.startswith("cuda") else usable_cores()
 
 
-def batches(plan: Plan, parts: list[Part], device: str) -> list[tuple[Part, ...]]:
+def batches(
+    plan: DatasetPlan, parts: list[DatasetPart], device: str
+) -> list[tuple[DatasetPart, ...]]:
     """Parts that are simulated together: one on the CPU, which gains nothing by more; on a GPU
     neighbours of one sensor and object."""
     if not device.startswith("cuda"):
         return [(part,) for part in parts]
-    found: list[list[Part]] = []
+    found: list[list[DatasetPart]] = []
     for part in parts:
         last = found[-1] if found else []
         room = GPU_TOUCHES - sum(len(p.episodes) for p in last)
@@ -114,7 +116,7 @@ def batches(plan: Plan, parts: list[Part], device: str) -> list[tuple[Part, ...]
     return [tuple(group) for group in found]
 
 
-def touches_of(plan: Plan, part: Part) -> list[Touch | TouchRecord]:
+def touches_of(plan: DatasetPlan, part: DatasetPart) -> list[Touch | TouchRecord]:
     """Episodes of a part, meshed; those that cannot be are records that say why."""
     sensor, indenter = plan.sensors[part.sensor], plan.indenters[part.object]
     wanted = plan.spec.randomise
@@ -150,7 +152,7 @@ def touches_of(plan: Plan, part: Part) -> list[Touch | TouchRecord]:
 
 
 def simulate_parts(
-    plan: Plan, parts: tuple[Part, ...], device: str, told: Progress
+    plan: DatasetPlan, parts: tuple[DatasetPart, ...], device: str, progress: Progress
 ) -> list[PartData]:
     """Simulate parts of one sensor and object side by side."""
     from taccel_lab.datasets.channels import channels_of
@@ -160,14 +162,14 @@ def simulate_parts(
     prepared = [touches_of(plan, part) for part in parts]
     ready = [touch for group in prepared for touch in group if isinstance(touch, Touch)]
     what = f"part {first.index}, {len(ready)} touches"
-    bench = Bench(
+    bench = TouchBench(
         plan.sensors[first.sensor],
         plan.indenters[first.object],
         plan.physics,
         channels_of(output.channels),
         output.patches,
         device,
-        lambda done, total: told(what, done, total),
+        lambda done, total: progress(what, done, total),
     )
     records = iter(simulate_touches(ready, bench))
     return [
@@ -181,7 +183,7 @@ def simulate_parts(
 
 
 def make_dataset(
-    plan: Plan,
+    plan: DatasetPlan,
     root: Path | str | None,
     *,
     source: str = "",
@@ -191,7 +193,7 @@ def make_dataset(
     limit: int | None = None,
     listener: Listener = lambda done, total, steps, seconds: None,
     say: Callable[[str], None] = lambda words: None,
-) -> Outcome:
+) -> DatasetOutcome:
     """Make the parts of a shard that are not there yet.
 
     Args:
@@ -219,13 +221,13 @@ def make_dataset(
         wanted = parts[:limit]
         done = list(_run(plan, wanted, None, device, processes, len(parts), 0, listener, begun))
         seconds = time.perf_counter() - begun
-        return Outcome(None, len(wanted), 0, done, seconds, device, processes)
+        return DatasetOutcome(None, len(wanted), 0, done, seconds, device, processes)
     folder.require_usable(plan)
     with folder.locked(f"{number}/{count}"):
         folder.begin(plan, source)
         sound, missing = folder.without_damaged(parts, say)
         there = len(sound)
-        outcome = Outcome(folder.root, len(parts), there, [], 0.0, device, processes)
+        outcome = DatasetOutcome(folder.root, len(parts), there, [], 0.0, device, processes)
         try:
             for done in _run(
                 plan, missing[:limit], folder, device, processes, len(parts), there, listener, begun
@@ -243,8 +245,8 @@ def make_dataset(
 
 
 def _run(
-    plan: Plan,
-    parts: list[Part],
+    plan: DatasetPlan,
+    parts: list[DatasetPart],
     folder: DatasetFolder | None,
     device: str,
     processes: int,
@@ -255,7 +257,7 @@ def _run(
 ) -> Iterator[Done]:
     steps = 0
 
-    def told(done: Done) -> Done:
+    def counted(done: Done) -> Done:
         nonlocal steps, there
         steps, there = steps + done.steps, there + 1
         listener(there, total, steps, time.perf_counter() - begun)
@@ -264,7 +266,7 @@ def _run(
     listener(there, total, 0, 0.0)
     groups = batches(plan, parts, device)
     if processes == 0:
-        yield from map(told, _here(plan, groups, folder, device))
+        yield from map(counted, _here(plan, groups, folder, device))
         return
     root = None if folder is None else folder.root
     work = functools.partial(_in_process, plan.spec, plan.base, plan.physics, root, device)
@@ -275,7 +277,7 @@ def _run(
             if isinstance(event, Finished):
                 if isinstance(event.result, OSError):
                     raise event.result
-                yield from map(told, event.result)
+                yield from map(counted, event.result)
             elif isinstance(event, Died):
                 lost.append(event)
         if lost:
@@ -286,7 +288,10 @@ def _run(
 
 
 def _here(
-    plan: Plan, groups: list[tuple[Part, ...]], folder: DatasetFolder | None, device: str
+    plan: DatasetPlan,
+    groups: list[tuple[DatasetPart, ...]],
+    folder: DatasetFolder | None,
+    device: str,
 ) -> Iterator[Done]:
     """In this process; threads write while the next batch is simulated."""
     with ThreadPoolExecutor(WRITERS) as pool:
@@ -300,7 +305,7 @@ def _here(
             yield future.result()
 
 
-def _finish(plan: Plan, data: PartData, folder: DatasetFolder | None) -> Done:
+def _finish(plan: DatasetPlan, data: PartData, folder: DatasetFolder | None) -> Done:
     size = 0
     if folder is not None:
         path = folder.part(data.part)
@@ -310,7 +315,7 @@ def _finish(plan: Plan, data: PartData, folder: DatasetFolder | None) -> Done:
     return Done(data.part.index, len(data.part.episodes), stopped, data.step_count, size)
 
 
-_plans: dict[str, Plan] = {}
+_plans: dict[str, DatasetPlan] = {}
 """Of a process, by what made them."""
 
 
@@ -320,16 +325,16 @@ def _in_process(
     physics: PressPhysics,
     root: Path | None,
     device: str,
-    parts: tuple[Part, ...],
-    told: Progress,
+    parts: tuple[DatasetPart, ...],
+    progress: Progress,
 ) -> list[Done] | OSError:
     """Make parts in a process of a pool. An error of the disk is handed back, for the caller."""
     key = f"{base}\n{spec.model_dump_json()}"
     if key not in _plans:
-        _plans[key] = Plan(spec, base, physics)
+        _plans[key] = DatasetPlan(spec, base, physics)
     plan = _plans[key]
     folder = None if root is None else DatasetFolder(root)
-    made = simulate_parts(plan, parts, device, told)
+    made = simulate_parts(plan, parts, device, progress)
     try:
         return [_finish(plan, data, folder) for data in made]
     except OSError as error:

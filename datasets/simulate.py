@@ -19,18 +19,18 @@ from taccel_lab.datasets.channels import NODAL, Channel
 from taccel_lab.datasets.motion import rolled_mm
 from taccel_lab.datasets.sensor import Sensor
 from taccel_lab.datasets.touch import Touch, TouchRecord, failed_touch
-from taccel_lab.datasets.view import View
+from taccel_lab.datasets.view import TouchView
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.presses import Indenter, PressEnv, PressPhysics
 from taccel_lab.solvers import EnvStatus
 
-Told = Callable[[int, int], None]
-"""Is told how many steps are done, of how many."""
+StepProgress = Callable[[int, int], None]
+"""Receives how many steps are done, of how many."""
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class TouchBench:
     """What all touches of a batch share."""
 
     sensor: Sensor
@@ -39,10 +39,10 @@ class Bench:
     channels: Sequence[Channel]
     patches: tuple[int, int] = (8, 6)
     device: str = "cpu"
-    told: Told = field(default=lambda done, total: None)
+    progress: StepProgress = field(default=lambda done, total: None)
 
 
-def simulate_touches(touches: Sequence[Touch], bench: Bench) -> list[TouchRecord]:
+def simulate_touches(touches: Sequence[Touch], bench: TouchBench) -> list[TouchRecord]:
     """Simulate touches side by side; those of one connectivity are environments of one batch."""
     groups: dict[str, list[int]] = {}
     for place, touch in enumerate(touches):
@@ -66,14 +66,14 @@ def _connectivity(mesh: TetMesh) -> str:
     return digest.hexdigest()
 
 
-def _alone(touch: Touch, bench: Bench) -> TouchRecord:
+def _alone(touch: Touch, bench: TouchBench) -> TouchRecord:
     try:
         return _simulate([touch], bench)[0]
     except InputError as error:
         return failed_touch(touch.episode, len(touch.commands), str(error))
 
 
-def _simulate(touches: Sequence[Touch], bench: Bench) -> list[TouchRecord]:
+def _simulate(touches: Sequence[Touch], bench: TouchBench) -> list[TouchRecord]:
     first, count = touches[0], len(touches)
     env = PressEnv(
         first.mesh,
@@ -88,7 +88,7 @@ def _simulate(touches: Sequence[Touch], bench: Bench) -> list[TouchRecord]:
     )
     _set_parameters(env, touches, bench)
     meshes = [_nodal(env.mesh, touch.mesh) for touch in touches]
-    view = View(
+    view = TouchView(
         env,
         touches,
         meshes,
@@ -130,7 +130,7 @@ def _simulate(touches: Sequence[Touch], bench: Bench) -> list[TouchRecord]:
         if len(who):
             view.at(step, who, asked[who], report)
             keep(who)
-        bench.told(step, int(lengths.max()))
+        bench.progress(step, int(lengths.max()))
     node, faces = view.face_nodes, env.mesh.region_faces(Region.CONTACT)
     compact = np.searchsorted(node, faces).astype(np.int32)
     return [
@@ -152,7 +152,7 @@ def _typed(value: np.ndarray, dtype: str) -> np.ndarray:
     return np.array(value, dtype=dtype)
 
 
-def _set_parameters(env: PressEnv, touches: Sequence[Touch], bench: Bench) -> None:
+def _set_parameters(env: PressEnv, touches: Sequence[Touch], bench: TouchBench) -> None:
     """Each environment's own modulus, Poisson's ratio and friction, where they differ."""
     model = env.model
     gel, tool = model.scene.soft_bodies[0], model.scene.kinematic_bodies[0]

@@ -206,7 +206,7 @@ class Randomise(StrictModel):
         return self
 
 
-class Output(StrictModel):
+class DatasetOutput(StrictModel):
     """What is kept of each step, and how it lies on disk."""
 
     channels: tuple[StrictStr, ...] = DEFAULT_CHANNELS
@@ -247,7 +247,7 @@ class DatasetSpec(StrictModel):
     objects: list[ObjectEntry] = Field(min_length=1)
     motions: list[MotionEntry] = Field(min_length=1)
     randomise: Randomise = Randomise()
-    output: Output = Output()
+    output: DatasetOutput = DatasetOutput()
 
     @model_validator(mode="after")
     def _check_names(self) -> DatasetSpec:

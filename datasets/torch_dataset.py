@@ -22,7 +22,7 @@ LABELS = ("wrench", "contact_area_mm2", "patch_forces_n")
 
 
 class TouchDataset(TorchBase):
-    """Steps as dictionaries of tensors: what is seen and what is to be told of it.
+    """Steps as dictionaries of tensors: what is seen and its labels.
 
     ``rgb`` comes as float32 [3, height, width] from 0 to 1, numbers as float32. Each worker opens
     the files for itself.
@@ -41,7 +41,7 @@ class TouchDataset(TorchBase):
         Args:
             folders: One or several.
             inputs: Channels that are seen.
-            labels: Channels that are told; those that a data set lacks are refused.
+            labels: Channels of labels; those that a data set lacks are rejected.
             split: train or test alone.
             background: Give the untouched gel's image of the same episode, too, as ``rest_rgb``.
         """

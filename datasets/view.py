@@ -20,12 +20,14 @@ from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.outputs import Outputs
 from taccel_lab.outputs.surface_load import SurfaceLoad
-from taccel_lab.presses.press import PressEnv, PressError
+from taccel_lab.presses.press import PressEnv
+from taccel_lab.presses.press_error import PressError
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
 from taccel_lab.signals.fine_surface import FineSurface
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.perturbation import Perturbation
+from taccel_lab.signals.perturbed_sensors import PerturbedSensors
 from taccel_lab.signals.tactile import SIGNALS, SignalTactile
 from taccel_lab.solvers import StepReport
 
@@ -35,7 +37,7 @@ COARSE_PX = 160
 """Width of the image that a contact's area is measured on where no image shows the contact."""
 
 
-class View:
+class TouchView:
     """One batch of touches; ``at`` points it at what a step led to."""
 
     def __init__(
@@ -156,7 +158,7 @@ class View:
     @cached_property
     def error(self) -> PressError:
         """Estimated discretisation error, all environments."""
-        return self.env.error_estimate(self.mask)
+        return self.env.error_estimate()
 
     def errors(self, name: str) -> np.ndarray:
         """One of ``PressError``, [row]; 0 for the untouched gel."""
@@ -268,7 +270,7 @@ class View:
         images = images.astype(np.float32)
         for row, env in enumerate(self.who.tolist()):
             for light in self._lights(env):
-                images[row] = light.apply(images[row : row + 1])[0]
+                images[row] = PerturbedSensors(light).apply(images[row : row + 1])[0]
         return images
 
     def _lights(self, env: int) -> list[Perturbation]:

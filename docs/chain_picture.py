@@ -15,10 +15,13 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pyvista as pv
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
 SIZE = (760, 570)
+COLORS = "magma_r"
 
 
 def pad(folder: Path) -> NDArray[np.uint8]:
@@ -27,13 +30,14 @@ def pad(folder: Path) -> NDArray[np.uint8]:
     return _drawn(grid.extract_surface(algorithm=None), show_edges=True, color="#e8c9a0")
 
 
-def pressed(folder: Path) -> NDArray[np.uint8]:
-    """The pressed gel, cut through the middle, coloured by how far it has moved."""
+def pressed(folder: Path) -> tuple[NDArray[np.uint8], float]:
+    """The pressed gel, cut through the middle, coloured by displacement, and the largest [mm]."""
     grid = pv.UnstructuredGrid(folder / "gel.vtu")
     half = grid.clip(normal="y", origin=(0.0, 0.0, 0.0), invert=False)
     half["mm"] = np.linalg.norm(np.asarray(half["displacement_m"]), axis=1) * 1e3
-    bar = {"title": "displacement [mm]", "color": "black", "vertical": False}
-    return _drawn(half, scalars="mm", cmap="magma_r", scalar_bar_args=bar)
+    most = float(half["mm"].max())
+    drawn = _drawn(half, scalars="mm", cmap=COLORS, clim=(0.0, most), show_scalar_bar=False)
+    return drawn, most
 
 
 def _drawn(mesh: pv.DataSet, **how: object) -> NDArray[np.uint8]:
@@ -48,18 +52,22 @@ def _drawn(mesh: pv.DataSet, **how: object) -> NDArray[np.uint8]:
 
 def main(design: Path, press: Path, preview: Path, out: Path) -> None:
     """Draw the three side by side and write the picture."""
-    figure, axes = plt.subplots(1, 3, figsize=(12, 3.4))
+    figure, axes = plt.subplots(1, 3, figsize=(12, 3.8), layout="constrained")
+    gel, most_mm = pressed(press)
     pictures = [
         ("CAD pad, meshed", pad(design)),
-        ("pressed by a ball, cut open", pressed(press)),
+        ("pressed by a ball, cut open", gel),
         ("what the camera sees (predicted)", imread(preview / "pressed.png")),
     ]
     for ax, (title, picture) in zip(axes, pictures, strict=True):
         ax.imshow(picture)
-        ax.set_title(title, fontsize=11)
+        ax.set_title(title, fontsize=13)
         ax.axis("off")
-    figure.tight_layout()
-    figure.savefig(out, dpi=110)
+    colors = ScalarMappable(Normalize(0.0, most_mm), COLORS)
+    bar = figure.colorbar(colors, ax=axes[1], orientation="horizontal", shrink=0.6, aspect=25)
+    bar.set_label("displacement [mm]", fontsize=12)
+    bar.ax.tick_params(labelsize=12)
+    figure.savefig(out, dpi=110, bbox_inches="tight", pad_inches=0.1)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,12 +12,11 @@ import torch
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.gel_faces import Colors
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
 
-Colors = Callable[[PixelGrid], tuple[ColorModel, np.ndarray]]
-"""Of the pixels of a gel its colour network and its image untouched, levels [height, width, 3]."""
 STOCK = "gelsight_mini"
 """Whose colours gels of a task have: their size is its own."""
 
@@ -41,15 +39,15 @@ def default_colors(sensor: SensorProfile | None) -> Colors:
     model, background = ColorModel.from_profile(profile), profile.background_rgb
     if model is None or background is None:
         raise InputError(
-            f"rgb needs colours: {profile.sensor.name} has no colour model and its family no "
-            "starter profile that has one; calibrate it (taccel-lab calibrate color), or give "
-            "colors, a function from a pixel grid to a colour network and an untouched image"
+            f"rgb needs colours: {profile.sensor.name} has no colour model, and its family has no "
+            "starter profile with one; calibrate it (taccel-lab calibrate color), or give "
+            "colors: a function from a pixel grid to colour network and untouched image"
         )
     return _resized(model, background)
 
 
 def _resized(model: ColorModel, background: np.ndarray) -> Colors:
-    """The network and the image over as many pixels as are asked for: both fill the view."""
+    """The network and the image over as many pixels as are requested: both fill the view."""
     levels = torch.from_numpy(np.array(background, dtype=np.float32)).permute(2, 0, 1)[None]
 
     def colors(grid: PixelGrid) -> tuple[ColorModel, np.ndarray]:

@@ -15,11 +15,10 @@ import torch
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
-from taccel_lab.learning.gel_colors import Colors
 from taccel_lab.learning.gymnasium_names import spaces
 from taccel_lab.outputs import Outputs, to_torch
 from taccel_lab.signals.contact_fields import CONTACT_SIGNALS
-from taccel_lab.signals.gel_faces import MARKERS, bonded_gels, face_grid, marker_points_mm
+from taccel_lab.signals.gel_faces import MARKERS, Colors, bonded_gels, face_grid, marker_points_mm
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.signals.tactile import SIGNALS, SignalTactile
 from taccel_lab.solvers import SolverIPC

@@ -145,4 +145,4 @@ class GraspLiftLearning(LearningTask):
 
     def proprioception(self) -> torch.Tensor:
         yaw = torch.rad2deg(self._moved[:, 3:])
-        return torch.cat([1e3 * self._moved[:, :3], yaw, self._joints.told()], dim=1)
+        return torch.cat([1e3 * self._moved[:, :3], yaw, self._joints.in_mm_and_deg()], dim=1)

@@ -2,10 +2,10 @@
 """Tasks as environments that gymnasium knows; importing this module registers them.
 
 >>> import gymnasium
->>> import taccel_lab.learning.gymnasium_envs
->>> env = gymnasium.make_vec("taccel_lab/PegInsertion-v0", num_envs=64)    # doctest: +SKIP
+>>> name = "taccel_lab.learning.gymnasium_envs:taccel_lab/PegInsertion-v0"
+>>> env = gymnasium.make_vec(name, num_envs=64)    # doctest: +SKIP
 
-gymnasium has had no entry points of packages since 1.1.
+gymnasium imports the module before the colon; it has read no entry points of packages since 1.1.
 """
 
 from __future__ import annotations

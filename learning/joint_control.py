@@ -96,6 +96,6 @@ class JointControl:
         """Of ``robot.kinematic_bodies``, [env, body, 7]."""
         return self.robot.targets(self.q, check=False)
 
-    def told(self) -> torch.Tensor:
+    def in_mm_and_deg(self) -> torch.Tensor:
         """Coordinates in mm and degrees, [env, dof]."""
         return self.q * self._scale

@@ -86,7 +86,7 @@ class PegInsertionLearning(LearningTask):
         self._depth = put(np.zeros(count))
 
     def begin(self, who: torch.Tensor, start: torch.Tensor) -> torch.Tensor:
-        """The hole goes to where the start of gels and peg is the one that is asked for."""
+        """The hole goes to where the start of gels and peg is the one that is requested."""
         self._hole = torch.where(who[:, None], planar_inverse(start), self._hole)
         self._moved = torch.where(who[:, None], 0.0, self._moved)
         self._closed = torch.where(who, 0, self._closed)

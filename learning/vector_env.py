@@ -18,12 +18,12 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.learning.gel_colors import Colors
 from taccel_lab.learning.gel_views import FORCES, VIEWS, GelViews
 from taccel_lab.learning.gymnasium_names import AutoresetMode, VectorEnv, batch_space, spaces
 from taccel_lab.learning.ranges import Given
 from taccel_lab.learning.starts import EpisodeDraws, randomise
 from taccel_lab.learning.task import LearningTask
+from taccel_lab.signals.gel_faces import Colors
 from taccel_lab.solvers import Control, EnvStatus, SolverIPC, StepReport
 from taccel_lab.state import initial_state
 
@@ -114,7 +114,7 @@ class TactileVectorEnv(VectorEnv[Observation, torch.Tensor, torch.Tensor]):
 
     @cached_property
     def observation_space(self) -> spaces.Space:  # type: ignore[override]
-        """Of all environments; made when it is asked for, as bounds of images take memory."""
+        """Of all environments; made on demand, as bounds of images take memory."""
         return batch_space(self.single_observation_space, self.num_envs)
 
     def reset(

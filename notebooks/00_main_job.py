@@ -77,7 +77,7 @@ print(f"{score.disc_l1:.2f} levels in the contact, the untouched image {bare['di
 item = calibration.color.heldout[0]
 u, v, r = round(item.circle.u_px), round(item.circle.v_px), round(1.6 * item.circle.radius_px)
 window = (slice(max(v - r, 0), v + r), slice(max(u - r, 0), u + r))
-real, rendered = item.captured[window], item.placed["label"].shown[window]
+real, rendered = item.captured[window], item.shown[window]
 figure, axes = plt.subplots(1, 3, figsize=(10, 3.2))
 for axis, image, title in (
     (axes[0], real, "captured"),

@@ -39,7 +39,7 @@ for name in ("width_mm", "length_mm", "thickness_mm", "mid_radius_mm", "young_mo
     print(f"{name:>18} = {one['value']:<5g} {allowed:<15} {one['source'][:70]}")
 
 # %% [markdown]
-# Each parameter has bounds, and each default says where it is from. What is out of them is refused
+# Each parameter has bounds, and each default says where it is from. What is out of them is rejected
 # with what is allowed:
 
 # %%

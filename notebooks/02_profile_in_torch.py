@@ -35,7 +35,7 @@ from taccel_lab.calibration.capture import find_taxim_pack, load_captures
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.contacts.usable import usable_circles
-from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_skirts
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_surfaces
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals.rest_surface import rest_surface
 
@@ -46,7 +46,7 @@ captures = dataclasses.replace(captures, presses=captures.presses[:20:10])
 base = catalogue_profile("gelsight")
 usable = usable_circles(captures)
 rest = rest_surface(base.mesh, captures.grid)
-surfaces = layer_skirts(usable.captures, usable.circles, layer_of(base), rest)
+surfaces = layer_surfaces(usable.captures, usable.circles, layer_of(base), rest)
 options = ColorFitOptions(steps=300, batch_pixels=4096)
 fit = fit_color(usable.captures, usable.circles, surfaces, options=options)
 profile = fit.apply_to(base)

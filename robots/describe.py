@@ -43,7 +43,7 @@ def robot_of(text: str, **options: Any) -> Robot:
 
 def describe_robot(robot: Robot) -> dict[str, Any]:
     """Names, joints with limits in degrees and millimetres, links with mass and shapes, and what is
-    refused when the robot is put into a scene: plain values; no limit is None."""
+    rejected when the robot is put into a scene: plain values; no limit is None."""
     refused = []
     links = {}
     for link in robot.links:

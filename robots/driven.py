@@ -5,8 +5,8 @@ Links that fixed joints connect are one group. A group has an affine body for ea
 held together by fixed joints. Together they have the mass, centre and inertia that the file states
 of its links, or of its shapes where it states none; each has a share by its volume, about the
 group's centre. A gel is mounted on one of them, and weighs on it beside that. The base goes where
-it is told: its shapes are kinematic bodies, and what it carries hangs on the first of them. Links
-do not touch one another unless the robot touches itself.
+it is commanded: its shapes are kinematic bodies, and what it carries hangs on the first of them.
+Links do not touch one another unless the robot touches itself.
 """
 
 from __future__ import annotations

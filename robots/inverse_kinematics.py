@@ -2,7 +2,7 @@
 """Joint coordinates that bring a link to a pose: batched damped least squares with limits.
 
 Levenberg-Marquardt on the pose's error, position [m] and rotation vector [rad] times a length of
-the robot, with a damping of its own for each environment [Wampler 1986; Sugihara 2011]. A joint at
+the robot, with its own damping for each environment [Wampler 1986; Sugihara 2011]. A joint at
 a limit that would be pushed beyond it is left out of the step. An attempt that ends elsewhere, in
 a local minimum, is followed by others from random coordinates.
 """
@@ -56,7 +56,7 @@ class IKResult:
     position_error_m: np.ndarray
     """Distance left, [n]."""
     rotation_error_rad: np.ndarray
-    """Angle left, [n]; not counted where the position alone is asked for."""
+    """Angle left, [n]; not counted where the position alone is requested."""
     attempts: np.ndarray
     """Starts that were tried, int, [n]."""
 

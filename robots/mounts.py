@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Links as kinematic bodies of a scene, and gels on them.
 
-A gel stands on a frame without a surface, a body of its own that goes with the link; its bonded
+A gel stands on a frame without a surface, a body that moves with the link; its bonded
 nodes follow that exactly (``SoftBody.mount``). Gels and links do not touch one another, whichever
 robot they belong to: pads are glued to links, and cut into their shapes. Both touch everything
 else, and gels touch gels. Robots that touch themselves are another matter (``self_contact``).

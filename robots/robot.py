@@ -26,8 +26,8 @@ from taccel_lab.robots.mounts import (
     make_mount,
 )
 from taccel_lab.robots.self_contact import (
+    LinkPart,
     Pairs,
-    Part,
     checked_pairs,
     on_surfaces,
     overlapping,
@@ -195,7 +195,7 @@ class Robot:
 
     def attach(self, link: str, other: Robot, link_from_base: Any, prefix: str = "") -> Robot:
         """With another robot fixed to a link; names of its links and joints get a prefix. It does
-        not touch itself until it is told to.
+        not touch itself until asked to.
 
         Args:
             link: What carries it.
@@ -239,8 +239,8 @@ class Robot:
         return carried
 
     def part(self, link: str) -> Robot:
-        """A link and what it carries, as a robot of its own whose base it is; one that does not
-        touch itself until it is told to.
+        """A link and what it carries, as a robot whose base it is; one that does not
+        touch itself until asked to.
 
         Raises InputError where one of its joints mimics another one that is not carried.
         """
@@ -276,8 +276,8 @@ class Robot:
 
         A gel touches all links but those that are one with what carries it. Links that a joint
         connects, or fixed joints do, do not touch. Links that are prescribed do not touch either:
-        they go where they are told, and through each other. Of two robots that touch themselves
-        each touches the other.
+        they go where they are commanded, and through each other. Of two robots that touch
+        themselves each touches the other.
 
         Args:
             apart: Names of links and gels that do not touch, in pairs, beside these.
@@ -350,12 +350,12 @@ class Robot:
         parts = self.parts(links)
         return surfaces(parts, self.link_names, self.joints, self.apart or (), TOUCHING_SURFACES)
 
-    def parts(self, links: Mapping[str, str]) -> list[Part]:
+    def parts(self, links: Mapping[str, str]) -> list[LinkPart]:
         """Its gels and links in a scene; ``links`` as of ``surfaces``."""
         gels = [mount for mount in self.mounts if mount.gel.surface == GEL_SURFACE]
         return [
-            *(Part(mount.gel.name, mount.gel.name, mount.link, True) for mount in gels),
-            *(Part(body, link, link, False) for body, link in links.items()),
+            *(LinkPart(mount.gel.name, mount.gel.name, mount.link, True) for mount in gels),
+            *(LinkPart(body, link, link, False) for body, link in links.items()),
         ]
 
     @property

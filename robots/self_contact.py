@@ -25,7 +25,7 @@ Pairs = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
-class Part:
+class LinkPart:
     """A body of a scene that belongs to a robot."""
 
     body: str
@@ -50,7 +50,7 @@ def rigid_groups(links: Iterable[str], joints: Iterable[RobotJoint]) -> dict[str
 
 
 def surfaces(
-    parts: Sequence[Part],
+    parts: Sequence[LinkPart],
     links: Iterable[str],
     joints: Sequence[RobotJoint],
     apart: Pairs,
@@ -65,7 +65,7 @@ def surfaces(
     joined = {frozenset((groups[j.parent], groups[j.child])) for j in joints if j.moves}
     named = {frozenset(pair) for pair in apart}
 
-    def separate(a: Part, b: Part) -> bool:
+    def separate(a: LinkPart, b: LinkPart) -> bool:
         if frozenset((a.name, b.name)) in named:
             return True
         if a.gel and b.gel:
@@ -105,7 +105,7 @@ def checked_pairs(pairs: Iterable[tuple[str, str]], known: Iterable[str], robot:
     return tuple(found)
 
 
-def overlapping(scene: Scene, poses: np.ndarray, parts: Sequence[Part]) -> Pairs:
+def overlapping(scene: Scene, poses: np.ndarray, parts: Sequence[LinkPart]) -> Pairs:
     """Links and gels that may touch in a scene and overlap where it starts.
 
     ``poses``: of its kinematic bodies, [1, body, 7].
@@ -125,9 +125,9 @@ def overlapping(scene: Scene, poses: np.ndarray, parts: Sequence[Part]) -> Pairs
 def require_apart(pairs: Pairs, robot: str) -> None:
     """Refuse pairs that overlap."""
     if pairs:
-        told = ", ".join(f"({a!r}, {b!r})" for a, b in pairs)
+        pairs_text = ", ".join(f"({a!r}, {b!r})" for a, b in pairs)
         raise InputError(
             f"links and gels of robot {robot!r} overlap at the coordinates that are looked at, and "
-            f"would touch: {told}. Give others, or keep these apart: "
-            f"touching_itself(apart=[{told}])"
+            f"would touch: {pairs_text}. Give others, or keep these apart: "
+            f"touching_itself(apart=[{pairs_text}])"
         )

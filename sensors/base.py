@@ -110,7 +110,7 @@ class SensorFamily:
         A gel of a hardness is incompressible where ``overrides`` does not say otherwise: the
         formulas that make a modulus of it take the rubber as that, and what a catalogue's modulus
         was found with does not belong to another gel. All parts are built once as formulas, so that
-        parameters which contradict each other are refused here.
+        parameters which contradict each other are rejected here.
         """
         try:
             values = dict(overrides or {})

@@ -9,7 +9,6 @@ figures it knows and says which lights stand where.
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -49,9 +48,9 @@ class CameraSensorParameters(CameraParameters, FamilyParameters):
     housing_offset_mm: ClassVar[tuple[float, float]] = (0.0, 0.0)
     """Centre of the housing in gel xy."""
 
-    @abstractmethod
     def lights(self) -> tuple[Light, ...]:
-        """The LEDs, made with ``led``."""
+        """The LEDs of the family, made with ``led``, where ``led_count`` asks for no ring."""
+        return ()
 
     @cached_property
     def _built_pad(self) -> Pad:
@@ -76,7 +75,12 @@ class CameraSensorParameters(CameraParameters, FamilyParameters):
 
     def housing(self) -> HousingShape | None:
         """The box that holds window, lights and camera."""
-        return self.group(HousingParameters).housing(self.housing_offset_mm)
+        held, window = self._built_pad.bounds_mm().copy(), self.window()
+        if window is not None and window.shape == "plate":
+            held[0, 2] -= window.thickness_mm
+        return self.group(HousingParameters).housing(
+            self.housing_offset_mm, held, self.parameters()
+        )
 
     def gel_depth_mm(self) -> float:
         """Gel on the optical axis between the apex and what lies behind it [mm]."""
@@ -109,7 +113,7 @@ class CameraSensorParameters(CameraParameters, FamilyParameters):
         media, ambient = self.group(WindowParameters), self.group(LightParameters).ambient
         return OpticalDesign(
             camera=self.camera(),
-            lights=self.lights(),
+            lights=self.group(LightParameters).ring() or self.lights(),
             coating=self.group(CoatingParameters).coating(),
             window=window,
             gel_refractive_index=media.gel_index,

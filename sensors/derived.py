@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What follows from a sensor's parameters and is asked for often: sizes, scales, counts."""
+"""What follows from a sensor's parameters and is often needed: sizes, scales, counts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
-from taccel_lab.profile.optical_design import Camera
+from taccel_lab.profile.optical_design import DesignedCamera
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 
@@ -19,7 +19,7 @@ _VOLUME_GRID = 200
 
 
 @dataclass(frozen=True)
-class Figure:
+class DerivedFigure:
     """One derived figure."""
 
     name: str
@@ -32,47 +32,58 @@ class Figure:
         return f"{value} {self.unit}".rstrip()
 
 
-def derived_figures(parameters: FamilyParameters) -> list[Figure]:
+def derived_figures(parameters: FamilyParameters) -> list[DerivedFigure]:
     """Figures of gel, image, camera, lights, window, markers and housing, where there are any."""
     pad, grid = parameters.pad(), parameters.grid()
     size = np.ptp(pad.bounds_mm(), axis=0)
     figures = [
-        Figure("pad", pad_words(pad)),
-        Figure("pad size", size_words(pad), "mm"),
-        Figure("gel under the apex", float(pad.thickness_mm), "mm"),
-        Figure("gel volume", pad_volume_mm3(pad), "mm3"),
-        Figure("layers", ", ".join(pad.layer_names)),
-        Figure("image", f"{grid.width_px} x {grid.height_px}", "px"),
-        Figure("scale", _pair(grid.mm_per_px_x, grid.mm_per_px_y), "mm/px"),
-        Figure(
+        DerivedFigure("pad", pad_words(pad)),
+        DerivedFigure("pad size", size_words(pad), "mm"),
+        DerivedFigure("gel under the apex", float(pad.thickness_mm), "mm"),
+        DerivedFigure("gel volume", pad_volume_mm3(pad), "mm3"),
+        DerivedFigure("layers", ", ".join(pad.layer_names)),
+        DerivedFigure("image", f"{grid.width_px} x {grid.height_px}", "px"),
+        DerivedFigure("scale", _pair(grid.mm_per_px_x, grid.mm_per_px_y), "mm/px"),
+        DerivedFigure(
             "image shows",
             f"{grid.width_px * grid.mm_per_px_x:.4g} x {grid.height_px * grid.mm_per_px_y:.4g}",
             "mm",
         ),
-        Figure("gel in the image", 100 * share_in_image(parameters), "% of its plan"),
+        DerivedFigure("gel in the image", 100 * share_in_image(parameters), "% of its plan"),
     ]
     design, markers, housing = parameters.optics(), parameters.markers(), parameters.housing()
     if design is not None:
         x, y = field_of_view_deg(design.camera)
-        figures.append(Figure("field of view", f"{x:.1f} x {y:.1f}", "deg"))
+        figures.append(DerivedFigure("field of view", f"{x:.1f} x {y:.1f}", "deg"))
         if isinstance(parameters, CameraParameters):
             figures.append(
-                Figure("lens differs from the scale by", 100 * lens_difference(parameters), "%")
+                DerivedFigure(
+                    "lens differs from the scale by", 100 * lens_difference(parameters), "%"
+                )
             )
-        figures.append(Figure("LEDs", len(design.lights)))
+            figures.append(DerivedFigure("focal length", design.camera.fx_px, "px"))
+            if parameters.pixel_pitch_um:
+                raw = (parameters.raw_width_px, parameters.raw_height_px)
+                x, y = (1e-3 * parameters.pixel_pitch_um * count for count in raw)
+                figures.append(DerivedFigure("image sensor", f"{x:.4g} x {y:.4g}", "mm"))
+        figures.append(DerivedFigure("LEDs", len(design.lights)))
         window = design.window
         if window is not None:
             across = f"{window.size_mm[0]:.4g} x {window.size_mm[1]:.4g}"
             figures.append(
-                Figure("window", f"{window.shape} {across} x {window.thickness_mm:.4g}", "mm")
+                DerivedFigure(
+                    "window", f"{window.shape} {across} x {window.thickness_mm:.4g}", "mm"
+                )
             )
     if markers is not None:
         count = markers.rows * markers.columns
-        figures.append(Figure("markers", f"{markers.columns} x {markers.rows} = {count}"))
+        figures.append(DerivedFigure("markers", f"{markers.columns} x {markers.rows} = {count}"))
     if housing is not None:
-        figures.append(Figure("housing", " x ".join(f"{v:.4g}" for v in housing.size_mm), "mm"))
+        figures.append(
+            DerivedFigure("housing", " x ".join(f"{v:.4g}" for v in housing.size_mm), "mm")
+        )
         depth = housing.size_mm[2] - housing.front_z_mm
-        figures.append(Figure("depth in all", max(depth, float(size[2])), "mm"))
+        figures.append(DerivedFigure("depth in all", max(depth, float(size[2])), "mm"))
     return figures
 
 
@@ -146,7 +157,7 @@ def share_in_image(parameters: FamilyParameters) -> float:
     return float((gel & inside).sum() / gel.sum())
 
 
-def field_of_view_deg(camera: Camera) -> tuple[float, float]:
+def field_of_view_deg(camera: DesignedCamera) -> tuple[float, float]:
     """Full angles that the image spans along x and y [deg], without distortion."""
     if camera.model == "fisheye":
         return (
@@ -164,7 +175,7 @@ def lens_difference(parameters: CameraParameters) -> float:
 
     The stated focal length stands beside a stated scale, whichever rules.
     """
-    from_lens = parameters.apparent_distance_mm() / parameters.focal_px
+    from_lens = parameters.apparent_distance_mm() / parameters.lens_px()
     return from_lens / parameters.mm_per_px - 1
 
 

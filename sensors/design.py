@@ -21,7 +21,7 @@ from taccel_lab.files.output_folder import atomic_directory, require_replaceable
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.progress import Progress, silent
-from taccel_lab.sensors.base import FamilyParameters, SensorFamily
+from taccel_lab.sensors.base import FamilyParameters, SensorFamily, hardness_of
 from taccel_lab.sensors.profile import designed_profile
 from taccel_lab.sensors.workshop import WORKSHOP_PARTS, Workshop, check_parts, issue_of
 
@@ -73,7 +73,7 @@ def design_sensor(
     ``usual_edge_mm``) when None, ``parts`` the files for the workshop (``WORKSHOP_PARTS``); mesh,
     quality, parameters, preview and profile are always written. ``first_look`` draws the design
     before anything is built, such as ``studies.sensor_picture.write_sections``.
-    ``progress`` is told when each stage begins and ends. A mesh that fails its gate raises
+    ``progress`` is called when each stage begins and ends. A mesh that fails its gate raises
     InputError and leaves a picture of where in ``refused_folder(out_dir)``.
     """
     check_parts(parts)
@@ -139,11 +139,12 @@ def design_sensor(
         workshop = Workshop(
             name=family.name,
             folder=folder,
-            gel=part,
+            solid=part,
             surface=of_cad()["cad_surface"],
             layers=layers,
             assembly=assembly,
             table=_table(parameters),
+            stiffness=stiffness_words(parameters),
             issue=issue,
         )
         workshop.files |= drawn
@@ -188,6 +189,16 @@ def refused_folder(out_dir: Path | str) -> Path:
     """Where the picture of a refused mesh goes: beside the folder that was not written."""
     out_dir = Path(out_dir)
     return out_dir.with_name(f"{out_dir.name}_refused")
+
+
+def stiffness_words(parameters: FamilyParameters) -> str:
+    """What a workshop mixes for: the durometer's reading where one is stated, and the modulus of
+    each layer."""
+    known, values = parameters.parameters(), parameters.values()
+    hardness = hardness_of(values)
+    words = [known[hardness].worded(values[hardness])] if hardness else []
+    moduli = [f"{m.young_modulus_pa / 1e6:.3g}" for m in parameters.layer_materials()]
+    return ", ".join([*words, f"E {' and '.join(moduli)} MPa"])
 
 
 def _table(parameters: FamilyParameters) -> dict[str, tuple[float | int | str, str]]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A user's own gel from a STEP file as the same files that a design gives."""
+"""A user's own gel from a file as the same files that a design gives."""
 
 from __future__ import annotations
 
@@ -8,7 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, measure_quality, require_quality
+from taccel_lab.cad.gel_import.gel_file import MAX_FACETS
+from taccel_lab.cad.mesh.mesh_pad import SurfacePad
+from taccel_lab.cad.mesh.quality import (
+    GateResult,
+    MeshQuality,
+    QualityGate,
+    check_quality,
+    measure_quality,
+    require_quality,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
@@ -17,15 +26,17 @@ from taccel_lab.profile import SensorProfile, save_profile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.design import StageClock, refused_folder
 from taccel_lab.sensors.imported_profile import imported_profile
-from taccel_lab.sensors.profile_family import require_no_shape
+from taccel_lab.sensors.profile_family import imported_gel, require_no_shape
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.sensors.workshop import Workshop, check_parts, issue_of
 
 if TYPE_CHECKING:
-    from taccel_lab.cad.step_import import FaceSelection, ImportedGel
+    from taccel_lab.cad.gel_import import FaceSelection, ImportedGel
 
 LIKE = "flat_pad"
 """Family that an imported gel is like where nothing else is said."""
+EDGE_MM = 2.0
+"""Of the tets of an imported gel where nobody asks for another [mm]."""
 IMPORT_PARTS = ("pad", "mould", "drawing")
 """Files for the workshop that an imported gel can have."""
 
@@ -43,26 +54,30 @@ class ImportResult:
     """Written files by kind."""
     seconds: dict[str, float]
     """Time of each stage [s]."""
+    assumed: dict[str, str]
+    """What nobody has stated, and what was done to the file's body, in words."""
 
 
 def import_design(
     path: Path | str,
     selection: FaceSelection,
     out_dir: Path | str,
-    edge_mm: float = 2.0,
+    edge_mm: float | None = None,
     *,
     like: str = LIKE,
     overrides: Mapping[str, Any] | None = None,
     parts: Sequence[str] = IMPORT_PARTS,
     progress: Progress = silent,
 ) -> ImportResult:
-    """Import the gel of a STEP file, mesh it with fTetWild and write everything to ``out_dir``.
+    """Import the gel of a file, mesh it and write everything to ``out_dir``.
+
+    Tets of a file that pass the gate are kept, unless an edge length is asked for; all else is
+    meshed with fTetWild, with edges of ``EDGE_MM``.
 
     Besides ``parts``: the labelled mesh, its quality, a picture, gel.json, which says what was
     selected and how the file's frame became the gel frame, and a profile with camera, lights and
     material of the family ``like``, ``overrides`` in place of some of its parameters.
     """
-    _require_like(like, overrides or {})
     check_parts(parts)
     if "assembly" in parts:
         raise InputError(
@@ -71,99 +86,149 @@ def import_design(
     require_replaceable(out_dir)
     seconds: dict[str, float] = {}
     tell = StageClock(seconds, progress)
-    from taccel_lab.cad.export import dimensions
-
     refused = refused_folder(out_dir)
-    gel, mesh, quality, passed = _meshed(path, selection, edge_mm, refused, tell)
+    found = _meshed(Path(path), selection, edge_mm, like, overrides or {}, refused, tell)
+    gel = found.gel
     tell("files")
     out_dir = Path(out_dir)
     with atomic_directory(out_dir) as folder:
-        solid = {"body": gel.name, "thickness_mm": gel.thickness_mm, **dimensions(gel.part)}
-        workshop = Workshop(
-            gel.name, folder, gel.part, gel.surface, {"gel": gel.part}, issue=issue_of(solid)
-        )
+        from taccel_lab.cad.export import dimensions
+        from taccel_lab.cad.gel_import import workshop_solid
+        from taccel_lab.cad.preview import write_faces
+
+        solid = workshop_solid(gel) if parts else gel.part
+        if parts and solid is None:
+            parts = ()
+            found.assumed["parts"] = (
+                f"none: moulds and drawings are made of up to {MAX_FACETS:,} triangles, and the "
+                f"gel has {len(gel.surface.triangles):,}"
+            )
+        described = {} if solid is None else dimensions(solid)
+        issue = issue_of({"body": gel.name, "thickness_mm": gel.thickness_mm, **described})
+        layers = {} if solid is None else {"gel": solid}
+        workshop = Workshop(gel.name, folder, solid, gel.surface, layers, issue=issue)
         for kind in parts:
             tell(kind)
             workshop.write((kind,))
         tell("files")
-        workshop.write_mesh(mesh, "tetwild")
-        profile = imported_profile(Path(path), gel, mesh, quality, like, overrides or {})
+        workshop.write_mesh(found.mesh, found.mesher)
+        profile = found.profile()
         save_profile(profile, workshop.path("profile", "profile"))
+        picture = workshop.path("faces", "faces.png")
+        write_faces(gel.faces, gel.face_regions, gel.window_outline, picture, title=gel.name)
         tell(None)
-        workshop.write_quality(quality, passed, "tetwild", edge_mm, seconds)
-        description = _description(Path(path), selection, gel, dimensions)
+        workshop.write_quality(found.quality, found.passed, found.mesher, found.edge_mm, seconds)
+        description = _description(Path(path), found, described)
         write_json(workshop.path("gel", "gel.json"), description)
     return ImportResult(
         gel=gel,
         profile=profile,
-        mesh=mesh,
-        quality=quality,
+        mesh=found.mesh,
+        quality=found.quality,
         out_dir=out_dir,
         files={kind: out_dir / name for kind, name in workshop.files.items()},
         seconds=seconds,
+        assumed=found.assumed,
     )
 
 
 def imported_sensor(
     path: Path | str,
     selection: FaceSelection,
-    edge_mm: float = 2.0,
+    edge_mm: float | None = None,
     *,
     like: str = LIKE,
     overrides: Mapping[str, Any] | None = None,
 ) -> SensorProfile:
     """The profile that ``import_design`` writes, without files."""
-    _require_like(like, overrides or {})
-    gel, mesh, quality, _ = _meshed(path, selection, edge_mm, None, lambda stage: None)
-    return imported_profile(Path(path), gel, mesh, quality, like, overrides or {})
+    return _meshed(Path(path), selection, edge_mm, like, overrides or {}).profile()
 
 
-def _require_like(like: str, overrides: Mapping[str, Any]) -> None:
-    """Raises InputError for a family or a parameter that an imported gel cannot take."""
-    family = sensor_family(like)
-    require_no_shape(family, overrides)
-    family.parameters(overrides)
+@dataclass(frozen=True)
+class _Meshed:
+    """A gel and its mesh, which passed the gate."""
+
+    path: Path
+    gel: ImportedGel
+    mesh: TetMesh
+    mesher: str
+    """Of ``imported_profile.MESHERS``."""
+    edge_mm: float
+    quality: MeshQuality
+    passed: GateResult
+    assumed: dict[str, str]
+    like: str
+    overrides: Mapping[str, Any]
+
+    def profile(self) -> SensorProfile:
+        return imported_profile(
+            self.path, self.gel, self.mesh, self.quality, self.like, self.overrides, self.mesher
+        )
 
 
 def _meshed(
-    path: Path | str,
-    selection: FaceSelection,
-    edge_mm: float,
-    refused: Path | None,
-    tell: Callable[[str], None],
-) -> tuple[ImportedGel, TetMesh, MeshQuality, Any]:
-    """The gel, its mesh with its quality, and the limits that it passed; a mesh that is refused is
-    drawn in the folder ``refused``."""
-    tell("import")
-    from taccel_lab.cad.mesh.tetrahedralize import tetwild_mesh
-    from taccel_lab.cad.step_import import import_gel
-
-    gel = import_gel(path, selection)
-    tell("mesh")
-    mesh = tetwild_mesh(gel.surface, edge_mm, picture_folder=refused)
-    tell("quality")
-    quality = measure_quality(
-        mesh, None, cad_volume_mm3=gel.part.volume_mm3, cad_surface=gel.surface
-    )
-    gate = QualityGate().at_edge(edge_mm)
-    return gel, mesh, quality, require_quality(mesh, quality, gate, picture_folder=refused)
-
-
-def _description(
     path: Path,
     selection: FaceSelection,
-    gel: ImportedGel,
-    dimensions: Callable[..., dict[str, Any]],
-) -> dict[str, Any]:
+    edge_mm: float | None,
+    like: str,
+    overrides: Mapping[str, Any],
+    refused: Path | None = None,
+    tell: Callable[[str], None] = lambda stage: None,
+) -> _Meshed:
+    """The gel meshed; what needs no mesh is refused before, and a mesh that is refused is drawn in
+    the folder ``refused``.
+
+    Raises InputError also for a family, or a parameter, that an imported gel cannot take.
+    """
+    family = sensor_family(like)
+    require_no_shape(family, overrides)
+    family.parameters_type().with_values(overrides)
+    tell("import")
+    from taccel_lab.cad.gel_import import import_gel
+    from taccel_lab.cad.mesh.tetrahedralize import tetwild_mesh
+
+    gel = import_gel(path, selection)
+    # Camera, markers and window against this gel: the profile would say it after minutes.
+    imported_gel(family, SurfacePad(gel.thickness_mm, surface=gel.surface)).parameters(overrides)
+
+    remade: dict[str, str] = {}
+
+    def measured(mesh: TetMesh, edge_mm: float) -> tuple[MeshQuality, GateResult]:
+        volume = gel.surface.volume_mm3() if gel.part is None else gel.part.volume_mm3
+        quality = measure_quality(mesh, None, cad_volume_mm3=volume, cad_surface=gel.surface)
+        return quality, check_quality(mesh, quality, QualityGate().at_edge(edge_mm))
+
+    def result(
+        mesh: TetMesh, mesher: str, edge: float, quality: MeshQuality, passed: GateResult
+    ) -> _Meshed:
+        assumed = gel.assumed | remade
+        return _Meshed(path, gel, mesh, mesher, edge, quality, passed, assumed, like, overrides)
+
+    tell("mesh")
+    if gel.mesh is not None and edge_mm is None:
+        quality, passed = measured(gel.mesh, EDGE_MM)
+        if passed.passed:
+            return result(gel.mesh, "file", EDGE_MM, quality, passed)
+        remade["mesh"] = f"made anew, since {'; '.join(v.text for v in passed.violations)}"
+    edge = EDGE_MM if edge_mm is None else edge_mm
+    mesh = tetwild_mesh(gel.surface, edge, picture_folder=refused)
+    tell("quality")
+    quality, _ = measured(mesh, edge)
+    passed = require_quality(mesh, quality, QualityGate().at_edge(edge), picture_folder=refused)
+    return result(mesh, "tetwild", edge, quality, passed)
+
+
+def _description(path: Path, found: _Meshed, measured: dict[str, Any]) -> dict[str, Any]:
     """What was read, selected and moved, as plain values."""
+    gel = found.gel
     return {
         "file": path.name,
         "body": gel.name,
-        "selection": selection.model_dump(),
-        "assumed": selection.assumed(),
+        "selection": gel.selection.model_dump(),
+        "assumed": found.assumed,
         "gel_from_file": {"rotation_and_scale": gel.rotation, "shift_mm": gel.shift_mm},
         "min_thickness_mm": gel.min_thickness_mm,
         "thickness_mm": gel.thickness_mm,
-        "part": dimensions(gel.part),
-        "faces": [vars(face) for face in gel.faces],
+        "part": measured,
+        "faces": [vars(face) for face in gel.faces.table],
     }

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The profile of a sensor with a gel of one's own: all else is that of a catalogue family.
 
-A STEP file has the gel's shape alone. Camera, lights, coating, material and markers are those of
+A file has the gel's shape alone. Camera, lights, coating, material and markers are those of
 the family that the sensor is said to be like, with the parameters that are given, and every block
 says so.
 """
@@ -23,8 +23,13 @@ from taccel_lab.sensors.profile_family import IMPORTED, LIKE_KEY, imported_gel
 from taccel_lab.sensors.registry import sensor_family
 
 if TYPE_CHECKING:
-    from taccel_lab.cad.step_import import ImportedGel
+    from taccel_lab.cad.gel_import import ImportedGel
 
+MESHERS = {
+    "tetwild": "fTetWild mesh of the gel of a file",
+    "file": "the tets of a file, as they stand there",
+}
+"""Where the mesh of such a gel comes from, in words."""
 _UNNAMED = ("", "COMPOUND", "SOLID")
 """What CAD programs call a body that nobody has named."""
 _Block = TypeVar("_Block", bound=Block)
@@ -37,6 +42,7 @@ def imported_profile(
     quality: MeshQuality,
     like: str,
     overrides: Mapping[str, Any],
+    mesher: str,
 ) -> SensorProfile:
     """Profile of the gel of a file.
 
@@ -46,7 +52,7 @@ def imported_profile(
     pad = MeshPad(gel.thickness_mm, mesh=mesh)
     family = imported_gel(sensor_family(like), pad)
     parameters = family.parameters(overrides)
-    base = designed_profile(family, parameters, mesh, quality, mesher="tetwild")
+    base = designed_profile(family, parameters, mesh, quality, mesher=mesher)
     given = ", ".join(f"{name} = {value}" for name, value in overrides.items())
     method = f"that of {like}, which the sensor is said to be like"
 
@@ -56,7 +62,7 @@ def imported_profile(
 
     file = Provenance(
         kind="designed",
-        method="gel of a STEP file; camera, lights and material as stated beside it",
+        method="gel of a file; camera, lights and material as stated beside it",
         source=f"{path.name}, {gel.name}; like {like}" + (f" with {given}" if given else ""),
         inputs={path.name: file_sha256(path)},
     )
@@ -68,7 +74,7 @@ def imported_profile(
             provenance=file,
         ),
         gel=base.gel.replace(
-            provenance=file.replace(method="fTetWild mesh of the gel of a STEP file"),
+            provenance=file.replace(method=MESHERS[mesher]),
         ),
         material=assumed(base.material),
         camera=assumed(base.camera),

@@ -90,14 +90,29 @@ def profile_press_mesh(
     at_mm: tuple[float, float],
     contact: float | ToolSection,
     options: PressMeshOptions = DEFAULT_PRESS_MESH,
+    refinement: float = 1.0,
 ) -> TetMesh:
     """As ``press_mesh``, of a profile, with more rings and layers where a ball's contact is small
-    beside the pad: connectivity goes with the contact, too."""
+    beside the pad: connectivity depends on the contact, too. Then with ``refinement`` times as many
+    elements along every side."""
     pad = profile_parameters(profile).pad()
+    return refined_press_mesh(pad, at_mm, contact, options, refinement)
+
+
+def refined_press_mesh(
+    pad: Pad,
+    at_mm: tuple[float, float],
+    contact: float | ToolSection,
+    options: PressMeshOptions = DEFAULT_PRESS_MESH,
+    refinement: float = 1.0,
+) -> TetMesh:
+    """As ``profile_press_mesh``, of a pad."""
     if isinstance(pad, HeightPad) and not isinstance(contact, ToolSection) and contact > 0:
         low, high = pad.outline.bounds_mm()
         radius = float(np.clip(contact, LEAST_CONTACT_MM, LARGEST_CONTACT_MM))
         options = options.for_ball(radius, pad.thickness_mm, 0.5 * float((high - low).mean()))
+    if refinement != 1.0:
+        options = options.refined(refinement)
     return pad_press_mesh(pad, at_mm, contact, options)
 
 
@@ -236,7 +251,7 @@ def _outline_focus(
         # Farther out the cap has fallen away from the tool by half of the depth.
         points = clipped(points, *_circle(place, math.sqrt(pad.dome_radius_mm * section.depth_mm)))
     if len(points) < 3:
-        # Beside the pad; the place itself is refused with its distance from the edge.
+        # Beside the pad; the place itself is rejected with its distance from the edge.
         points = place[None]
     points = thickened_hull(points, least)
     center = centroid(points)

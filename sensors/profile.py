@@ -6,11 +6,13 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, require_quality
 from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import (
@@ -166,9 +168,18 @@ def catalogue_profile(name: str, overrides: Mapping[str, Any] | None = None) -> 
     """
     family = sensor_family(name)
     parameters = family.parameters(overrides)
-    mesh, quality, edge_mm = sound_gel_mesh(parameters.pad())
-    require_quality(mesh, quality, QualityGate().at_edge(edge_mm))
+    mesh, quality = _sound_mesh(parameters.pad())
     return designed_profile(family, parameters, mesh, quality, mesher="structured")
+
+
+@lru_cache(maxsize=64)
+def _sound_mesh(pad: Pad) -> tuple[TetMesh, MeshQuality]:
+    """Made once a process for designs with the same gel; its arrays cannot be written."""
+    mesh, quality, edge_mm = sound_gel_mesh(pad)
+    require_quality(mesh, quality, QualityGate().at_edge(edge_mm))
+    for array in (mesh.nodes_m, mesh.tets, mesh.faces, mesh.face_regions, mesh.tet_layers):
+        array.flags.writeable = False
+    return mesh, quality
 
 
 def stock_sensor(name: str) -> SensorProfile:

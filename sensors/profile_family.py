@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from taccel_lab.cad.mesh.mesh_pad import MeshPad
+from taccel_lab.cad.mesh.mesh_pad import MeshPad, SurfacePad
 from taccel_lab.cad.parameters import Parameter
 from taccel_lab.errors import InputError
 from taccel_lab.sensors.base import (
@@ -55,7 +55,7 @@ class ProfileFamily(SensorFamily):
     """Of the catalogue."""
     defaults: Mapping[str, Any]
     """Values other than those of ``like``."""
-    gel: MeshPad | None = None
+    gel: SurfacePad | None = None
     """The gel, where it is not the pad of ``like``."""
 
     @property
@@ -109,12 +109,12 @@ def like_name(profile: SensorProfile) -> str:
     if not isinstance(like, str):
         raise InputError(
             f"the profile of {profile.sensor.name} does not say which sensor it is like: it was "
-            "made by an earlier version; run taccel-lab import-step again"
+            "made by an earlier version; run taccel-lab import-gel again"
         )
     return like
 
 
-def imported_gel(like: SensorFamily, gel: MeshPad) -> ProfileFamily:
+def imported_gel(like: SensorFamily, gel: SurfacePad) -> ProfileFamily:
     """A sensor that is ``like`` one of the catalogue but for its gel."""
     return _made(IMPORTED, f"its own gel, all else like {like.name}", (), like, {}, gel)
 
@@ -137,7 +137,7 @@ def _made(
     references: tuple[str, ...],
     like: SensorFamily,
     defaults: Mapping[str, Any],
-    gel: MeshPad | None,
+    gel: SurfacePad | None,
 ) -> ProfileFamily:
     kind = _parameters_type(like, defaults, gel)
     return ProfileFamily(
@@ -152,7 +152,7 @@ def _made(
 
 
 def _parameters_type(
-    like: SensorFamily, defaults: Mapping[str, Any], gel: MeshPad | None
+    like: SensorFamily, defaults: Mapping[str, Any], gel: SurfacePad | None
 ) -> type[FamilyParameters]:
     """The parameters of ``like`` with other defaults, and on another gel where one is given."""
 
@@ -171,11 +171,11 @@ def _parameters_type(
         return Stated
 
     class OnGel(Stated):
-        def pad(self) -> MeshPad:
+        def pad(self) -> SurfacePad:
             return gel
 
         @cached_property
-        def _built_pad(self) -> MeshPad:
+        def _built_pad(self) -> SurfacePad:
             return gel
 
         def gel_depth_mm(self) -> float:

@@ -3,7 +3,7 @@
 
 A package adds a family with an entry point of the group ``taccel_lab.sensors`` whose object is a
 ``SensorFamily`` (docs/sensors.md shows one). A package that cannot be loaded takes nothing from the
-others: it is kept aside with the reason, which whoever asks for its sensor is told.
+others: it is kept aside with the reason, which whoever asks for its sensor reads.
 
 ``sensor_family`` is the one place that says what the name of a sensor means: a family of the
 catalogue, or a profile, whose sensor then has the parameters of its family with the profile's
@@ -108,7 +108,7 @@ def sensor_family(name: str) -> SensorFamily:
     also = "; flat_pad stands for any flat gel" if "flat_pad" in known.families else ""
     raise InputError(
         f"no sensor {name!r}; known: {', '.join(known.families)}{also}; the folder of a profile "
-        "(taccel-lab import-step, taccel-lab design) is a sensor, too"
+        "(taccel-lab import-gel, taccel-lab design) is a sensor, too"
     )
 
 

@@ -24,10 +24,10 @@ def with_starter(design: SensorProfile) -> SensorProfile:
     name = design.sensor.name
     if not (STARTERS / name).is_dir():
         return design
-    told = design.sensor.provenance.model_copy(
+    provenance = design.sensor.provenance.model_copy(
         update={"remarks": (NOT_YOUR_UNIT, read_toml(ABOUT)[name]["framing"])}
     )
-    marked = design.with_block(design.sensor.replace(provenance=told))
+    marked = design.with_block(design.sensor.replace(provenance=provenance))
     return load_profile(STARTERS / name, onto=marked)
 
 

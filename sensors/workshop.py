@@ -34,19 +34,28 @@ class Workshop:
 
     name: str
     folder: Path
-    gel: LabelledSolid
+    solid: LabelledSolid | None
+    """None of a gel that is too many triangles for the CAD kernel; only its mesh is written."""
     surface: LabelledSurface
     layers: Mapping[str, LabelledSolid]
     """The gel's layers by name, core first."""
     assembly: Assembly | None = None
     table: Mapping[str, tuple[float | int | str, str]] = field(default_factory=dict)
     """Name -> (value, unit) for the table of a drawing."""
+    stiffness: str = ""
+    """How hard the gel is, in words for its drawing."""
     issue: Issue | None = None
     """Revision and date on drawings."""
     files: dict[str, str] = field(default_factory=dict)
     """Names of the files written, by kind."""
     warnings: list[str] = field(default_factory=list)
     """What a maker should know, in words."""
+
+    @property
+    def gel(self) -> LabelledSolid:
+        """The solid that its files are made of."""
+        assert self.solid is not None  # Nobody asks for files of such a gel.
+        return self.solid
 
     def path(self, kind: str, name: str) -> Path:
         """Where the file of a kind goes; notes its name."""
@@ -126,6 +135,7 @@ class Workshop:
 
         layers = dict(self.layers) if len(self.layers) > 1 else {}
         material = "silicone" + (f" ({' and '.join(self.layers)})" if layers else "")
+        material += f", {self.stiffness}" if self.stiffness else ""
         pad_drawing(
             self.gel,
             title=f"{self.name}: gel",

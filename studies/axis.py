@@ -44,6 +44,13 @@ class Axis:
         """Whether values are numbers rather than choices."""
         return not self.parameter.choices
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Least and greatest value of a numeric axis."""
+        return (
+            (self.low, self.high) if self.values is None else (min(self.values), max(self.values))
+        )
+
     def at(self, unit: float) -> Any:
         """The value at ``unit`` in [0, 1]: of the range, or of the list cut into equal parts."""
         unit = min(max(unit, 0.0), 1.0)

@@ -28,7 +28,7 @@ def require_bearable(
     Args:
         metrics: Of the study, each of one load and indenter; other tools than balls are not judged.
         presses: By name, as of the study.
-        designs: None where an optimiser finds them: nothing is refused then.
+        designs: None where an optimiser finds them: nothing is rejected then.
 
     Raises:
         InputError: Names the load, and about what the press ends at.

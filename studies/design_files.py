@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import content_id
-from taccel_lab.studies.design_point import DesignResult
-from taccel_lab.studies.spec import Output
+from taccel_lab.studies.design_point import DesignFigures
+from taccel_lab.studies.spec import StudyOutput
 from taccel_lab.studies.study_folder import StudyFolder
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ MESHES, STEPS, PICTURE = "meshes", "steps", "picture.png"
 
 
 def write_design_files(
-    folder: StudyFolder, result: DesignResult, output: Output, name: str
+    folder: StudyFolder, result: DesignFigures, output: StudyOutput, name: str
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Write what ``output`` asks for; ``name`` is what the picture calls the design.
 
@@ -60,7 +60,7 @@ def write_design_files(
 
 
 def _write_mesh(pad: Pad, path: Path, family: str) -> None:
-    """The gel at the default resolution; presses have finer meshes of their own."""
+    """The gel at the default resolution; presses have their own, finer meshes."""
     from taccel_lab.cad.mesh.gel_mesh import gel_mesh
     from taccel_lab.geometry.vtu import write_mesh_vtu
 

@@ -27,7 +27,7 @@ class DesignPoint:
 
 
 @dataclass
-class DesignResult:
+class DesignFigures:
     """Figures of one design; a figure that could not be had is None and has a cause."""
 
     point: DesignPoint

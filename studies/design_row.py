@@ -15,7 +15,7 @@ from taccel_lab.files.json_file import read_json
 from taccel_lab.files.text_file import shown
 
 if TYPE_CHECKING:
-    from taccel_lab.studies.design_point import DesignResult
+    from taccel_lab.studies.design_point import DesignFigures
 
 Status = Literal["done", "failed", "broken"]
 """done: at least one figure. failed: none, for a cause that lies in the design (a pad that cannot
@@ -143,7 +143,7 @@ def _check_kinds(values: dict[str, Any]) -> None:
 
 
 def row_of(
-    result: DesignResult,
+    result: DesignFigures,
     figure_keys: Mapping[str, str],
     press_keys: Mapping[str, str],
     tool_version: str,

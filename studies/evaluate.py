@@ -18,7 +18,7 @@ from taccel_lab.files.atomic_file import write_json
 from taccel_lab.progress import Progress, silent
 from taccel_lab.sensors.base import FamilyParameters
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.studies.design_point import DesignPoint, DesignResult, Fitted, NoFigure
+from taccel_lab.studies.design_point import DesignFigures, DesignPoint, Fitted, NoFigure
 from taccel_lab.studies.evidence import Evidence
 from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.press_batch import REFERENCE_PA, Simulated, batch_size, simulate
@@ -31,7 +31,7 @@ from taccel_lab.studies.unknowns import Unknowns
 class _Design:
     """One design on its way."""
 
-    result: DesignResult
+    result: DesignFigures
     parameters: FamilyParameters | None = None
     keys: dict[str, list[str]] = field(default_factory=dict)
     """Simulations by press."""
@@ -46,7 +46,7 @@ def evaluate_designs(
     progress: Progress = silent,
     folder: Path | None = None,
     unit_spread: float = 0.0,
-) -> list[DesignResult]:
+) -> list[DesignFigures]:
     """Press every design and compute its figures.
 
     A design that cannot be built, and a press that does not converge, leave figures None with a
@@ -101,7 +101,7 @@ def _prepare(
 ) -> _Design:
     """Build a design and add the simulations that it needs, and nobody before it, to ``jobs``."""
     started = time.perf_counter()
-    design = _Design(DesignResult(point))
+    design = _Design(DesignFigures(point))
     try:
         design.parameters = sensor_family(point.family).parameters(point.parameters)
     except InputError as error:
@@ -211,7 +211,7 @@ def _interval(
     )
 
 
-def _save_presses(result: DesignResult, folder: Path) -> None:
+def _save_presses(result: DesignFigures, folder: Path) -> None:
     """Write the steps of a design's presses."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, made in result.records.items():

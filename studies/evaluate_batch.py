@@ -12,7 +12,7 @@ from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.studies.design_batch import DesignBatch
 from taccel_lab.studies.design_files import write_design_files
-from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.design_point import DesignFigures, DesignPoint
 from taccel_lab.studies.design_row import DesignRow, row_of
 from taccel_lab.studies.study import Study
 from taccel_lab.studies.study_folder import StudyFolder
@@ -55,7 +55,7 @@ def evaluate_batch(
         folder.add_row(_row(folder, study, batch, found[design.id]))
 
 
-def _row(folder: StudyFolder, study: Study, batch: DesignBatch, result: DesignResult) -> DesignRow:
+def _row(folder: StudyFolder, study: Study, batch: DesignBatch, result: DesignFigures) -> DesignRow:
     row = row_of(
         result,
         {name: study.figure_keys[name] for name in batch.metrics},
@@ -90,7 +90,7 @@ def _note(folder: StudyFolder, design_id: str, error: Exception) -> str:
 
 
 def broken_row(design: DesignPoint, metrics: tuple[str, ...], cause: str) -> DesignRow:
-    """The row of a design that was lost through no fault of its own."""
+    """The row of a design that was lost for another reason."""
     return DesignRow(
         id=design.id,
         family=design.family,

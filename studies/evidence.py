@@ -23,11 +23,14 @@ from taccel_lab.studies.surface_section import section_heights
 
 if TYPE_CHECKING:
     from taccel_lab.optics.photometry import Photometry
-    from taccel_lab.tasks.result import TaskResult
+    from taccel_lab.tasks.result import TaskResult, TaskTrial
 
 VIRTUAL_PITCH_MM = 1.0
 """Pitch of the points that stand for markers on a gel without."""
 _PROFILE_PX = 401
+
+VITAC_TASKS = ("peg-vitac-cuboid", "peg-vitac-trapezoid", "peg-vitac-concave")
+"""Tasks with the pegs of ManiSkill-ViTac 2025, whose third track judges designs."""
 
 
 @dataclass
@@ -85,10 +88,19 @@ class Evidence:
     @cached_property
     def insertion(self) -> TaskResult:
         """The design in the task ``touch-insertion``; raises InputError without markers."""
+        return self._task("touch-insertion")
+
+    @cached_property
+    def vitac(self) -> list[TaskTrial]:
+        """The design with the three pegs of ManiSkill-ViTac 2025; raises InputError without
+        markers."""
+        return [trial for name in VITAC_TASKS for trial in self._task(name).trials]
+
+    def _task(self, name: str) -> TaskResult:
         from taccel_lab.studies.design_task import design_task
         from taccel_lab.tasks.run import run_task
 
-        task = design_task(self.parameters)
+        task = design_task(self.parameters, name)
         return run_task(task, range(task.parameters.seeds), self.device)
 
     def picture_change(self, record: PressRecord, steps: list[int]) -> np.ndarray:

@@ -50,7 +50,7 @@ def optimise_with_optuna(
         objectives: At least one; with several, trials spread along the front.
         constraints: Kept as far as can be.
         sweep: Method and count.
-        seed: Of the sampler; processes of one study need seeds of their own.
+        seed: Of the sampler; processes of one study need their own seeds.
         attempt: Figures of a design.
         journal: File of the trials, shared by processes.
         known: Values and figures of designs with a row.

@@ -16,7 +16,7 @@ from taccel_lab.model.embedding import rotate
 from taccel_lab.outputs import Outputs
 from taccel_lab.presses import PressEnv, layered_material, parse_indenter
 from taccel_lab.scene import Material
-from taccel_lab.signals import ContactSurface
+from taccel_lab.signals import ContactFaceMesh
 from taccel_lab.studies.contact_size import measured_contact_mm
 from taccel_lab.studies.press_job import PressJob
 from taccel_lab.studies.press_record import PressRecord
@@ -80,7 +80,7 @@ def _press(jobs: Sequence[PressJob], device: str) -> list[PressRecord]:
     thickness_mm = env.thickness_m * 1e3
     depth_mm = np.array([press.full_depth_mm(t) for t in thickness_mm])
     meshes = [_nodal(env.mesh, job.mesh) for job in jobs]
-    surface = ContactSurface.from_mesh(env.mesh)
+    surface = ContactFaceMesh.from_mesh(env.mesh)
     rest = np.stack([mesh.nodes_m for mesh in meshes])
     outputs = Outputs(env.solver)
     steps: list[list[dict[str, np.ndarray | float]]] = [[] for _ in jobs]
@@ -175,7 +175,7 @@ def _nothing(job: PressJob, cause: str, device: str) -> PressRecord:
         indenter=job.indenter,
         place=job.place,
         mesh=job.mesh,
-        surface=ContactSurface.from_mesh(job.mesh),
+        surface=ContactFaceMesh.from_mesh(job.mesh),
         gel_from_press=job.gel_from_press,
         thickness_mm=math.nan,
         step_count=len(job.press.waypoints()),

@@ -3,7 +3,7 @@
 
 A quasi-static press at given depths depends on the ratios of the layers' moduli alone: contact
 stiffness, elastic forces and friction all scale with Young's modulus, so that positions stay and
-forces scale. Jobs therefore hold no modulus of their own; density has no effect at all.
+forces scale. Jobs therefore hold no modulus; density has no effect at all.
 """
 
 from __future__ import annotations

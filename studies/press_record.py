@@ -14,7 +14,7 @@ import numpy as np
 from taccel_lab.files.atomic_file import atomic_file
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.model.embedding import rotate
-from taccel_lab.signals import ContactSurface
+from taccel_lab.signals import ContactFaceMesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class PressRecord:
     place: tuple[float, float]
     mesh: TetMesh | QuadraticMesh
     """The gel at rest, with all its nodes."""
-    surface: ContactSurface
+    surface: ContactFaceMesh
     """Of ``mesh``."""
     gel_from_press: np.ndarray
     """[7]."""

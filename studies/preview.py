@@ -15,7 +15,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.style import BLUE, in_report_style, new_figure, save_figure
 from taccel_lab.studies.camera_view import photometry, view_model
-from taccel_lab.studies.design_point import LOAD_N, DesignPoint, DesignResult
+from taccel_lab.studies.design_point import LOAD_N, DesignFigures, DesignPoint
 from taccel_lab.studies.evaluate import evaluate_designs
 from taccel_lab.studies.metrics import METRICS, Metric
 from taccel_lab.studies.press_record import PressRecord
@@ -47,7 +47,7 @@ class DesignPreview:
     rest_of_press: PreviewImage | None
     """The same sensor untouched, on the mesh of the press."""
     record: PressRecord | None
-    result: DesignResult
+    result: DesignFigures
     metrics: tuple[Metric, ...]
     """Those that the presses feed, in order."""
 
@@ -198,13 +198,13 @@ def _draw_maps(figure: Figure, size: Any, evenness: Any, preview: DesignPreview)
     # The picture has other pixels than the camera.
     scale = preview.light.points_mm.shape[1] / preview.parameters.grid().width_px
     shown = size.imshow(scale * np.sqrt(across * down), cmap="viridis")
-    figure.colorbar(shown, ax=size, shrink=0.8)
-    size.set_title("size of a pixel of the camera on the gel [mm]")
+    figure.colorbar(shown, ax=size, shrink=0.8, label="[mm]")
+    size.set_title("size of a camera pixel on the gel")
     light = preview.light.irradiance().mean(axis=-1)
     light = np.where(preview.light.mask, light, np.nan)
     shown = evenness.imshow(light / np.nanmean(light), cmap="magma", vmin=0)
-    figure.colorbar(shown, ax=evenness, shrink=0.8)
-    evenness.set_title("light on the coating over its mean")
+    figure.colorbar(shown, ax=evenness, shrink=0.8, label="[share of the mean]")
+    evenness.set_title("light on the coating")
     for axes in (size, evenness):
         axes.set_axis_off()
 

@@ -29,7 +29,7 @@ TABLE_EVERY_S = 2.0
 
 
 class Listener:
-    """Told how a run goes; does nothing by itself."""
+    """Receives how a run goes; the base class does nothing."""
 
     def begins(self, total: int, there: int, to_do: int) -> None:
         """Designs in all (an optimiser's: at most), those with a row already, and to do now."""
@@ -42,7 +42,7 @@ class Listener:
 
 
 @dataclass(repr=False)
-class Outcome(Summary):
+class StudyOutcome(Summary):
     """Where a study stands after a run."""
 
     study: Study
@@ -119,7 +119,7 @@ def run_study(
     shard: Shard | None = None,
     source: str = "",
     listener: Listener | None = None,
-) -> Outcome:
+) -> StudyOutcome:
     """Evaluate what has no row yet; rows, files and the table stand in the folder ``root``.
 
     Args:
@@ -155,7 +155,7 @@ def run_study(
         return outcome
 
 
-def read_outcome(study: Study, root: Path | str) -> Outcome:
+def read_outcome(study: Study, root: Path | str) -> StudyOutcome:
     """Where a study stands, without evaluating anything. Raises InputError where there is none."""
     folder = StudyFolder(root)
     if not folder.is_study():
@@ -211,7 +211,7 @@ class _Run:
         self._table_at = 0.0
         self._figure_keys, self._press_keys = study.figure_keys, study.press_keys
 
-    def go(self) -> Outcome:
+    def go(self) -> StudyOutcome:
         optimiser = None
         try:
             work = partial(evaluate_batch, self._study, self._folder.root, self._device)
@@ -222,7 +222,7 @@ class _Run:
                     total = self._sweep(pool)
         finally:
             self._write_table()
-        return Outcome(
+        return StudyOutcome(
             study=self._study,
             folder=self._folder,
             rows=self._in_order(),

@@ -232,7 +232,7 @@ class Constraint(StrictModel):
         return f"{self.metric} from {self.min:g} to {self.max:g}"
 
 
-class Output(StrictModel):
+class StudyOutput(StrictModel):
     """What is kept of each design besides its row."""
 
     meshes: Flag = True
@@ -245,7 +245,7 @@ class Output(StrictModel):
     """The gel pad as a STEP file."""
 
 
-class Run(StrictModel):
+class StudyRun(StrictModel):
     """Where it is computed; the command line overrides."""
 
     device: StrictStr = "cpu"
@@ -268,8 +268,8 @@ class StudySpec(StrictModel):
     constraints: list[Constraint] = Field(default_factory=list)
     press: dict[PlainName, dict[PlainName, Any]] = Field(default_factory=dict)
     """Settings of single presses other than the standard ones."""
-    output: Output = Output()
-    run: Run = Run()
+    output: StudyOutput = StudyOutput()
+    run: StudyRun = StudyRun()
 
     @model_validator(mode="after")
     def _check_whole(self) -> StudySpec:
@@ -337,8 +337,8 @@ _TABLES: dict[str, type[StrictModel]] = {
     "objective": Objective,
     "objectives": Objective,
     "constraints": Constraint,
-    "output": Output,
-    "run": Run,
+    "output": StudyOutput,
+    "run": StudyRun,
 }
 
 

@@ -21,7 +21,7 @@ from taccel_lab.sensors.base import STIFFNESS, SensorFamily
 from taccel_lab.sensors.registry import known_sensor, sensor_families
 from taccel_lab.studies.axis import Axis, axis_of, significant
 from taccel_lab.studies.bearable import require_bearable
-from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.design_point import DesignFigures, DesignPoint
 from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.readings import press_of, readings, split_name
 from taccel_lab.studies.spec import Objective, StudySpec, Tie, load_spec, require_known
@@ -46,7 +46,7 @@ class Evaluate(Protocol):
         progress: Progress = silent,
         folder: Path | None = None,
         unit_spread: float = 0.0,
-    ) -> list[DesignResult]: ...
+    ) -> list[DesignFigures]: ...
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ def make_study(spec: StudySpec, kit: Kit) -> Study:
         designs = study.points()
     gels = []
     for design in designs:
-        with suppress(InputError):  # A design that cannot be is a row of its own, with the cause.
+        with suppress(InputError):  # A design that cannot be is a separate row, with the cause.
             gels.append(family.parameters(design.parameters))
     require_bearable(metrics.values(), presses, gels)
     return study

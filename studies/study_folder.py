@@ -29,7 +29,7 @@ from taccel_lab.files.shard import Shard
 from taccel_lab.studies.design_row import DesignRow, read_row
 
 STUDY_MARKER = ".taccel_lab_study"
-"""A marker of its own: no other command takes the folder for an output that it may replace."""
+"""A marker for studies: no other command takes the folder for an output that it may replace."""
 RESULT = "result.json"
 
 
@@ -70,7 +70,7 @@ class StudyFolder:
     def locked(self, shard: Shard | None = None) -> Iterator[None]:
         """Hold the folder, or a shard's part of it; raises InputError while another run does.
 
-        Shards of one study share the folder. The lock goes with the process, so that a killed run
+        Shards of one study share the folder. The lock ends with the process, so that a killed run
         leaves none behind.
         """
         self.require_usable()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of long work: who is told, and bars in terminals and notebooks; lines in logs."""
+"""Progress of long work: callbacks, and bars in terminals and notebooks; lines in logs."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import importlib.util
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,12 +17,24 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int, int], None]
 """Called with the name of the task, how much of it is done, and how much there is in all."""
 
+Item = TypeVar("Item")
+
 BEAT_S = 20.0
 """Time between two lines of a long step in a log [s]."""
 
 
 def silent(task: str, done: int, total: int) -> None:
     """Tells nobody."""
+
+
+def counted(items: Iterable[Item], progress: Progress, task: str, total: int) -> Iterator[Item]:
+    """The items, each counted when the next one is asked for; at their end the task is done."""
+    done = 0
+    for done, item in enumerate(items, 1):
+        yield item
+        progress(task, done, total)
+    if done < total:
+        progress(task, total, total)
 
 
 @contextmanager
@@ -100,7 +112,7 @@ def stage_progress(console: Console) -> Iterator[Progress]:
                 tasks[task] = bars.add_task(task, total=None)
             bars.update(tasks[task], completed=done, total=total)
             if total and done >= total:
-                # A full bar is no end of the work: what follows it has a clock of its own.
+                # A full bar is no end of the work: what follows it has its own clock.
                 block = task.rpartition(": ")[0]
                 words = f"{block}: what follows" if block else "what follows"
                 after.append(bars.add_task(words, total=None))

@@ -24,6 +24,7 @@ from taccel_lab.model.env_rows import (
 )
 from taccel_lab.model.kinematics import place_at_start
 from taccel_lab.model.turns import in_turn
+from taccel_lab.summary import Summary
 
 IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
@@ -98,10 +99,10 @@ class JointState:
         return [self.targets, self.coordinates, self.multipliers]
 
 
-@dataclass
-class State:
-    """All that the next step of the environments depends on, but for the model and what is asked of
-    it: a copy is a checkpoint, which any solver of the model goes on from.
+@dataclass(repr=False)
+class State(Summary):
+    """All that the next step depends on, but for the model and its targets and loads. A copy is a
+    checkpoint, which any solver of the model goes on from.
 
     A step reads it when it begins and writes it when it is over: whatever interrupts one, each
     environment is where its step began or where it ended. Who writes positions or poses into it
@@ -131,8 +132,14 @@ class State:
     separate: np.ndarray | None = None
     """Where such a search found none, bool, [env_count], on the host; None when one is due."""
 
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """Return what ``repr`` shows."""
+        count, nodes = self.positions.shape
+        rows = [("nodes", str(nodes)), ("kinematic", str(self.poses.shape[1]))]
+        return f"state on {self.positions.device}, env_count = {count}", rows
+
     def motion(self) -> list[wp.array]:
-        """What steps change."""
+        """Return what steps change."""
         found = [self.positions, self.velocities, self.poses]
         if self.history is not None:
             found += self.history.arrays()
@@ -141,14 +148,14 @@ class State:
         return found
 
     def asked(self) -> list[wp.array]:
-        """What steps go by and leave as it is; that which there is."""
+        """Return what steps read and leave as it is, as far as it is there."""
         joints = None if self.joints is None else self.joints.targets
         found = (joints, self.external_forces, self.wrenches)
         return [array for array in found if array is not None]
 
     @in_turn
     def copy(self) -> State:
-        """An independent copy."""
+        """Return an independent copy."""
 
         def twin(part: Any) -> Any:
             if isinstance(part, wp.array):
@@ -161,7 +168,8 @@ class State:
 
     @in_turn
     def shared(self) -> State:
-        """A copy to ``restore`` from, in which what is the same in all environments has one row."""
+        """Return a copy to ``restore`` from, in which what is the same in all environments has one
+        row."""
 
         def rows(array: wp.array) -> wp.array:
             value = array.numpy()
@@ -211,8 +219,8 @@ class State:
 
     @in_turn
     def moved(self, mask: np.ndarray | wp.array | None = None) -> None:
-        """Positions or poses of the environments of ``mask`` (bool, or int32 on the device,
-        [env_count]), of all when None, were written by hand: the next step searches them for bodies
+        """Mark positions or poses as written by hand, in the environments of ``mask`` (bool, or
+        int32 on the device, [env_count]), in all when None. The next step searches them for bodies
         that overlap."""
         self.separate = None
         if self.unsearched is None or mask is None:
@@ -238,7 +246,7 @@ class State:
         )
 
     def loads(self, model: Model) -> tuple[wp.array, wp.array]:
-        """``external_forces`` and ``wrenches``; made, all zero, when there were none."""
+        """Return ``external_forces`` and ``wrenches``; made, all zero, when there were none."""
         if self.external_forces is None:
             self.external_forces = wp.zeros_like(self.positions)
         if self.wrenches is None:
@@ -251,8 +259,9 @@ class State:
         self, model: Model, forces: Any = None, wrenches: Any = None, mask: Any = None
     ) -> None:
         """Set forces on nodes [N], [env_count, node_count, 3], and wrenches on affine bodies,
-        [env_count, affine_count, 2, 3], in the environments of ``mask`` (bool, or int32 on the
-        device, [env_count]), in all when None; None leaves them as they are.
+        [env_count, affine_count, 2, 3]; None leaves them as they are.
+
+        ``mask``: environments, bool, or int32 on the device, [env_count]; all when None.
 
         Arrays of the host are checked, those of the model's device are read where they are.
         """
@@ -311,7 +320,7 @@ def check_state(state: State, model: Model) -> None:
 
 @in_turn
 def initial_state(model: Model, poses: np.ndarray | None = None) -> State:
-    """All bodies at their initial poses and velocities, gels in their rest shape.
+    """Place all bodies at their initial poses and velocities, gels in their rest shape.
 
     ``poses``: of the kinematic bodies, [env_count, kinematic_count, 7]; at the origin when None.
     There are no forces or wrenches.

@@ -25,12 +25,12 @@ from taccel_lab.scene import (
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import free_body, pad_body, pad_mesh
 from taccel_lab.tasks.draw import draw
-from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
     Contact,
     FreeBody,
     NotNegative,
-    Pad,
+    PadParameters,
     Positive,
     TaskParameters,
 )
@@ -77,14 +77,14 @@ class BallRollingParameters(TaskParameters):
     kind: Literal["ball-rolling"]
     plane_friction: NotNegative
     ball: RollingBall
-    gel: Pad
+    gel: PadParameters
     contact: Contact
     start: BallStart
     policy: BallPolicy
     goal: BallGoal
 
 
-class BallRolling(Episode):
+class BallRolling(TaskEpisode):
     """Ball rolling of some seeds."""
 
     gel = "gel"

@@ -23,10 +23,10 @@ from taccel_lab.scene import (
 )
 
 if TYPE_CHECKING:
-    from taccel_lab.tasks.parameters import FreeBody, Pad
+    from taccel_lab.tasks.parameters import FreeBody, PadParameters
 
 
-def pad_mesh(pad: Pad) -> TetMesh:
+def pad_mesh(pad: PadParameters) -> TetMesh:
     """Its contact face at z = 0, the bond below."""
     width, height, thickness = (1e-3 * side for side in pad.size_mm)
     cells = (pad.cells[0], pad.cells[1], pad.cells[2])
@@ -37,7 +37,9 @@ def pad_mesh(pad: Pad) -> TetMesh:
     return labelled(graded * [width / 2, height / 2, thickness], unit.tets)
 
 
-def pad_body(pad: Pad, mesh: TetMesh, name: str = "gel", mount: str | None = None) -> SoftBody:
+def pad_body(
+    pad: PadParameters, mesh: TetMesh, name: str = "gel", mount: str | None = None
+) -> SoftBody:
     """The gel, in its own frame, or in that of its mount."""
     return SoftBody(
         mesh,

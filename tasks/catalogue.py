@@ -12,7 +12,7 @@ from taccel_lab.files.toml_file import read_toml
 from taccel_lab.tasks.ball_rolling import BallRolling, BallRollingParameters
 from taccel_lab.tasks.classification import Classification, ClassificationParameters
 from taccel_lab.tasks.driven_grasp import DrivenGraspLift, DrivenGraspParameters
-from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.grasp_lift import GraspLift, GraspLiftParameters, SoftGraspParameters
 from taccel_lab.tasks.grasp_matrix import GraspMatrix, GraspMatrixParameters
 from taccel_lab.tasks.nut import Nut, NutParameters
@@ -28,7 +28,7 @@ from taccel_lab.tasks.touch_insertion import TouchInsertion, TouchInsertionParam
 from taccel_lab.tasks.twist import Twist, TwistParameters
 
 FILES = Path(__file__).parent / "files"
-KINDS: dict[str, tuple[type[TaskParameters], type[Episode]]] = {
+KINDS: dict[str, tuple[type[TaskParameters], type[TaskEpisode]]] = {
     "ball-rolling": (BallRollingParameters, BallRolling),
     "classification": (ClassificationParameters, Classification),
     "driven-grasp": (DrivenGraspParameters, DrivenGraspLift),
@@ -52,9 +52,9 @@ class Task:
 
     name: str
     parameters: TaskParameters
-    made_by: type[Episode]
+    made_by: type[TaskEpisode]
 
-    def begin(self, seeds: Sequence[int], device: str | None = None) -> Episode:
+    def begin(self, seeds: Sequence[int], device: str | None = None) -> TaskEpisode:
         """Seeds at their starts, as environments of one solver."""
         return self.made_by(self.parameters, seeds, device)  # type: ignore[call-arg, arg-type]
 

@@ -26,19 +26,19 @@ from taccel_lab.signals import SignalTactile
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.depth_classifier import Learner, folds, judge_by_folds, nearest
 from taccel_lab.tasks.draw import draw
-from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.pair_of_gels import SIDES, gels_of, mounts_of
 from taccel_lab.tasks.parameters import (
     Contact,
     Count,
     NotNegative,
-    Pad,
+    PadParameters,
     Positive,
     TaskParameters,
 )
 from taccel_lab.tasks.parts import PARTS
 from taccel_lab.tasks.physics import contact_config
-from taccel_lab.tasks.result import TaskResult, Trial
+from taccel_lab.tasks.result import TaskResult, TaskTrial
 
 
 class GraspStart(StrictModel):
@@ -74,7 +74,7 @@ class ClassificationParameters(TaskParameters):
     kind: Literal["classification"]
     parts: Annotated[tuple[str, ...], Field(min_length=2)]
     part_friction: NotNegative
-    gel: Pad
+    gel: PadParameters
     contact: Contact
     start: GraspStart
     policy: ClosingPolicy
@@ -91,7 +91,7 @@ class ClassificationParameters(TaskParameters):
         return self
 
 
-class Classification(Episode):
+class Classification(TaskEpisode):
     """Grasps of some seeds; one that is closed is not stepped any more."""
 
     gel = "left"
@@ -177,7 +177,7 @@ class Classification(Episode):
             return f"the gels had not closed: {left:.2f} and {right:.2f} mm deep", figures
         return "", figures
 
-    def trials(self) -> list[Trial]:
+    def trials(self) -> list[TaskTrial]:
         felt = self.depths_m.astype(np.float32)
         return [replace(t, felt=felt[env]) for env, t in enumerate(super().trials())]
 
@@ -186,8 +186,8 @@ class Classification(Episode):
 
     @classmethod
     def conclude(
-        cls, parameters: TaskParameters, trials: list[Trial], device: str | None
-    ) -> list[Trial]:
+        cls, parameters: TaskParameters, trials: list[TaskTrial], device: str | None
+    ) -> list[TaskTrial]:
         """What the networks say of the grasps that closed."""
         assert isinstance(parameters, ClassificationParameters)
         good = [i for i, trial in enumerate(trials) if trial.success]
@@ -199,20 +199,20 @@ class Classification(Episode):
             return [replace(t, success=False, cause=t.cause or few) for t in trials]
         maps = np.array([trials[i].felt for i in good])
         at_random = folds(len(good), learner.regions)
-        told = judge_by_folds(maps, truth, region, learner, device)
-        told_at_random = judge_by_folds(maps, truth, at_random, learner, device)
+        predicted = judge_by_folds(maps, truth, region, learner, device)
+        predicted_at_random = judge_by_folds(maps, truth, at_random, learner, device)
         near, near_at_random = nearest(maps, truth, region), nearest(maps, truth, at_random)
         concluded = list(trials)
         for row, i in enumerate(good):
             figures = trials[i].figures | {
-                "told": float(told[row]),
-                "right": float(told[row] == truth[row]),
-                "right_at_random": float(told_at_random[row] == truth[row]),
+                "predicted": float(predicted[row]),
+                "right": float(predicted[row] == truth[row]),
+                "right_at_random": float(predicted_at_random[row] == truth[row]),
                 "nearest_right": float(near[row] == truth[row]),
                 "nearest_right_at_random": float(near_at_random[row] == truth[row]),
             }
-            wrong = f"taken for a {parameters.parts[told[row]]}"
-            right = told[row] == truth[row]
+            wrong = f"taken for a {parameters.parts[predicted[row]]}"
+            right = predicted[row] == truth[row]
             concluded[i] = replace(
                 trials[i], success=bool(right), cause="" if right else wrong, figures=figures
             )
@@ -225,9 +225,9 @@ class Classification(Episode):
 
         assert isinstance(parameters, ClassificationParameters)
         super().draw(parameters, result, folder)
-        told = [t for t in result.trials if "told" in t.figures]
-        if told:
-            pairs = [(int(t.start["part"]), int(t.figures["told"])) for t in told]
+        predicted = [t for t in result.trials if "predicted" in t.figures]
+        if predicted:
+            pairs = [(int(t.start["part"]), int(t.figures["predicted"])) for t in predicted]
             draw_confusion(pairs, parameters.parts, folder / "confusion.png")
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was told of each part, as a table in colours."""
+"""Predicted against true parts, as a table in colours."""
 
 from __future__ import annotations
 

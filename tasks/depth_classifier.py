@@ -52,12 +52,12 @@ def alike(maps: np.ndarray) -> np.ndarray:
 def nearest(maps: np.ndarray, truth: np.ndarray, fold: np.ndarray) -> np.ndarray:
     """Part of the nearest grasp of other folds, by the squared difference of the maps, [n]."""
     flat = (SCALE * alike(maps)).reshape(4, len(maps), -1)
-    told = np.empty(len(maps), dtype=int)
+    predicted = np.empty(len(maps), dtype=int)
     for i in range(len(maps)):
         others = np.flatnonzero(fold != fold[i])
         away = ((flat[:, others] - flat[0, i]) ** 2).sum(axis=2).min(axis=0)
-        told[i] = truth[others[np.argmin(away)]]
-    return told
+        predicted[i] = truth[others[np.argmin(away)]]
+    return predicted
 
 
 def judge_by_folds(
@@ -67,7 +67,7 @@ def judge_by_folds(
     learner: Learner,
     device: str | None = None,
 ) -> np.ndarray:
-    """Part that is told of each grasp by a network that was taught by the other folds.
+    """Predict the part of each grasp by a network trained on the other folds.
 
     Args:
         maps: Depth maps [m], [n, 2, height, width].
@@ -78,15 +78,15 @@ def judge_by_folds(
     """
     import torch
 
-    told = np.empty(len(maps), dtype=int)
+    predicted = np.empty(len(maps), dtype=int)
     for number in np.unique(fold):
         held_out = fold == number
         network = taught(maps[~held_out], truth[~held_out], learner, device)
         with torch.no_grad():
             tries = _inputs(maps[held_out], device)
             votes = torch.stack([network(each).softmax(dim=1) for each in tries]).sum(dim=0)
-        told[held_out] = votes.argmax(dim=1).cpu().numpy()
-    return told
+        predicted[held_out] = votes.argmax(dim=1).cpu().numpy()
+    return predicted
 
 
 def taught(

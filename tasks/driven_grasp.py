@@ -3,7 +3,7 @@
 
 The gels are on links with mass, which slide on the base and which drives of limited force push.
 The fingers close as those of ``grasp_lift`` do; once both grip, their targets lie far inside of the
-object. The base goes where it is told.
+object. The base goes where it is commanded.
 """
 
 from __future__ import annotations

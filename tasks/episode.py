@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``Episode``: seeds of a task as environments of one solver, from the start to the judgement."""
+"""``TaskEpisode``: seeds of a task as environments of one solver, from start to judgement."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from taccel_lab.scene import Scene
 from taccel_lab.solvers import Control, EnvStatus, SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
 from taccel_lab.tasks.parameters import TaskParameters
-from taccel_lab.tasks.result import TaskResult, Trial
+from taccel_lab.tasks.result import TaskResult, TaskTrial
 
 
-class Episode(ABC):
+class TaskEpisode(ABC):
     """One solver, an environment a seed. Environments that fail stay where they are and are judged
     as failures with their ``EnvStatus`` as cause; the others go on."""
 
@@ -72,7 +72,8 @@ class Episode(ABC):
         """Why an environment does not meet the criterion, empty if it does; and its figures."""
 
     def cell(self, env: int) -> tuple[str, ...]:
-        """What an environment is of, of tasks with several cells: their results are told apart."""
+        """What an environment is of, of tasks with several cells: their results are listed
+        apart."""
         return ()
 
     @classmethod
@@ -90,6 +91,11 @@ class Episode(ABC):
         """Whether there is nothing more to step."""
         return self.taken >= self.step_limit or not self.running.any()
 
+    def outcome(self) -> str:
+        """How environment 0 is judged now, in words."""
+        trial = self.trials()[0]
+        return f"failure: {trial.cause}" if trial.cause else "success"
+
     def advance(self) -> None:
         """Take a step in the environments that are running."""
         report = self.solver.step(self.state, self.control(), who=self.running)
@@ -102,20 +108,22 @@ class Episode(ABC):
         self.outputs.update(self.state)
         self.measure()
 
-    def trials(self) -> list[Trial]:
+    def trials(self) -> list[TaskTrial]:
         """What came of each seed."""
         found = []
         for env, (seed, start) in enumerate(zip(self.seeds, self.starts, strict=True)):
             missed, figures = self.judge(env)
             cause = self._causes[env] or missed
             steps = int(self._steps[env])
-            found.append(Trial(seed, not cause, cause, steps, start, figures, cell=self.cell(env)))
+            found.append(
+                TaskTrial(seed, not cause, cause, steps, start, figures, cell=self.cell(env))
+            )
         return found
 
     @classmethod
     def conclude(
-        cls, parameters: TaskParameters, trials: list[Trial], device: str | None
-    ) -> list[Trial]:
+        cls, parameters: TaskParameters, trials: list[TaskTrial], device: str | None
+    ) -> list[TaskTrial]:
         """Trials of all seeds of a run, judged together where a task does so."""
         return trials
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A film of one seed: the scene, what the gel's surface does, and the forces, side by side."""
+"""A film of one seed: the scene, the gel's change in height, and the forces, side by side."""
 
 from __future__ import annotations
 
@@ -11,19 +11,17 @@ import numpy as np
 
 from taccel_lab.files.atomic_file import write_image
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.outputs import GelFrames
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.style import BLUE, GREEN, ORANGE, PURPLE, in_report_style, new_figure
-from taccel_lab.signals import SignalTactile
+from taccel_lab.signals.gel_faces import Colors
 from taccel_lab.tasks.catalogue import Task
-from taccel_lab.tasks.episode import Episode
-from taccel_lab.tasks.result import Trial
+from taccel_lab.tasks.episode import TaskEpisode
+from taccel_lab.tasks.gel_watch import GelSnapshot, GelWatch
+from taccel_lab.tasks.result import TaskTrial
 from taccel_lab.tasks.scene_picture import SceneCamera, surfaces
 
 FRAMES_PER_S = 25
 """Of films; a frame shows a step of 1 / 25 s, or of the task's own where these are longer."""
-IMAGE_PX = 160
-"""Height of the gel's image."""
 
 
 @dataclass
@@ -31,31 +29,33 @@ class Film:
     """Frames of one seed."""
 
     name: str
-    episode: Episode
+    episode: TaskEpisode
     grid: PixelGrid
     times_s: list[float] = field(default_factory=list)
     positions_m: list[np.ndarray] = field(default_factory=list)
     """Of all nodes, [node_count, 3]."""
-    rises_m: list[np.ndarray] = field(default_factory=list)
-    """Rise of the gel's face over where it began, [height_px, width_px], NaN beside it."""
+    gel: list[GelSnapshot] = field(default_factory=list)
     forces_n: list[dict[str, float]] = field(default_factory=list)
 
 
 def film_seed(
-    task: Task, seed: int, device: str | None = None, progress: Progress = silent
-) -> tuple[Film, Trial]:
-    """Run a seed by itself and watch it."""
+    task: Task,
+    seed: int,
+    device: str | None = None,
+    progress: Progress = silent,
+    colors: Colors | None = None,
+) -> tuple[Film, TaskTrial]:
+    """Run one seed and record it; ``colors``: of the gel's tactile images, none without."""
     episode = task.begin([seed], device)
     dt = task.parameters.dt_s
     every = max(1, round(1 / (FRAMES_PER_S * dt)))
-    watch = FaceWatch(episode)
+    watch = GelWatch(episode.solver, episode.gel, colors)
     film = Film(task.name, episode, watch.grid)
-    start = watch.height_m()
 
     def show() -> None:
         film.times_s.append(episode.taken * dt)
         film.positions_m.append(episode.state.positions.numpy()[0].copy())
-        film.rises_m.append(watch.height_m() - start)
+        film.gel.append(watch.frame(episode.state, stepped=episode.taken > 0))
         film.forces_n.append(episode.forces())
 
     show()
@@ -86,32 +86,6 @@ def _scene_pictures(film: Film) -> Iterator[np.ndarray]:
         camera.close()
 
 
-class FaceWatch:
-    """The surface of the gel that an episode shows, in its own frame."""
-
-    def __init__(self, episode: Episode) -> None:
-        scene = episode.scene
-        (gel,) = (body for body in scene.soft_bodies if body.name == episode.gel)
-        mesh, count = gel.nodal_mesh, scene.env_count
-        flat = mesh.nodes_m[:, :2]
-        width, height = 1e3 * (flat.max(axis=0) - flat.min(axis=0))
-        pitch = height / IMAGE_PX
-        self.grid = PixelGrid(int(width / pitch), IMAGE_PX, pitch, pitch)
-        self._episode = episode
-        self._frames = GelFrames(episode.model)
-        self._gel = episode.model.body_id(gel.name)
-        first = episode.model.bodies[self._gel].nodes[0]
-        device = episode.model.device
-        self._signal = SignalTactile(
-            mesh, self.grid, env_count=count, first_node=first, device=device
-        )
-
-    def height_m(self) -> np.ndarray:
-        state = self._episode.state
-        self._signal.update(state.positions, self._frames.of(self._gel, state))
-        return self._signal.height_m.numpy()[0].astype(np.float64)
-
-
 @in_report_style
 def write_film(film: Film, path: Path) -> np.ndarray:
     """Write an MP4 file (MPEG-4 part 2) by OpenCV, and return the last frame, RGB.
@@ -129,7 +103,7 @@ def write_film(film: Film, path: Path) -> np.ndarray:
     scene = left.imshow(np.zeros((520, 520, 3), dtype=np.uint8))
     left.axis("off")
     title = left.set_title("")
-    rises = 1e3 * np.array(film.rises_m)
+    rises = -1e3 * np.array([frame.depth_m for frame in film.gel])
     # A face that is folded over has a few pixels that look millimetres down its side.
     reach = max(float(np.nanquantile(np.abs(rises), 0.99)), 1e-6)
     side = (film.grid.x_mm()[[0, -1]], film.grid.y_mm()[[0, -1]])
@@ -140,7 +114,7 @@ def write_film(film: Film, path: Path) -> np.ndarray:
         vmin=-reach,
         vmax=reach,
     )
-    middle.set_title("gel: rise of its face")
+    middle.set_title("gel: change in height")
     middle.set(xlabel="x [mm]", ylabel="y [mm]")
     figure.colorbar(gel, ax=middle, label="[mm]", shrink=0.8)
     colors = (BLUE, ORANGE, GREEN, PURPLE)

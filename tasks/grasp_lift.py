@@ -25,15 +25,15 @@ from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import AffineBody, Element, Material, Scene, SoftBody
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import free_body, pad_body, pad_mesh, solid
-from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.grasp_scene import grasp_scene
 from taccel_lab.tasks.lift_record import LiftGoal, LiftRecord
 from taccel_lab.tasks.parameters import (
     Contact,
     FreeBody,
-    Learning,
+    LearningParameters,
     NotNegative,
-    Pad,
+    PadParameters,
     PlanarStart,
     Positive,
     TaskParameters,
@@ -58,7 +58,7 @@ class Object(FreeBody):
         return free_body(self, solid(self.shape, self.size_mm), "object", poses)
 
 
-class SoftBox(Pad):
+class SoftBox(PadParameters):
     """What is grasped, a box of gel that nothing holds; the stress in it is measured."""
 
     @property
@@ -125,7 +125,7 @@ class GraspPolicy(StrictModel):
     lift_mm: Positive
 
 
-class GraspLearning(Learning):
+class GraspLearning(LearningParameters):
     """What a learned policy may do: it moves the joints of the fingers, too."""
 
     joint_actions: Literal["delta", "target"]
@@ -141,7 +141,7 @@ class GraspParameters(TaskParameters):
 
     robot: Literal["parallel_gripper", "three_finger_hand"]
     plane_friction: NotNegative
-    gel: Pad
+    gel: PadParameters
     contact: Contact
     start: PlanarStart
     """Of the object, from the middle between the fingers."""
@@ -164,7 +164,7 @@ class SoftGraspParameters(GraspParameters):
     object: SoftBox | SoftShape
 
 
-class GraspLift(Episode):
+class GraspLift(TaskEpisode):
     """Grasp and lift of some seeds."""
 
     direction = (0.7, -1.4, 0.5)

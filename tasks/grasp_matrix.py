@@ -20,7 +20,7 @@ from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import Plane, Scene, TimeStepping, TriangleMesh, sphere_mesh
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import free_body
-from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.hands import Hand, HandWithGels
 from taccel_lab.tasks.lift_record import LiftGoal, LiftRecord
 from taccel_lab.tasks.parameters import (
@@ -28,7 +28,7 @@ from taccel_lab.tasks.parameters import (
     Count,
     FreeBody,
     NotNegative,
-    Pad,
+    PadParameters,
     PlanarStart,
     Positive,
     TaskParameters,
@@ -65,7 +65,7 @@ class MatrixPolicy(StrictModel):
     """And after."""
     grip_n: Positive
     """A finger stays while all its gels push as hard, or a link of it touches the object: where
-    links go as they are told, several would crush it."""
+    links go as commanded, several would crush it."""
     most_n: Positive
     """Closing ends when all fingers stay or are closed, or a gel pushes as hard."""
     grip_s: Positive
@@ -84,7 +84,7 @@ class GraspMatrixParameters(TaskParameters):
     """Of each cell: seed k is start k modulo this, of cell k divided by it, cells row by row (all
     objects of the first hand first); seeds beyond all cells are further starts of them."""
     plane_friction: NotNegative
-    gel: Pad
+    gel: PadParameters
     contact: Contact
     body: FreeBody
     """Mass and friction of every object."""
@@ -117,7 +117,7 @@ class GraspMatrixParameters(TaskParameters):
         return rounds * self.starts + seed % self.starts
 
 
-class GraspMatrix(Episode):
+class GraspMatrix(TaskEpisode):
     """Grasps of some seeds of one cell; one that is over is not stepped any more."""
 
     gel = "gel 1"

@@ -17,7 +17,7 @@ from taccel_lab.tasks.physics import G
 
 if TYPE_CHECKING:
     from taccel_lab.profile import SensorProfile
-    from taccel_lab.tasks.parameters import Pad
+    from taccel_lab.tasks.parameters import PadParameters
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class GraspScene:
 
 def grasp_scene(
     robot_name: str,
-    pad: Pad,
+    pad: PadParameters,
     grasped: Callable[[np.ndarray], AffineBody | SoftBody],
     half_height_m: float,
     poses: np.ndarray,

@@ -20,7 +20,7 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.robots import Robot, named, on_seat
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.tasks.bodies import pad_body, pad_mesh
-from taccel_lab.tasks.parameters import Pad, Positive
+from taccel_lab.tasks.parameters import PadParameters, Positive
 
 SAMPLES = 200
 """Of a path, along which the way of a gel is measured."""
@@ -28,7 +28,7 @@ SAMPLES = 200
 Triple = tuple[Number, Number, Number]
 
 
-class Seat(StrictModel):
+class PadSeat(StrictModel):
     """Where a gel sits on a link."""
 
     link: str
@@ -52,7 +52,7 @@ class Finger(StrictModel):
     joints: Annotated[tuple[str, ...], Field(min_length=1)]
     path: Annotated[tuple[tuple[Number, ...], ...], Field(min_length=2)]
     """Coordinates of the joints [rad or m] from open to closed; straight lines between."""
-    gels: Annotated[tuple[Seat, ...], Field(min_length=1)]
+    gels: Annotated[tuple[PadSeat, ...], Field(min_length=1)]
     links: tuple[str, ...]
     """Those that touch objects; other links of the robot pass through them."""
 
@@ -81,7 +81,7 @@ class Hand(StrictModel):
 class HandWithGels:
     """A hand whose gels are ``gel 1``, ``gel 2``, ... in the order of its fingers."""
 
-    def __init__(self, hand: Hand, pad: Pad) -> None:
+    def __init__(self, hand: Hand, pad: PadParameters) -> None:
         """Raises InputError for links and joints that the robot has not."""
         mesh = pad_mesh(pad)
         robot = named(hand.robot)

@@ -19,14 +19,14 @@ from taccel_lab.scene import KinematicBody, Scene, TimeStepping, TriangleMesh
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import free_body
 from taccel_lab.tasks.draw import draw
-from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.pair_of_gels import SIDES, gels_of, mounts_of
 from taccel_lab.tasks.parameters import (
     Contact,
     Count,
     FreeBody,
     NotNegative,
-    Pad,
+    PadParameters,
     Positive,
     TaskParameters,
 )
@@ -116,14 +116,14 @@ class NutParameters(TaskParameters):
     kind: Literal["nut"]
     thread: Thread
     nut: FreeBody
-    gel: Pad
+    gel: PadParameters
     contact: Contact
     start: NutStart
     policy: NutPolicy
     goal: NutGoal
 
 
-class Nut(Episode):
+class Nut(TaskEpisode):
     """Nut turning of some seeds."""
 
     gel = "left"

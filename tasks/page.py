@@ -3,16 +3,24 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taccel_lab.report.page import Page, Picture, Table
+from taccel_lab.report.page import Page, Picture, Table, sentence
+from taccel_lab.tasks.figure_label import figure_label
 
 if TYPE_CHECKING:
     from taccel_lab.tasks.catalogue import Task
     from taccel_lab.tasks.result import TaskResult
 
+CAPTIONS = {
+    "seeds": "Where each seed began, and its headline figure.",
+    "cells": "Share of seeds that succeed, by cell.",
+    "confusion": "Predicted against true parts.",
+}
+"""Of pictures by their names."""
 MOST_SEEDS = 400
 """Rows of the page; result.json has all."""
 
@@ -24,7 +32,8 @@ def task_page(task: Task, result: TaskResult, run: dict[str, Any], folder: Path)
     stopped = "" if table["trials"] == table["asked"] else f" Interrupted: of {table['asked']}."
     return Page(
         title=f"Task {task.name}",
-        summary=f"{task.parameters.summary}. Success: {task.parameters.criterion}.{stopped}",
+        summary=f"{sentence(task.parameters.summary)} Success: "
+        f"{task.parameters.criterion}.{stopped}",
         headline=f"{table['successes']} of {table['trials']} seeds succeed: "
         f"{table['success_rate']:.1%} (95 %: {low:.1%} to {high:.1%})",
         tables=[
@@ -36,7 +45,7 @@ def task_page(task: Task, result: TaskResult, run: dict[str, Any], folder: Path)
             Table("Machine", ("figure", "value"), _rows(run), folded=True),
         ],
         pictures=[
-            Picture(path.stem, path.read_bytes, f"{path.stem}.png")
+            Picture(path.stem, path.read_bytes, CAPTIONS.get(path.stem, path.name))
             for path in sorted(folder.glob("*.png"))
         ],
     )
@@ -44,7 +53,7 @@ def task_page(task: Task, result: TaskResult, run: dict[str, Any], folder: Path)
 
 def _figures(table: dict[str, Any]) -> list[tuple[Any, ...]]:
     return [
-        (name, spread["median"], spread["p05"], spread["p95"])
+        (figure_label(name), spread["median"], spread["p05"], spread["p95"])
         for name, spread in table["figures"].items()
         if spread
     ]
@@ -64,7 +73,11 @@ def _cells(table: dict[str, Any]) -> list[Table]:
 
 
 def _causes(result: TaskResult) -> list[Table]:
-    counts = Counter(trial.cause for trial in result.trials if trial.cause)
+    # Numbers differ from seed to seed: "came 0.7 mm deep" and "came 1.4 mm deep" are one cause.
+    causes = (
+        re.sub(r"-?\d+(?:\.\d+)?", "…", trial.cause) for trial in result.trials if trial.cause
+    )
+    counts = Counter(causes)
     if not counts:
         return []
     return [Table("Why seeds failed", ("cause", "seeds"), counts.most_common())]
@@ -74,7 +87,11 @@ def _seeds(rows: list[dict[str, Any]]) -> tuple[tuple[str, ...], list[list[Any]]
     shown = rows[:MOST_SEEDS]
     names = tuple(dict.fromkeys(name for row in shown for name in row))
     cells = [[_text(row.get(name)) for name in names] for row in shown]
-    return names, cells, "" if len(shown) == len(rows) else f"The first {len(shown)}."
+    return (
+        tuple(map(figure_label, names)),
+        cells,
+        "" if len(shown) == len(rows) else f"The first {len(shown)}.",
+    )
 
 
 def _settings(task: Task) -> list[tuple[str, Any]]:

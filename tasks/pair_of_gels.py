@@ -5,16 +5,22 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.geometry import TetMesh
 from taccel_lab.scene import KinematicBody, SoftBody
 from taccel_lab.tasks.bodies import pad_body, pad_mesh
-from taccel_lab.tasks.parameters import Pad
+from taccel_lab.tasks.parameters import PadParameters
 
 SIDES = ("left", "right")
 
 
-def gels_of(pad: Pad) -> tuple[list[SoftBody], list[KinematicBody]]:
-    """The gels, and the frames that carry them: ``left mount``, ``right mount``."""
-    mesh = pad_mesh(pad)
+def gels_of(
+    pad: PadParameters, mesh: TetMesh | None = None
+) -> tuple[list[SoftBody], list[KinematicBody]]:
+    """The gels, and the frames that carry them: ``left mount``, ``right mount``.
+
+    ``mesh`` stands in place of the block of ``pad``: its contact face touches z = 0 from below.
+    """
+    mesh = pad_mesh(pad) if mesh is None else mesh
     return (
         [pad_body(pad, mesh, side, f"{side} mount") for side in SIDES],
         [KinematicBody(None, name=f"{side} mount") for side in SIDES],

@@ -68,7 +68,7 @@ class Randomised(StrictModel):
         return self
 
 
-class Pad(StrictModel):
+class PadParameters(StrictModel):
     """A block of gel, bonded at its back."""
 
     cells: tuple[Count, Count, Count]
@@ -101,7 +101,7 @@ class FreeBody(StrictModel):
     friction: NotNegative
 
 
-class Learning(StrictModel):
+class LearningParameters(StrictModel):
     """What a learned policy may do: move the gels together."""
 
     speed_mm_s: tuple[Positive, Positive, Positive]

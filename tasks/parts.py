@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mechanical parts as closed triangle meshes of ours, each lofted from rings of points.
 
-All lie about their middle with their axis along z, sizes as of M8 hardware and what goes with it.
+All lie about their middle with their axis along z, sizes as of M8 hardware and its counterparts.
 """
 
 from __future__ import annotations

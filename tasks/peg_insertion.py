@@ -19,10 +19,10 @@ from taccel_lab.files.strict_model import Number, StrictModel
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import Scene
 from taccel_lab.solvers import Control
-from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
     Contact,
-    Learning,
+    LearningParameters,
     NotNegative,
     PlanarStart,
     Positive,
@@ -88,7 +88,7 @@ class PegInsertionParameters(PegParameters):
     kind: Literal["peg-insertion"]
     meshes: Literal["published", "generated"]
     """Those of Taccel's example, from the data folder, or ours of the same dimensions."""
-    learning: Learning
+    learning: LearningParameters
     """From when the gels have closed."""
 
     def parts(self) -> PegParts:
@@ -115,7 +115,7 @@ class PegFitParameters(PegParameters):
         )
 
 
-class PegInsertion(Episode):
+class PegInsertion(TaskEpisode):
     """Peg insertion of some seeds."""
 
     gel = "right"

@@ -119,6 +119,10 @@ def peg_parts(source: str) -> tuple[PegParts, str]:
     return (published_parts(mesh_folder()) if source == "published" else generated_parts()), source
 
 
+DOG_BONE_CAP = [(0, 1, 7), (1, 6, 7), (1, 2, 6), (2, 5, 6), (2, 3, 5), (3, 4, 5)]
+"""Triangles of the inside of a ``dog_bone``."""
+
+
 def dog_bone(x: float, y: float, waist_x: float, waist_y: float) -> np.ndarray:
     """A rectangle of half sizes x, y, narrowed to ``waist_y`` within ``waist_x``: counter-clockwise
     from its corner (x, y), shape [8, 2]."""
@@ -163,8 +167,7 @@ def generated_gel(cells: tuple[int, int, int] = (6, 7, 1)) -> TetMesh:
 def generated_parts(cells: tuple[int, int, int] = (6, 7, 1)) -> PegParts:
     """Meshes of the published dimensions; about as many gel nodes as the published pad."""
     gel = generated_gel(cells)
-    cap = [(0, 1, 7), (1, 6, 7), (1, 2, 6), (2, 5, 6), (2, 3, 5), (3, 4, 5)]
-    peg = prism(dog_bone(15e-3, 17.5e-3, 5e-3, 11.7265e-3), cap, 50e-3)
+    peg = prism(dog_bone(15e-3, 17.5e-3, 5e-3, 11.7265e-3), DOG_BONE_CAP, 50e-3)
     hole = dog_bone(17e-3, 20.9641e-3, 4.4641e-3, 13.7265e-3)
     outside = dog_bone(25e-3, 35e-3, 4.4641e-3, 35e-3)
     return PegParts(gel, peg, tube(hole, outside, 20e-3))

@@ -13,16 +13,16 @@ from pydantic import Field, model_validator
 from taccel_lab.files.strict_model import StrictModel
 from taccel_lab.scene import TriangleMesh
 from taccel_lab.tasks.parameters import FreeBody, NotNegative, Positive
-from taccel_lab.tasks.peg_scene import prism, tube
+from taccel_lab.tasks.peg_scene import DOG_BONE_CAP, dog_bone, prism, tube
 
 ROUND_SIDES = 64
 """Of what stands for a circle: its flats are 0.0012 radii inside it."""
-SIZES = {"octagon": 1, "round": 1, "rectangle": 2, "trapezoid": 3, "notched": 4}
+SIZES = {"octagon": 1, "round": 1, "rectangle": 2, "trapezoid": 3, "waisted": 4}
 """Shapes, and how many sizes they have."""
 
 
 @dataclass(frozen=True)
-class Section:
+class PegSection:
     """A section of a peg."""
 
     outline: np.ndarray
@@ -30,7 +30,7 @@ class Section:
     cap: list[tuple[int, int, int]]
     """Triangles of its inside."""
     around: np.ndarray
-    """An outline around it without notches, vertex beside vertex [m], [n, 2]."""
+    """An outline around it without a waist, vertex beside vertex [m], [n, 2]."""
 
     def crosses(self, other: np.ndarray) -> bool:
         """Whether the outline crosses another one, [m, 2]."""
@@ -70,11 +70,10 @@ def even(sides: int, apothem_m: float) -> np.ndarray:
 class Peg(FreeBody):
     """A prism on end, gripped at its faces towards +x and -x."""
 
-    shape: Literal["octagon", "round", "rectangle", "trapezoid", "notched"]
+    shape: Literal["octagon", "round", "rectangle", "trapezoid", "waisted"]
     size_mm: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=4)]
     """Across flats of an octagon; diameter; across x and y of a rectangle; across x of a trapezoid,
-    and its sides at +x and -x; across x and y of a rectangle, and width and depth of a notch from
-    +y."""
+    and its sides at +x and -x; across x and y of a rectangle, and length and width of its waist."""
     height_mm: Positive
 
     @model_validator(mode="after")
@@ -83,10 +82,10 @@ class Peg(FreeBody):
             raise ValueError(
                 f"a {self.shape} has {SIZES[self.shape]} sizes, got {len(self.size_mm)}"
             )
-        if self.shape == "notched":
-            x, y, width, depth = self.size_mm
-            if width >= x or depth >= y:
-                raise ValueError("the notch must be narrower and less deep than the peg")
+        if self.shape == "waisted":
+            x, y, length, width = self.size_mm
+            if length >= x or width >= y:
+                raise ValueError("the waist must be shorter and narrower than the peg")
         return self
 
     @property
@@ -94,19 +93,14 @@ class Peg(FreeBody):
         """Of its size across x."""
         return 5e-4 * self.size_mm[0]
 
-    def section(self) -> Section:
+    def section(self) -> PegSection:
         """Its section."""
         sizes = [1e-3 * value for value in self.size_mm]
         x = self.half_m
-        if self.shape == "notched":
-            y, n, floor = sizes[1] / 2, sizes[2] / 2, sizes[1] / 2 - sizes[3]
-            inner = [(n, y), (n, floor), (-n, floor), (-n, y)]
-            outline = np.array([(x, y), *inner, (-x, y), (-x, -y), (x, -y)])
-            cap = [(0, 1, 2), (0, 2, 7), (2, 3, 7), (3, 6, 7), (3, 5, 6), (3, 4, 5)]
-            # Beside the middle of the notch: faces from there to the hole's tongue, which is
-            # narrower than the notch, stay within it.
-            flat = [(n / 4, y), (n / 8, y), (-n / 8, y), (-n / 4, y)]
-            return Section(outline, cap, np.array([(x, y), *flat, (-x, y), (-x, -y), (x, -y)]))
+        if self.shape == "waisted":
+            y, waist = sizes[1] / 2, sizes[2] / 2
+            outline = dog_bone(x, y, waist, sizes[3] / 2)
+            return PegSection(outline, DOG_BONE_CAP, dog_bone(x, y, waist, y))
         if self.shape == "rectangle":
             y = sizes[1] / 2
             outline = np.array([(x, y), (-x, y), (-x, -y), (x, -y)])
@@ -119,7 +113,7 @@ class Peg(FreeBody):
             outline = even(ROUND_SIDES, x)
             outline *= x / np.linalg.norm(outline[0])
         cap = [(0, i, i + 1) for i in range(1, len(outline) - 1)]
-        return Section(outline, cap, outline)
+        return PegSection(outline, cap, outline)
 
     def mesh(self) -> TriangleMesh:
         """From z = 0 up [m]."""

@@ -17,6 +17,7 @@ from taccel_lab.files.text_file import shown
 
 if TYPE_CHECKING:
     from taccel_lab.tasks.film import Film
+    from taccel_lab.tasks.result import TaskTrial
 
 REPLAY = "replay.json"
 KINDS = ("soft", "affine", "kinematic")
@@ -36,28 +37,51 @@ class ReplayBody:
 
 
 @dataclass(frozen=True)
-class Replay:
+class TaskReplay:
     """Frames of one seed."""
 
     task: str
+    seed: int
+    cause: str
+    """Why the seed failed; empty for success."""
     times_s: np.ndarray
     """[frame]."""
     bodies: list[ReplayBody]
     forces_n: dict[str, np.ndarray]
     """By name, [frame]."""
-    rises_m: np.ndarray
-    """Rise of the gel's face, float32 [frame, height_px, width_px], NaN beside it."""
+    depth_m: np.ndarray
+    """As of ``GelFrame``, float32 [frame, height_px, width_px]."""
+    pressure_pa: np.ndarray
+    """Float32 [frame, height_px, width_px]."""
+    markers_px: np.ndarray
+    """Float32 [frame, marker, 2]."""
+    rgb: np.ndarray
+    """Tactile images, uint8 [frame, height_px, width_px, 3]."""
+
+    @property
+    def outcome(self) -> str:
+        """Success or failure, in words."""
+        return f"failure: {self.cause}" if self.cause else "success"
 
 
-def write_replay(film: Film, folder: Path) -> None:
-    """Write ``replay.json`` and ``replay.npz`` into a folder that exists."""
+def write_replay(film: Film, trial: TaskTrial, folder: Path) -> None:
+    """Write ``replay.json`` and ``replay.npz`` into a folder that exists.
+
+    Raises:
+        InputError: The film has no tactile images, as it was recorded without colours.
+    """
     from taccel_lab.tasks.scene_picture import surfaces
 
     episode = film.episode
+    if film.gel[0].rgb is None:
+        raise InputError("a replay needs tactile images: give film_seed colors")
     frames = [surfaces(episode.scene, episode.model, place) for place in film.positions_m]
     arrays: dict[str, np.ndarray] = {
         "times_s": np.array(film.times_s),
-        "rises_m": np.array(film.rises_m, dtype=np.float32),
+        "depth_m": np.array([frame.depth_m for frame in film.gel]),
+        "pressure_pa": np.array([frame.pressure_pa for frame in film.gel]),
+        "markers_px": np.array([frame.markers_px for frame in film.gel]),
+        "rgb": np.array([frame.rgb for frame in film.gel]),
     }
     names = list(film.forces_n[0])
     arrays["forces_n"] = np.array([[row[name] for name in names] for row in film.forces_n])
@@ -69,10 +93,11 @@ def write_replay(film: Film, folder: Path) -> None:
         bodies.append({"name": f"body {k}", "kind": kind.name.lower()})
     with atomic_file(folder / _ARRAYS) as staging, open(staging, "wb") as file:
         np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
-    write_json(folder / REPLAY, {"task": film.name, "bodies": bodies, "forces": names})
+    about = {"task": film.name, "seed": trial.seed, "cause": trial.cause}
+    write_json(folder / REPLAY, {**about, "bodies": bodies, "forces": names})
 
 
-def read_replay(folder: Path) -> Replay:
+def read_replay(folder: Path) -> TaskReplay:
     """What ``write_replay`` wrote; InputError for anything else."""
     about, arrays = read_json(folder / REPLAY), read_npz(folder / _ARRAYS)
     try:
@@ -81,19 +106,26 @@ def read_replay(folder: Path) -> Replay:
             for k, body in enumerate(about["bodies"])
         ]
         forces = {name: arrays["forces_n"][:, k] for k, name in enumerate(about["forces"])}
-        replay = Replay(about["task"], arrays["times_s"], bodies, forces, arrays["rises_m"])
+        replay = TaskReplay(
+            about["task"], int(about["seed"]), str(about["cause"]), arrays["times_s"], bodies,
+            forces, arrays["depth_m"], arrays["pressure_pa"], arrays["markers_px"],
+            arrays["rgb"],
+        )  # fmt: skip
         _check(replay)
         return replay
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise InputError(f"{folder} is no replay of a task as it is recorded: {error}") from None
 
 
-def _check(replay: Replay) -> None:
+def _check(replay: TaskReplay) -> None:
     """ValueError for arrays that are not those of as many frames."""
     frames = replay.times_s.shape
     wanted: list[tuple[str, np.ndarray, bool]] = [
         ("times_s", replay.times_s, len(frames) == 1 and replay.times_s.size > 0),
-        ("rises_m", replay.rises_m, replay.rises_m.ndim == 3 and replay.rises_m.size > 0),
+        ("depth_m", replay.depth_m, replay.depth_m.ndim == 3 and replay.depth_m.size > 0),
+        ("pressure_pa", replay.pressure_pa, replay.pressure_pa.shape == replay.depth_m.shape),
+        ("markers_px", replay.markers_px, replay.markers_px.shape[2:] == (2,)),
+        ("rgb", replay.rgb, replay.rgb.shape == (*replay.depth_m.shape, 3)),
         *((f"force {name}", force, force.ndim == 1) for name, force in replay.forces_n.items()),
     ]
     for k, body in enumerate(replay.bodies):

@@ -15,7 +15,7 @@ CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
-class Trial:
+class TaskTrial:
     """What came of one seed."""
 
     seed: int
@@ -39,7 +39,7 @@ class TaskResult:
     """Trials of a run, in the order of their seeds."""
 
     task: str
-    trials: list[Trial]
+    trials: list[TaskTrial]
     seconds: float
     """Wall time of the steps."""
     asked: int
@@ -82,7 +82,7 @@ class TaskResult:
 
     def cells(self) -> list[dict[str, Any]]:
         """Rate, interval and causes of each cell, in the order in which they come."""
-        by_cell: dict[tuple[str, ...], list[Trial]] = {}
+        by_cell: dict[tuple[str, ...], list[TaskTrial]] = {}
         for trial in self.trials:
             by_cell.setdefault(trial.cell, []).append(trial)
         found = []

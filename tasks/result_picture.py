@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from taccel_lab.report.style import BLUE, ORANGE, in_report_style, new_figure, save_figure
+from taccel_lab.tasks.figure_label import figure_label
 from taccel_lab.tasks.result import TaskResult, success_interval
 
 
@@ -27,11 +28,11 @@ def draw_result(result: TaskResult, headline: str, path: Path) -> None:
         left.scatter(starts[chosen, 0], across, marker=marker, color=color, label=named)
         seeds = [t.seed for t, c in zip(trials, chosen, strict=True) if c]
         right.scatter(seeds, values[chosen], marker=marker, color=color)
-    left.set_xlabel(f"start {axes[0]}")
-    left.set_ylabel(f"start {axes[1]}" if len(axes) > 1 else "")
+    left.set_xlabel(f"start {figure_label(axes[0])}")
+    left.set_ylabel(f"start {figure_label(axes[1])}" if len(axes) > 1 else "")
     rate, low, high = success_interval(result.successes, len(trials))
     left.set_title(f"{result.task}: {rate:.1%} (95 %: {low:.1%} to {high:.1%})")
     left.legend(loc="best", frameon=True)
     right.set_xlabel("seed")
-    right.set_ylabel(headline)
+    right.set_ylabel(figure_label(headline))
     save_figure(figure, path)

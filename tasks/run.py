@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.tasks.catalogue import Task
-from taccel_lab.tasks.result import TaskResult, Trial
+from taccel_lab.tasks.result import TaskResult, TaskTrial
 
 
 def run_task(
@@ -35,7 +35,7 @@ def run_task(
         raise InputError("a run needs at least one seed")
     limit = steps or task.parameters.steps
     groups = task.made_by.groups(task.parameters, seeds)
-    trials: list[Trial] = []
+    trials: list[TaskTrial] = []
     started = time.perf_counter()
     try:
         for number, group in enumerate(groups):

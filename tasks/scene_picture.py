@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from taccel_lab.bodies.scene_description import SceneDescription
 from taccel_lab.model import BodyKind, Model
-from taccel_lab.scene import Ball, Scene, sphere_mesh
+from taccel_lab.scene import Ball, sphere_mesh
 
 COLORS = {
     BodyKind.SOFT: "#7fb2d9",
@@ -18,7 +19,7 @@ COLORS = {
 
 
 def surfaces(
-    scene: Scene, model: Model, positions: np.ndarray
+    scene: SceneDescription, model: Model, positions: np.ndarray
 ) -> list[tuple[Any, np.ndarray, np.ndarray]]:
     """Kind, vertices [m] and triangles of every body that has a surface, of one environment.
 

@@ -2,7 +2,7 @@
 """Open a mechanism of unknown kind, gripped by two gels, by what their markers tell.
 
 Execution and recovery of Tac-Man [Zhao et al. 2024, arXiv 2403.01694], as Taccel's example steps
-them: in execution the hand goes a step of its own, blind; where the markers in the grip have moved
+them: in execution the hand takes a step blind; where the markers in the grip have moved
 too far from where they were when gripped, recovery moves the hand by the rigid motion that fits
 them [Kabsch 1976], step by step, until they are back. Joints of a scene turn or slide; what does
 both is a nut on a thread (``nut.Thread``), by contact alone.
@@ -31,7 +31,7 @@ from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import free_body
 from taccel_lab.tasks.draw import draw
-from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.nut import Thread
 from taccel_lab.tasks.pair_of_gels import SIDES, gels_of, mounts_of
 from taccel_lab.tasks.parameters import (
@@ -39,7 +39,7 @@ from taccel_lab.tasks.parameters import (
     Count,
     FreeBody,
     NotNegative,
-    Pad,
+    PadParameters,
     Positive,
     TaskParameters,
 )
@@ -129,14 +129,14 @@ class TacManParameters(TaskParameters):
 
     kind: Literal["tac-man"]
     mechanism: Mechanism
-    gel: Pad
+    gel: PadParameters
     contact: Contact
     start: TacManStart
     policy: TacManPolicy
     goal: TacManGoal
 
 
-class TacMan(Episode):
+class TacMan(TaskEpisode):
     """Tac-Man of some seeds; an environment that is done or given up is not stepped any more."""
 
     gel = "left"

@@ -19,13 +19,13 @@ from taccel_lab.robots.transforms import pose_of
 from taccel_lab.scene import Scene, TimeScheme, TimeStepping
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.draw import draw
-from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.grasp_lift import Object
 from taccel_lab.tasks.pair_of_gels import SIDES, gels_of, mounts_of
 from taccel_lab.tasks.parameters import (
     Contact,
     NotNegative,
-    Pad,
+    PadParameters,
     Positive,
     TaskParameters,
 )
@@ -82,14 +82,14 @@ class ThrowCatchParameters(TaskParameters):
 
     kind: Literal["throw-catch"]
     object: Object
-    gel: Pad
+    gel: PadParameters
     contact: Contact
     start: ThrowStart
     policy: ThrowPolicy
     goal: CatchGoal
 
 
-class ThrowCatch(Episode):
+class ThrowCatch(TaskEpisode):
     """Throw and catch of some seeds."""
 
     gel = "left"

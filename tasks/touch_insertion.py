@@ -17,18 +17,19 @@ from typing import Literal
 import numpy as np
 
 from taccel_lab.files.strict_model import Flag, Number, StrictModel
+from taccel_lab.geometry import TetMesh
 from taccel_lab.robots.transforms import matrix_of, pose_of
 from taccel_lab.scene import KinematicBody, Scene, TimeStepping
 from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import free_body
-from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.pair_of_gels import SIDES, gels_of, mounts_of
 from taccel_lab.tasks.parameters import (
     Contact,
     Count,
     NotNegative,
-    Pad,
+    PadParameters,
     PlanarStart,
     Positive,
     TaskParameters,
@@ -37,7 +38,7 @@ from taccel_lab.tasks.pegs import Hole, Peg
 from taccel_lab.tasks.physics import contact_config
 
 
-class Markers(StrictModel):
+class PegMarkers(StrictModel):
     """A grid of markers about the middle of each gel, and how well they are seen."""
 
     columns: Count
@@ -105,8 +106,8 @@ class TouchInsertionParameters(TaskParameters):
     kind: Literal["touch-insertion"]
     peg: Peg
     hole: Hole
-    gel: Pad
-    markers: Markers
+    gel: PadParameters
+    markers: PegMarkers
     contact: Contact
     start: PlanarStart
     """Of gels and peg, from above the middle of the hole."""
@@ -122,15 +123,20 @@ class TouchInsertionParameters(TaskParameters):
         return self.on_rim and not hole.crosses(section.placed(x_m, y_m, yaw_rad))
 
 
-class TouchInsertion(Episode):
+class TouchInsertion(TaskEpisode):
     """Insertion of some seeds; one that is in or has no tries left is not stepped any more."""
 
     gel = "right"
     direction = (0.9, -1.4, 0.8)
 
     def __init__(
-        self, parameters: TouchInsertionParameters, seeds: Sequence[int], device: str | None = None
+        self,
+        parameters: TouchInsertionParameters,
+        seeds: Sequence[int],
+        device: str | None = None,
+        gel: TetMesh | None = None,
     ) -> None:
+        """``gel`` is the mesh of both gels, see ``gels_of``."""
         self.parameters = parameters
         count, policy = len(seeds), parameters.policy
         block, pit = parameters.peg, parameters.hole
@@ -147,7 +153,7 @@ class TouchInsertion(Episode):
         self._top = self._hands[0, 2, 3]
         self._closed = np.full(count, -1e-3 * policy.gap_mm)
         """Squeeze of each gel [m], negative before it touches."""
-        gels, mounts = gels_of(parameters.gel)
+        gels, mounts = gels_of(parameters.gel, gel)
         self._layout = MarkerLayout.from_points(gels[0].nodal_mesh, parameters.markers.points_mm())
         scene = Scene(
             gels,

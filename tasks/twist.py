@@ -20,12 +20,12 @@ from taccel_lab.signals.markers import MarkerLayout
 from taccel_lab.solvers import Control
 from taccel_lab.tasks.bodies import pad_body, pad_mesh
 from taccel_lab.tasks.draw import draw
-from taccel_lab.tasks.episode import Episode
+from taccel_lab.tasks.episode import TaskEpisode
 from taccel_lab.tasks.parameters import (
     Contact,
     Count,
     NotNegative,
-    Pad,
+    PadParameters,
     Positive,
     TaskParameters,
 )
@@ -83,7 +83,7 @@ class TwistParameters(TaskParameters):
 
     kind: Literal["twist"]
     ball: TwistBall
-    gel: Pad
+    gel: PadParameters
     markers: TwistMarkers
     contact: Contact
     start: TwistStart
@@ -91,7 +91,7 @@ class TwistParameters(TaskParameters):
     goal: TwistGoal
 
 
-class Twist(Episode):
+class Twist(TaskEpisode):
     """Twist of some seeds."""
 
     gel = "gel"
@@ -176,7 +176,7 @@ class Twist(Episode):
         shear = gel.young_modulus_pa / (2 * (1 + nu))
         return Torsion(shear, radius, force, ball.friction, abs(float(self._turn[env])))
 
-    def told(self, env: int) -> float:
+    def measured_turn(self, env: int) -> float:
         """Turn that the markers tell [rad]: the rigid one nearest to their motion since the press
         [Kabsch 1976], in the plane."""
         before, after = self._pressed[env, :, :2], self._last[env, :, :2]
@@ -197,15 +197,17 @@ class Twist(Episode):
         return r, np.copysign(1.0, self._turn[env]) * angle * r
 
     def judge(self, env: int) -> tuple[str, dict[str, float]]:
-        told, turn = self.told(env), float(self._turn[env])
+        measured, turn = self.measured_turn(env), float(self._turn[env])
         if not -self._force[env, 2] > 0:
-            return "the ball did not touch the gel", {"angle_error_deg": np.degrees(told - turn)}
+            return "the ball did not touch the gel", {
+                "angle_error_deg": np.degrees(measured - turn)
+            }
         closed = self.torsion(env)
         r, moved = self.flow(env)
         expected = closed.moved_m(r)
         torque = float(np.copysign(1.0, turn) * self._torque[env])
         found = {
-            "angle_error_deg": np.degrees(told - turn),
+            "angle_error_deg": np.degrees(measured - turn),
             "torque_mnm": 1e3 * torque,
             "torque_of_closed_form": torque / closed.torque_nm,
             "flow_error": np.sqrt(np.mean((moved - expected) ** 2)) / expected.max(),

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
 import subprocess
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 # Before numpy or torch start their thread pools: tests run in parallel processes.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -16,6 +18,7 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 
 import pytest
 import warp as wp
+import warp._src.build as native
 from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
 
@@ -25,11 +28,12 @@ from taccel_lab.sensors import profile
 
 # Shared machines stall now and then, which says nothing about the code: no deadlines. Examples are
 # derandomised, so that a change that passed keeps passing; they still depend on the version of the
-# library. With TACCEL_LAB_EXPLORE=1 new ones are drawn: `make explore` does so.
+# library. With TACCEL_LAB_EXPLORE=1 new ones are drawn, more of them: `make explore` does so.
 EXPLORES = os.environ.get("TACCEL_LAB_EXPLORE", "0") == "1"
 settings.register_profile(
     "taccel",
     deadline=None,
+    max_examples=100 if EXPLORES else 40,
     print_blob=True,
     derandomize=not EXPLORES,
     suppress_health_check=[HealthCheck.too_slow],
@@ -54,6 +58,33 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         # But kernels take minutes to compile, and depend on their source alone.
         patch.setenv("WARP_CACHE_PATH", str(Path(str(wp.config.kernel_cache_dir)).parent))
         patch.setenv(CACHE_VARIABLE, str((folder.parent if beside else folder) / "cache"))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _kernels_are_compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Processes that run beside each other begin with the same kernels: one compiles a module, the
+    others wait and take its object."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        yield
+        return
+    built = tmp_path_factory.getbasetemp().parent / "kernels"
+    built.mkdir(exist_ok=True)
+    compiled = native.build_cpu
+
+    def build_cpu(object_path: str, *inputs: Any, **options: Any) -> None:
+        # The name has the digest of the module's source, and that of the compiler's options.
+        kept = built / Path(object_path).name
+        with kept.with_suffix(".lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if kept.exists():
+                shutil.copyfile(kept, object_path)
+                return
+            compiled(object_path, *inputs, **options)
+            shutil.copyfile(object_path, kept)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(native, "build_cpu", build_cpu)
         yield
 
 

@@ -138,9 +138,9 @@ def test_public_names_exist() -> None:
         assert getattr(taccel_lab, name) is not None
     assert set(dir(taccel_lab)) == set(taccel_lab.__all__)
     from taccel_lab import Scene, SignalTactile, SolverIPC, State  # loaded on first use
-    from taccel_lab.scene import Scene as OfItsRoom
+    from taccel_lab.scene import Scene as OfItsPackage
 
-    assert Scene is OfItsRoom
+    assert Scene is OfItsPackage
     assert [c.__name__ for c in (SignalTactile, SolverIPC, State)] == [
         "SignalTactile",
         "SolverIPC",
@@ -171,19 +171,19 @@ def table_of(heading: str) -> list[list[str]]:
     return [[cell.strip() for cell in row] for row in rows[2:]]
 
 
-def test_the_page_has_every_room_in_the_order_of_the_contract() -> None:
+def test_the_page_has_every_package_in_the_order_of_the_contract() -> None:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    (floors,) = (
+    (layers,) = (
         contract
         for contract in settings["tool"]["importlinter"]["contracts"]
         if contract["type"] == "layers"
     )
-    assert floors["exhaustive"]
-    contract = [room.strip() for floor in floors["layers"] for room in floor.split("|")]
-    named = [row[0].strip("`").strip("/") for row in table_of("Floors, from the roof down")]
+    assert layers["exhaustive"]
+    contract = [package.strip() for layer in layers["layers"] for package in layer.split("|")]
+    named = [row[0].strip("`").strip("/") for row in table_of("Packages, from the top layer down")]
     page = [name.removeprefix("taccel_lab/").removesuffix(".py") for name in named]
     assert page == contract
-    assert not floors.get("ignore_imports")
+    assert not layers.get("ignore_imports")
 
 
 def test_what_the_page_names_is_there() -> None:
@@ -196,7 +196,9 @@ def test_every_block_of_a_calibration_has_the_same_shape() -> None:
 
     for block in BLOCKS:
         folder = ROOT / "calibration" / block.name
-        assert {"fit.py", "result.py", "report.py"} <= {path.name for path in folder.iterdir()}
+        assert {"fit.py", "result.py", f"{block.name}_page.py"} <= {
+            path.name for path in folder.iterdir()
+        }
         fit = tree_of(folder / "fit.py")
         verb = next(
             node

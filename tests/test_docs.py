@@ -128,10 +128,11 @@ def test_commands_of_tutorials_that_install_run(
 
 
 WRITTEN = {
+    "capture guide": {"presses.gcode", "printer_presses.csv"},
     "capture record": {"captures.toml", "background.png", "press_000.png"},
     "depth": {f"press_000.{ending}" for ending in ("json", "npz", "png")},
     "design": {"profile"},
-    "import-step": {"profile"},
+    "import-gel": {"profile"},
     "study": {"report.html"},
 }
 """Files of a command that pages name; those of a press go with its profile."""

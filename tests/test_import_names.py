@@ -12,26 +12,26 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = sorted(link.name for link in (ROOT / "taccel_lab").iterdir() if link.is_symlink())
+PACKAGES = sorted(link.name for link in (ROOT / "taccel_lab").iterdir() if link.is_symlink())
 SCRIPT = """
 import importlib, sys
 import {names}
 import taccel_lab
 from taccel_lab.cli.app import main
-for room in {names!r}.split(", "):
-    found = importlib.import_module("taccel_lab." + room)
+for package in {names!r}.split(", "):
+    found = importlib.import_module("taccel_lab." + package)
     assert found.__file__.startswith({root!r}), found.__file__
-    assert sys.modules[room].MINE == "the user's own"
+    assert sys.modules[package].MINE == "the user's own"
 main(["sensors", "list", "--json"])
 """
 
 
 def run_beside_the_users_own_modules(folder: Path, root: Path) -> str:
-    """A script in a folder that has a module named like each of our rooms."""
-    for room in ROOMS:
-        (folder / f"{room}.py").write_text('MINE = "the user\'s own"\n')
+    """A script in a folder that has a module named like each of our packages."""
+    for package in PACKAGES:
+        (folder / f"{package}.py").write_text('MINE = "the user\'s own"\n')
     script = folder / "my_script.py"
-    script.write_text(SCRIPT.format(names=", ".join(ROOMS), root=str(root)))
+    script.write_text(SCRIPT.format(names=", ".join(PACKAGES), root=str(root)))
     done = subprocess.run(
         [sys.executable, str(script)],
         env=os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(root)])},
@@ -43,8 +43,8 @@ def run_beside_the_users_own_modules(folder: Path, root: Path) -> str:
     return done.stdout
 
 
-def test_every_room_is_a_part_of_the_package() -> None:
-    assert ROOMS == ["benchmarks", "cad", "calibration", "cli"] + [
+def test_every_folder_at_the_top_is_a_part_of_the_package() -> None:
+    assert PACKAGES == ["benchmarks", "cad", "calibration", "cli"] + [
         "datasets",
         "learning",
         "robots",
@@ -53,8 +53,8 @@ def test_every_room_is_a_part_of_the_package() -> None:
         "tasks",
         "viewer",
     ]
-    for room in ROOMS:
-        assert (ROOT / "taccel_lab" / room).resolve() == ROOT / room
+    for package in PACKAGES:
+        assert (ROOT / "taccel_lab" / package).resolve() == ROOT / package
 
 
 def test_a_users_own_modules_do_no_harm_to_a_checkout(tmp_path: Path) -> None:
@@ -76,11 +76,11 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_wheel_installs_one_name(wheel: Path) -> None:
     names = {path.name for path in wheel.iterdir() if path.suffix != ".dist-info"}
     assert names == {"taccel_lab"}
-    for room in ROOMS:
-        ours = {str(p.relative_to(ROOT / room)) for p in (ROOT / room).rglob("*.py")}
+    for package in PACKAGES:
+        ours = {str(p.relative_to(ROOT / package)) for p in (ROOT / package).rglob("*.py")}
         assert ours == {
-            str(p.relative_to(wheel / "taccel_lab" / room))
-            for p in (wheel / "taccel_lab" / room).rglob("*.py")
+            str(p.relative_to(wheel / "taccel_lab" / package))
+            for p in (wheel / "taccel_lab" / package).rglob("*.py")
         }
     assert not list(wheel.rglob("test_*.py"))
     for files in ("robots/models", "tasks/files", "calibration/capture/importers/recipes"):

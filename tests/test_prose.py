@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pages and help texts are short, and in the English that an engineer speaks."""
+"""Pages, help, messages and docstrings are short, and in the English that an engineer speaks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,16 @@ from pathlib import Path
 import pytest
 
 from taccel_lab.cli.app import DESCRIPTION, Group, command_tree
-from tests.support.prose import HISTORY, faults, help_of, sentences
+from tests.support.prose import (
+    HISTORY,
+    begins_with_a_verb,
+    faults,
+    help_of,
+    messages,
+    notebook_markdown,
+    public_docstrings,
+    sentences,
+)
 
 ROOT = Path(__file__).parents[1]
 REMARKS = "remarks.md"
@@ -22,6 +31,9 @@ PAGES = sorted(
 EVIDENCE = {"scores", "verification", "task_results", "ablations", "benchmarks"}
 """Pages that may state commits and dates: they tell of measurements."""
 MOST_WORDS, MOST_WORDS_OF_A_TASK = 60_000, 800
+MESSAGE_WORDS = 25
+PACKAGES = ("taccel_lab", "benchmarks", "cad", "calibration", "cli", "datasets", "learning",
+            "robots", "sensors", "studies", "tasks", "viewer")  # fmt: skip
 CODE_AND_TABLES = re.compile(r"^```.*?^```|^\|[^\n]*$", flags=re.DOTALL | re.MULTILINE)
 COMMANDS = [
     pytest.param(command, id=" ".join(words))
@@ -54,6 +66,35 @@ def test_help_of_groups_is_plain() -> None:
     assert not [fault for text in (DESCRIPTION, *groups) for fault in faults(text)]
 
 
+def test_messages_are_plain() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}: {fault}"
+        for folder in PACKAGES
+        for path in (ROOT / folder).rglob("*.py")
+        for message in messages(path.read_text(encoding="utf-8"))
+        # What is wrong, and what is allowed: each a sentence.
+        for fault in faults(re.sub(r"[;:] ", ".\n\n", message), words=MESSAGE_WORDS)
+    ]
+    assert not found
+
+
+def test_docstrings_of_public_names_are_plain() -> None:
+    documented = list(public_docstrings(ROOT / "taccel_lab"))
+    assert len(documented) > 100
+    found = [f"{name}: {fault}" for name, text, _ in documented for fault in faults(text)]
+    assert not found
+    bare = [name for name, text, is_function in documented if is_function and text
+            and not begins_with_a_verb(text)]  # fmt: skip
+    assert not bare
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "notebooks").glob("*.py")), ids=lambda path: path.name
+)
+def test_notebooks_are_plain(path: Path) -> None:
+    assert not faults(notebook_markdown(path.read_text(encoding="utf-8")), *HISTORY)
+
+
 def test_pages_together_are_short() -> None:
     count = sum(len(path.read_text(encoding="utf-8").split()) for path in PAGES)
     assert count <= MOST_WORDS
@@ -72,6 +113,12 @@ def test_the_linter_finds_what_it_should() -> None:
     assert faults("- " + "word " * 36 + "end.\n")
     assert not faults("```sh\n# what it is told goes with " + "word " * 40 + "\n```\n")
     assert not faults("See [this page](goes_with.md).\n")
+    raised = 'raise InputError(\n    f"{name} is told, "\n    "twice"\n)'
+    assert list(messages(raised)) == ["VALUE is told, twice"]
+    assert notebook_markdown("# %% [markdown]\n# # Title\n# Text.\n\n# %%\nx = 1\n") == (
+        "# Title\nText.\n"
+    )
+    assert begins_with_a_verb("Return it.") and not begins_with_a_verb("The image.")
     assert sentences("One `a. B` here. Two, e.g. three.") == ["One CODE here.", "Two, e.g. three."]
 
 

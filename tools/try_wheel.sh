@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Builds the sdist, from it the wheel, installs that in a clean environment and uses it from an empty
-# folder beside modules of a user's own that are named like our rooms.
+# folder beside modules of a user's own that are named like our packages.
 #   tools/try_wheel.sh PYTHON BUILD_PYTHON [COMMAND...]
 # PYTHON: the interpreter to try; BUILD_PYTHON: one that has hatchling, hatch-vcs and pip.
 # COMMAND: what to run at the end instead of the demonstration (`true`: nothing).

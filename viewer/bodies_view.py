@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from taccel_lab.geometry.shading_normals import split_at_creases
+
 if TYPE_CHECKING:
     from viser import MeshHandle, ViserServer
 
@@ -21,29 +23,22 @@ class BodiesView:
     def __init__(
         self, server: ViserServer, bodies: list[tuple[str, np.ndarray, np.ndarray]]
     ) -> None:
-        """``bodies``: kind, vertices [m] and triangles of each."""
+        """``bodies``: kind, vertices [m] and triangles of each; sharp edges are those of now."""
         self._server = server
+        split = [split_at_creases(vertices, faces) for _, vertices, faces in bodies]
+        self._copied = [copied for copied, _ in split]
         self._meshes: list[MeshHandle] = [
             server.scene.add_mesh_simple(
-                f"/bodies/{k}", 1e3 * vertices, faces, color=COLORS[kind],
+                f"/bodies/{k}", 1e3 * vertices[copied], faces, color=COLORS[kind],
                 opacity=CLEAR.get(kind), side="double", cast_shadow=False, receive_shadow=False,
             )
-            for k, (kind, vertices, faces) in enumerate(bodies)
+            for k, ((kind, vertices, _), (copied, faces)) in enumerate(
+                zip(bodies, split, strict=True)
+            )
         ]  # fmt: skip
 
     def move(self, vertices_m: list[np.ndarray]) -> None:
         """Show them elsewhere; as many bodies and vertices as at first."""
         with self._server.atomic():
-            for mesh, vertices in zip(self._meshes, vertices_m, strict=True):
-                mesh.vertices = (1e3 * vertices).astype(np.float32)
-
-
-def rise_image(rise_m: np.ndarray, reach_m: float) -> np.ndarray:
-    """Rise of a face as a picture, blue below and red above 0, uint8 [height, width, 3]; grey
-    beside it."""
-    from matplotlib import colormaps
-
-    share = np.clip(0.5 + 0.5 * rise_m / max(reach_m, 1e-9), 0, 1)
-    rgb = np.round(255 * colormaps["RdBu_r"](np.nan_to_num(share, nan=0.5))[..., :3])
-    rgb[~np.isfinite(rise_m)] = 128
-    return rgb.astype(np.uint8)
+            for mesh, copied, vertices in zip(self._meshes, self._copied, vertices_m, strict=True):
+                mesh.vertices = (1e3 * vertices[copied]).astype(np.float32)

@@ -76,7 +76,7 @@ class DatasetPage:
         self._filter()
 
     def _filter(self) -> None:
-        """Touches that have steps and what is asked for."""
+        """Touches that have steps and what is requested."""
         wanted = {name: box.value for name, box in self._filters.items() if box.value != ANY}
         self._chosen = [
             place

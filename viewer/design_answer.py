@@ -18,6 +18,7 @@ from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.optics.render import OpticalModel
+from taccel_lab.viewer.background_press import BackgroundPress
 from taccel_lab.viewer.design_press import (
     BallPress,
     PressAnswer,
@@ -26,7 +27,6 @@ from taccel_lab.viewer.design_press import (
     press_ball,
     scaled,
 )
-from taccel_lab.viewer.press_beside import PressBeside
 
 if TYPE_CHECKING:
     from taccel_lab.sensors.base import FamilyParameters, SensorFamily
@@ -52,7 +52,7 @@ class Choice:
 
 
 @dataclass
-class Answer:
+class DesignAnswer:
     """Filled piece by piece; ``seconds`` has when each was known, since the change."""
 
     parameters: FamilyParameters
@@ -93,7 +93,7 @@ class DesignAnswers:
         self._drawings = lru_cache(_KEPT)(_drawing)
         self._presses: dict[Any, tuple[float, PressAnswer]] = {}
         self._pictures: dict[Any, np.ndarray] = {}
-        self._beside = PressBeside()
+        self._beside = BackgroundPress()
         self._begun: tuple[Any, float] | None = None
         """Key and modulus of the press that is under way beside this."""
 
@@ -104,11 +104,11 @@ class DesignAnswers:
     def answer(
         self,
         choice: Choice,
-        told: Callable[[str, Answer], None],
+        on_piece: Callable[[str, DesignAnswer], None],
         superseded: Callable[[], bool] = lambda: False,
-    ) -> Answer:
-        """Work out everything; ``told(piece, answer)`` is called as soon as one of ``PIECES`` is
-        there, or is known to have ``failed``, and with "step" when the default press got on.
+    ) -> DesignAnswer:
+        """Work out everything; ``on_piece(piece, answer)`` is called when a piece is there, or is
+        known to have ``failed``, and with "step" when the default press got on.
 
         Raises:
             SupersededError: ``superseded`` said so between two pieces, or two steps of a press.
@@ -117,12 +117,12 @@ class DesignAnswers:
         began = time.perf_counter()
         parameters = self.family.parameters(choice.overrides)
         pad = parameters.pad()
-        found = Answer(parameters, choice.press.limited(pad.thickness_mm))
+        found = DesignAnswer(parameters, choice.press.limited(pad.thickness_mm))
         self._begin_exact(found)
 
         def tell(piece: str) -> None:
             found.seconds[piece] = time.perf_counter() - began
-            told(piece, found)
+            on_piece(piece, found)
             if superseded():
                 raise SupersededError
 
@@ -137,7 +137,7 @@ class DesignAnswers:
                 tell("exact")
             elif found.exact_steps != self._beside.steps:
                 found.exact_steps = self._beside.steps
-                told("step", found)
+                on_piece("step", found)
 
         def find(piece: str, work: Callable[[], None]) -> None:
             try:
@@ -179,7 +179,7 @@ class DesignAnswers:
                 raise SupersededError
         return found
 
-    def _begin_exact(self, answer: Answer) -> None:
+    def _begin_exact(self, answer: DesignAnswer) -> None:
         """Have the default press simulated beside this, unless it is known or under way."""
         key, modulus = _press_key(answer, False)
         if key in self._presses or (self._begun is not None and self._begun[0] == key):
@@ -187,7 +187,7 @@ class DesignAnswers:
         self._begun = key, modulus
         self._beside.begin(answer.parameters, answer.press)
 
-    def _exact(self, answer: Answer, wait_s: float) -> PressAnswer | None:
+    def _exact(self, answer: DesignAnswer, wait_s: float) -> PressAnswer | None:
         """The default press, if it is there or comes within a time."""
         key, modulus = _press_key(answer, False)
         if key not in self._presses:
@@ -204,7 +204,7 @@ class DesignAnswers:
         known, made = self._presses[key]
         return scaled(made, modulus / known)
 
-    def _quick(self, answer: Answer, superseded: Callable[[], bool]) -> PressAnswer:
+    def _quick(self, answer: DesignAnswer, superseded: Callable[[], bool]) -> PressAnswer:
         """The coarse press, simulated unless it is known."""
         key, modulus = _press_key(answer, True)
         if key not in self._presses:
@@ -213,7 +213,7 @@ class DesignAnswers:
         known, made = self._presses[key]
         return scaled(made, modulus / known)
 
-    def _picture(self, answer: Answer, press: PressAnswer | None) -> np.ndarray:
+    def _picture(self, answer: DesignAnswer, press: PressAnswer | None) -> np.ndarray:
         """What the camera sees, uint8 [height, width, 3], of the untouched gel or of a press."""
         design, markers = answer.parameters.optics(), answer.parameters.markers()
         assert design is not None and answer.mesh is not None
@@ -230,7 +230,7 @@ class DesignAnswers:
         return self._pictures[key]
 
 
-def _press_key(answer: Answer, quick: bool) -> tuple[Any, float]:
+def _press_key(answer: DesignAnswer, quick: bool) -> tuple[Any, float]:
     """What a press depends on besides its modulus [Pa], and that: presses whose moduli differ by a
     factor are each other's times that factor."""
     layers = answer.parameters.layer_materials()

@@ -66,12 +66,12 @@ class DesignControls:
         """As if a user had moved a control."""
         self._handles[name].value = value
 
-    def reset(self) -> None:
-        """All to the family's defaults, told once."""
+    def set_all(self, overrides: Mapping[str, Any]) -> None:
+        """Set parameters, those not named to the family's defaults; one change for all of them."""
         self._silent = True
         for name, handle in self._handles.items():
-            default = self._known[name].default
-            handle.value = self._initial[name][0] if default == self._initial[name][1] else default
+            value = overrides.get(name, self._known[name].default)
+            handle.value = self._initial[name][0] if value == self._initial[name][1] else value
         self._silent = False
         self._changed("")
 
@@ -79,10 +79,7 @@ class DesignControls:
         """Show a refusal at the parameters that it names, or at the one that was moved last."""
         named = [name for name in self._known if re.search(rf"\b{name}\b", sentence)]
         for name in named or [moved] * bool(moved):
-            self._notes[name].content = PageText(
-                '<div style="color:#d55e00;font-size:0.8em;padding:0 1em 0.4em">{}</div>'
-            ).format(sentence)
-            self._notes[name].visible = True
+            self._show(name, sentence, "#d55e00")
 
     def accept(self) -> None:
         """Take refusals away."""
@@ -90,11 +87,21 @@ class DesignControls:
             if note.visible:
                 note.visible = False
 
+    def remark(self, name: str, sentence: str) -> None:
+        """Show a sentence below a parameter, until the next ``accept``."""
+        self._show(name, sentence, "#6b7280")
+
+    def _show(self, name: str, sentence: str, color: str) -> None:
+        self._notes[name].content = PageText(
+            '<div style="color:{};font-size:0.8em;padding:0 1em 0.4em">{}</div>'
+        ).format(PageText(color), sentence)
+        self._notes[name].visible = True
+
     def _add(self, server: ViserServer, parameter: Parameter, value: Any) -> None:
         hint = f"{parameter.description}. Allowed: {parameter.allowed()}. {parameter.source}"
         if parameter.choices:
             handle: Any = server.gui.add_dropdown(
-                _label(parameter), parameter.choices, initial_value=value, hint=hint
+                parameter.label, parameter.choices, initial_value=value, hint=hint
             )
         else:
             low, high, step = slider_places(parameter)
@@ -102,11 +109,16 @@ class DesignControls:
             if 0 < WIDE * abs(parameter.default) < high:
                 # A slider over such a range has no place near the default.
                 handle = server.gui.add_number(
-                    _label(parameter), kind(value), min=kind(low), max=kind(high), hint=hint
+                    parameter.label, kind(value), min=kind(low), max=kind(high), hint=hint
                 )
             else:
                 handle = server.gui.add_slider(
-                    _label(parameter), kind(low), kind(high), kind(step), kind(value), hint=hint
+                    parameter.label,
+                    kind(low),
+                    kind(high),
+                    kind(step),
+                    kind(value),
+                    hint=hint,
                 )
         self._handles[parameter.name] = handle
         self._initial[parameter.name] = (handle.value, value)
@@ -126,15 +138,3 @@ def slider_places(parameter: Parameter) -> tuple[float, float, float]:
         digits = math.floor(math.log10(abs(parameter.default))) - 2
         step = min(step, max(10.0**digits, step / 10))
     return low, high, step
-
-
-def _label(parameter: Parameter) -> str:
-    words = parameter.name
-    for ending in ("_mm_per_px", "_mm", "_mpa", "_px", "_deg", "_kg_m3"):
-        words = words.removesuffix(ending)
-    unit = (
-        ""
-        if parameter.unit in ("", "1") or parameter.unit.startswith("Shore")
-        else f" [{parameter.unit}]"
-    )
-    return words.replace("_", " ") + unit

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import io
 import shlex
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -43,6 +45,17 @@ def export(
         return {"parameters": out / "parameters" / DESIGN_TOML}
     name, parts = EXPORTS[kind]
     return design_sensor(family, overrides, out / name, parts=parts).files
+
+
+def packed(files: list[Path], out: Path) -> tuple[str, bytes]:
+    """Name and content of what a browser downloads: the file, or a ZIP file of several."""
+    if len(files) == 1:
+        return files[0].name, files[0].read_bytes()
+    memory = io.BytesIO()
+    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in files:
+            archive.write(path, path.relative_to(out))
+    return f"{files[0].relative_to(out).parts[0]}.zip", memory.getvalue()
 
 
 def read_design(path: Path) -> tuple[str, dict[str, Any]]:

@@ -18,18 +18,25 @@ from taccel_lab.report.live_page import PageOptions, live_page, viser_module
 from taccel_lab.report.page_text import PageText, add_html_note, add_note
 from taccel_lab.scene import sphere_mesh
 from taccel_lab.viewer.camera_place import look_at
-from taccel_lab.viewer.design_answer import PICTURES, Answer, Choice, DesignAnswers
+from taccel_lab.viewer.design_answer import PICTURES, Choice, DesignAnswer, DesignAnswers
 from taccel_lab.viewer.design_controls import DesignControls
-from taccel_lab.viewer.design_export import EXPORTS, TOML, command_line, export
+from taccel_lab.viewer.design_export import EXPORTS, TOML, command_line, export, packed
 from taccel_lab.viewer.design_press import (
     BallPress,
     PressAnswer,
     SupersededError,
     height_profile_mm,
 )
-from taccel_lab.viewer.design_words import force_table, quality_table, stage_words
-from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, Tool
+from taccel_lab.viewer.design_words import (
+    force_table,
+    heading,
+    quality_table,
+    stage_words,
+    stiffness_words,
+)
+from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, ShownTool
 from taccel_lab.viewer.gel_view import GelView
+from taccel_lab.viewer.history import History
 from taccel_lab.viewer.newest_first import NewestFirst
 from taccel_lab.viewer.parts_view import draw_optics
 from taccel_lab.viewer.section import linear_tets
@@ -41,6 +48,7 @@ if TYPE_CHECKING:
     from taccel_lab.sensors.base import SensorFamily
 
 
+MODULUS = "young_modulus_mpa"
 PRESS, SOLID = "press", "solid"
 """What may be shown in the middle."""
 BLANK = np.full((4, 4, 3), 255, dtype=np.uint8)
@@ -80,10 +88,15 @@ class DesignPage:
         self._server, self._family, self._out = server, family, out
         self._answers = DesignAnswers(family)
         self._moved = ""
+        self._stepping = False
+        """Whether undo or redo is setting the controls."""
+        self._written: list[Path] = []
+        """Files of the last export."""
         self._exporting = threading.Lock()
-        self.shown: Answer | None = None
+        self.shown: DesignAnswer | None = None
         """What the page shows now."""
         self._build(overrides)
+        self._history = History(self._choice())
         self.work: NewestFirst[Choice] = NewestFirst(self._work)
         self._ask()
 
@@ -93,8 +106,9 @@ class DesignPage:
         gui = self._server.gui
         left = gui.add_panel()
         with left.add_tab("Parameters"):
-            add_note(gui, self._family.title)
-            gui.add_button("Reset", color="gray").on_click(lambda _: self.controls.reset())
+            self._heading = add_note(gui)
+            buttons = gui.add_button_group("", ("Undo", "Redo", "Reset"))
+            buttons.on_click(lambda event: self.go(event.target.value))
             self.controls = DesignControls(self._server, self._family, overrides, self._change)
         left.dock_left()
         left.set_width(320)
@@ -130,11 +144,13 @@ class DesignPage:
             for kind in (*EXPORTS, TOML):
                 gui.add_button(kind, color="gray").on_click(lambda _, kind=kind: self.export(kind))
             self._exported = add_note(gui)
+            self._download = gui.add_button("Download what was written", visible=False)
+            self._download.on_click(self._send)
             add_note(gui, "The same without this page:")
             self._command = gui.add_text("command", "", multiline=True)
         look_at(self._server, states.rest_mm, distance=2.2)
         for control in (self._radius, self._depth):
-            control.on_update(lambda _: self._change(""))
+            control.on_update(lambda event: self._change(event.target.label))
         self._middle.on_update(lambda _: self._draw())
 
     def _add_plot(self) -> Any:
@@ -156,15 +172,35 @@ class DesignPage:
 
     # Changes and answers ---------------------------------------------------------------------
 
-    def _change(self, name: str) -> None:
-        self._moved = name or self._moved
+    def go(self, button: str) -> None:
+        """As the buttons do: Undo, Redo, Reset."""
+        if button == "Reset":
+            self.controls.set_all({})
+            return
+        choice = self._history.step(-1 if button == "Undo" else 1)
+        if choice is None:
+            return
+        self._stepping = True
+        self._radius.value, self._depth.value = choice.press.radius_mm, choice.press.depth_mm
+        self.controls.set_all(choice.overrides)
+        self._stepping = False
         self._ask()
 
-    def _ask(self) -> None:
+    def _change(self, name: str) -> None:
+        if self._stepping:
+            return
+        self._moved = name or self._moved
+        self._history.add(self._choice(), name)
+        self._ask()
+
+    def _choice(self) -> Choice:
         press = BallPress(float(self._radius.value), float(self._depth.value))
-        overrides = self.controls.overrides()
-        self._command.value = command_line(self._family, overrides, self._out)
-        self.work.ask(Choice(overrides, press))
+        return Choice(self.controls.overrides(), press)
+
+    def _ask(self) -> None:
+        choice = self._choice()
+        self._command.value = command_line(self._family, choice.overrides, self._out)
+        self.work.ask(choice)
 
     def close(self) -> None:
         """End all work; the page stays as it is."""
@@ -192,7 +228,7 @@ class DesignPage:
         """Put a refusal beside the controls that it names."""
         self.controls.refuse(words.removeprefix(f"sensor {self._family.name}: "), self._moved)
 
-    def _tell(self, piece: str, answer: Answer) -> None:
+    def _tell(self, piece: str, answer: DesignAnswer) -> None:
         """A piece of an answer is there, or is known not to come; "step": how far the press is."""
         self.shown = answer
         self._status.content = stage_words(answer)
@@ -202,6 +238,10 @@ class DesignPage:
         press = answer.exact or answer.quick
         if piece == "formula":
             self.controls.accept()
+            self._heading.content = heading(self._family.label, answer.parameters)
+            stiffness = stiffness_words(answer.parameters)
+            if stiffness and MODULUS in answer.parameters.values():
+                self.controls.remark(MODULUS, stiffness)
             self._drawing_note.content = PageText("*of the design before; drawing the new one …*")
         elif piece == "solid":
             assert answer.mesh is not None
@@ -262,6 +302,14 @@ class DesignPage:
             self._exported.content = PageText("\n").join(
                 PageText("- {}").format(path.relative_to(self._out)) for path in files.values()
             )
+            self._written = list(files.values())
+            self._download.visible = True
+
+    def _send(self, event: Any) -> None:
+        """Send the last export to the browser that asked for it."""
+        if event.client is not None:
+            name, content = packed(self._written, self._out)
+            event.client.send_file_download(name, content, save_immediately=True)
 
 
 def _untouched(mesh: Any, images: SensorImages | None = None) -> GelStates:
@@ -276,7 +324,7 @@ def _untouched(mesh: Any, images: SensorImages | None = None) -> GelStates:
     )
 
 
-def _states(press: PressAnswer, answer: Answer) -> GelStates:
+def _states(press: PressAnswer, answer: DesignAnswer) -> GelStates:
     """Untouched and pressed, with loads, ball and pictures."""
     ball = answer.press.radius_mm
     sphere = sphere_mesh(1e-3 * ball, 1e-3 * ball / 10)
@@ -300,7 +348,7 @@ def _states(press: PressAnswer, answer: Answer) -> GelStates:
             Field("contact pressure", "kPa", 1e-3 * twice(press.pressures_pa)),
         ],
         forces_n=twice(press.forces_n),
-        tool=Tool(
+        tool=ShownTool(
             1e3 * sphere.vertices_m,
             sphere.faces,
             np.stack([np.concatenate([above, turn]), np.concatenate([press.ball_mm, turn])]),
@@ -309,7 +357,7 @@ def _states(press: PressAnswer, answer: Answer) -> GelStates:
     )
 
 
-def _images(answer: Answer) -> SensorImages | None:
+def _images(answer: DesignAnswer) -> SensorImages | None:
     """Untouched and pressed, as far as they are there."""
     found = [one for one in (answer.rest_rgb, answer.pressed_rgb) if one is not None]
     return SensorImages(np.stack(found)) if found else None

@@ -7,9 +7,12 @@ import math
 from typing import TYPE_CHECKING
 
 from taccel_lab.report.page_text import PageText, page_table
+from taccel_lab.sensors.base import hardness_of
+from taccel_lab.sensors.derived import pad_words, size_words
 
 if TYPE_CHECKING:
-    from taccel_lab.viewer.design_answer import Answer
+    from taccel_lab.sensors.base import FamilyParameters
+    from taccel_lab.viewer.design_answer import DesignAnswer
 
 FORMULA_PERCENT, QUICK_PERCENT = 24, 14
 """Largest difference from the default press that was measured, see docs/viewer.md."""
@@ -28,7 +31,28 @@ _WORDS = {
 """Of ``design_answer.PIECES``."""
 
 
-def stage_words(answer: Answer) -> PageText:
+def heading(label: str, parameters: FamilyParameters) -> PageText:
+    """Sensor, gel and image of the design."""
+    pad, grid = parameters.pad(), parameters.grid()
+    return PageText("**{}**: {} {} mm, {:.4g} mm thick; image {} x {} px").format(
+        label, pad_words(pad), size_words(pad), pad.thickness_mm, grid.width_px, grid.height_px
+    )
+
+
+def stiffness_words(parameters: FamilyParameters) -> str:
+    """The modulus that a hardness stands for, as it overrides the one given; empty without."""
+    hardness, gel = hardness_of(parameters.values()), parameters.material()
+    if hardness is None:
+        return ""
+    words = parameters.parameters()[hardness].worded(parameters.values()[hardness])
+    between = ""
+    if gel.young_interval_pa is not None:
+        low, high = (1e-6 * value for value in gel.young_interval_pa)
+        between = f" ({low:.3g} to {high:.3g})"
+    return f"Overridden by {words}: {1e-6 * gel.young_modulus_pa:.3g} MPa{between}."
+
+
+def stage_words(answer: DesignAnswer) -> PageText:
     """What is missing, since when all is there, and what this design does not have."""
     at = max(answer.seconds.values(), default=0.0)
     missing = answer.missing
@@ -42,7 +66,7 @@ def stage_words(answer: Answer) -> PageText:
     return PageText("\n\n").join(lines)
 
 
-def _next(answer: Answer, missing: list[str]) -> list[str]:
+def _next(answer: DesignAnswer, missing: list[str]) -> list[str]:
     """What is worked on: one piece after the other, the default press beside them."""
     words = [_WORDS[missing[0]]]
     if missing[-1] == "exact":
@@ -52,7 +76,7 @@ def _next(answer: Answer, missing: list[str]) -> list[str]:
     return words
 
 
-def force_table(answer: Answer) -> PageText:
+def force_table(answer: DesignAnswer) -> PageText:
     """The force three times: by the formula, quickly, and as ``press`` by default."""
     press = answer.press
     rows = []
@@ -83,7 +107,7 @@ def force_table(answer: Answer) -> PageText:
     return PageText("\n".join([head, "", *head_of, *lines]))  # All of it numbers and our words.
 
 
-def quality_table(answer: Answer) -> PageText:
+def quality_table(answer: DesignAnswer) -> PageText:
     """Figures of the mesh, and the limits that it breaks."""
     quality = answer.quality
     if quality is None:

@@ -13,22 +13,26 @@ from taccel_lab.errors import InputError
 
 @dataclass(frozen=True)
 class Field:
-    """A number at every node in every state."""
+    """A number at every node, or pixel, in every state."""
 
     label: str
     unit: str
     values: np.ndarray
-    """[state, node]; NaN where it is not known."""
+    """[state, node], or [state, height, width]; NaN where it is not known."""
+    span: tuple[float, float] | None = None
+    """Limits of its colours; those of the values when None."""
 
     def limits(self) -> tuple[float, float]:
         """From 0, or the least value below it, to the largest of all states; never empty."""
+        if self.span is not None:
+            return self.span
         low = min(float(np.nanmin(self.values, initial=0.0)), 0.0)
         high = float(np.nanmax(self.values, initial=0.0))
         return low, max(high, low + 1e-9)
 
 
 @dataclass(frozen=True)
-class Tool:
+class ShownTool:
     """A rigid body that touches the gel."""
 
     vertices_mm: np.ndarray
@@ -46,6 +50,8 @@ class SensorImages:
     """uint8 [state, height, width, 3]; a single one where only the end was kept."""
     markers_px: np.ndarray | None = None
     """(u, v) in pixels of ``rgb``, [state, marker, 2]; NaN beside the gel."""
+    maps: tuple[Field, ...] = ()
+    """What else the pixels of ``rgb`` know, such as depth."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,7 @@ class GelStates:
     fields: list[Field] = field(default_factory=list)
     forces_n: np.ndarray | None = None
     """Of the tool on the nodes, [state, node, 3]."""
-    tool: Tool | None = None
+    tool: ShownTool | None = None
     images: SensorImages | None = None
 
     @property

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from taccel_lab.geometry.shading_normals import split_at_creases
 from taccel_lab.report.page_text import PageText, add_html_note, add_note
 from taccel_lab.viewer.arrows import Forces, arrow_lines, patch_forces, round_length
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 from taccel_lab.viewer.painting import MAPS, bar_html, map_rgb, number_text, painted
-from taccel_lab.viewer.section import Surface, clip_faces, cut_tets
+from taccel_lab.viewer.probe import probe
+from taccel_lab.viewer.section import SectionSurface, clip_faces, cut_tets
 from taccel_lab.viewer.sensor_panel import SensorPanel
 from taccel_lab.viewer.time_slider import TimeSlider
 
@@ -26,6 +28,7 @@ LONGEST_ARROW = 0.3
 """Of arrows at rest of their slider, as a part of the gel's longer side."""
 ARROW_RGB = (213, 94, 0)
 TOOL_RGB = (150, 156, 166)
+PROBE_RGB = (204, 121, 167)
 
 
 class GelView:
@@ -39,6 +42,8 @@ class GelView:
         self._lock = threading.RLock()
         self._states = states
         self._fields: list[Field] = states.all_fields()
+        self._surfaces: dict[str, SectionSurface] = {}
+        """What is drawn of the gel, by its name in the scene."""
         self._silent = False
         """Whether controls are being set for another gel, which is drawn once they all are."""
         with self._gui.add_folder("Time"):
@@ -49,6 +54,7 @@ class GelView:
             self._wanted = str(self._field.value)
             """Field that was chosen; another one is shown of gels that do not have it."""
             self._bar = add_html_note(self._gui)
+            self._probe_note = add_note(self._gui, "Click on the gel: the value there.")
             self._map = self._gui.add_dropdown("colours", MAPS)
             self._range = self._gui.add_dropdown("range", ("all steps", "this step"))
             self._mesh = self._gui.add_checkbox("show the mesh", False)
@@ -134,6 +140,9 @@ class GelView:
             positions = states.positions_mm(state, float(self._more.value))
             self._caption.content = PageText("**{}**").format(states.captions[state])
             self._bar.content = bar_html(field.label, field.unit, limits, colors)
+            self._remove("/probe")
+            self._probe_note.content = "Click on the gel: the value there."
+            self._surfaces.clear()
             self._draw_gel(positions, values, limits, colors)
             self._draw_tool(state)
             self._draw_arrows(positions, state)
@@ -147,7 +156,7 @@ class GelView:
         colors: np.ndarray,
     ) -> None:
         states, plane = self._states, self._plane_of(positions)
-        skin = Surface(positions, states.faces, values)
+        skin = SectionSurface(positions, states.faces, values)
         if plane is not None:
             skin = clip_faces(positions, states.faces, values, *plane)
             cut = cut_tets(positions, states.tets, values, *plane)
@@ -162,13 +171,43 @@ class GelView:
             )
 
     def _surface(
-        self, name: str, surface: Surface, limits: tuple[float, float], colors: np.ndarray
+        self, name: str, surface: SectionSurface, limits: tuple[float, float], colors: np.ndarray
     ) -> None:
         if len(surface.faces) == 0:
             self._remove(name)
             return
+        self._surfaces[name] = surface
         mesh = painted(surface, limits, colors)
-        self._server.scene.add_mesh_trimesh(name, mesh, cast_shadow=False, receive_shadow=False)
+        handle = self._server.scene.add_mesh_trimesh(
+            name, mesh, cast_shadow=False, receive_shadow=False
+        )
+        handle.on_click(self._probe)
+
+    def _probe(self, event: Any) -> None:
+        """Say the value where the gel was clicked, and mark the place."""
+        if event.ray_origin is None or event.ray_direction is None:
+            return
+        with self._lock, self._server.atomic():
+            hit = probe(
+                list(self._surfaces.values()),
+                np.asarray(event.ray_origin),
+                np.asarray(event.ray_direction),
+            )
+            if hit is None:
+                return
+            field = next(f for f in self._fields if f.label == self._field.value)
+            low, high = field.limits()
+            value = f"{number_text(hit.value, high - low)} {field.unit}"
+            x, y, z = hit.point
+            self._probe_note.content = PageText("**{}** {} at ({:.2f}, {:.2f}, {:.2f}) mm").format(
+                field.label, value, x, y, z
+            )
+            side = float(np.ptp(self._states.rest_mm[:, :2], axis=0).max())
+            self._server.scene.add_icosphere(
+                "/probe", 0.008 * side, color=PROBE_RGB, position=tuple(hit.point),
+                cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+            self._server.scene.add_label("/probe/label", value)
 
     def _plane_of(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Point and normal of the section, towards what is taken away."""
@@ -196,8 +235,9 @@ class GelView:
             self._remove("/tool")
             return
         x, y, z, qx, qy, qz, qw = tool.poses[state]
+        copied, faces = split_at_creases(1e-3 * tool.vertices_mm, tool.faces)
         self._server.scene.add_mesh_simple(
-            "/tool", tool.vertices_mm, tool.faces, color=TOOL_RGB, opacity=0.35, side="double",
+            "/tool", tool.vertices_mm[copied], faces, color=TOOL_RGB, opacity=0.35, side="double",
             wxyz=(qw, qx, qy, qz), position=(x, y, z), cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
 
@@ -216,7 +256,7 @@ class GelView:
                 at = states.positions_mm(step, float(self._more.value))
                 if kind == "by node":
                     return Forces(at, forces_n[step])
-                return patch_forces(at, forces_n[step], patches)
+                return patch_forces(at, states.faces, forces_n[step], patches)
 
             states = self._states
             largest = max(forces_of(step).largest_n() for step in range(states.count))

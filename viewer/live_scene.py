@@ -11,15 +11,18 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from taccel_lab.report.page_text import PageText, add_note, page_table
+from taccel_lab.tasks.gel_watch import GelSnapshot, GelWatch
 from taccel_lab.tasks.scene_picture import surfaces
 from taccel_lab.viewer.bodies_view import BodiesView
 from taccel_lab.viewer.camera_place import look_at
+from taccel_lab.viewer.gel_images import gel_images
+from taccel_lab.viewer.sensor_panel import SensorPanel
 
 if TYPE_CHECKING:
     from viser import ViserServer
 
-    from taccel_lab.model import Model
-    from taccel_lab.scene import Scene
+    from taccel_lab.signals.gel_faces import Colors
+    from taccel_lab.solvers import SolverIPC
     from taccel_lab.state import State
 
 
@@ -30,9 +33,10 @@ DIRECTION = (1.0, -1.4, 0.25)
 class Stepping(Protocol):
     """What a page can run: an ``Episode`` of a task, or anything of a user's with these names."""
 
-    scene: Scene
-    model: Model
+    solver: SolverIPC
     state: State
+    gel: str
+    """Name of the soft body whose images are shown."""
 
     @property
     def over(self) -> bool:
@@ -47,6 +51,10 @@ class Stepping(Protocol):
         """What is shown beside the scene, by name [N]."""
         ...
 
+    def outcome(self) -> str:
+        """Success or failure in words, once it is over."""
+        ...
+
 
 class LiveScene:
     """Environment 0 of what ``begin`` makes.
@@ -55,7 +63,18 @@ class LiveScene:
     after the step that it is in.
     """
 
-    def __init__(self, server: ViserServer, title: str, begin: Callable[[], Stepping]) -> None:
+    def __init__(
+        self,
+        server: ViserServer,
+        title: str,
+        begin: Callable[[], Stepping],
+        colors: Colors | None = None,
+    ) -> None:
+        """``colors``: of the tactile images; those of a starter profile when None."""
+        self._colors = colors
+        self._watch: GelWatch | None = None
+        self._frames: list[GelSnapshot] = []
+        """At rest, and now."""
         self._server, self._begin, self._title = server, begin, title
         self._play, self._end, self._restart = threading.Event(), threading.Event(), True
         self._single = False
@@ -67,6 +86,7 @@ class LiveScene:
         self._buttons = gui.add_button_group("run", ("play", "pause", "step", "restart"))
         self._pace = gui.add_checkbox("no faster than real time", True)
         self._table = add_note(gui)
+        self._panel = SensorPanel(server, "Gel")
         self._buttons.on_click(lambda event: self.press(event.target.value))
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -93,6 +113,7 @@ class LiveScene:
             if self._restart or scene is None:
                 self._restart, self.taken = False, 0
                 scene = self._begin()
+                self._watch = GelWatch(scene.solver, scene.gel, self._colors or _starter_colors())
                 self._show(scene, first=True)
             if scene.over or not (self._play.is_set() or self._single):
                 self._end.wait(0.05)
@@ -107,13 +128,14 @@ class LiveScene:
                 continue
             self.taken += 1
             self._show(scene, seconds=time.perf_counter() - began)
-            left = scene.model.scene.time.dt_s
+            left = scene.solver.model.scene.time.dt_s
             if self._pace.value:
                 self._end.wait(max(0.0, left - (time.perf_counter() - began)))
 
     def _show(self, scene: Stepping, first: bool = False, seconds: float = 0.0) -> None:
         positions = scene.state.positions.numpy()[0].copy()
-        bodies = surfaces(scene.scene, scene.model, positions)
+        model = scene.solver.model
+        bodies = surfaces(model.scene, model, positions)
         places = [vertices for _, vertices, _ in bodies]
         if first or self._view is None:
             if self._view is None:
@@ -122,10 +144,29 @@ class LiveScene:
             self._view = BodiesView(self._server, kinds)
         else:
             self._view.move(places)
-        done = ", done" if scene.over else ""
+        done = PageText(", **{}**").format(scene.outcome()) if scene.over else ""
         took = f", {seconds:.2f} s a step" if seconds else ""
         caption = PageText("**{}**, step {}{}{}")
         self._caption.content = caption.format(self._title, self.taken, took, done)
         if not first:
             forces = [(name, f"{value:.3f} N") for name, value in scene.forces().items()]
             self._table.content = page_table(forces, ("force", ""))
+        self._show_gel(scene)
+
+    def _show_gel(self, scene: Stepping) -> None:
+        assert self._watch is not None
+        now = self._watch.frame(scene.state, stepped=self.taken > 0)
+        self._frames = [self._frames[0] if self.taken and self._frames else now, now]
+        both = self._frames
+        assert now.rgb is not None
+        rgb, depth, pressure, markers = (
+            np.stack([getattr(frame, name) for frame in both])
+            for name in ("rgb", "depth_m", "pressure_pa", "markers_px")
+        )
+        self._panel.show(gel_images(rgb, depth, pressure, markers), 1)
+
+
+def _starter_colors() -> Colors:
+    from taccel_lab.learning.gel_colors import default_colors
+
+    return default_colors(None)

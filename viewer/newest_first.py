@@ -11,7 +11,7 @@ Wish = TypeVar("Wish")
 
 
 class NewestFirst(Generic[Wish]):
-    """Calls ``work(wish, superseded)`` in a thread of its own, one wish at a time.
+    """Calls ``work(wish, superseded)`` in its own thread, one wish at a time.
 
     A wish that comes while another is worked on replaces those that wait, and ``superseded()`` says
     so to the work at hand, which should then return soon.
@@ -37,7 +37,7 @@ class NewestFirst(Generic[Wish]):
             return self._changed.wait_for(lambda: not (self._busy or self._waiting), timeout_s)
 
     def close(self) -> None:
-        """End after the work at hand, which is told that it is superseded."""
+        """End after the work at hand, which learns that it is superseded."""
         with self._changed:
             self._closed = True
             self._waiting = []

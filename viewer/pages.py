@@ -36,7 +36,7 @@ def source_page(
     Raises:
         InputError: Files that are not as they should be, or as of ``live_page``.
     """
-    read = _read(source)  # What cannot be read is refused before a page opens.
+    read = _read(source)  # What cannot be read is rejected before a page opens.
     title = f"{source.kind}: {source.path.name or source.name}"
     with live_page(title, options, say) as server:
         close = _fill(server, source, read, seed, device)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.report.page_text import PageText
-from taccel_lab.viewer.section import Surface
+from taccel_lab.viewer.section import SectionSurface
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -61,7 +61,7 @@ def number_text(value: float, span: float) -> str:
     return f"{value:.{digits}f}"
 
 
-def painted(surface: Surface, limits: tuple[float, float], colors: np.ndarray) -> Any:
+def painted(surface: SectionSurface, limits: tuple[float, float], colors: np.ndarray) -> Any:
     """A ``trimesh.Trimesh`` that shows values by a texture of the colour map: between nodes values
     are interpolated, not colours."""
     import trimesh

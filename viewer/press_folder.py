@@ -14,7 +14,7 @@ from taccel_lab.files.json_file import read_json
 from taccel_lab.files.plain_values import number_at
 from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.files.text_file import shown
-from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, Tool
+from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages, ShownTool
 from taccel_lab.viewer.section import linear_tets
 
 STATES = "states.npz"
@@ -27,7 +27,7 @@ def read_press(folder: Path) -> GelStates:
     Raises:
         InputError: A file is missing or is not as a press writes it.
     """
-    summary(folder)  # What it says of the press is refused before a page opens, too.
+    summary(folder)  # What it says of the press is rejected before a page opens, too.
     if (folder / STATES).is_file():
         return _steps(folder / STATES)
     return _end(folder)
@@ -95,7 +95,7 @@ def _states(arrays: dict[str, np.ndarray]) -> GelStates:
             Field("von Mises stress", "kPa", 1e-3 * arrays["von_mises_pa"]),
         ],
         forces_n=arrays["contact_forces_n"].astype(np.float64),
-        tool=Tool(1e3 * arrays["indenter_vertices_m"], arrays["indenter_faces"], poses),
+        tool=ShownTool(1e3 * arrays["indenter_vertices_m"], arrays["indenter_faces"], poses),
         images=images,
     )
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a recorded task: its frames from all sides."""
+"""The page of a recorded task: its frames from all sides, beside them what the gel shows."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from taccel_lab.report.page_text import PageText, add_note, page_table
 from taccel_lab.tasks.replay import read_replay
-from taccel_lab.viewer.bodies_view import BodiesView, rise_image
+from taccel_lab.viewer.bodies_view import BodiesView
 from taccel_lab.viewer.camera_place import look_at
-from taccel_lab.viewer.gel_states import SensorImages
+from taccel_lab.viewer.gel_images import gel_images
 from taccel_lab.viewer.live_scene import DIRECTION
 from taccel_lab.viewer.sensor_panel import SensorPanel
 from taccel_lab.viewer.time_slider import TimeSlider
@@ -27,19 +27,18 @@ def fill_replay_page(server: ViserServer, folder: Path) -> TimeSlider:
     every = np.concatenate([body.vertices_m.reshape(-1, 3) for body in replay.bodies])
     look_at(server, 1e3 * every.astype(np.float64), DIRECTION)
     view = BodiesView(server, [(b.kind, b.vertices_m[0], b.faces) for b in replay.bodies])
-    reach = max(float(np.nanquantile(np.abs(replay.rises_m), 0.99)), 1e-6)
-    rises = SensorImages(np.stack([rise_image(rise, reach) for rise in replay.rises_m]))
+    images = gel_images(replay.rgb, replay.depth_m, replay.pressure_pa, replay.markers_px)
     caption = add_note(server.gui)
-    panel = SensorPanel(server, "Rise of the gel")
+    panel = SensorPanel(server, "Gel")
 
     def show(frame: int) -> None:
         view.move([body.vertices_m[frame] for body in replay.bodies])
         forces = [(name, f"{values[frame]:.3f} N") for name, values in replay.forces_n.items()]
-        caption.content = PageText(
-            "**{}**, {:.2f} s\n\n{}\n\n"
-            "Beside: rise of the gel's face, blue below and red above, to ±{:.2f} mm."
-        ).format(replay.task, replay.times_s[frame], page_table(forces, ("force", "")), 1e3 * reach)
-        panel.show(rises, frame)
+        caption.content = PageText("**{}**, seed {}: {}\n\n{:.2f} s\n\n{}").format(
+            replay.task, replay.seed, replay.outcome, replay.times_s[frame],
+            page_table(forces, ("force", "")),
+        )  # fmt: skip
+        panel.show(images, frame)
 
     slider = TimeSlider(server, len(replay.times_s), show)
     show(0)

@@ -16,7 +16,7 @@ _CORNERS = ((0, 4, 6, 7), (1, 5, 4, 8), (2, 6, 5, 9), (3, 7, 9, 8))
 
 
 @dataclass(frozen=True)
-class Surface:
+class SectionSurface:
     """Triangles with values at their points."""
 
     points: np.ndarray
@@ -42,7 +42,7 @@ def linear_tets(tets: np.ndarray) -> np.ndarray:
 
 def cut_tets(
     nodes: np.ndarray, tets: np.ndarray, values: np.ndarray, point: np.ndarray, normal: np.ndarray
-) -> Surface:
+) -> SectionSurface:
     """The section of four-node tets with a plane.
 
     Args:
@@ -74,7 +74,7 @@ def cut_tets(
 
 def clip_faces(
     nodes: np.ndarray, faces: np.ndarray, values: np.ndarray, point: np.ndarray, normal: np.ndarray
-) -> Surface:
+) -> SectionSurface:
     """Triangles as far as they lie behind a plane, those across it cut; arguments as ``cut_tets``,
     ``faces`` [face, 3]."""
     distance = (nodes - point) @ (normal / np.linalg.norm(normal))
@@ -106,7 +106,7 @@ def _first(faces: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 
 def _on_edges(
     nodes: np.ndarray, values: np.ndarray, distance: np.ndarray, edges: np.ndarray
-) -> Surface:
+) -> SectionSurface:
     """Triangles whose corners are where edges cross the plane, [face, 3, 2]; an edge from a node to
     itself is that node."""
     ends = np.sort(edges.reshape(-1, 2), axis=1).astype(np.int64)
@@ -117,12 +117,12 @@ def _on_edges(
     share = np.divide(distance[first], span, out=np.zeros(len(unique)), where=first != second)
     points = nodes[first] + share[:, None] * (nodes[second] - nodes[first])
     found = values[first] + share * (values[second] - values[first])
-    return Surface(points, index.reshape(-1, 3), found)
+    return SectionSurface(points, index.reshape(-1, 3), found)
 
 
-def _facing(surface: Surface, normal: np.ndarray) -> Surface:
+def _facing(surface: SectionSurface, normal: np.ndarray) -> SectionSurface:
     a, b, c = (surface.points[surface.faces[:, i]] for i in range(3))
     back = np.cross(b - a, c - a) @ normal < 0
     faces = surface.faces.copy()
     faces[back] = faces[back][:, ::-1]
-    return Surface(surface.points, faces, surface.values)
+    return SectionSurface(surface.points, faces, surface.values)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sensor's image beside the gel, with its markers and their motion drawn on it."""
+"""The sensor's image beside the gel, or depth and pressure in it, with the markers' motion."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.report.page_text import add_note
-from taccel_lab.viewer.gel_states import SensorImages
+from taccel_lab.report.page_text import add_html_note, add_note
+from taccel_lab.viewer.gel_states import Field, SensorImages
+from taccel_lab.viewer.painting import bar_html, map_rgb, shares
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -18,11 +19,15 @@ MARKER_RGB = (255, 221, 51)
 WIDTH_PX = 480
 """Least width at which images are drawn; smaller ones are enlarged by a whole number."""
 
+IMAGE: str = "tactile image"
+COLORS = "viridis"
+BESIDE_RGB = 128
+"""Grey of pixels beside the gel."""
 BLANK = np.full((4, 4, 3), 128, dtype=np.uint8)
 
 
 class SensorPanel:
-    """A window of its own; hidden where there is no image."""
+    """A window; hidden where there is no image."""
 
     def __init__(
         self,
@@ -31,12 +36,14 @@ class SensorPanel:
         single: str = "Only the image of the end was kept.",
         own_panel: bool = True,
     ) -> None:
-        """``single``: what is said of an image that is the only one. ``own_panel``: in a window of
-        its own, else where the page is being filled."""
+        """``single``: what is said of an image that is the only one. ``own_panel``: in its own
+        window, else where the page is being filled."""
         self._single = single
         self.panel = server.gui.add_panel(visible=False) if own_panel else None
         with nullcontext() if self.panel is None else self.panel.add_tab(title):
+            self._choice = server.gui.add_dropdown("shows", (IMAGE,), visible=False)
             self._image = server.gui.add_image(BLANK, format="png")
+            self._bar = add_html_note(server.gui, visible=False)
             self._note = add_note(server.gui)
             self._markers = server.gui.add_checkbox("show markers and their motion", True)
             self._times = server.gui.add_slider("motion of markers times", 1, 10, 1, 3)
@@ -44,7 +51,7 @@ class SensorPanel:
             self.panel.dock_left()
             self.panel.set_width(330)
         self._shown: tuple[SensorImages | None, int] = (None, 0)
-        for control in (self._markers, self._times):
+        for control in (self._choice, self._markers, self._times):
             control.on_update(lambda _: self.show(*self._shown))
 
     def show(self, images: SensorImages | None, state: int) -> None:
@@ -56,7 +63,15 @@ class SensorPanel:
             return
         row = min(state, len(images.rgb) - 1)
         factor = float(self._times.value) if self._markers.value else None
-        self._image.image = drawn(images, row, factor)
+        labels = (IMAGE, *(one.label for one in images.maps))
+        if tuple(self._choice.options) != labels:
+            self._choice.options, self._choice.visible = labels, len(labels) > 1
+        shown = next((one for one in images.maps if one.label == self._choice.value), None)
+        pixels = images.rgb[row] if shown is None else map_pixels(shown, row)
+        self._bar.visible = shown is not None
+        if shown is not None:
+            self._bar.content = bar_html(shown.label, shown.unit, shown.limits(), map_rgb(COLORS))
+        self._image.image = drawn(pixels, images.markers_px, row, factor)
         there = images.markers_px is not None
         self._markers.visible = self._times.visible = there
         note = self._single if len(images.rgb) == 1 else ""
@@ -70,18 +85,35 @@ class SensorPanel:
         self._image.image, self._note.content = BLANK, note
 
 
-def drawn(images: SensorImages, row: int, factor: float | None) -> np.ndarray:
-    """The image of a state, uint8 [height, width, 3], with its markers where they were at rest and
-    arrows of ``factor`` times their motion; without them when None."""
-    rgb = images.rgb[row]
+def map_pixels(field: Field, row: int) -> np.ndarray:
+    """A map of a state in the colours of its bar, uint8 [height, width, 3]; grey where unknown."""
+    values = field.values[row]
+    index = np.round(255 * shares(values, field.limits())).astype(int)
+    return np.where(np.isfinite(values)[..., None], map_rgb(COLORS)[index], BESIDE_RGB).astype(
+        np.uint8
+    )
+
+
+def drawn(
+    rgb: np.ndarray, markers_px: np.ndarray | None, row: int, factor: float | None
+) -> np.ndarray:
+    """An image, uint8 [height, width, 3], with markers where they were at rest and arrows of
+    ``factor`` times their motion in a state.
+
+    Args:
+        rgb: The image, uint8 [height, width, 3].
+        markers_px: [state, marker, 2], at rest in the first; None for none.
+        row: The state.
+        factor: None leaves them out.
+    """
     enlarged = max(1, round(WIDTH_PX / rgb.shape[1]))
     rgb = np.ascontiguousarray(rgb.repeat(enlarged, axis=0).repeat(enlarged, axis=1))
-    if images.markers_px is None or factor is None:
+    if markers_px is None or factor is None:
         return rgb
     import cv2
 
-    rest = (images.markers_px[0] + 0.5) * enlarged - 0.5
-    moved = factor * (images.markers_px[row] - images.markers_px[0]) * enlarged
+    rest = (markers_px[0] + 0.5) * enlarged - 0.5
+    moved = factor * (markers_px[row] - markers_px[0]) * enlarged
     known = np.isfinite(rest).all(axis=1) & np.isfinite(moved).all(axis=1)
     for start, motion in zip(rest[known], moved[known], strict=True):
         place, end = np.round(start).astype(int), np.round(start + motion).astype(int)

@@ -121,29 +121,35 @@ def _observed(seen: dict[str, Any] | None) -> list[str]:
 
 
 def press_accuracy(document: Document) -> Iterator[str]:
-    """Errors of presses with the default mesh, and how often the press's own estimate held."""
-    rows = [row for row in document["rows"] if row["setting"] == "default"]
-    done = [row for row in rows if not row["cause"]]
-    groups: dict[str, list[dict[str, Any]]] = {}
-    for row in sorted(done, key=lambda row: (row["tool"].lower(), row["depth_mm"])):
-        groups.setdefault(f"{row['tool']}, {row['depth_mm']:g} mm", []).append(row)
+    """Errors of presses by setting and kind of tool, and how often what they state held."""
+    rows = document["rows"]
+    groups: dict[tuple[str, bool], list[dict[str, Any]]] = {}
+    for row in rows:
+        if not row["cause"]:
+            key = (row["setting"], row["tool"].startswith("ball"))
+            groups.setdefault(key, []).append(row)
     lines = []
-    for what, chosen in (*groups.items(), ("all", done)):
-        force = np.array([abs(row["force_error"]) for row in chosen])
-        height = np.array([row["height_rms_m"] for row in chosen])
-        held = force <= [row["estimated_force_error"] for row in chosen]
-        held_height = height <= [row["estimated_height_rms_m"] for row in chosen]
+    for (setting, ball), chosen in groups.items():
+        force, stated, height, stated_height = (
+            np.array([abs(row[name]) for row in chosen])
+            for name in (
+                "force_error", "estimated_force_error", "height_rms_m", "estimated_height_rms_m",
+            )
+        )  # fmt: skip
         lines.append([
-            what,
+            f"{setting}, {'balls' if ball else 'tools with rims'}",
             len(chosen),
             f"{np.median(force):.1%}, {force.max():.1%}",
+            f"{np.median(stated):.1%}",
+            f"{np.median(stated / np.maximum(force, 1e-4)):.1f}",
             f"{1e6 * np.median(height):.1f}, {1e6 * height.max():.1f} um",
-            f"{held.mean():.0%}, {held_height.mean():.0%}",
+            f"{(force <= stated).mean():.0%}, {(height <= stated_height).mean():.0%}",
         ])  # fmt: skip
-    head = ["tool, depth", "cases", "force: median, worst", "heights: median, worst"]
-    yield markdown_table([*head, "within the estimate: force, heights"], lines)
-    if len(done) < len(rows):
-        yield f"{len(rows) - len(done)} of {len(rows)} cases did not converge."
+    head = ["setting, tools", "cases", "force off by: median, worst", "stated", "stated over true"]
+    yield markdown_table([*head, "heights: median, worst", "inside: force, heights"], lines)
+    failed = sum(bool(row["cause"]) for row in rows)
+    if failed:
+        yield f"{failed} of {len(rows)} presses did not converge, or their truth did not."
 
 
 def captures(document: Document) -> Iterator[str]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The scenes by name; a module each, read when it is asked for."""
+"""The scenes by name; a module each, read on demand."""
 
 from __future__ import annotations
 

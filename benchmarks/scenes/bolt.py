@@ -12,20 +12,11 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
-from taccel_lab.benchmarks.scenes.frames import facing, pose, same_side, turn_about_z
+from taccel_lab.benchmarks.scenes.frames import facing, mounted, pose, same_side, turn_about_z
 from taccel_lab.exporters.published_meshes import choose_source, mesh_folder, read_stl
 from taccel_lab.geometry import TetMesh
-from taccel_lab.scene import (
-    AffineBody,
-    Element,
-    KinematicBody,
-    Scene,
-    SoftBody,
-    TimeStepping,
-    TriangleMesh,
-)
+from taccel_lab.scene import AffineBody, KinematicBody, Scene, TimeStepping, TriangleMesh
 from taccel_lab.tasks.peg_scene import (
-    GEL,
     GEL_FRICTION,
     GRAVITY,
     STIFF_FRICTION,
@@ -58,24 +49,11 @@ def build(options: SceneOptions) -> BenchScene:
     """The published meshes where they are."""
     source = choose_source(options.source, "bolt_and_nut", "pads/sensor.vtk", "peg/peg.stl")
     gel, bolt, nut, height = parts_of(source)
-    sides = ("left", "right")
+    gels, mounts = mounted({"left": gel, "right": gel}, GEL_FRICTION)
     middle = height + (nut.vertices_m[:, 2].min() + nut.vertices_m[:, 2].max()) / 2
     scene = Scene(
-        [
-            SoftBody(
-                gel,
-                GEL,
-                name=side,
-                mount=f"{side} mount",
-                friction_coefficient=GEL_FRICTION,
-                element=Element.LINEAR,
-            )
-            for side in sides
-        ],
-        [
-            *(KinematicBody(None, name=f"{side} mount") for side in sides),
-            KinematicBody(bolt, STIFF_FRICTION, name="bolt"),
-        ],
+        gels,
+        [*mounts, KinematicBody(bolt, STIFF_FRICTION, name="bolt")],
         options.env_count,
         TimeStepping(quasi_static=False, dt_s=DT_S, gravity_m_s2=GRAVITY),
         affine_bodies=AffineBody(

@@ -1,12 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses of mounts from directions."""
+"""Gels on mounts, and poses of mounts from directions."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+from taccel_lab.geometry import TetMesh
+from taccel_lab.scene import Element, KinematicBody, SoftBody
+from taccel_lab.tasks.peg_scene import GEL
+
+
+def mounted(
+    meshes: Mapping[str, TetMesh], friction: float, **options: Any
+) -> tuple[list[SoftBody], list[KinematicBody]]:
+    """A gel of linear tets for each name, and the mount that carries it; ``options``: of
+    ``SoftBody``."""
+    gels = [
+        SoftBody(
+            mesh, GEL, name=name, mount=f"{name} mount", friction_coefficient=friction,
+            element=Element.LINEAR, **options,
+        )
+        for name, mesh in meshes.items()
+    ]  # fmt: skip
+    return gels, [KinematicBody(None, name=f"{name} mount") for name in meshes]
 
 
 def facing(outward: np.ndarray, right: np.ndarray) -> np.ndarray:

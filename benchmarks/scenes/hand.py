@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The 17 gels of a tactile hand close on a free ball, carry it up and turn it.
 
-The published gels come in the frames of their links, without the hand. Here each stands on a mount
-of its own, its contact face tangent to a ball of 45 mm radius: the two gels of the palm below, the
+The published gels come in the frames of their links, without the hand. Here each stands on its
+own mount, its contact face tangent to a ball of 45 mm radius: the two gels of the palm below, the
 four fingers of three gels each up one side, 18 degrees apart, the three gels of the thumb up the
 other. All mounts move along their normals until each gel is pressed in by 0.4 mm, then all
 together. Gels meet the ball only: in the hand they are on links that keep apart.
@@ -15,24 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
-from taccel_lab.benchmarks.scenes.frames import facing, pose, same_side
+from taccel_lab.benchmarks.scenes.frames import facing, mounted, pose, same_side
 from taccel_lab.benchmarks.scenes.pads import label
 from taccel_lab.benchmarks.scenes.press import touching_height
 from taccel_lab.exporters.published_meshes import choose_source, mesh_folder
 from taccel_lab.files.legacy_vtk import read_legacy_vtk
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.scene import (
-    AffineBody,
-    Element,
-    KinematicBody,
-    Scene,
-    SoftBody,
-    Surface,
-    TimeStepping,
-    sphere_mesh,
-)
-from taccel_lab.tasks.peg_scene import GEL, GEL_FRICTION, GRAVITY, STIFF_FRICTION
+from taccel_lab.scene import AffineBody, Scene, Surface, TimeStepping, sphere_mesh
+from taccel_lab.tasks.peg_scene import GEL_FRICTION, GRAVITY, STIFF_FRICTION
 
 DT_S = 1 / 50
 BALL_M, BALL_EDGE_M, BALL_DENSITY = 45e-3, 6e-3, 300.0
@@ -44,7 +35,7 @@ GEL_LAYER, BALL_LAYER = 1, 2
 
 
 @dataclass(frozen=True)
-class Place:
+class GelPlace:
     """Where a gel touches the ball and how it lies there."""
 
     link: str
@@ -57,18 +48,21 @@ class Place:
     """Whether its long side follows the polar direction."""
 
 
-def hand() -> list[Place]:
+def hand() -> list[GelPlace]:
     """The 17 places."""
-    palm = [Place("base_link_gel_0", -20, along=False), Place("base_link_gel_1", 25, along=False)]
+    palm = [
+        GelPlace("base_link_gel_0", -20, along=False),
+        GelPlace("base_link_gel_1", 25, along=False),
+    ]
     fingers = [
-        Place(f"f_{joint}_gel", polar, lateral)
+        GelPlace(f"f_{joint}_gel", polar, lateral)
         for lateral in (-27.0, -9.0, 9.0, 27.0)
         for joint, polar in ((1, 62.0), (2, 91.0), (3, 115.0))
     ]
     thumb = [
-        Place("thumb_1_gel", -64, along=False),
-        Place("thumb_2_gel", -98),
-        Place("thumb_3_gel", -128),
+        GelPlace("thumb_1_gel", -64, along=False),
+        GelPlace("thumb_2_gel", -98),
+        GelPlace("thumb_3_gel", -128),
     ]
     return palm + fingers + thumb
 
@@ -117,22 +111,15 @@ def build(options: SceneOptions) -> BenchScene:
     files = [f"pads/f_tac_hand_description__{p.link}_maxv_1e-08.vtk" for p in places]
     source = choose_source(options.source, *files)
     meshes = {link: gel_of(link, source) for link in _BLOCKS}
-    names = [f"gel {i}" for i in range(len(places))]
+    gels, mounts = mounted(
+        {f"gel {i}": meshes[place.link] for i, place in enumerate(places)},
+        GEL_FRICTION,
+        surface=Surface(layer=GEL_LAYER, collides_with=BALL_LAYER),
+    )
     ball = sphere_mesh(BALL_M, BALL_EDGE_M)
     scene = Scene(
-        [
-            SoftBody(
-                meshes[place.link],
-                GEL,
-                name=name,
-                mount=f"mount of {name}",
-                friction_coefficient=GEL_FRICTION,
-                surface=Surface(layer=GEL_LAYER, collides_with=BALL_LAYER),
-                element=Element.LINEAR,
-            )
-            for name, place in zip(names, places, strict=True)
-        ],
-        [KinematicBody(None, name=f"mount of {name}") for name in names],
+        gels,
+        mounts,
         options.env_count,
         TimeStepping(quasi_static=False, dt_s=DT_S, gravity_m_s2=GRAVITY),
         affine_bodies=AffineBody(
@@ -156,7 +143,7 @@ def build(options: SceneOptions) -> BenchScene:
     )
 
 
-def mount_path(places: list[Place], meshes: dict[str, TetMesh], radius_m: float) -> np.ndarray:
+def mount_path(places: list[GelPlace], meshes: dict[str, TetMesh], radius_m: float) -> np.ndarray:
     """Poses of the mounts about the ball's first place, [steps + 1, 17, 7]."""
     close, carry = STEPS
     moments = np.arange(close + carry + 1)
@@ -178,7 +165,7 @@ def mount_path(places: list[Place], meshes: dict[str, TetMesh], radius_m: float)
     return same_side(np.array(rows))
 
 
-def _touch(place: Place) -> tuple[np.ndarray, np.ndarray]:
+def _touch(place: GelPlace) -> tuple[np.ndarray, np.ndarray]:
     """Direction of a place from the ball's centre, and of the gel's long side."""
     polar, lateral = np.radians([place.polar_deg, place.lateral_deg])
     down, out = -np.cos(polar), np.sin(polar)

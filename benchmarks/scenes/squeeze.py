@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 
 from taccel_lab.benchmarks.scenes.base import BenchScene, SceneOptions, make_config
-from taccel_lab.benchmarks.scenes.frames import facing, pose
+from taccel_lab.benchmarks.scenes.frames import facing, mounted, pose
 from taccel_lab.benchmarks.scenes.pads import pad
 from taccel_lab.benchmarks.scenes.teddy import PARTS_M, teddy_mesh
-from taccel_lab.scene import Element, KinematicBody, Material, Plane, Scene, SoftBody, TimeStepping
-from taccel_lab.tasks.peg_scene import GEL, GRAVITY
+from taccel_lab.scene import Element, Material, Plane, Scene, SoftBody, TimeStepping
+from taccel_lab.tasks.peg_scene import GRAVITY
 
 DT_S = 1 / 50
 TEDDY = Material(young_modulus_pa=2e4, poisson_ratio=0.4, density_kg_m3=250.0)
@@ -28,7 +28,7 @@ def build(options: SceneOptions) -> BenchScene:
     """With the published pads of 239 nodes where they are; the bear is always ours."""
     gel, source = pad(239, options.source)
     bear = teddy_mesh()
-    sides = ("front", "back")
+    gels, mounts = mounted({"front": gel, "back": gel}, FRICTION)
     scene = Scene(
         [
             SoftBody(
@@ -39,19 +39,9 @@ def build(options: SceneOptions) -> BenchScene:
                 initial_pose=np.array([0, 0, CLEARANCE_M, 0, 0, 0, 1.0]),
                 element=Element.LINEAR,
             ),
-            *(
-                SoftBody(
-                    gel,
-                    GEL,
-                    name=side,
-                    mount=f"{side} mount",
-                    friction_coefficient=FRICTION,
-                    element=Element.LINEAR,
-                )
-                for side in sides
-            ),
+            *gels,
         ],
-        [KinematicBody(None, name=f"{side} mount") for side in sides],
+        mounts,
         options.env_count,
         TimeStepping(quasi_static=False, dt_s=DT_S, gravity_m_s2=GRAVITY),
         planes=Plane(friction_coefficient=FRICTION, name="ground"),

@@ -60,7 +60,7 @@ def _part(pair: tuple[float, float]) -> float:
     return pair[0] / pair[1]
 
 
-class Balance:
+class ForceBalance:
     """Forces of a model's bodies, environment by environment."""
 
     def __init__(self, model: Model, config: SolverConfig) -> None:

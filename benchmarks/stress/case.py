@@ -15,7 +15,7 @@ from taccel_lab.state import State
 
 
 @dataclass(frozen=True)
-class Case:
+class StressCase:
     """A scene, and what happens to it."""
 
     scene: Scene
@@ -37,7 +37,7 @@ class Case:
     @classmethod
     def along(
         cls, path: Sequence[np.ndarray], scene: Scene, config: SolverConfig, possible: bool = True
-    ) -> Case:
+    ) -> StressCase:
         """Kinematic bodies go along a path of poses [env_count, kinematic_count, 7]: the start, and
         the target of each step."""
         steps = len(path) - 1

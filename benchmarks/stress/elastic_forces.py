@@ -3,12 +3,13 @@
 
 Stresses P = d psi / dF of the four materials by their textbook formulas (sources in
 ``taccel_lab/ipc/elasticity``). A linear tet has one F; a quadratic one takes the shape part at four
-points, the volumetric part of their mean, and a guard at its corners and along its edges (see
-``docs/solver.md``).
+points, the volumetric part of their mean, and a guard on the Bernstein coefficients of det F (see
+``docs/solver.md``), which are interpolated here.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,15 +20,15 @@ from taccel_lab.scene import MaterialModel, SoftBody
 
 _POINTS = np.full((4, 4), (5 - 5**0.5) / 20) + np.eye(4) * (5**0.5 / 5)
 """Barycentric coordinates of the quadrature points of a quadratic tet."""
-_EDGE_PARTS = (1 / 6, 2 / 5, 3 / 5, 5 / 6)
-_GUARDED_POINTS = np.concatenate(
-    [np.eye(4)]
-    + [[(1 - t) * np.eye(4)[i] + t * np.eye(4)[j] for t in _EDGE_PARTS] for i, j in TET_EDGES]
+_THIRDS = np.array([p for p in np.ndindex(4, 4, 4, 4) if sum(p) == 3])
+"""Exponents of the Bernstein polynomials of degree three in barycentric coordinates [20, 4]; a
+third of them are the points whose values determine a cubic polynomial."""
+_FROM_VALUES = np.linalg.inv(
+    (6 / np.array([math.prod(map(math.factorial, p)) for p in _THIRDS]))
+    * ((_THIRDS[:, None] / 3) ** _THIRDS).prod(axis=-1)
 )
-"""Barycentric coordinates of the points where a quadratic tet is guarded: corners, and edges."""
-_GUARD_WEIGHT = 1 / 40
-"""Part of the volume that each of them stands for."""
-_GUARDED = 0.2
+"""Bernstein coefficients [20] from the values at those points."""
+_GUARDED = 0.1
 _LOGARITHMIC = (MaterialModel.NEO_HOOKEAN, MaterialModel.MOONEY_RIVLIN)
 """Materials that cannot be inverted."""
 
@@ -47,7 +48,7 @@ def _times(scalars: np.ndarray, matrices: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Law:
+class ElasticLaw:
     """A material by its constants, arrays that broadcast with F [..., 3, 3] less its last axes."""
 
     model: MaterialModel
@@ -92,14 +93,14 @@ class Law:
         return (self.lam - self.shape_lam) * slope
 
     def guard(self, f: np.ndarray) -> np.ndarray:
-        """Stress of the guard at points with F [..., 3, 3] over mu and the volume they stand
-        for."""
-        j = np.linalg.det(f)
+        """Stress of the guard over mu from F [..., 20, 3, 3] at the points of ``_FROM_VALUES``, of
+        which each stands for a twentieth of the volume."""
         if self.model not in _LOGARITHMIC:
             return np.zeros_like(f)
-        y = np.clip(j / _GUARDED, 1e-300, 1.0)
+        coefficients = np.linalg.det(f) @ _FROM_VALUES.T
+        y = np.clip(coefficients / _GUARDED, 1e-300, 1.0)
         slope = (2 * (1 - y) * np.log(y) - (1 - y) ** 2 / y) / _GUARDED
-        return _times(slope, _cofactor(f))
+        return _times(slope @ _FROM_VALUES, _cofactor(f))
 
 
 class SoftForces:
@@ -123,7 +124,7 @@ class SoftForces:
         )
         """Gradients of the shape functions at the points [tet, point, node, 3]."""
         self.guarded_gradients = (
-            _quadratic_gradients(slopes, _GUARDED_POINTS) if self.quadratic else None
+            _quadratic_gradients(slopes, _THIRDS / 3) if self.quadratic else None
         )
         count = len(self.tets)
         material = body.material
@@ -132,7 +133,7 @@ class SoftForces:
             for name in ("shear_modulus_pa", "lame_lambda_pa")
         )
         ratio = np.broadcast_to(material.mooney_ratio, count)
-        self.law = Law(material.model, mu[:, None], lam[:, None], ratio[:, None])
+        self.law = ElasticLaw(material.model, mu[:, None], lam[:, None], ratio[:, None])
         self.damping_time_s = material.damping_time_s
         steepest = np.linalg.norm(slopes, axis=-1).max(axis=1)
         self.stiffness_n_m = float(np.linalg.norm((lam + 2 * mu) * self.volumes * steepest**2))
@@ -143,12 +144,16 @@ class SoftForces:
         return np.einsum("tia,tqib->tqab", x[self.tets], self.gradients)
 
     def volume_ratios(self, x: np.ndarray) -> np.ndarray:
-        """det F at all points, and where quadratic tets are guarded; shape [n]."""
+        """det F at all points, and what quadratic tets are guarded by: its Bernstein coefficients,
+        or where the material bears inversion its values at thirds of the edges; shape [n]."""
         ratios = np.linalg.det(self.deformations(x)).ravel()
         if self.guarded_gradients is None:
             return ratios
-        guarded = np.einsum("tia,tqib->tqab", x[self.tets], self.guarded_gradients)
-        return np.concatenate([ratios, np.linalg.det(guarded).ravel()])
+        f = np.einsum("tia,tqib->tqab", x[self.tets], self.guarded_gradients)
+        guarded = np.linalg.det(f)
+        if not self.bears_inversion():
+            guarded = guarded @ _FROM_VALUES.T
+        return np.concatenate([ratios, guarded.ravel()])
 
     def bears_inversion(self) -> bool:
         """Whether the energy stays finite through inversion."""
@@ -165,8 +170,7 @@ class SoftForces:
         total = self._assembled(shape + _times(pressure, slope), self.gradients)
         assert self.guarded_gradients is not None
         f = np.einsum("tia,tqib->tqab", x[self.tets], self.guarded_gradients)
-        share = _GUARD_WEIGHT * len(_GUARDED_POINTS)
-        guard = _times(share * self.law.mu, self.law.guard(f))
+        guard = _times(self.law.mu, self.law.guard(f))
         return total + self._assembled(guard, self.guarded_gradients)
 
     def viscous_gradient(self, x: np.ndarray, before: np.ndarray, dt: float) -> np.ndarray:

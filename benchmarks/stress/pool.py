@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cases in processes of their own, several at once: one that hangs or dies takes nothing along."""
+"""Cases in their own processes, several at once: one that hangs or dies takes nothing along."""
 
 from __future__ import annotations
 

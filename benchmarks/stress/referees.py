@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.balance import Balance, Snapshot
-from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.balance import ForceBalance, Snapshot
+from taccel_lab.benchmarks.stress.case import StressCase
 from taccel_lab.benchmarks.stress.contact_law import (
     SurfaceMotion,
     contact_forces,
@@ -27,7 +27,7 @@ from taccel_lab.ipc.potentials.friction import FrozenContacts
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs
 from taccel_lab.solvers import SolverConfig, SolverIPC, StepReport
-from taccel_lab.solvers.report import EnvStatus
+from taccel_lab.solvers.step_report import EnvStatus
 from taccel_lab.state import State
 
 REACH = 0.4
@@ -43,7 +43,7 @@ smallest gaps that occur (1e-11 m) to that."""
 
 
 @dataclass(frozen=True)
-class Finding:
+class StressFinding:
     """What a referee objects to."""
 
     referee: str
@@ -83,9 +83,9 @@ class Taken:
 class Referees:
     """All referees of one case."""
 
-    def __init__(self, case: Case, model: Model, config: SolverConfig) -> None:
+    def __init__(self, case: StressCase, model: Model, config: SolverConfig) -> None:
         self.case, self.model, self.config = case, model, config
-        self.balance = Balance(model, config)
+        self.balance = ForceBalance(model, config)
         self.surfaces = SurfacePairs(model)
         self.present = model.present.numpy() != 0
         self.residual_ratio = 0.0
@@ -96,9 +96,9 @@ class Referees:
         self.inverted_legally = False
         """Whether a tet of a material that bears it was inverted."""
 
-    def judge(self, taken: Taken, state: State, step: int) -> list[Finding]:
+    def judge(self, taken: Taken, state: State, step: int) -> list[StressFinding]:
         """Everything that is wrong after a step."""
-        found: list[Finding] = []
+        found: list[StressFinding] = []
         converged = taken.report.converged
         for env in range(self.model.env_count):
             if not converged[env]:
@@ -121,12 +121,12 @@ class Referees:
             found += self.intersections(state, converged & finite)
             says = self.case.expect(self.model, state, step) if self.case.expect else None
             if says is not None and converged.all():
-                found.append(Finding("expectation", 0, says))
+                found.append(StressFinding("expectation", 0, says))
         return found
 
     # Geometry --------------------------------------------------------------------------------
 
-    def intersections(self, state: State, judged: np.ndarray) -> list[Finding]:
+    def intersections(self, state: State, judged: np.ndarray) -> list[StressFinding]:
         """Edges through faces, bodies inside bodies, nodes below planes, where ``judged``."""
         found = []
         x = state.positions.numpy()
@@ -141,10 +141,10 @@ class Referees:
                     says = (
                         f"{item.first} and {item.second}: {item.kind}, {item.count}, {item.where}"
                     )
-                    found.append(Finding("intersection", env, says))
+                    found.append(StressFinding("intersection", env, says))
         return found
 
-    def volumes(self, taken: Taken, env: int) -> list[Finding]:
+    def volumes(self, taken: Taken, env: int) -> list[StressFinding]:
         """Inverted elements, at all quadrature points and corners."""
         found = []
         bodies = self.balance.volume_ratios(env, taken.now.positions[env])
@@ -156,10 +156,10 @@ class Referees:
                 says = (
                     f"{(ratios <= 0).sum()} points of soft body {index}, det F {ratios.min():.3g}"
                 )
-                found.append(Finding("inversion", env, says))
+                found.append(StressFinding("inversion", env, says))
         return found
 
-    def gaps(self, taken: Taken, env: int) -> list[Finding]:
+    def gaps(self, taken: Taken, env: int) -> list[StressFinding]:
         """Gaps that are gone, and pairs within reach that the solver did not see."""
         near = self.surfaces.nearer_than(
             taken.now.positions[env], self.present[env], REACH * self.config.dhat_m
@@ -170,16 +170,16 @@ class Referees:
         gap, said = float(near.gaps_m[worst]), float(taken.report.min_distance_m[env])
         self.smallest_gap = min(self.smallest_gap, gap)
         if gap <= 0:
-            return [Finding("gap", env, f"{gap:.3g} m at {near.where(worst)}")]
+            return [StressFinding("gap", env, f"{gap:.3g} m at {near.where(worst)}")]
         # Distances are rounded like coordinates; a gap of 1e-12 m is not known to six digits.
         if said > gap * (1 + 1e-6) + 1e-15:
             says = f"{near.where(worst)} are {gap:.6g} m apart, the report says {said:.6g} m"
-            return [Finding("missed contact", env, says)]
+            return [StressFinding("missed contact", env, says)]
         return []
 
     # Forces ----------------------------------------------------------------------------------
 
-    def forces(self, taken: Taken, env: int) -> list[Finding]:
+    def forces(self, taken: Taken, env: int) -> list[StressFinding]:
         """The residual, put together anew."""
         whole = taken.report.substeps[env] == 1
         if not (whole or self.model.scene.time.quasi_static) or not len(self.balance.judged):
@@ -192,9 +192,9 @@ class Referees:
             return []
         says = f"{left:.3g} N are left, {allowed:.3g} N are allowed"
         says += f" (the report says {taken.report.residual_n[env]:.3g} N)"
-        return [Finding("residual", env, says)]
+        return [StressFinding("residual", env, says)]
 
-    def laws(self, taken: Taken, env: int) -> list[Finding]:
+    def laws(self, taken: Taken, env: int) -> list[StressFinding]:
         """Forces of contact and friction that are not those of their laws."""
         pairs, x = taken.pairs[env], taken.now.positions[env]
         contact = contact_forces(pairs, x, self.model)
@@ -214,7 +214,7 @@ class Referees:
         said, right = rubbing.of_pairs, friction_limits(pairs, contact.of_pairs, self.model)
         return found + differs("friction limit", env, np.sort(said), np.sort(right))
 
-    def energy(self, taken: Taken, env: int) -> list[Finding]:
+    def energy(self, taken: Taken, env: int) -> list[StressFinding]:
         """Energy that nothing has given."""
         if not (self.case.watches_energy and taken.energies and taken.energies_before):
             return []
@@ -233,7 +233,7 @@ class Referees:
         if now - before <= slack:
             return []
         says = f"rose by {now - before:.3g} J of {scale:.3g} J"
-        return [Finding("energy", env, says)]
+        return [StressFinding("energy", env, says)]
 
 
 def _contact_force(taken: Taken, env: int) -> float:
@@ -244,7 +244,7 @@ def _contact_force(taken: Taken, env: int) -> float:
 # Referees that need nothing but the step --------------------------------------------------------
 
 
-def rolled_back(taken: Taken, env: int) -> list[Finding]:
+def rolled_back(taken: Taken, env: int) -> list[StressFinding]:
     """An environment that failed is where it was, bit by bit."""
     found = []
     for (name, before), (_, now) in zip(taken.before.arrays(), taken.now.arrays(), strict=True):
@@ -252,47 +252,47 @@ def rolled_back(taken: Taken, env: int) -> list[Finding]:
             off = np.abs(np.asarray(now[env]) - before[env]).max()
             status = EnvStatus(taken.report.status[env]).name
             says = f"{name} differ by {off:.3g} from the start of the step that failed ({status})"
-            found.append(Finding("rollback", env, says))
+            found.append(StressFinding("rollback", env, says))
     return found
 
 
-def not_finite(taken: Taken, env: int) -> list[Finding]:
+def not_finite(taken: Taken, env: int) -> list[StressFinding]:
     """NaN or infinite values in a state or its forces."""
     arrays = [*taken.now.arrays(), ("normal forces", taken.normal), ("friction", taken.friction)]
     return [
-        Finding("not a number", env, f"{name} hold {bad} values that are not finite")
+        StressFinding("not a number", env, f"{name} hold {bad} values that are not finite")
         for name, array in arrays
         if (bad := int((~np.isfinite(array[env])).sum()))
     ]
 
 
-def missed_target(taken: Taken, env: int) -> list[Finding]:
-    """A kinematic body that is not where it was told to be."""
+def missed_target(taken: Taken, env: int) -> list[StressFinding]:
+    """A kinematic body that is not where its target is."""
     poses = taken.now.poses[env].reshape(taken.target[env].shape)
     off = float(np.abs(poses - taken.target[env]).max(initial=0.0))
-    return [] if off <= 1e-12 else [Finding("target", env, f"missed by {off:.3g}")]
+    return [] if off <= 1e-12 else [StressFinding("target", env, f"missed by {off:.3g}")]
 
 
-def reaction(taken: Taken, env: int) -> list[Finding]:
+def reaction(taken: Taken, env: int) -> list[StressFinding]:
     """Contact and friction give no momentum: they act on two bodies in opposite directions."""
     found = []
     for name, force in (("contact", taken.normal[env]), ("friction", taken.friction[env])):
         total, scale = np.linalg.norm(force.sum(axis=0)), np.linalg.norm(force, axis=-1).sum()
         if total > 1e-9 * scale:
             says = f"forces of {name} add up to {total:.3g} N of {scale:.3g} N"
-            found.append(Finding("reaction", env, says))
+            found.append(StressFinding("reaction", env, says))
     return found
 
 
-def differs(referee: str, env: int, said: np.ndarray, right: np.ndarray) -> list[Finding]:
+def differs(referee: str, env: int, said: np.ndarray, right: np.ndarray) -> list[StressFinding]:
     """Forces that are off by more than rounding [N]."""
     if said.shape != right.shape:
-        return [Finding(referee, env, f"{len(said)} forces where there are {len(right)}")]
+        return [StressFinding(referee, env, f"{len(said)} forces where there are {len(right)}")]
     scale = max(np.abs(said).sum(), np.abs(right).sum())
     off = np.abs(said - right).sum()
     if off <= LAW_ROUNDING * scale + 1e-15:
         return []
-    return [Finding(referee, env, f"{off:.3g} N of {scale:.3g} N are not those of the law")]
+    return [StressFinding(referee, env, f"{off:.3g} N of {scale:.3g} N are not those of the law")]
 
 
 def take(

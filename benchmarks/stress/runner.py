@@ -13,17 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.case import StressCase
 from taccel_lab.benchmarks.stress.families import make_case
-from taccel_lab.benchmarks.stress.referees import Finding, Referees, Taken, take
+from taccel_lab.benchmarks.stress.referees import Referees, StressFinding, Taken, take
 from taccel_lab.outputs import Outputs
 from taccel_lab.solvers import SolverIPC
-from taccel_lab.solvers.report import EnvStatus
+from taccel_lab.solvers.step_report import EnvStatus
 from taccel_lab.state import State, initial_state
 
 SECONDS = 20.0
 """Budget of a case in processor time: most take a hundredth of it."""
-Watch = Callable[[int, Any, list[Finding]], None]
+Watch = Callable[[int, Any, list[StressFinding]], None]
 """Called after each step with its number, report and findings."""
 
 
@@ -31,7 +31,7 @@ class BudgetOverrun(BaseException):
     """The time of a case is used up.
 
     No ``Exception``: it comes at any moment, and a library that catches those around its own work
-    would make an error of its own from it.
+    would turn it into another error.
     """
 
 
@@ -39,8 +39,8 @@ class BudgetOverrun(BaseException):
 def time_limit(seconds: float) -> Iterator[None]:
     """Raise BudgetOverrun in here after that processor time; in the main thread only.
 
-    Processor time, so that neighbours on the machine do not change the outcome. A kernel that is
-    being compiled is waited for, and the time starts anew: interrupted, it would never be done.
+    Processor time, so that neighbours on the machine do not change the outcome. Time is not counted
+    while a kernel is compiled, and the time starts anew: interrupted, it would never be done.
     """
     if threading.current_thread() is not threading.main_thread():
         raise RuntimeError("a case needs the main thread: its budget is kept by a signal")
@@ -122,7 +122,7 @@ class _Run:
 
     def __init__(self, device: str, watch: Watch | None) -> None:
         self.device, self.watch = device, watch
-        self.findings: list[Finding] = []
+        self.findings: list[StressFinding] = []
         self.causes: list[str] = []
         self.newton: list[int] = []
         self.cg: list[int] = []
@@ -132,7 +132,7 @@ class _Run:
         self.referees: Referees | None = None
         self.last: Taken | None = None
 
-    def take_all(self, case: Case) -> None:
+    def take_all(self, case: StressCase) -> None:
         self.asked_steps = case.steps
         model = case.scene.finalize(self.device)
         solver, state = SolverIPC(model, case.config), initial_state(model, case.start)
@@ -142,7 +142,7 @@ class _Run:
                 return
 
     def _take(
-        self, case: Case, solver: SolverIPC, outputs: Outputs, state: State, step: int
+        self, case: StressCase, solver: SolverIPC, outputs: Outputs, state: State, step: int
     ) -> bool:
         """One step; whether there is a reason to go on."""
         assert self.referees is not None
@@ -166,7 +166,7 @@ class _Run:
         # An environment that failed would fail again from the same start.
         return not failed.all() and not found
 
-    def outcome(self, case: Case) -> str:
+    def outcome(self, case: StressCase) -> str:
         """See ``run_case``."""
         if self.findings:
             return "silent"

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.colors import to_hex
 
-from taccel_lab.cad.assembly import Assembly, Clearance, overlapping, require_no_overlap
-from taccel_lab.cad.drawing.sections import Section, plan_edges, section
-from taccel_lab.cad.drawing.sheet import THICK, THIN, Sheet, Xy
+from taccel_lab.cad.assembly import Assembly, PartClearance, overlapping, require_no_overlap
+from taccel_lab.cad.drawing.sections import DrawnSection, plan_edges, section
+from taccel_lab.cad.drawing.sheet import THICK, THIN, DrawingSheet, Xy
 from taccel_lab.cad.drawing.title import (
     PART_TOLERANCES,
     SHEETS,
@@ -59,7 +59,7 @@ def write_assembly_drawing(
     wide = max(high[0], plan_high[0]) - min(low[0], plan_low[0])
     size = np.array([wide, high[1] - low[1] + depth])
     name, scale = sheet_and_scale(lambda s: s * size + _MARGINS, least=1.5)
-    sheet = Sheet(*SHEETS[name])
+    sheet = DrawingSheet(*SHEETS[name])
     room = np.array([sheet.width_mm - 16 - TABLE_WIDTH_MM, sheet.height_mm - 16])
     spare = (room - scale * size - _MARGINS)[1] / 2
     middle = 8 + room[0] / 2 - scale * (low[0] + high[0]) / 2
@@ -119,7 +119,7 @@ def _outline(part: Part) -> np.ndarray:
 
 
 def _draw_plan(
-    sheet: Sheet, assembly: Assembly, outlines: Sequence[np.ndarray], clashing: set[str]
+    sheet: DrawingSheet, assembly: Assembly, outlines: Sequence[np.ndarray], clashing: set[str]
 ) -> None:
     """Outlines of the made parts, above them camera and lights with their numbers."""
     order = sorted(range(len(outlines)), key=lambda k: assembly.parts[k].placeholder)
@@ -142,7 +142,11 @@ def _draw_plan(
 
 
 def _balloons(
-    sheet: Sheet, cuts: Sequence[tuple[Part, Section]], at, high: np.ndarray, scale: float
+    sheet: DrawingSheet,
+    cuts: Sequence[tuple[Part, DrawnSection]],
+    at,
+    high: np.ndarray,
+    scale: float,
 ) -> None:
     """Numbers beside the section, from top to bottom in the order of where they point to."""
     targets = []
@@ -159,7 +163,7 @@ def _balloons(
         sheet.leader(tip, (x, y), f" {number} ")
 
 
-def _right_end(cut: Section) -> tuple[float, float]:
+def _right_end(cut: DrawnSection) -> tuple[float, float]:
     """A point inside the cut face that reaches farthest to the right."""
     loop = max((loops[0] for loops in cut.faces), key=lambda points: points[:, 0].max())
     right = loop[:, 0].max()
@@ -168,7 +172,7 @@ def _right_end(cut: Section) -> tuple[float, float]:
     return float(right - inset), float((near[:, 1].min() + near[:, 1].max()) / 2)
 
 
-def _gap_notes(clearances: Sequence[Clearance]) -> tuple[str, ...]:
+def _gap_notes(clearances: Sequence[PartClearance]) -> tuple[str, ...]:
     """Gaps between made parts, in words."""
     made = [c for c in clearances if not c.placeholder and c.gap_mm > 0]
     return tuple(f"gap {c.first} - {c.second}: {c.gap_mm:.3f} mm" for c in made)

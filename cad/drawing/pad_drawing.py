@@ -15,14 +15,14 @@ import numpy as np
 from build123d import GeomType, Vector
 
 from taccel_lab.cad.drawing.sections import (
-    Section,
+    DrawnSection,
     chain,
     circle_through,
     edge_points,
     plan_edges,
     section,
 )
-from taccel_lab.cad.drawing.sheet import THICK, THIN, Sheet, Xy
+from taccel_lab.cad.drawing.sheet import THICK, THIN, DrawingSheet, Xy
 from taccel_lab.cad.drawing.title import (
     SHEETS,
     TABLE_WIDTH_MM,
@@ -73,7 +73,7 @@ def pad_drawing(
     parameters: Mapping[str, tuple[float | int | str, str]] | None = None,
     layers: Mapping[str, LabelledSolid] | None = None,
     issue: Issue | None = None,
-) -> Sheet:
+) -> DrawingSheet:
     """The drawing of ``gel``.
 
     ``parameters`` are name -> (value, unit) for the table, named as ``--set`` takes them;
@@ -82,7 +82,7 @@ def pad_drawing(
     box = gel.box
     size = np.array([box.size.X, box.size.Y, box.size.Z])
     name, scale = sheet_and_scale(lambda s: _needed(size, s), least=2.0)
-    sheet = Sheet(*SHEETS[name])
+    sheet = DrawingSheet(*SHEETS[name])
     # What is left of the sheet goes round the views in equal parts.
     room = np.array([sheet.width_mm - 16 - TABLE_WIDTH_MM, sheet.height_mm - 16])
     margin = (room - _needed(size, scale)) / 2
@@ -129,7 +129,7 @@ def _needed(size: np.ndarray, scale: float) -> np.ndarray:
     ])  # fmt: skip
 
 
-def _draw_plan(sheet: Sheet, view: _View, gel: LabelledSolid) -> None:
+def _draw_plan(sheet: DrawingSheet, view: _View, gel: LabelledSolid) -> None:
     outline = base_outline(gel.solid, gel.box)
     sheet.area([view(chain(outline)[:, :2])], fill="white")
     upper = [*gel.faces(Region.CONTACT), *gel.faces(Region.SIDE)]
@@ -164,7 +164,7 @@ def _low(gel: LabelledSolid) -> float:
     return gel.box.min.Z + _ON_FACE_MM
 
 
-def _label_corners(sheet: Sheet, view: _View, arcs: Sequence) -> None:
+def _label_corners(sheet: DrawingSheet, view: _View, arcs: Sequence) -> None:
     """One leader for each radius of the outline, at its lower right arc."""
     by_radius: dict[float, list] = {}
     for arc in arcs:
@@ -180,7 +180,7 @@ def _label_corners(sheet: Sheet, view: _View, arcs: Sequence) -> None:
         sheet.leader(point, elbow, f"{count}R{mm_words(radius)}")
 
 
-def _dimension_window(sheet: Sheet, view: _View, gel: LabelledSolid) -> None:
+def _dimension_window(sheet: DrawingSheet, view: _View, gel: LabelledSolid) -> None:
     faces = gel.faces(Region.WINDOW)
     if not faces:
         return
@@ -201,7 +201,7 @@ def _dimension_window(sheet: Sheet, view: _View, gel: LabelledSolid) -> None:
 
 
 def _dimension_section(
-    sheet: Sheet, view: _View, cut: Section, gel: LabelledSolid, along: str
+    sheet: DrawingSheet, view: _View, cut: DrawnSection, gel: LabelledSolid, along: str
 ) -> None:
     every = np.concatenate([loop for loops in cut.faces for loop in loops])
     low, high = every.min(axis=0), every.max(axis=0)
@@ -217,7 +217,7 @@ def _dimension_section(
     _label_radii(sheet, view, cut, contact, along)
 
 
-def _contact_curve(cut: Section, gel: LabelledSolid) -> np.ndarray:
+def _contact_curve(cut: DrawnSection, gel: LabelledSolid) -> np.ndarray:
     """Points of the section on the contact face, [n, 2]."""
     faces = gel.faces(Region.CONTACT)
     chosen = [
@@ -229,7 +229,12 @@ def _contact_curve(cut: Section, gel: LabelledSolid) -> np.ndarray:
 
 
 def _dimension_heights(
-    sheet: Sheet, view: _View, cut: Section, low: np.ndarray, high: np.ndarray, greatest: float
+    sheet: DrawingSheet,
+    view: _View,
+    cut: DrawnSection,
+    low: np.ndarray,
+    high: np.ndarray,
+    greatest: float,
 ) -> None:
     """Heights in section A-A; ``greatest`` is the body's, where that is not in the section."""
     total = high[1] - low[1]
@@ -243,7 +248,9 @@ def _dimension_heights(
                         float(high[0] - low[0]) + 2, f"{mm_words(apex)}", along="y")  # fmt: skip
 
 
-def _dimension_layers(sheet: Sheet, view: _View, layers: Mapping[str, LabelledSolid]) -> None:
+def _dimension_layers(
+    sheet: DrawingSheet, view: _View, layers: Mapping[str, LabelledSolid]
+) -> None:
     """Thickness of the layers on the axis, and of an outer layer beside the inner one."""
     outlines = {name: section(layer.solid, "x") for name, layer in layers.items()}
     boxes = {
@@ -268,7 +275,12 @@ def _dimension_layers(sheet: Sheet, view: _View, layers: Mapping[str, LabelledSo
 
 
 def _dimension_wall(
-    sheet: Sheet, view: _View, cut: Section, low: np.ndarray, end: np.ndarray, along: str
+    sheet: DrawingSheet,
+    view: _View,
+    cut: DrawnSection,
+    low: np.ndarray,
+    end: np.ndarray,
+    along: str,
 ) -> None:
     """Height of the upright wall at one end of the section, unless it is all of the height."""
     every = np.concatenate([edge.points for edge in cut.edges])
@@ -286,13 +298,13 @@ def _dimension_wall(
         sheet.dimension(top, foot, -9, f"{mm_words(wall)} wall", along="x")
 
 
-def _apex_thickness(cut: Section) -> float | None:
+def _apex_thickness(cut: DrawnSection) -> float | None:
     """Height of material under the highest point of the axis [mm]."""
     span = _span_on_axis(cut)
     return None if span is None else span[1] - span[0]
 
 
-def _span_on_axis(cut: Section) -> tuple[float, float] | None:
+def _span_on_axis(cut: DrawnSection) -> tuple[float, float] | None:
     """Lowest and highest v of the uppermost material on the axis u = 0 [mm]."""
     crossings = []
     for loops in cut.faces:
@@ -305,7 +317,9 @@ def _span_on_axis(cut: Section) -> tuple[float, float] | None:
     return (crossings[1], crossings[0]) if len(crossings) > 1 else None
 
 
-def _label_radii(sheet: Sheet, view: _View, cut: Section, contact: np.ndarray, along: str) -> None:
+def _label_radii(
+    sheet: DrawingSheet, view: _View, cut: DrawnSection, contact: np.ndarray, along: str
+) -> None:
     """Radius of the contact face at the apex, outside, and of all other arcs, from behind."""
     if len(contact):
         half = np.abs(contact[:, 0]).max()
@@ -350,7 +364,7 @@ def _near_apex(contact: np.ndarray, reach: float) -> np.ndarray:
     return np.column_stack([u, np.interp(u, ordered[:, 0], ordered[:, 1])])
 
 
-def _draw_cutting_lines(sheet: Sheet, view: _View, box) -> None:
+def _draw_cutting_lines(sheet: DrawingSheet, view: _View, box) -> None:
     """Letters at the ends of the two planes of section."""
     reach = 5.0
     for letter, ends in (

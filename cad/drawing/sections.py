@@ -34,7 +34,7 @@ class SectionEdge:
 
 
 @dataclass(frozen=True)
-class Section:
+class DrawnSection:
     """The cut faces of a solid in a plane through the z axis."""
 
     faces: tuple[tuple[np.ndarray, ...], ...]
@@ -42,7 +42,7 @@ class Section:
     edges: tuple[SectionEdge, ...]
 
 
-def section(solid: Solid, along: str) -> Section:
+def section(solid: Solid, along: str) -> DrawnSection:
     """Cut with the plane y = 0 (``along`` = "x") or x = 0 (``along`` = "y")."""
     column = 0 if along == "x" else 1
     loops, edges = [], []
@@ -58,7 +58,7 @@ def section(solid: Solid, along: str) -> Section:
                     middle=(middle.X, middle.Y, middle.Z),
                 )
             )
-    return Section(tuple(loops), tuple(edges))
+    return DrawnSection(tuple(loops), tuple(edges))
 
 
 def edge_points(edge: Edge) -> np.ndarray:

@@ -36,7 +36,7 @@ _SETTINGS: dict[Any, Any] = {
 }
 
 
-class Sheet:
+class DrawingSheet:
     """A landscape sheet; x to the right and y up from its lower left corner [mm]."""
 
     def __init__(self, width_mm: float, height_mm: float) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from taccel_lab.cad.drawing.sheet import THICK, Sheet
+from taccel_lab.cad.drawing.sheet import THICK, DrawingSheet
 
 TABLE_WIDTH_MM = 84.0
 SHEETS = {"A4": (297.0, 210.0), "A3": (420.0, 297.0)}
@@ -75,7 +75,7 @@ def scale_words(scale: float) -> str:
     return f"{scale:g}:1" if scale >= 1 else f"1:{1 / scale:g}"
 
 
-def write_title(sheet: Sheet, block: TitleBlock) -> None:
+def write_title(sheet: DrawingSheet, block: TitleBlock) -> None:
     """Fill the column from the top with parameters and notes, at the bottom the title."""
     left = sheet.width_mm - _MARGIN - TABLE_WIDTH_MM
     bottom = _title(sheet, block, left)
@@ -89,7 +89,7 @@ def write_title(sheet: Sheet, block: TitleBlock) -> None:
         y -= 1.5
 
 
-def _table(sheet: Sheet, block: TitleBlock, left: float, y: float, bottom: float) -> float:
+def _table(sheet: DrawingSheet, block: TitleBlock, left: float, y: float, bottom: float) -> float:
     if not block.parameters:
         return y - 4
     right = sheet.width_mm - _MARGIN
@@ -111,7 +111,7 @@ def _table(sheet: Sheet, block: TitleBlock, left: float, y: float, bottom: float
     return y - 2
 
 
-def _title(sheet: Sheet, block: TitleBlock, left: float) -> float:
+def _title(sheet: DrawingSheet, block: TitleBlock, left: float) -> float:
     """Draw the title block; returns the height of its top edge."""
     right, y = sheet.width_mm - _MARGIN, _MARGIN
     issue = block.issue

@@ -6,10 +6,8 @@ from taccel_lab.cad.export.dxf import write_dxf
 from taccel_lab.cad.export.step import write_assembly_step, write_part_step, write_step
 from taccel_lab.cad.export.stl import write_part_stl, write_stl
 from taccel_lab.cad.export.threemf import write_3mf
-from taccel_lab.cad.parts.part import REGION_COLORS
 
 __all__ = [
-    "REGION_COLORS",
     "dimensions",
     "write_3mf",
     "write_assembly_step",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One door to the structured mesher: the mesh of any pad, even or fine around a contact.
+"""One entry to the structured mesher: the mesh of any pad, even or fine around a contact.
 
 Structured meshes keep their connectivity over every change of a pad's dimensions, and their size is
 known beforehand, so that a sweep over designs is one batch of environments.

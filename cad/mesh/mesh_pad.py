@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A gel of any shape as a pad: its surfaces are those of its mesh, no formula describes them."""
+"""A gel of any shape as a pad: its surfaces are triangles, no formula describes them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.shading_normals import corner_normals
@@ -23,32 +24,33 @@ _INSIDE = -1e-9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MeshPad(Pad):
-    """The gel of a mesh. Over a place where its contact face lies in folds, the highest counts."""
+class SurfacePad(Pad):
+    """The gel in a labelled surface. Over a place where its contact face lies in folds, the highest
+    counts."""
 
     one_connectivity: ClassVar[bool] = False
 
     thickness_mm: float  # pyright: ignore[reportGeneralTypeIssues]
-    mesh: TetMesh = field(kw_only=True)
+    surface: LabelledSurface = field(kw_only=True)
 
     @cached_property
     def digest(self) -> str:
-        """Stands for the mesh: the same digits for the same gel."""
+        """Stands for the gel: the same digits for the same one."""
         found = hashlib.sha256()
-        for array in (
-            self.mesh.nodes_m, self.mesh.tets, self.mesh.faces, self.mesh.face_regions,
-            self.mesh.tet_layers,
-        ):  # fmt: skip
+        for array in self._arrays():
             found.update(array.tobytes())
         return found.hexdigest()[:16]
 
+    def _arrays(self) -> tuple[np.ndarray, ...]:
+        return self.surface.vertices_mm, self.surface.triangles, self.surface.regions
+
     def __repr__(self) -> str:
-        return f"MeshPad(thickness_mm={self.thickness_mm!r}, mesh={self.digest})"
+        return f"{type(self).__name__}(thickness_mm={self.thickness_mm!r}, gel={self.digest})"
 
     def bounds_mm(self) -> np.ndarray:
         """Lowest and highest corner of the bounding box [mm], shape [2, 3]."""
-        nodes = 1e3 * self.mesh.nodes_m
-        return np.stack([nodes.min(axis=0), nodes.max(axis=0)])
+        points = self.surface.vertices_mm
+        return np.stack([points.min(axis=0), points.max(axis=0)])
 
     def top_mm(self, xy_mm: np.ndarray) -> np.ndarray:
         """z of the contact face over gel xy [mm], NaN beside it; [..., 2] -> [...]."""
@@ -88,34 +90,34 @@ class MeshPad(Pad):
 
     def figures(self) -> dict[str, float]:
         """Its volume [mm^3]."""
-        return {"volume_mm3": float(1e9 * self.mesh.volumes_m3().sum())}
+        return {"volume_mm3": self.surface.volume_mm3()}
 
     def _closest(self, *regions: Region) -> ClosestPoint:
         from taccel_lab.cad.mesh.closest import ClosestPoint
 
-        return ClosestPoint(1e3 * self.mesh.nodes_m, self.mesh.region_faces(*regions))
+        return ClosestPoint(self.surface.vertices_mm, self.surface.of(*regions))
 
     @cached_property
     def _facing(self) -> np.ndarray:
         """Which triangles of the contact face look up."""
-        a, b, c = np.moveaxis(self.mesh.nodes_m[self._faces][..., :2], 1, 0)
+        a, b, c = np.moveaxis(self.surface.vertices_mm[self._faces][..., :2], 1, 0)
         return _cross(b - a, c - a) > 0
 
     @cached_property
     def _faces(self) -> np.ndarray:
-        return self.mesh.region_faces(Region.CONTACT)
+        return self.surface.of(Region.CONTACT)
 
     @cached_property
     def _normals(self) -> np.ndarray:
         """At the corners of each triangle that looks up, [m, 3, 3]."""
-        return corner_normals(self.mesh.nodes_m, self._faces)[self._facing]
+        return corner_normals(1e-3 * self.surface.vertices_mm, self._faces)[self._facing]
 
     @cached_property
     def _rim_mm(self) -> np.ndarray:
         """Edges of the contact face that belong to one triangle, in plan [mm], [n, 2, 2]."""
         edges = np.sort(self._faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         once, count = np.unique(edges, axis=0, return_counts=True)
-        ends = 1e3 * self.mesh.nodes_m[once[count == 1], :2]
+        ends = self.surface.vertices_mm[once[count == 1], :2]
         # An edge along z has no extent in plan.
         return ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 1e-9]
 
@@ -125,13 +127,28 @@ class MeshPad(Pad):
         height = np.full(len(points), np.nan)
         face = np.zeros(len(points), dtype=np.int64)
         weights = np.full((len(points), 3), np.nan)
-        corners = 1e3 * self.mesh.nodes_m[self._faces[self._facing]]
+        corners = self.surface.vertices_mm[self._faces[self._facing]]
         for number, over, w in _over(points, corners[..., :2]):
             z = w @ corners[number, :, 2]
             higher = ~(z <= height[over])
             chosen = over[higher]
             height[chosen], face[chosen], weights[chosen] = z[higher], number, w[higher]
         return height, face, weights
+
+
+class MeshPad(SurfacePad):
+    """The gel of a mesh."""
+
+    mesh: TetMesh
+
+    def __init__(self, thickness_mm: float, *, mesh: TetMesh) -> None:
+        object.__setattr__(self, "mesh", mesh)
+        surface = LabelledSurface(1e3 * mesh.nodes_m, mesh.faces, mesh.face_regions)
+        super().__init__(thickness_mm, surface=surface)
+
+    def _arrays(self) -> tuple[np.ndarray, ...]:
+        mesh = self.mesh
+        return mesh.nodes_m, mesh.tets, mesh.faces, mesh.face_regions, mesh.tet_layers
 
 
 def _over(points: np.ndarray, corners: np.ndarray) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:

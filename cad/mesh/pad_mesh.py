@@ -25,7 +25,7 @@ from taccel_lab.cad.mesh.template import (
     columns_mm,
     level_fractions,
 )
-from taccel_lab.cad.mesh.tet_smoothing import Sheet, improve_worst_tets
+from taccel_lab.cad.mesh.tet_smoothing import SurfaceSheet, improve_worst_tets
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.height_pad import HeightPad
 from taccel_lab.errors import InputError
@@ -221,7 +221,7 @@ def _leaning(counts: PadCounts, shift: np.ndarray) -> np.ndarray:
 
 def _movable(
     template: Template, counts: PadCounts, pad: HeightPad, *, focused: bool
-) -> tuple[np.ndarray, Sheet]:
+) -> tuple[np.ndarray, SurfaceSheet]:
     """What may move to make tets rounder: bool by coordinate, shape [n, 3], and the contact face.
 
     Nodes of the window's edge, the rim band and the sides of skins stay. On the wall nodes climb,
@@ -241,7 +241,7 @@ def _movable(
         free[level >= counts.gel_layers] = False
     if isinstance(pad, GelPad) and not focused:
         free[core_perimeter(counts.core)] = False
-    return free, Sheet(np.flatnonzero(top), pad.height_mm)
+    return free, SurfaceSheet(np.flatnonzero(top), pad.height_mm)
 
 
 def _on_fillet(template: Template, counts: PadCounts) -> np.ndarray:

@@ -51,7 +51,7 @@ def rim_distances_mm(pad: HeightPad) -> np.ndarray:
     """Inside distance of the rings along the edge [mm]: inner first, the outline (0) last.
 
     The first is the border of the conformal grid. Arcs and bevels wider than the corner radius have
-    no rings of their own: their nodes lie on the formula, their edges between nodes.
+    no rings: their nodes lie on the formula, their edges between nodes.
     """
     distances = [0.0, pad.skin_wall_mm]
     width = pad.rim_setback_mm()

@@ -24,7 +24,7 @@ from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.geometry.tet_mesh import tet_volumes
 
 DEFAULT_EDGE_MM = 1.0
-"""Edge of a mesh unless another is asked for, at which the gate's limits hold as they stand."""
+"""Edge of a mesh unless another is requested, at which the gate's limits hold as they stand."""
 
 Place = tuple[float, ...]
 """x, y and z in the gel frame."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one door for dirty triangle surfaces (scans, STL files): repaired and told, or refused.
+"""All dirty triangle surfaces (scans, STL files) come here: repaired and reported, or refused.
 
 pymeshlab is GPL-3.0, so it is an extra, and this is the only module that loads it.
 """
@@ -15,6 +15,7 @@ import numpy as np
 from taccel_lab.cad.mesh.surface import check_closed, doubled_areas, enclosed_volume, weld
 from taccel_lab.cad.mesh.thickness import least_thickness
 from taccel_lab.errors import InputError
+from taccel_lab.geometry.connectivity import compacted, piece_of_cells
 
 _WELD_SHARE = 1e-6
 """Vertices closer than this share of the diagonal are one; an STL file rounds by a tenth of it."""
@@ -54,11 +55,18 @@ def repair_surface(
     actions: list[str] = []
     points, faces = _checked(vertices, triangles, actions)
     points, faces = _welded(points, faces, actions)
-    points, faces = _manifold(pymeshlab, points, faces, actions)
-    points, faces = _one_piece(points, faces, actions)
-    before = len(faces)
-    points, faces = _closed(pymeshlab, points, faces, max_hole_edges, actions)
-    points, faces = _without_crossings(pymeshlab, points, faces, before, max_hole_edges, actions)
+    try:
+        points, faces = _manifold(pymeshlab, points, faces, actions)
+        points, faces = _one_piece(points, faces, actions)
+        before = len(faces)
+        points, faces = _closed(pymeshlab, points, faces, max_hole_edges, actions)
+        points, faces = _without_crossings(
+            pymeshlab, points, faces, before, max_hole_edges, actions
+        )
+    except pymeshlab.PyMeshLabException as error:
+        # A filter that finds no manifold surface, after those that make one.
+        cause = str(error).partition("Details:")[2].strip() or str(error)
+        raise InputError(f"pymeshlab cannot repair the surface: {cause}") from error
     check_closed(faces, "the repaired surface")
     if enclosed_volume(points[faces]) < 0:
         faces = faces[:, ::-1].copy()
@@ -133,22 +141,17 @@ def _manifold(
 def _one_piece(
     points: np.ndarray, faces: np.ndarray, actions: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The largest connected piece without debris; several pieces of size are refused."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
-    graph = coo_matrix((np.ones(len(ends)), ends.T), shape=(len(points),) * 2)
-    _, piece = connected_components(graph, directed=False)
+    """The largest connected piece without debris; several pieces of size are rejected."""
+    piece = piece_of_cells(faces)
     areas = np.linalg.norm(doubled_areas(points[faces]), axis=1)
-    shares = np.bincount(piece[faces[:, 0]], areas) / areas.sum()
+    shares = np.bincount(piece, areas) / areas.sum()
     large = np.flatnonzero(shares >= _DEBRIS_SHARE)
     if len(large) > 1:
         raise InputError(
             f"the surface to repair has {len(large)} separate pieces; one body is needed. Export "
             "the gel alone, or join the pieces in the program that they come from"
         )
-    kept = piece[faces[:, 0]] == large[0]
+    kept = piece == large[0]
     if not kept.all():
         pieces = int((shares > 0).sum()) - 1
         actions.append(f"cut out {pieces} loose pieces of {int((~kept).sum())} triangles")
@@ -184,7 +187,7 @@ def _closed(
         raise InputError(
             f"the repaired surface is not a closed manifold surface: {left} open edges are left, "
             f"at holes of more than {max_hole_edges} edges or with tangled borders; close them in "
-            "the program that the surface comes from"
+            "your CAD program"
         )
     closed_points, closed = _arrays(meshes)
     if open_edges:
@@ -233,8 +236,8 @@ def _check_thickness(points: np.ndarray, faces: np.ndarray) -> None:
 
 
 def _used(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    used, packed = np.unique(faces, return_inverse=True)
-    return points[used], packed.reshape(faces.shape).astype(np.int32)
+    used, packed = compacted(faces)
+    return points[used], packed.astype(np.int32)
 
 
 def _mesh_set(pymeshlab: ModuleType, points: np.ndarray, faces: np.ndarray) -> Any:

@@ -21,7 +21,7 @@ def sound_gel_mesh(
     pad: Pad, *, cad_volume_mm3: float | None = None, cad_surface: LabelledSurface | None = None
 ) -> tuple[TetMesh, MeshQuality, float]:
     """Mesh, quality and edge length [mm] of the first edge in ``SHORTER`` whose mesh passes the
-    gate; those of the usual edge when none does, for its faults to be told.
+    gate; those of the usual edge when none does, so that its faults can be listed.
 
     ``cad_volume_mm3`` and ``cad_surface`` as of ``measure_quality``.
     """

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import Region
+from taccel_lab.geometry.connectivity import pieces_of_pairs
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,10 @@ class LabelledSurface:
     def areas_mm2(self) -> np.ndarray:
         """Area of each triangle [mm^2], shape [triangle_count]."""
         return 0.5 * np.linalg.norm(self._crosses(), axis=1)
+
+    def of(self, *regions: Region) -> np.ndarray:
+        """Triangles of the given regions, [n, 3]."""
+        return self.triangles[np.isin(self.regions, [int(region) for region in regions])]
 
     def volume_mm3(self) -> float:
         """Enclosed volume [mm^3]."""
@@ -70,14 +76,10 @@ def weld(vertices: np.ndarray, triangles: np.ndarray, tolerance: float) -> tuple
 
     Returns vertices, shape [n, 3], and triangles, shape [m, 3], int32.
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
 
     pairs = KDTree(vertices).query_pairs(tolerance, output_type="ndarray")
-    ones = np.ones(len(pairs))
-    graph = coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(len(vertices),) * 2)
-    _, group = connected_components(graph, directed=False)
+    group = pieces_of_pairs(pairs, len(vertices))
     _, first = np.unique(group, return_index=True)
     welded = group[triangles].astype(np.int32)
     return vertices[first], welded

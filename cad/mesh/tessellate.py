@@ -26,6 +26,19 @@ def tessellate_solid(
 
     The kernel holds the tolerance on edges and misses it on crowned faces by up to five times.
     """
+    welded, triangles, face_of = tessellated_faces(
+        part, tolerance_mm=tolerance_mm, angle_rad=angle_rad
+    )
+    check_closed(triangles, "the tessellated pad")
+    regions = np.array([int(region) for region in part.regions], dtype=np.int32)
+    return LabelledSurface(welded, triangles, regions[face_of])
+
+
+def tessellated_faces(
+    part: LabelledSolid, *, tolerance_mm: float, angle_rad: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As ``tessellate_solid``: vertices [mm], [n, 3], triangles, [m, 3], and the number of each
+    one's face, [m]; a shell may be open."""
     if not (1e-4 <= tolerance_mm <= 1 and 0.01 <= angle_rad <= 1):
         raise InputError(
             f"tolerance_mm = {tolerance_mm:g}, angle_rad = {angle_rad:g}: allowed are 1e-4 to 1 mm "
@@ -33,12 +46,12 @@ def tessellate_solid(
         )
     # Meshed as one solid, so that faces share the points of their common edges.
     BRepMesh_IncrementalMesh(part.solid.wrapped, tolerance_mm, False, angle_rad, False)
-    vertices, triangles, regions, offset = [], [], [], 0
-    for face, region in zip(part.solid.faces(), part.regions, strict=True):
+    vertices, triangles, face_of, offset = [], [], [], 0
+    for number, face in enumerate(part.solid.faces()):
         location = TopLoc_Location()
         mesh = BRep_Tool.Triangulation_s(face.wrapped, location)
         if mesh is None:
-            raise InputError(f"the CAD kernel could not triangulate a {region.name} face")
+            raise InputError(f"the CAD kernel could not triangulate face {number}")
         transform = location.Transformation()
         points = [mesh.Node(i + 1).Transformed(transform) for i in range(mesh.NbNodes())]
         corners = np.array([mesh.Triangle(i + 1).Get() for i in range(mesh.NbTriangles())]) - 1
@@ -46,10 +59,8 @@ def tessellate_solid(
             corners = corners[:, ::-1]
         vertices.append(np.array([[p.X(), p.Y(), p.Z()] for p in points]))
         triangles.append(corners + offset)
-        regions.append(np.full(len(corners), int(region), dtype=np.int32))
+        face_of.append(np.full(len(corners), number, dtype=np.int32))
         offset += len(points)
     welded, faces = weld(np.concatenate(vertices), np.concatenate(triangles), _WELD_MM)
-    labels = np.concatenate(regions)
     real = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    check_closed(faces[real], "the tessellated pad")
-    return LabelledSurface(welded, faces[real], labels[real])
+    return welded, faces[real], np.concatenate(face_of)[real]

@@ -3,7 +3,7 @@
 
 The energy of a tet is its inverse mean ratio sum(l^2) / (12 (3 V)^(2/3)), 1 for the regular tet
 (Liu and Joe, BIT 34 (1994) 268), to a power that makes the worst ones count. It grows without bound
-as a tet flattens, and steps that turn one inside out are refused, so a valid mesh stays valid.
+as a tet flattens, and steps that turn one inside out are rejected, so a valid mesh stays valid.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _PAIRS = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
 
 @dataclass(frozen=True)
-class Sheet:
+class SurfaceSheet:
     """A height map on which some nodes slide."""
 
     nodes: np.ndarray
@@ -48,7 +48,7 @@ def improve_worst_tets(
     wanted_deg: float,
     powers: tuple[int, ...] = (4, 4, 4),
     iterations: int = 40,
-    sheet: Sheet | None = None,
+    sheet: SurfaceSheet | None = None,
 ) -> np.ndarray:
     """Move free nodes until no tet has a dihedral angle below ``wanted_deg``.
 
@@ -86,7 +86,7 @@ def _minimise(
     free: np.ndarray,
     power: int,
     iterations: int,
-    sheet: Sheet | None,
+    sheet: SurfaceSheet | None,
 ) -> np.ndarray:
     from scipy.optimize import minimize
 

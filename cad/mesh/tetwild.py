@@ -21,6 +21,7 @@ from taccel_lab.cad.mesh.surface import LabelledSurface
 from taccel_lab.cad.mesh.tet_smoothing import improve_worst_tets
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry.connectivity import compacted
 from taccel_lab.geometry.tet_mesh import boundary_faces, tet_volumes
 
 # Below 10 fTetWild often does not finish.
@@ -57,7 +58,8 @@ def run_tetwild(
         flat = np.isin(tets, glued).all(axis=1) & (volumes < _FLAT_MM3)
         if not flat.any():
             break
-        nodes, tets = _without_unused(nodes, tets[~flat])
+        used, tets = compacted(tets[~flat])
+        nodes = nodes[used]
         faces = boundary_faces(tets)
         regions = transfer_regions(nodes, faces, given.surface)
     inner = np.setdiff1d(np.arange(len(nodes)), faces)
@@ -112,8 +114,3 @@ def _on_triangles(points: np.ndarray, triangles_mm: np.ndarray, within_mm: float
     corners = triangles_mm.reshape(-1, 3)
     distance, _ = ClosestPoint(corners, np.arange(len(corners)).reshape(-1, 3))(points)
     return distance < within_mm
-
-
-def _without_unused(nodes: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    used, packed = np.unique(tets, return_inverse=True)
-    return nodes[used], packed.reshape(tets.shape)

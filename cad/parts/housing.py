@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from build123d import Axis, BoundBox, Face, Location, Plane, Pos, ShapeList, Solid, Vector, Wire
 from build123d.topology import Shape
 
-from taccel_lab.cad.parts.housing_shape import HousingShape
+from taccel_lab.cad.parts.housing_shape import CLEARANCE_MM, LEAST_RIM_MM, RIM_MM, HousingShape
 from taccel_lab.cad.parts.outline import grown, prism, rounded_rectangle
 from taccel_lab.cad.parts.part import Part
 from taccel_lab.cad.parts.placeholders import (
@@ -26,21 +26,18 @@ from taccel_lab.cad.parts.placeholders import (
 )
 from taccel_lab.cad.parts.solids import common_volume_mm3
 from taccel_lab.errors import InputError
-from taccel_lab.profile.optical_design import Camera, Light
+from taccel_lab.profile.optical_design import DesignedCamera, Light
 
 _COLOR = (0.30, 0.32, 0.35)
 _COVER_COLOR = (0.22, 0.23, 0.26)
-_LEAST_RIM_MM = 0.4
 _BOSSES_MM = ((5.0, 2.1), (4.0, 1.6), (3.2, 1.2))
 """Diameters of screw bosses and their pilot holes, for self-tapping M2.5, M2 and M1.6 screws."""
 _BOSS_HEIGHT_MM = 6.0
-CLEARANCE_MM = 0.1
-"""Gap beside window, gel, camera and LEDs."""
 _MATERIAL = "black plastic, matt inside"
 
 
 @dataclass(frozen=True)
-class Seat:
+class GelSeat:
     """What the housing has to hold [mm]."""
 
     z_mm: float
@@ -64,8 +61,8 @@ class HousingParts:
 
 def housing_parts(
     shape: HousingShape,
-    seat: Seat,
-    camera: Camera | None = None,
+    seat: GelSeat,
+    camera: DesignedCamera | None = None,
     leds: tuple[Light, ...] = (),
 ) -> HousingParts:
     """Build housing and cover in the gel frame; raises InputError naming the bound that is broken.
@@ -120,46 +117,46 @@ def housing_parts(
     return HousingParts(housing, lid, notes)
 
 
-def _check(shape: HousingShape, seat: Seat) -> None:
+def _check(shape: HousingShape, seat: GelSeat) -> None:
     x, y, z = shape.size_mm
     if not (0.3 <= shape.wall_mm and 2 * shape.wall_mm < min(x, y)):
         raise InputError(
-            f"housing wall_mm = {shape.wall_mm:g} is not allowed; use 0.3 to {min(x, y) / 2:g} mm"
+            f"housing_wall_mm = {shape.wall_mm:g} is not allowed; use 0.3 to {min(x, y) / 2:g} mm"
         )
     if shape.front_z_mm < seat.z_mm - 1e-9:
         raise InputError(
-            f"housing front_z_mm = {shape.front_z_mm:g} lies below the seat of the window at "
-            f"z = {seat.z_mm:g} mm, so that nothing holds it; allowed: {seat.z_mm:g} mm or above"
+            f"housing_front_mm = {-shape.front_z_mm:g} lies behind the seat of the window, "
+            f"{-seat.z_mm:g} mm behind the apex, so that nothing holds it; allowed: up to "
+            f"{-seat.z_mm:g} mm"
         )
     depth = shape.front_z_mm - seat.z_mm + 2 * shape.wall_mm
     if z < depth + 1:
         raise InputError(
-            f"housing size_mm z = {z:g} leaves no hollow behind the window; allowed: at least "
+            f"housing_z_mm = {z:g} leaves no hollow behind the window; allowed: at least "
             f"{depth + 1:.2f} mm"
         )
     for outline, floor in seat.outlines:
         if shape.front_z_mm - floor <= 1e-9:
             continue
         box = outline.bounding_box()
-        rim = CLEARANCE_MM + _LEAST_RIM_MM
         for axis, size, offset, low, high in (
             ("x", x, shape.offset_mm[0], box.min.X, box.max.X),
             ("y", y, shape.offset_mm[1], box.min.Y, box.max.Y),
         ):
-            least = 2 * (max(high - offset, offset - low) + rim)
+            least = 2 * (max(high - offset, offset - low) + RIM_MM)
             if size < least - 1e-9:
                 raise InputError(
-                    f"housing size_mm {axis} = {size:g} is too small for what it holds; allowed: "
-                    f"at least {least:.2f} mm (a rim of {_LEAST_RIM_MM:g} mm)"
+                    f"housing_{axis}_mm = {size:g} is too small for what it holds; allowed: "
+                    f"at least {least:.2f} mm (a rim of {LEAST_RIM_MM:g} mm)"
                 )
 
 
 def _with_bosses(
     shape: HousingShape,
-    seat: Seat,
+    seat: GelSeat,
     body: Solid,
     cover: Solid,
-    camera: Camera | None,
+    camera: DesignedCamera | None,
     leds: tuple[Light, ...],
 ) -> tuple[Solid, Solid, int]:
     """Posts in the corners of the hollow, the largest that block neither light nor view."""
@@ -199,7 +196,7 @@ def _with_bosses(
 
 
 def _bought_parts_room(
-    shape: HousingShape, camera: Camera | None, leds: tuple[Light, ...]
+    shape: HousingShape, camera: DesignedCamera | None, leds: tuple[Light, ...]
 ) -> list[Solid]:
     """What camera and LEDs need, the camera also its way in from behind."""
     spare = CLEARANCE_MM
@@ -214,7 +211,7 @@ def _bought_parts_room(
     return rooms
 
 
-def _housing_face(shape: HousingShape, seat: Seat, face: Face) -> str:
+def _housing_face(shape: HousingShape, seat: GelSeat, face: Face) -> str:
     box = face.bounding_box()
     if box.min.Z > shape.front_z_mm - 1e-6:
         return "front"
@@ -252,7 +249,7 @@ def _one(shape: Shape | ShapeList) -> Solid:
         )
     if not solids[0].is_valid:
         raise InputError(
-            "the CAD kernel built an invalid housing; change its size_mm, wall_mm or "
-            "corner_radius_mm a little"
+            "the CAD kernel built an invalid housing; change housing_x_mm, housing_wall_mm or "
+            "housing_corner_mm a little"
         )
     return solids[0]

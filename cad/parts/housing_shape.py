@@ -5,6 +5,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+CLEARANCE_MM = 0.1
+"""Gap beside window, gel, camera and LEDs."""
+LEAST_RIM_MM = 0.4
+RIM_MM = CLEARANCE_MM + LEAST_RIM_MM
+"""Least of a housing beside what it holds."""
+
 
 @dataclass(frozen=True)
 class HousingShape:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from build123d import Location, Plane, Solid
 
 from taccel_lab.cad.parts.part import Part, Rgb
-from taccel_lab.profile.optical_design import Camera, Light
+from taccel_lab.profile.optical_design import DesignedCamera, Light
 
 LENS_DIAMETER_MM, LENS_LENGTH_MM = 6.0, 4.0
 """Of a small board camera; the length from the centre of projection back to the board."""
@@ -23,7 +23,7 @@ LEAST_LED_MM = 0.5
 """Side of an LED that is modelled as a point [mm]."""
 
 
-def camera_location(camera: Camera) -> Location:
+def camera_location(camera: DesignedCamera) -> Location:
     """Where the camera stands in the gel frame."""
     turn = camera.gel_from_camera()
     x, z = (tuple(turn[:, k].tolist()) for k in (0, 2))

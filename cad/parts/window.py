@@ -30,7 +30,7 @@ _ON_FACE_MM = 1e-6
 CORNER_RADIUS_MM = 1.0
 """Of a plate that does not follow the gel's outline."""
 MIN_BOND_MM = 0.05
-"""Least width of the bond around the optical patch for the patch to be a face of its own."""
+"""Least width of the bond around the optical patch for the patch to be a separate face."""
 SAME_OUTLINE_MM = 0.1
 """A plate whose size exceeds the gel's by the same on both axes, within this, takes its outline."""
 OUTLINE_REACH_MM = 1.0
@@ -61,7 +61,7 @@ def window_part(
 
     A plate follows ``gel_outline`` when its size differs from the outline's by the same amount on
     both axes (a window cut like the gel); otherwise it is a rounded rectangle. What the camera sees
-    of its front, ``view_mm``, is a face of its own; (0, 0) for all of it.
+    of its front, ``view_mm``, is a separate face; (0, 0) for all of it.
     """
     is_dome = window.shape == "dome"
     solid = _dome(window) if is_dome else _plate(window, gel_outline, view_mm)

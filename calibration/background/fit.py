@@ -17,7 +17,7 @@ from taccel_lab.calibration.check.background import check_background
 from taccel_lab.calibration.light.average import RunningMean
 from taccel_lab.calibration.light.drift import drift_remarks, drift_spread
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.light.untouched import (
     background_from_presses,
     steady_pixels,
@@ -122,7 +122,7 @@ class _Compared:
     """A frame against the reference."""
 
     source: _Source
-    light: Light
+    light: LightDrift
     seen: np.ndarray
     """Untouched pixels, bool, shape [height_px, width_px]."""
     used: np.ndarray
@@ -180,7 +180,7 @@ def _against_presses(folder: CaptureFolder) -> list[Remark]:
 def _remarks(
     sources: Sequence[_Source],
     frames: tuple[FrameLight, ...],
-    drifts: Sequence[Light],
+    drifts: Sequence[LightDrift],
     reference: np.ndarray,
     new_dust: np.ndarray,
     from_presses: bool,

@@ -11,7 +11,7 @@ import numpy as np
 from taccel_lab.calibration.background.dust import speck_count
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.light.drift import DriftSpread
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.result import ResultSummary
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -26,7 +26,7 @@ class FrameLight:
     name: str
     kind: str
     """``background``, ``untouched`` or ``press``."""
-    drift: Light
+    drift: LightDrift
     seen_share: float
     """Share of the image that shows untouched gel."""
     plain_l1: float

@@ -60,7 +60,7 @@ def detect_views(
 ) -> Detections:
     """Detect every view of some boards.
 
-    Views in which the board is not found, or is mirrored, or that are one image twice, are refused
+    Views in which the board is not found, or is mirrored, or that are one image twice, are rejected
     with the reason. Raises
     InputError when none is left.
     """
@@ -106,19 +106,19 @@ def detect_views(
 
 def _without_mirrored(views: list[BoardView]) -> tuple[list[BoardView], list[str], list[str]]:
     """Refuse views whose chessboard is mirrored against most of the others."""
-    told = [view for view in views if view.first_square_dark is not None]
-    dark = [view for view in told if view.first_square_dark]
-    if len(dark) == len(told):
+    known = [view for view in views if view.first_square_dark is not None]
+    dark = [view for view in known if view.first_square_dark]
+    if len(dark) == len(known):
         return views, [], []
     if not dark:
         return views, [], [
             "the chessboard begins with a light square in every view: it was printed so, or all "
             "images are mirrored; compare one with the board"
         ]  # fmt: skip
-    usual = len(dark) * 2 >= len(told)
-    odd = [view for view in told if view.first_square_dark != usual]
+    usual = len(dark) * 2 >= len(known)
+    odd = [view for view in known if view.first_square_dark != usual]
     reasons = [
-        f"{view.source}: the board is mirrored against {len(told) - len(odd)} other views of it"
+        f"{view.source}: the board is mirrored against {len(known) - len(odd)} other views of it"
         for view in odd
     ]
     names = {id(view) for view in odd}

@@ -74,7 +74,7 @@ class LensScore:
 def fold_of_views(views: Sequence[BoardView], folds: int) -> np.ndarray:
     """Part that each view is held out with, int, shape [view].
 
-    Its place in the manifest modulo ``folds``; each view is a part of its own where a part would
+    Its place in the manifest modulo ``folds``; each view is a separate part where a part would
     leave fewer than two views to fit.
     """
     places = np.array([i if view.place is None else view.place for i, view in enumerate(views)])

@@ -12,7 +12,7 @@ import numpy as np
 from taccel_lab.calibration.camera.options import LensName
 from taccel_lab.camera.camera_model import CameraModel
 from taccel_lab.errors import InputError
-from taccel_lab.profile.optical_design import Camera
+from taccel_lab.profile.optical_design import DesignedCamera
 
 
 @dataclass(frozen=True)
@@ -85,10 +85,10 @@ class Lens:
         size_px: tuple[int, int],
         position_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
         rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0),
-    ) -> Camera:
+    ) -> DesignedCamera:
         """The camera as the profile and the renderer describe it."""
         fx, fy, cx, cy = (float(v) for v in parameters[:4])
-        return Camera(
+        return DesignedCamera(
             size_px[0],
             size_px[1],
             fx,

@@ -184,9 +184,25 @@ def _fit(
             for view, board, motion in zip(views, boards, motions, strict=True)
         ]
 
+    def slopes(x: np.ndarray) -> np.ndarray:
+        motions = np.vstack([np.zeros(3), x[count:].reshape(-1, 3)])
+        found = []
+        for i, (board, motion, mask) in enumerate(zip(boards, motions, used, strict=True)):
+            by_theta, by_xy = model.slopes(x[:count], moved(board[mask], motion))
+            by_all = np.zeros((len(by_xy), 2, len(x)))
+            by_all[:, :, :count] = by_theta
+            if i:
+                at = count + 3 * (i - 1)
+                turning = board[mask] @ plane_rotation(float(motion[0]) + np.pi / 2).T
+                by_all[:, :, at] = np.einsum("nij,nj->ni", by_xy, turning)
+                by_all[:, :, at + 1 : at + 3] = by_xy
+            found.append(-by_all)
+        return np.concatenate(found)
+
     fitted = fit_robustly(
         lambda x: np.concatenate([r[m] for r, m in zip(residuals(x), used, strict=True)]),
         start,
+        jacobian=slopes,
         prior=lambda x: model.prior(x[:count]),
         tolerance=_TOLERANCE if whole is None else _HELDOUT_TOLERANCE,
     )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.camera.rectification import RectificationMaps
-from taccel_lab.calibration.capture.captures import Press
+from taccel_lab.calibration.capture.captures import CapturedPress
 from taccel_lab.calibration.capture.folder import CaptureFolder, Frame
 from taccel_lab.calibration.capture.importers.draft import write_png
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME, SCHEMA_VERSION
@@ -82,8 +82,8 @@ def rectify_captures(folder: CaptureFolder, maps: RectificationMaps, out: Path) 
     return notes
 
 
-def _raw_frames(folder: CaptureFolder) -> list[Frame | Press]:
-    frames: list[Frame | Press] = [*folder.untouched, *folder.presses]
+def _raw_frames(folder: CaptureFolder) -> list[Frame | CapturedPress]:
+    frames: list[Frame | CapturedPress] = [*folder.untouched, *folder.presses]
     frames += [edge.frame for edge in folder.edges]
     return frames if folder.background is None else [folder.background, *frames]
 

@@ -78,12 +78,17 @@ def fit_robustly(
         residuals: Of the points [px] by parameters, [k] -> [n, 2]; a step to where one is not
             finite is not taken.
         start: Parameters to start from, shape [k].
-        jacobian: Their derivatives, [k] -> [n, 2, k], where there is no prior; by differences
-            without.
-        prior: What is known of the parameters already, as standardised residuals, [k] -> [m].
+        jacobian: Their derivatives, [k] -> [n, 2, k]; by differences without.
+        prior: What is known of the parameters already, as standardised residuals, [k] -> [m],
+            linear in them.
         robust: Huber's loss, or plain squares.
         tolerance: Of cost, step and gradient.
     """
+
+    none = np.zeros_like(np.asarray(start, dtype=np.float64))
+    known = [] if prior is None or jacobian is None else [
+        prior(one) - prior(none) for one in np.eye(len(none))
+    ]  # fmt: skip
 
     def at_scale(x: np.ndarray, scale: float) -> OptimizeResult:
         limit = HUBER * scale if robust else np.inf
@@ -99,7 +104,8 @@ def fit_robustly(
             along = np.einsum("nk,nkj->nj", left, by_x)
             turned = share[:, None, None] * by_x
             turned += (bend[:, None] * left)[..., None] * along[:, None]
-            return turned.reshape(-1, len(x))
+            points = turned.reshape(-1, len(x))
+            return np.vstack([points, scale * np.transpose(known)]) if known else points
 
         return least_squares(
             to_minimise,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Capture folders: the manifest, the loader, and importers of other projects' layouts."""
 
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import (
     BoardCaptures,
     CaptureFolder,
@@ -19,13 +19,13 @@ __all__ = [
     "BoardCaptures",
     "CaptureFolder",
     "CaptureSet",
+    "CapturedPress",
     "ContactCircle",
     "EdgeCapture",
     "ForceRecord",
     "Frame",
     "ImportOptions",
     "MarkerCaptures",
-    "Press",
     "Video",
     "find_taxim_pack",
     "import_captures",

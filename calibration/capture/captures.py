@@ -86,7 +86,7 @@ def widest_gap_px(circles: Sequence[ContactCircle]) -> float:
 
 
 @dataclass(frozen=True)
-class Press:
+class CapturedPress:
     """One image of one press."""
 
     name: str
@@ -103,6 +103,8 @@ class Press:
     """Travel past first touch, where a stage measured it [mm]."""
     force_n: float | None = None
     """Normal force, where a cell measured it [N]."""
+    stage_mm: tuple[float, float] | None = None
+    """Where a stage pressed, along any two axes at right angles [mm]."""
     checked: bool = False
     """A person has corrected the circle (``contacts.toml``): it wins over any detection."""
     once: Once = field(default_factory=Once, init=False, repr=False, compare=False)
@@ -125,7 +127,7 @@ class CaptureSet:
     """Pixels that may be used, bool, shape [height_px, width_px]."""
     ball_radius_mm: float
     grid: PixelGrid
-    presses: tuple[Press, ...]
+    presses: tuple[CapturedPress, ...]
     provenance: dict[str, str]
     heldout: tuple[str, ...] | None = None
     """Names of the presses that the manifest holds out; None where it leaves that to the rule."""

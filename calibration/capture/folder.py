@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CaptureSet, Press
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet
 from taccel_lab.calibration.capture.once import Once
 from taccel_lab.calibration.capture.schema import (
     BoardEntry,
@@ -159,7 +159,7 @@ class CaptureFolder:
     mm_per_px: tuple[float, float] | None
     """Scale in x and y where the manifest states it [mm/px]."""
     ball_radius_mm: float | None
-    presses: tuple[Press, ...]
+    presses: tuple[CapturedPress, ...]
     boards: tuple[BoardCaptures, ...] = ()
     edges: tuple[EdgeCapture, ...] = ()
     landmarks: tuple[LandmarkCapture, ...] = ()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import (
     BoardCaptures,
     CaptureFolder,
@@ -103,7 +103,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
             circle = ContactCircle(**entry.contact.model_dump())
         name = entry.name or frame.name
         presses.append(
-            Press(
+            CapturedPress(
                 name,
                 frame.source,
                 frame.sha256,
@@ -112,6 +112,7 @@ def _load_folder(manifest_path: Path) -> CaptureFolder:
                 radius_mm=entry.radius_mm,
                 depth_mm=entry.depth_mm,
                 force_n=entry.force_n,
+                stage_mm=entry.stage_mm,
             )
         )
     provenance = {"manifest_sha256": file_sha256(manifest_path)}

@@ -10,7 +10,7 @@ Result = TypeVar("Result")
 
 
 class Once:
-    """What was made of the captures that hold this; it goes with them.
+    """What was made of the captures that hold this, and lives as long as they do.
 
     Captures that ``dataclasses.replace`` makes of others begin anew: what was made of the others
     need not be true of them.

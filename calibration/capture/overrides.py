@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """``contacts.toml``: contact circles that a person has corrected, and presses to leave out.
 
-``taccel-lab capture review`` writes one with the circles it found, as comments. Whoever disagrees
-takes the ``#`` away and edits, and puts the file into the capture folder: every command that reads
-the folder then takes it.
+``taccel-lab capture check --report`` writes one with the circles it found, as comments. Whoever
+disagrees takes the ``#`` away and edits, and puts the file into the capture folder: every command
+that reads the folder then takes it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pydantic import Field, model_validator
 
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.errors import InputError
 from taccel_lab.files.plain_values import first_repeated
 from taccel_lab.files.regular_file import file_sha256
@@ -63,7 +63,7 @@ def read_overrides(path: Path | str) -> dict[str, ContactOverride]:
     """Overrides by the name of the press; InputError names the file and what is wrong."""
     path = Path(path)
     if not path.is_file():
-        raise InputError(f"{path} does not exist; taccel-lab capture review writes one")
+        raise InputError(f"{path} does not exist; taccel-lab capture check --report writes one")
     entries = _OverrideFile.read(path).contact
     twice = first_repeated(entry.press for entry in entries)
     if twice is not None:
@@ -71,7 +71,7 @@ def read_overrides(path: Path | str) -> dict[str, ContactOverride]:
     return {entry.press: entry for entry in entries}
 
 
-def override_presses(presses: Sequence[Press], path: Path) -> tuple[Press, ...]:
+def override_presses(presses: Sequence[CapturedPress], path: Path) -> tuple[CapturedPress, ...]:
     """The presses with the circles of ``path``, less those that it leaves out."""
     overrides = read_overrides(path)
     unknown = sorted(set(overrides) - {press.name for press in presses})

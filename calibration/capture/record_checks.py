@@ -160,7 +160,7 @@ def _check_force_unit(record: _Record, depth: np.ndarray, force: np.ndarray) -> 
         guess = f"; read as {' or '.join(fitting)} it would be a gel" if fitting else ""
         raise InputError(
             f"{record.path}: a force of {force.max():g} N at {depth.max():g} mm makes the gel "
-            f"{lowest:.3g} MPa stiff, gels on a window look at most {STIFFEST_MPA:g} MPa{guess}. "
+            f"{lowest:.3g} MPa stiff; gels on a window look at most {STIFFEST_MPA:g} MPa{guess}; "
             "force_n is in newtons, depth_mm in millimetres"
         )
     if highest < SOFTEST_MPA:

@@ -58,6 +58,9 @@ class PressEntry(StrictModel):
     """Contact circle when it is known; found in the image otherwise."""
 
 
+StageMm = Annotated[Number, Field(ge=-1e4, le=1e4)]
+
+
 class SpherePress(PressEntry):
     """A ball press of version 2, which may come with what a stage and a load cell said."""
 
@@ -67,6 +70,8 @@ class SpherePress(PressEntry):
     """Travel past first touch [mm]."""
     force_n: Number | None = Field(default=None, ge=0.0, le=1e3)
     """Normal force [N], positive into the gel."""
+    stage_mm: tuple[StageMm, StageMm] | None = None
+    """Where a stage pressed, along any two axes at right angles in the plane of the gel [mm]."""
 
 
 class BoardEntry(StrictModel):

@@ -20,7 +20,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 
 HOLDOUT_EVERY = 4
-"""One press in so many is held out unless a command is told otherwise."""
+"""One press in so many is held out unless a command says otherwise."""
 SAME_PLACE_RADII = 0.25
 """Labels closer than this many median contact radii are of one place."""
 LARGEST_PLACE = 0.5
@@ -66,7 +66,7 @@ class PressSplit:
 
     @property
     def sha256(self) -> str:
-        """Of the names that are held out, by which two splits can be told to be one."""
+        """Of the names that are held out, by which two equal splits are recognised."""
         names = sorted((*self.heldout_names, *self.gone))
         return hashlib.sha256("\n".join(names).encode()).hexdigest()
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import ContactCircle, Press
+from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, Frame, in_words
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
@@ -78,7 +78,7 @@ def load_taxim_folder(path: Path, mm_per_px: tuple[float, float] | None = None) 
     _check_arrays(path, arrays["f0"], images, centers, radii)
     background = np.ascontiguousarray(arrays["f0"][..., ::-1])
     presses = tuple(
-        Press(
+        CapturedPress(
             # Positional: the pack's own name list is one longer than its frames.
             name=f"press_{i:03d}",
             source=f"{path}[{i}]",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import Press
+from taccel_lab.calibration.capture.captures import CapturedPress
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.framing import (
     CLEAR_GAIN,
@@ -42,7 +42,7 @@ class BackgroundCheck:
     findings: tuple[Remark, ...]
 
 
-def median_background(presses: Sequence[Press]) -> np.ndarray:
+def median_background(presses: Sequence[CapturedPress]) -> np.ndarray:
     """Median of the presses, RGB uint8: untouched where no pixel is pressed in half of them.
 
     It is that of their pictures at the working size of contacts, as large as theirs.

@@ -30,6 +30,7 @@ from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.ball_radius import check_ball
 from taccel_lab.calibration.contacts.fit import find_contacts
+from taccel_lab.calibration.contacts.grey import LABEL_SHARE, LABEL_SIGMA_PX
 from taccel_lab.calibration.surfaces.design import fitted_parameters
 from taccel_lab.calibration.surfaces.view import view_remarks
 from taccel_lab.geometry import PixelGrid
@@ -37,9 +38,9 @@ from taccel_lab.report.remark import Remark, Severity
 
 SURE = 2.0
 """Standard deviations by which a contact has to be wider than its ball."""
-CIRCLE_SHARE, FOUND_SIGMA_PX, LABEL_SIGMA_PX, SCALE_SHARE = 0.03, 1.0, 2.0, 0.02
-"""Standard deviations of a contact's radius (share of it; at least so many pixels, as found and as
-labelled), and of a scale that somebody states. Found circles lie 2 px and 3 % off careful labels.
+FOUND_SIGMA_PX, SCALE_SHARE = 1.0, 0.02
+"""Standard deviations of a found contact's radius (at least so many pixels), and of a scale that
+somebody states. Found circles lie 2 px and 3 % off careful labels.
 """
 TRAVEL_SLACK = 1.35
 """Factor left to both bounds: contact radii are known to 5 %, first touch less well."""
@@ -130,11 +131,11 @@ def _contact_mm(frame: FrameFigures, grid: PixelGrid) -> tuple[float, float] | N
     radii = []
     if frame.press.circle is not None:
         label = frame.press.circle.radius_px
-        radii.append((label, max(LABEL_SIGMA_PX, CIRCLE_SHARE * label)))
+        radii.append((label, max(LABEL_SIGMA_PX, LABEL_SHARE * label)))
     if frame.contact is not None:
         found = frame.contact.circle.radius_px
         radii.append(
-            (found, max(frame.contact.radius_sigma_px, FOUND_SIGMA_PX, CIRCLE_SHARE * found))
+            (found, max(frame.contact.radius_sigma_px, FOUND_SIGMA_PX, LABEL_SHARE * found))
         )
     if not radii:
         return None

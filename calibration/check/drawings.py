@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of a check: coverage, drift of the light, frames worst first, two framings."""
+"""Pictures of a check: coverage, drift of the light, frames with their circles, two framings."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from taccel_lab.calibration.check.background import BackgroundCheck
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.check.presses import found_circles
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.report.style import BLUE, GREEN, INK, ORANGE, in_report_style, new_figure
+from taccel_lab.report.style import CHANNELS, GREEN, INK, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SHEET_COLUMNS, SHEET_FRAMES = 4, 12
+SHEET_COLUMNS, SHEET_FRAMES = 4, 60
 
 
 @in_report_style
@@ -56,7 +56,7 @@ def draw_light(frames: Sequence[FrameFigures]) -> Figure:
     """Colour of the untouched gel over the frames, against the background."""
     figure, axes = new_figure(8.6, 2.6)
     shifts = np.stack([frame.shift_levels for frame in frames])
-    for channel, (name, color) in enumerate((("red", ORANGE), ("green", GREEN), ("blue", BLUE))):
+    for channel, (name, color) in enumerate(CHANNELS):
         axes.plot(shifts[:, channel], marker=".", lw=1, color=color, label=name)
     axes.axhline(0, color=INK, lw=0.6)
     axes.set_xlabel("press, in the order of the manifest")
@@ -69,9 +69,8 @@ def draw_light(frames: Sequence[FrameFigures]) -> Figure:
 def draw_frames(
     frames: Sequence[FrameFigures], remarks: dict[str, list[str]], grid: PixelGrid
 ) -> Figure:
-    """Up to twelve frames, those with most findings first: contact found, label, findings."""
-    order = sorted(frames, key=lambda frame: -len(remarks.get(frame.press.name, [])))
-    chosen = order[:SHEET_FRAMES]
+    """The first ``SHEET_FRAMES`` frames: contact found, label, findings."""
+    chosen = frames[:SHEET_FRAMES]
     columns = min(SHEET_COLUMNS, len(chosen))
     rows = -(-len(chosen) // columns)
     aspect = grid.height_px / grid.width_px

@@ -9,16 +9,17 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import ContactCircle, Press
+from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.contacts.result import CutContactError, DetectedContact
 from taccel_lab.calibration.contacts.seen import seen_contact
 from taccel_lab.calibration.contacts.working_size import WorkingSize
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.depth_response import Channel
 
 SATURATED_LEVEL = 254
 TEXTURE_SIGMA_PX = 1.5
@@ -31,12 +32,12 @@ LAMP_RADII = 0.9
 class FrameFigures:
     """Figures of one press."""
 
-    press: Press
+    press: CapturedPress
     thumb: np.ndarray
     """The image made small, RGB levels, float32."""
     rest: np.ndarray
     """The background made small, one array for all presses."""
-    light: Light
+    light: LightDrift
     """Of the frame against the background."""
     shift_levels: np.ndarray
     """Colour of the untouched gel less that of the background, at its mean colour, shape [3]."""
@@ -69,34 +70,37 @@ class FrameFigures:
 
 
 def measure_presses(
-    presses: Sequence[Press],
+    presses: Sequence[CapturedPress],
     background: np.ndarray,
     mask: np.ndarray | None,
     grid: PixelGrid,
     progress: Progress = silent,
+    grey: Channel | None = None,
 ) -> list[FrameFigures]:
-    """Figures of every press against a background of the same framing (RGB uint8)."""
+    """Figures of every press against a background of the same framing (RGB uint8), of a ``grey``
+    sensor by the channel that darkens with depth."""
     small = thumb(background)
     figures = []
     for i, press in enumerate(presses):
-        figures.append(_measure(press, background, small, mask, grid))
+        figures.append(_measure(press, background, small, mask, grid, grey))
         progress("checking the presses", i + 1, len(presses))
     return figures
 
 
 def _measure(
-    press: Press,
+    press: CapturedPress,
     background: np.ndarray,
     background_small: np.ndarray,
     mask: np.ndarray | None,
     grid: PixelGrid,
+    grey: Channel | None,
 ) -> FrameFigures:
     image = press.image()
     small = thumb(image)
     light = fit_light(small, background_small)
     contact, fault, cut = None, "", False
     try:
-        contact = seen_contact(press, background, grid, mask)
+        contact = seen_contact(press, background, grid, mask, grey)
     except InputError as error:
         fault = str(error).removeprefix(f"{press.source}: ")
         cut = isinstance(error, CutContactError)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import Press
+from taccel_lab.calibration.capture.captures import CapturedPress
 from taccel_lab.calibration.capture.framing import in_light_of, thumb
 from taccel_lab.calibration.check.remarks import BACKGROUND_PRESSED
 from taccel_lab.report.remark import Remark
@@ -34,7 +34,7 @@ OPENING_SHARE = 1 / 40
 
 
 def find_pressed_background(
-    background: np.ndarray, presses: Sequence[Press], mask: np.ndarray | None = None
+    background: np.ndarray, presses: Sequence[CapturedPress], mask: np.ndarray | None = None
 ) -> Remark | None:
     """An error when the background shows a contact that most of the presses do not.
 

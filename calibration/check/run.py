@@ -141,7 +141,9 @@ def check_captures(
     if background is not None:
         findings += background.findings
         grid = press_grid(folder, background.image)
-        frames = measure_presses(folder.presses, background.image, folder.mask, grid, progress)
+        frames = measure_presses(
+            folder.presses, background.image, folder.mask, grid, progress, "grey" if grey else None
+        )
         findings += press_findings(folder, frames, background, grid, facts)
         if grey is not True:
             grey = is_grey(frames, thumb(background.image))

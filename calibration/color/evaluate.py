@@ -52,30 +52,23 @@ def score_image(
     captured: np.ndarray,
     circle: ContactCircle,
     grid: PixelGrid,
-    pixels: np.ndarray | None = None,
 ) -> ImageScore:
-    """Compare a rendered with a captured image, RGB levels, shape [height_px, width_px, 3].
-
-    With ``pixels``, bool of shape [height_px, width_px], only these count; the structural
-    similarity is then the mean over the windows around them.
-    """
+    """Compare a rendered with a captured image, RGB levels, shape [height_px, width_px, 3]."""
     rendered = np.asarray(rendered, dtype=np.float64)
     captured = np.asarray(captured, dtype=np.float64)
     if rendered.shape != captured.shape:
         raise InputError(f"images differ in shape: {rendered.shape} and {captured.shape}")
     error = np.abs(rendered - captured)
     crop = crop_slices(circle, grid)
-    counted = np.ones(error.shape[:2], dtype=bool) if pixels is None else pixels
-    disc = (circle.distance_px(grid) <= circle.radius_px) & counted
+    disc = circle.distance_px(grid) <= circle.radius_px
     if not disc.any():
         raise InputError("no pixel of the contact counts")
-    inside = counted[crop]
     return ImageScore(
         disc_l1=float(error[disc].mean()),
-        crop_l1=float(error[crop][inside].mean()),
-        full_l1=float(error[counted].mean()),
-        crop_psnr_db=psnr_db(rendered[crop][inside], captured[crop][inside]),
-        crop_ssim=ssim(rendered[crop], captured[crop], None if pixels is None else inside),
+        crop_l1=float(error[crop].mean()),
+        full_l1=float(error.mean()),
+        crop_psnr_db=psnr_db(rendered[crop], captured[crop]),
+        crop_ssim=ssim(rendered[crop], captured[crop]),
     )
 
 
@@ -97,11 +90,9 @@ def psnr_db(a: np.ndarray, b: np.ndarray) -> float:
     return float("inf") if mse == 0 else float(10 * np.log10(MAX_LEVEL**2 / mse))
 
 
-def ssim(a: np.ndarray, b: np.ndarray, pixels: np.ndarray | None = None) -> float:
-    """Structural similarity of two images, shape [height, width, channels], both over 11 px.
-
-    The mean over the pixels whose window lies inside the image; of those in ``pixels`` where given.
-    """
+def ssim(a: np.ndarray, b: np.ndarray) -> float:
+    """Structural similarity of two images, shape [height, width, channels], both over 11 px: the
+    mean over the pixels whose window lies inside the image."""
     a = np.asarray(a, dtype=np.float64)
     b = np.asarray(b, dtype=np.float64)
     size = SSIM_WINDOW_PX
@@ -113,8 +104,4 @@ def ssim(a: np.ndarray, b: np.ndarray, pixels: np.ndarray | None = None) -> floa
 
     first, second = (torch.from_numpy(image).permute(2, 0, 1)[None] for image in (a, b))
     score = kornia.metrics.ssim(first, second, size, max_val=MAX_LEVEL, padding="valid")
-    if pixels is None:
-        return float(score.mean())
-    edge = size // 2
-    inside = torch.from_numpy(pixels[edge : a.shape[0] - edge, edge : a.shape[1] - edge].copy())
-    return float(score[..., inside].mean())
+    return float(score.mean())

@@ -14,7 +14,6 @@ from functools import partial
 
 import numpy as np
 
-from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.color.evaluate import ImageScore, score_image
@@ -27,24 +26,22 @@ from taccel_lab.calibration.color.heldout import (
     score_heldout,
     without_light,
 )
-from taccel_lab.calibration.color.light_beside import (
-    choose_drift,
-    fit_light_beside,
-    noise_floor_l1,
-    too_little_left,
-)
 from taccel_lab.calibration.color.network_fit import ColorFit, fit_color_model
 from taccel_lab.calibration.color.options import ColorOptions, ColorTraining
-from taccel_lab.calibration.color.registration import MIN_PRESSES, Registration, register_presses
+from taccel_lab.calibration.color.press_circles import placed_presses
 from taccel_lab.calibration.color.remarks import color_remarks
 from taccel_lab.calibration.color.result import ColorCalibration, PressScore
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
+from taccel_lab.calibration.color.untouched_light import (
+    choose_drift,
+    fit_untouched_light,
+    noise_floor_l1,
+    too_little_left,
+)
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode
-from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_skirts
-from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
-from taccel_lab.calibration.surfaces.radial import RadialSurfaces
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_surfaces
+from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
 from taccel_lab.profile import SensorProfile
@@ -54,7 +51,6 @@ from taccel_lab.signals.color_model import STEEPEST, ColorModel
 from taccel_lab.signals.rest_surface import rest_surface
 
 COMPARING = "comparing the light of the frames"
-REGISTERING = "reading the circles again with the colours"
 SCORING = "scoring the held-out presses"
 ASKED_ELSEWHERE = frozenset({"sensor_unknown"})
 """Findings of the check that the calibration says in its own words."""
@@ -80,10 +76,12 @@ def calibrate_color(
     settings = ColorFitOptions(
         **{item.name: getattr(options, item.name) for item in fields(ColorTraining)}
     )
-    presses = ball_presses(folder, base, "color", options, progress, cache=options.cache)
+    presses = placed_presses(
+        folder, base, "color", options, options.drift, progress, cache=options.cache
+    )
     findings = [item for item in presses.findings if item.code not in ASKED_ELSEWHERE]
     surfaces = partial(
-        layer_skirts,
+        layer_surfaces,
         layer=layer_of(presses.profile),
         rest=rest_surface(presses.profile.mesh, presses.captures.grid),
     )
@@ -94,7 +92,7 @@ def calibrate_color(
         HeldoutSet.of(presses.captures, presses.split, surfaces),
         options=settings,
         drift=options.drift,
-        register=options.register,
+        labels=presses.labels,
         table=options.table,
         remarks=(*presses.lost, *findings, *presses.remarks),
         progress=progress,
@@ -105,12 +103,12 @@ def calibrate_color(
 def fit_color(
     captures: CaptureSet,
     circles: Sequence[ContactCircle],
-    surfaces: Sequence[PressSurface],
+    surfaces: Sequence[BallSurface],
     heldout: HeldoutSet | None = None,
     *,
     options: ColorFitOptions = ColorFitOptions(),
     drift: DriftMode | None = None,
-    register: bool = False,
+    labels: LabelPlacement | None = None,
     table: bool = False,
     remarks: Sequence[Remark] = (),
     progress: Progress = silent,
@@ -119,12 +117,12 @@ def fit_color(
 
     Args:
         captures: The training presses alone.
-        circles: Their contact circles to start from, in order.
+        circles: Their contact circles, in order.
         surfaces: Their surfaces, in order.
         heldout: Presses that are read when the model is frozen; None leaves figures out.
         options: Settings of the fit.
         drift: Whether drift is taken off (``DriftChoice``); None leaves it to ``options``.
-        register: Read the training circles again with the colours of the other training presses.
+        labels: Where labels put held-out presses; by ``circles`` when None.
         table: Fit Taxim's table too, as a baseline and for export.
         remarks: What is known of the captures already.
         progress: Told what is done.
@@ -145,28 +143,27 @@ def fit_color(
         ColorFrame(press.name, press.image(), circle, surface, press.sha256)
         for press, circle, surface in zip(captures.presses, circles, surfaces, strict=True)
     ]
-    found = _Fitting(captures, frames, options, progress, drift, register, table)
+    found = _Fitting(captures, frames, options, progress, drift, labels, table)
     result = found.run(surfaces, heldout)
     return replace(result, remarks=(*remarks, *color_remarks(result)))
 
 
 @dataclass
 class _Fitting:
-    """One fit on its way: what was chosen of light and circles so far."""
+    """One fit on its way: what was chosen of the light so far."""
 
     captures: CaptureSet
     frames: list[ColorFrame]
     options: ColorFitOptions
     progress: Progress
     drift: DriftMode | None
-    register: bool
+    labels: LabelPlacement | None
     table: bool
     drift_choice: DriftChoice | None = None
-    registration: Registration | None = None
 
     def run(
         self,
-        surfaces: Sequence[PressSurface],
+        surfaces: Sequence[BallSurface],
         heldout: HeldoutSet | None,
     ) -> ColorCalibration:
         captures, grid, mask = self.captures, self.captures.grid, self.captures.mask
@@ -174,22 +171,19 @@ class _Fitting:
         dark = {} if heldout is None else without_light(heldout.captures, self.options.remove_drift)
         for name, reason in dark.items():
             self.progress(f"{name} will count as a failure: {reason}", 1, 1)
-        start = [frame.circle for frame in self.frames]
-        library = RadialSurfaces.of([f.surface for f in self.frames], start, grid)
-        if self.register and len(self.frames) >= MIN_PRESSES:
-            self._register(library)
+        circles = tuple(frame.circle for frame in self.frames)
         fit = fit_color_model(
             self.frames, captures.background, grid, self.options, mask=mask, progress=self.progress
         )
         table = None
         if self.table:
             table = fit_taxim_table(self.frames, fit.background, fit.drifts, grid, mask=mask)
-        shift = LabelPlacement.of(captures.presses, [frame.circle for frame in self.frames])
+        shift = self.labels or LabelPlacement.of(captures.presses, circles)
         held: list[HeldoutPress] = []
         failures: list[HeldoutFailure] = []
         if heldout is not None:
             self.progress(SCORING, 0, 1)
-            held, failures = score_heldout(heldout, fit, shift, library)
+            held, failures = score_heldout(heldout, fit, shift)
             self.progress(SCORING, 1, 1)
         return ColorCalibration(
             fit=fit,
@@ -201,10 +195,8 @@ class _Fitting:
             captures=captures,
             surface_provider=", ".join(sorted({surface.provider for surface in surfaces})),
             valid_region=_valid_region(self.frames, fit.model),
-            circles=tuple(frame.circle for frame in self.frames),
-            start_circles=tuple(start),
+            circles=circles,
             drift_choice=self.drift_choice,
-            registration=self.registration,
             table=table,
             table_scores=[] if table is None else self._table_scores(table, fit, held),
         )
@@ -229,26 +221,6 @@ class _Fitting:
         self.drift_choice = choice
         self.options = replace(self.options, remove_drift=choice.remove)
 
-    def _register(self, library: RadialSurfaces) -> None:
-        captures, frames = self.captures, self.frames
-        self.registration = register_presses(
-            frames,
-            captures.background,
-            captures.grid,
-            mask=captures.mask,
-            remove_drift=self.options.remove_drift,
-            seed=self.options.seed,
-            progress=lambda done, total: self.progress(REGISTERING, done, total),
-        )
-        circles = self.registration.circles
-        surfaces = moved_surfaces(
-            [f.surface for f in frames], [f.circle for f in frames], circles, library
-        )
-        self.frames = [
-            replace(frame, circle=circle, surface=surface)
-            for frame, circle, surface in zip(frames, circles, surfaces, strict=True)
-        ]
-
     def _table_scores(
         self, table: TaximTable, fit: ColorFit, held: Sequence[HeldoutPress]
     ) -> list[PressScore]:
@@ -260,9 +232,7 @@ class _Fitting:
                     render_taxim_table(table, item.surface, fit.background),
                     item.captured,
                     item.circle,
-                    item.circle,
                     fit,
-                    item.pixels,
                 ),
             )
             for item in held
@@ -273,16 +243,14 @@ class _Fitting:
         rendered: np.ndarray,
         captured: np.ndarray,
         circle: ContactCircle,
-        figures_in: ContactCircle,
         fit: ColorFit,
-        pixels: np.ndarray | None = None,
     ) -> ImageScore:
         """Figures of a render in the light of the capture, where the fit took drift off."""
         grid = self.captures.grid
         if self.options.remove_drift:
-            drift = fit_light_beside(captured, fit.background, circle, grid, self.captures.mask)
+            drift = fit_untouched_light(captured, fit.background, circle, grid, self.captures.mask)
             rendered = np.clip(drift.apply(rendered), 0.0, 255.0)
-        return score_image(rendered, captured, figures_in, grid, pixels)
+        return score_image(rendered, captured, circle, grid)
 
     def _noise_floor(self) -> float:
         floors = []

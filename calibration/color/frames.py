@@ -10,15 +10,15 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII, ContactCircle
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.light_beside import fit_light_beside, too_little_left
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.color.untouched_light import fit_untouched_light, too_little_left
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.pixel_draw import draw_regions
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import ColorModelConfig, pixel_uv
 
-NO_DRIFT = Light(np.ones(3), np.zeros(3))
+NO_DRIFT = LightDrift(np.ones(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,12 @@ class ColorFrame:
     image: np.ndarray
     """RGB levels, shape [height_px, width_px, 3]."""
     circle: ContactCircle
-    surface: PressSurface
+    surface: BallSurface
     sha256: str = ""
 
 
 @dataclass(frozen=True)
-class Samples:
+class ColorSamples:
     """Pixels drawn from presses."""
 
     uv: np.ndarray
@@ -51,24 +51,24 @@ def frame_drift(
     grid: PixelGrid,
     mask: np.ndarray | None,
     options: ColorFitOptions,
-) -> Light:
+) -> LightDrift:
     """Drift of a frame against the background; none where the options leave it in."""
     if not options.remove_drift:
         return NO_DRIFT
     reason = too_little_left(frame.circle, grid, mask)
     if reason:
         raise InputError(f"{frame.name}: {reason}; give drift off, or leave the press out")
-    return fit_light_beside(frame.image, background, frame.circle, grid, mask)
+    return fit_untouched_light(frame.image, background, frame.circle, grid, mask)
 
 
 def draw_samples(
     frames: Sequence[ColorFrame],
     rest_image: np.ndarray,
-    drifts: Mapping[str, Light],
+    drifts: Mapping[str, LightDrift],
     grid: PixelGrid,
     mask: np.ndarray | None,
     options: ColorFitOptions,
-) -> Samples:
+) -> ColorSamples:
     """Pixels of the frames: the contact disc, the ring around it and the untouched rest."""
     rng = np.random.default_rng(options.seed)
     parts = []
@@ -78,23 +78,27 @@ def draw_samples(
     return join_samples(parts)
 
 
-def join_samples(parts: Sequence[Samples]) -> Samples:
+def join_samples(parts: Sequence[ColorSamples]) -> ColorSamples:
     """One after the other."""
-    return Samples(
+    return ColorSamples(
         *(
             np.concatenate([getattr(part, name) for part in parts])
-            for name in Samples.__dataclass_fields__
+            for name in ColorSamples.__dataclass_fields__
         )
     )
 
 
 def samples_at(
-    frame: ColorFrame, pixel_idx: np.ndarray, rest_image: np.ndarray, drift: Light, grid: PixelGrid
-) -> Samples:
+    frame: ColorFrame,
+    pixel_idx: np.ndarray,
+    rest_image: np.ndarray,
+    drift: LightDrift,
+    grid: PixelGrid,
+) -> ColorSamples:
     """Given pixels of a frame; ``pixel_idx`` counts along rows."""
     surface = frame.surface
     image = drift.remove(frame.image.reshape(-1, 3)[pixel_idx].astype(np.float64))
-    return Samples(
+    return ColorSamples(
         pixel_uv(ColorModelConfig(grid.width_px, grid.height_px), pixel_idx),
         surface.normals.reshape(-1, 3)[pixel_idx],
         surface.rest_normals.reshape(-1, 3)[pixel_idx],

@@ -1,49 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Held-out presses scored by a frozen colour model, placed in three ways.
+"""Held-out presses scored by a frozen colour model, placed without any part of it.
 
-A render needs to know where the ball was, which no training says. Three answers, from the strictest
-to the kindest:
+A render needs to know where the ball was, which no training says. The label that came with the
+press does, as the labels of the *training* presses lie against where these were placed
+(``LabelPlacement``): nothing of the image is used. A press without a label is placed where its
+contact is found in its image (``found``), by the search that knows no colour model.
 
-- ``label``: by the label that came with the press, as the labels of the *training* presses lie
-  against where these were placed (``LabelPlacement``). Nothing of the image is used.
-- ``tiles``: by the frozen model on the even tiles of a checkerboard over the image; only the odd
-  tiles are scored.
-- ``self``: by the frozen model on the very pixels that are scored. It takes the error of the circle
-  out and flatters by what three numbers can absorb.
-
-Figures that are quoted are those by label where every held-out press has one, else those by tiles.
 A press that cannot be placed or has no surface, or that is gone, counts as the bare background.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.captures import (
+    EQUATOR_SLACK,
+    CapturedPress,
+    CaptureSet,
+    ContactCircle,
+)
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.color.evaluate import ImageScore, score_image
-from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame
-from taccel_lab.calibration.color.light_beside import fit_light_beside, too_little_left
+from taccel_lab.calibration.color.frames import NO_DRIFT
 from taccel_lab.calibration.color.network_fit import ColorFit
-from taccel_lab.calibration.color.registration import place_press
-from taccel_lab.calibration.color.tiles import even_tiles, filled_from
+from taccel_lab.calibration.color.untouched_light import fit_untouched_light, too_little_left
 from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
-from taccel_lab.calibration.light.light import Light
 from taccel_lab.calibration.result import mean_figures
 from taccel_lab.calibration.surfaces.ball_in_layer import SurfaceMaker
-from taccel_lab.calibration.surfaces.moved_press import moved_surfaces
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
-from taccel_lab.calibration.surfaces.radial import RadialSurfaces
+from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.signals.tactile_image import tactile_images
 
-Placement = Literal["label", "tiles", "self"]
-PLACEMENTS: tuple[Placement, ...] = ("label", "tiles", "self")
+Placement = Literal["label", "found"]
 
 
 @dataclass(frozen=True)
@@ -66,32 +59,25 @@ class HeldoutSet:
 
 
 @dataclass(frozen=True)
-class Placed:
-    """A press rendered where it was placed in one of the ways."""
-
-    circle: ContactCircle
-    rendered: np.ndarray
-    """RGB levels in the light of the background, float32, shape [height_px, width_px, 3]."""
-    shown: np.ndarray
-    """The same in the light of the capture: its drift applied where the fit took drift off."""
-    score: ImageScore
-    """Of ``shown``."""
-
-
-@dataclass(frozen=True)
 class HeldoutPress:
-    """A press the fit never saw: capture, renders and figures."""
+    """A press the fit never saw: capture, render and figures."""
 
     name: str
     captured: np.ndarray
     """RGB uint8, shape [height_px, width_px, 3]."""
     circle: ContactCircle
     """Circle in which the figures are taken: the label, or what was found without one."""
-    placed: Mapping[Placement, Placed]
-    surface: PressSurface
-    """Under the press where its label puts it; without one, where its even tiles do."""
-    pixels: np.ndarray | None
-    """Pixels that may be scored there: all (None), or the odd tiles, shape [height_px, width_px]"""
+    placed: ContactCircle
+    """Where it is rendered: where its label puts it, or where it was found."""
+    placement: Placement
+    surface: BallSurface
+    """Under the press in that circle."""
+    rendered: np.ndarray
+    """RGB levels in the light of the background, float32, shape [height_px, width_px, 3]."""
+    shown: np.ndarray
+    """The same in the light of the capture: its drift applied where the fit took drift off."""
+    score: ImageScore
+    """Of ``shown``."""
     background_only: ImageScore
     """The captured background alone against the capture."""
 
@@ -107,7 +93,7 @@ class HeldoutFailure:
 
 
 def without_light(captures: CaptureSet, remove_drift: bool) -> dict[str, str]:
-    """Held-out presses whose light cannot be told, by their labels alone: name and reason.
+    """Held-out presses whose light cannot be fitted, by their labels alone: name and reason.
 
     Known before the fit, so that nobody waits for it to hear that a contact is too large.
     """
@@ -121,25 +107,20 @@ def without_light(captures: CaptureSet, remove_drift: bool) -> dict[str, str]:
 
 
 def score_heldout(
-    held: HeldoutSet,
-    fit: ColorFit,
-    shift: LabelPlacement,
-    library: RadialSurfaces,
+    held: HeldoutSet, fit: ColorFit, shift: LabelPlacement
 ) -> tuple[list[HeldoutPress], list[HeldoutFailure]]:
     """Place and score the held-out presses; ``fit`` and all that led to it stay as they are.
 
-    ``shift`` and ``library`` come from the training presses.
+    ``shift`` comes from the training presses.
     """
-    return _HeldoutScoring(held, fit, shift, library).run()
+    return _HeldoutScoring(held, fit, shift).run()
 
 
 def mean_heldout(
-    presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure], placement: Placement
+    presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]
 ) -> dict[str, float]:
-    """Mean figures of all held-out presses placed one way, failures as the bare background."""
-    return mean_figures(
-        [item.placed[placement].score for item in presses] + _bare(presses, failures)
-    )
+    """Mean figures of all held-out presses, failures as the bare background."""
+    return mean_figures([item.score for item in presses] + _bare(presses, failures))
 
 
 def mean_bare(
@@ -159,11 +140,9 @@ def _bare(presses: Sequence[HeldoutPress], failures: Sequence[HeldoutFailure]) -
 
 
 class _HeldoutScoring:
-    def __init__(
-        self, held: HeldoutSet, fit: ColorFit, shift: LabelPlacement, library: RadialSurfaces
-    ) -> None:
+    def __init__(self, held: HeldoutSet, fit: ColorFit, shift: LabelPlacement) -> None:
         self.captures, self.make, self.split = held.captures, held.surfaces, held.split
-        self.fit, self.shift, self.library = fit, shift, library
+        self.fit, self.shift = fit, shift
         self.grid, self.mask = held.captures.grid, held.captures.mask
         self.failures: list[HeldoutFailure] = [
             HeldoutFailure(name, "it was left out of the captures", None)
@@ -171,7 +150,7 @@ class _HeldoutScoring:
         ]
 
     def run(self) -> tuple[list[HeldoutPress], list[HeldoutFailure]]:
-        started: list[tuple[Press, np.ndarray, ContactCircle]] = []
+        started: list[tuple[CapturedPress, np.ndarray, ContactCircle]] = []
         for press in self.captures.presses:
             image = press.image()
             try:
@@ -190,21 +169,15 @@ class _HeldoutScoring:
             found.append(self._scored(press, image, figures_in, start, surface, bare))
         return found, self.failures
 
-    def _start(self, press: Press, image: np.ndarray) -> ContactCircle:
-        """Where the label puts a press; without a label, what its even tiles show."""
-        ball_px = self._ball_px(press)
-        if press.circle is None:
-            seen = even_tiles(self.grid, ball_px) & self.mask
-            image = filled_from(image, self.captures.background, seen)
+    def _start(self, press: CapturedPress, image: np.ndarray) -> ContactCircle:
+        """Where the label puts a press; without a label, where its contact is found."""
+        ball_px = (press.radius_mm or self.captures.ball_radius_mm) / self.grid.mm_per_px_x
         found = place_heldout(press, image, self.captures, self.shift)
         return replace(found, radius_px=min(found.radius_px, EQUATOR_SLACK * ball_px))
 
-    def _ball_px(self, press: Press) -> float:
-        return (press.radius_mm or self.captures.ball_radius_mm) / self.grid.mm_per_px_x
-
     def _surfaces(
-        self, presses: Sequence[Press], circles: Sequence[ContactCircle]
-    ) -> list[PressSurface | str]:
+        self, presses: Sequence[CapturedPress], circles: Sequence[ContactCircle]
+    ) -> list[BallSurface | str]:
         """The surfaces, or why there is none; one that cannot be made spoils no other."""
         if not presses:
             return []
@@ -212,7 +185,7 @@ class _HeldoutScoring:
         try:
             return list(self.make(chosen, circles))
         except InputError:
-            found: list[PressSurface | str] = []
+            found: list[BallSurface | str] = []
             for i, circle in enumerate(circles):
                 try:
                     found += self.make(chosen.only([i]), [circle])
@@ -227,40 +200,21 @@ class _HeldoutScoring:
 
     def _scored(
         self,
-        press: Press,
+        press: CapturedPress,
         image: np.ndarray,
         figures_in: ContactCircle,
         start: ContactCircle,
-        surface: PressSurface,
+        surface: BallSurface,
         bare: ImageScore,
     ) -> HeldoutPress:
         drift = NO_DRIFT
         if self.fit.options.remove_drift:
-            drift = fit_light_beside(image, self.fit.background, figures_in, self.grid, self.mask)
-        even = even_tiles(self.grid, self._ball_px(press))
-        frame = ColorFrame(press.name, image, start, surface)
-        labelled = press.circle is not None
-        on_tiles = self._moved(frame, drift, self.mask & even)
-        ways: dict[Placement, ColorFrame] = {"label": frame} if labelled else {}
-        ways |= {"tiles": on_tiles, "self": self._moved(frame, drift, self.mask)}
-        renders = tactile_images(
-            self.fit.model, self.fit.background, [way.surface for way in ways.values()]
-        )
-        placed: dict[Placement, Placed] = {}
-        for (name, way), rendered in zip(ways.items(), renders, strict=True):
-            shown = np.clip(drift.apply(rendered), 0.0, 255.0)
-            pixels = ~even if name == "tiles" else None
-            score = score_image(shown, image, figures_in, self.grid, pixels)
-            placed[name] = Placed(way.circle, rendered, shown, score)
+            drift = fit_untouched_light(
+                image, self.fit.background, figures_in, self.grid, self.mask
+            )
+        (rendered,) = tactile_images(self.fit.model, self.fit.background, [surface])
+        shown = np.clip(drift.apply(rendered), 0.0, 255.0)
         return HeldoutPress(
-            press.name, image, figures_in, placed,
-            surface if labelled else on_tiles.surface, None if labelled else ~even, bare,
+            press.name, image, figures_in, start, "found" if press.circle is None else "label",
+            surface, rendered, shown, score_image(shown, image, figures_in, self.grid), bare,
         )  # fmt: skip
-
-    def _moved(self, frame: ColorFrame, drift: Light, mask: np.ndarray) -> ColorFrame:
-        """The press where the frozen model puts it, looking at the pixels of ``mask``."""
-        circle = place_press(
-            self.fit.model, self.fit.background, frame, self.library, self.grid, drift, mask=mask
-        )
-        (surface,) = moved_surfaces([frame.surface], [frame.circle], [circle], self.library)
-        return replace(frame, circle=circle, surface=surface)

@@ -13,13 +13,13 @@ import numpy as np
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import (
     ColorFrame,
-    Samples,
+    ColorSamples,
     draw_samples,
     frame_drift,
 )
 from taccel_lab.calibration.color.training import train
 from taccel_lab.calibration.light.average import average_background
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
@@ -37,7 +37,7 @@ class ColorFit:
     """(step, loss in levels) every 25 steps."""
     disc_l1_train: dict[str, float]
     """L1 inside each training press's contact disc, drift removed [levels]."""
-    drifts: dict[str, Light]
+    drifts: dict[str, LightDrift]
     options: ColorFitOptions
     seconds: float
     inputs: dict[str, str] = field(default_factory=dict)
@@ -82,7 +82,7 @@ def fit_color_model(
     )
 
 
-def steepest_deg(samples: Samples) -> float:
+def steepest_deg(samples: ColorSamples) -> float:
     """Tilt of the steepest normals that a fit is shown: one in 10,000 leans further."""
     return math.degrees(math.acos(np.clip(np.quantile(samples.normals[:, 2], 1e-4), 0.0, 1.0)))
 
@@ -90,7 +90,7 @@ def steepest_deg(samples: Samples) -> float:
 def rest_background(
     frames: Sequence[ColorFrame],
     background: np.ndarray,
-    drifts: Mapping[str, Light],
+    drifts: Mapping[str, LightDrift],
     grid: PixelGrid,
     mask: np.ndarray | None,
 ) -> np.ndarray:
@@ -108,7 +108,7 @@ def disc_l1(
     model: ColorModel,
     frame: ColorFrame,
     rest_image: np.ndarray,
-    drift: Light,
+    drift: LightDrift,
     grid: PixelGrid,
     mask: np.ndarray | None,
 ) -> float:

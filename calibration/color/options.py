@@ -28,9 +28,6 @@ class ColorTraining:
 class ColorOptions(ColorTraining, BallPressOptions):
     """Settings of ``calibrate_color``."""
 
-    register: bool = True
-    """Whether to read the circles again with the colours of the other fitted presses, if there
-    are 8; their fits name captures that are off, too."""
     cache: bool = True
     """Whether to use the user's cache folder for contacts."""
     drift: DriftMode = "auto"

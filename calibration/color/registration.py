@@ -19,17 +19,16 @@ from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.color.fit_options import SHORT_FIT, ColorFitOptions
 from taccel_lab.calibration.color.frames import (
     ColorFrame,
-    Samples,
+    ColorSamples,
     draw_pixels,
     frame_drift,
     join_samples,
     samples_at,
 )
-from taccel_lab.calibration.color.network_fit import disc_l1, rest_background
+from taccel_lab.calibration.color.network_fit import rest_background
 from taccel_lab.calibration.color.training import train
 from taccel_lab.calibration.contacts.refine import refine_circle
-from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.surfaces.moved_press import MovedPress, moved_surfaces
+from taccel_lab.calibration.surfaces.moved_press import MovedPress
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -66,16 +65,8 @@ class Registration:
     """Circles as the colours have them."""
 
     circles: list[ContactCircle]
-    sigma_px: np.ndarray
-    """Standard deviations of u, v and radius by the curvature of the misfit, shape [press, 3]; what
-    all presses have in common, such as a shift of all circles, is not in them."""
     scale: float
     """Factor on all radii that predicts left-out presses best."""
-    scale_losses: list[tuple[float, float]]
-    """(scale, loss of left-out presses in levels), by scale."""
-    left_out_l1: dict[str, float]
-    """L1 in the disc of each press, where the short fit without it placed it [levels]: which are
-    worst, no score."""
 
 
 def register_presses(
@@ -114,39 +105,14 @@ def register_presses(
             progress(min(done, total), total)
 
     circles = [frame.circle for frame in frames]
-    scale, losses = _best_scale(job, circles, scales, tell)
+    scale = _best_scale(job, circles, scales, tell)
     circles = [replace(c, radius_px=c.radius_px * scale) for c in circles]
     start = circles
-    sigma, fits = np.zeros((len(frames), 3)), []
     for _ in range(ROUNDS):
         fits = [job.fit_without(circles, k) for k in range(FOLDS)]
-        placed = [job.place(i, fits[i % FOLDS], circles[i], start[i]) for i in range(len(frames))]
-        circles = [circle for circle, _ in placed]
-        sigma = np.array([deviation for _, deviation in placed])
+        circles = [job.place(i, fits[i % FOLDS], circles[i], start[i]) for i in range(len(frames))]
         tell()
-    left_out = {
-        frame.name: job.left_out_l1(i, fits[i % FOLDS], circles[i])
-        for i, frame in enumerate(frames)
-    }
-    return Registration(circles, sigma, scale, losses, left_out)
-
-
-def place_press(
-    model: ColorModel,
-    rest_image: np.ndarray,
-    frame: ColorFrame,
-    library: RadialSurfaces,
-    grid: PixelGrid,
-    drift: Light,
-    *,
-    mask: np.ndarray | None = None,
-) -> ContactCircle:
-    """Circle of a press that a model never saw, from the one that ``frame`` comes with.
-
-    Nothing but the circle is taken from its image, and from pixels where ``mask`` is true alone.
-    """
-    moved = MovedPress.of(frame.surface, frame.circle, library)
-    return _place(model, rest_image, frame, moved, drift, grid, mask, frame.circle, frame.circle)[0]
+    return Registration(circles, scale)
 
 
 def _best_scale(
@@ -154,7 +120,7 @@ def _best_scale(
     circles: Sequence[ContactCircle],
     scales: Sequence[float],
     tell: Callable[[], None],
-) -> tuple[float, list[tuple[float, float]]]:
+) -> float:
     """The factor on all radii with the least loss: a few, then two steps of a parabola."""
     losses: dict[float, np.ndarray] = {}
 
@@ -181,8 +147,7 @@ def _best_scale(
     best = min(means, key=lambda scale: means[scale])
     gain = losses[1.0] - losses[best]
     sure = gain.mean() > SURE_DEVIATIONS * gain.std(ddof=1) / np.sqrt(len(gain))
-    taken = best if sure and gain.mean() > WORTH * means[1.0] else 1.0
-    return taken, sorted(means.items())
+    return best if sure and gain.mean() > WORTH * means[1.0] else 1.0
 
 
 class _Job:
@@ -213,7 +178,7 @@ class _Job:
         )
         self._first: dict[int, ColorModel] = {}
 
-    def samples(self, i: int, circle: ContactCircle) -> Samples:
+    def samples(self, i: int, circle: ContactCircle) -> ColorSamples:
         """The drawn pixels of a press as if its contact were ``circle``."""
         idx, frame = self.pixels[i], self.frames[i]
         found = samples_at(frame, idx, self.rest_image, self.drifts[i], self.grid)
@@ -250,49 +215,25 @@ class _Job:
                 losses[i] = np.abs(change - s.change).mean()
         return losses
 
-    def left_out_l1(self, i: int, model: ColorModel, circle: ContactCircle) -> float:
-        """Mean absolute error of a press inside ``circle`` by a model without it [levels]."""
-        frame = self.frames[i]
-        (surface,) = moved_surfaces([frame.surface], [frame.circle], [circle], self.library)
-        frame = replace(frame, circle=circle, surface=surface)
-        return disc_l1(model, frame, self.rest_image, self.drifts[i], self.grid, self.mask)
-
     def place(
         self, i: int, model: ColorModel, start: ContactCircle, prior: ContactCircle
-    ) -> tuple[ContactCircle, np.ndarray]:
-        return _place(
-            model, self.rest_image, self.frames[i], self.moved[i], self.drifts[i], self.grid,
-            self.mask, start, prior,
-        )  # fmt: skip
+    ) -> ContactCircle:
+        """The circle where the render of a press meets its image best."""
+        frame = self.frames[i]
+        near = start.distance_px(self.grid) <= REACH * start.radius_px
+        if self.mask is not None:
+            near &= self.mask
+        idx = np.flatnonzero(near)
+        idx = idx[:: max(1, len(idx) // MAX_PIXELS)]
+        wanted = self.drifts[i].remove(frame.image.reshape(-1, 3)[idx].astype(np.float64))
+        wanted -= self.rest_image.reshape(-1, 3)[idx]
+        rest = frame.surface.rest_normals.reshape(-1, 3)[idx]
 
+        def misfit(circle: ContactCircle) -> np.ndarray:
+            normals, sunk = self.moved[i].at(circle, idx)
+            return (model.predict_pixels(idx, normals, sunk, rest) - wanted).ravel()
 
-def _place(
-    model: ColorModel,
-    rest_image: np.ndarray,
-    frame: ColorFrame,
-    moved: MovedPress,
-    drift: Light,
-    grid: PixelGrid,
-    mask: np.ndarray | None,
-    start: ContactCircle,
-    prior: ContactCircle,
-) -> tuple[ContactCircle, np.ndarray]:
-    """The circle where the render meets the image best."""
-    near = start.distance_px(grid) <= REACH * start.radius_px
-    if mask is not None:
-        near &= mask
-    idx = np.flatnonzero(near)
-    idx = idx[:: max(1, len(idx) // MAX_PIXELS)]
-    wanted = drift.remove(frame.image.reshape(-1, 3)[idx].astype(np.float64))
-    wanted -= rest_image.reshape(-1, 3)[idx]
-    rest = frame.surface.rest_normals.reshape(-1, 3)[idx]
-
-    def misfit(circle: ContactCircle) -> np.ndarray:
-        normals, sunk = moved.at(circle, idx)
-        return (model.predict_pixels(idx, normals, sunk, rest) - wanted).ravel()
-
-    radius_sigma_px = RADIUS_SIGMA * prior.radius_px
-    deviation = np.array([CENTER_SIGMA_PX, CENTER_SIGMA_PX, radius_sigma_px])
-    # Pixels beside each other err alike, and the channels of a pixel do.
-    share = 1.0 / (3 * CORRELATED_PIXELS * len(idx) / max(1, near.sum()))
-    return refine_circle(misfit, start, prior, deviation, min(share, 1.0 / 3))
+        deviation = np.array([CENTER_SIGMA_PX, CENTER_SIGMA_PX, RADIUS_SIGMA * prior.radius_px])
+        # Pixels beside each other err alike, and the channels of a pixel do.
+        share = 1.0 / (3 * CORRELATED_PIXELS * len(idx) / max(1, near.sum()))
+        return refine_circle(misfit, start, prior, deviation, min(share, 1.0 / 3))

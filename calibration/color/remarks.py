@@ -21,27 +21,18 @@ LEAST_PRESSES = 4
 LEAST_GAIN_DB = 6.0
 """A colour model that beats the bare background by less, in the crop, explains little."""
 OUTLIER_FACTOR = 2.5
-"""A press that is predicted worse than the median by this factor is named."""
+"""A press that is rendered worse than the median by this factor is named."""
 OUTLIER_LEVELS = 3.0
 """And by these levels at least."""
-SCALE_OFF = 0.04
-"""Radii that are all off by more than this share are worth a remark."""
 FAR_LEVELS = 6.0
 """Captures that differ from the background by more far from the contact have drifted."""
 
 OUTLIERS = RemarkKind(
     "outliers",
     Severity.WARNING,
-    "{worse} of {count} presses are predicted much worse than the median of {median:.1f} levels: "
-    "{names}; look at their images and circles (taccel-lab capture review), and leave out what is "
+    "{worse} of {count} presses are rendered much worse than the median of {median:.1f} levels: "
+    "{names}; look at their images and circles (taccel-lab capture check), and leave out what is "
     "not a clean ball press",
-)
-CIRCLES_OFF = RemarkKind(
-    "color_circles_off",
-    Severity.WARNING,
-    "all contact circles look too {size}: {scale:.3f} times their radii predict left-out presses "
-    "best. Labels that include the sunk rim do that; so do a wrong scale and a wrong ball radius, "
-    "which the colours alone cannot tell apart",
 )
 OFF_BACKGROUND = RemarkKind(
     "off_background",
@@ -58,7 +49,6 @@ def color_remarks(result: ColorCalibration) -> list[Remark]:
         *_against_background(result),
         *_failures(result),
         *_outliers(result),
-        *_circles(result),
         *_light(result),
     ]
 
@@ -73,7 +63,7 @@ def _few(result: ColorCalibration) -> list[Remark]:
 
 def _against_background(result: ColorCalibration) -> list[Remark]:
     if not result.has_scores:
-        return [] if result.left_out_l1 else [NOTHING_HELD_OUT()]
+        return [NOTHING_HELD_OUT()]
     model = result.heldout_means()["crop_psnr_db"]
     bare = mean_bare(result.heldout, result.failures)["crop_psnr_db"]
     if model - bare >= LEAST_GAIN_DB:
@@ -93,7 +83,7 @@ def _failures(result: ColorCalibration) -> list[Remark]:
 
 
 def _outliers(result: ColorCalibration) -> list[Remark]:
-    values = {**result.left_out_l1, **result.heldout_l1()}
+    values = {**result.fit.disc_l1_train, **result.heldout_l1()}
     if len(values) < 5:
         return []
     median = float(np.median(list(values.values())))
@@ -104,15 +94,6 @@ def _outliers(result: ColorCalibration) -> list[Remark]:
     named = ", ".join(f"{name} ({values[name]:.1f})" for name in worst[:5])
     more = f" and {len(worst) - 5} more" if len(worst) > 5 else ""
     return [OUTLIERS(worse=len(worst), count=len(values), median=median, names=f"{named}{more}")]
-
-
-def _circles(result: ColorCalibration) -> list[Remark]:
-    found = result.registration
-    if found is None:
-        return []
-    if abs(found.scale - 1) <= SCALE_OFF:
-        return []
-    return [CIRCLES_OFF(size="large" if found.scale < 1 else "small", scale=found.scale)]
 
 
 def _light(result: ColorCalibration) -> list[Remark]:

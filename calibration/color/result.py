@@ -14,7 +14,6 @@ from taccel_lab.calibration.capture.folder import source_of
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.color.evaluate import ImageScore
 from taccel_lab.calibration.color.heldout import (
-    PLACEMENTS,
     HeldoutFailure,
     HeldoutPress,
     Placement,
@@ -22,7 +21,6 @@ from taccel_lab.calibration.color.heldout import (
     mean_heldout,
 )
 from taccel_lab.calibration.color.network_fit import ColorFit
-from taccel_lab.calibration.color.registration import Registration
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice
 from taccel_lab.calibration.result import ResultSummary, mean_figures
@@ -64,12 +62,8 @@ class ColorCalibration(ResultSummary):
     """Range of contact positions, tilts and displacements in the training presses."""
     circles: tuple[ContactCircle, ...]
     """Circles that the surfaces belong to, of the training presses in order."""
-    start_circles: tuple[ContactCircle, ...]
-    """Circles of theirs that were simulated."""
     drift_choice: DriftChoice | None = None
     """None where the options alone said whether drift is taken off."""
-    registration: Registration | None = None
-    """How the circles of the training presses were read again; None if not."""
     table: TaximTable | None = None
     """Taxim's table, fitted to the training presses; None if not asked."""
     table_scores: list[PressScore] = field(default_factory=list)
@@ -90,29 +84,18 @@ class ColorCalibration(ResultSummary):
         return self.fit.options.remove_drift
 
     @property
-    def left_out_l1(self) -> dict[str, float]:
-        """L1 in the disc of each training press by a short fit without it [levels]; empty where
-        circles were not read again."""
-        return {} if self.registration is None else self.registration.left_out_l1
-
-    @property
     def has_scores(self) -> bool:
         """Whether there are figures of held-out presses, be they of failures."""
         return bool(self.heldout) or any(item.background_only for item in self.failures)
 
     @property
     def placement(self) -> Placement:
-        """How the presses of the quoted figures were placed (``color_heldout``)."""
-        return "label" if all("label" in item.placed for item in self.heldout) else "tiles"
+        """How the held-out presses were placed: ``found`` where any comes without a label."""
+        return "found" if any(p.placement == "found" for p in self.heldout) else "label"
 
-    @property
-    def placements(self) -> tuple[Placement, ...]:
-        """All ways in which the held-out presses were placed, the strictest first."""
-        return tuple(p for p in PLACEMENTS if all(p in item.placed for item in self.heldout))
-
-    def heldout_means(self, placement: Placement | None = None) -> dict[str, float]:
+    def heldout_means(self) -> dict[str, float]:
         """Mean figures of the held-out presses, failures as the bare background."""
-        return mean_heldout(self.heldout, self.failures, placement or self.placement)
+        return mean_heldout(self.heldout, self.failures)
 
     @property
     def score(self) -> ImageScore:
@@ -124,30 +107,19 @@ class ColorCalibration(ResultSummary):
 
     def heldout_l1(self) -> dict[str, float]:
         """L1 in the disc of each held-out press, as quoted [levels]."""
-        return {item.name: item.placed[self.placement].score.disc_l1 for item in self.heldout}
+        return {item.name: item.score.disc_l1 for item in self.heldout}
 
     def figures(self) -> dict[str, Any]:
         """Means over the held-out presses and the table of presses, worst crop PSNR first."""
         common = self._common_figures()
         if not self.has_scores:
             return {"heldout": None, "background_only": None, "presses": [], **common}
-        way = self.placement
-        worst_first = sorted(self.heldout, key=lambda item: item.placed[way].score.crop_psnr_db)
+        worst_first = sorted(self.heldout, key=lambda item: item.score.crop_psnr_db)
         return {
             "heldout": self.heldout_means(),
-            "heldout_placed_by": way,
-            "heldout_by": {name: self.heldout_means(name) for name in self.placements},
+            "heldout_placed_by": self.placement,
             "background_only": mean_bare(self.heldout, self.failures),
-            "presses": [
-                {
-                    "name": item.name,
-                    **vars(item.placed[way].score),
-                    "crop_psnr_db_by": {
-                        name: item.placed[name].score.crop_psnr_db for name in self.placements
-                    },
-                }
-                for item in worst_first
-            ],
+            "presses": [{"name": item.name, **vars(item.score)} for item in worst_first],
             **common,
         }
 
@@ -157,7 +129,6 @@ class ColorCalibration(ResultSummary):
             "heldout_failed": len(self.failures),
             "noise_floor_l1": self.noise_floor_l1,
             "train_disc_l1": self.fit.disc_l1_train,
-            "left_out_disc_l1": self.left_out_l1,
             "loss_curve": self.fit.loss_curve,
             "fit_seconds": self.fit.seconds,
             "drift_removed": self.drift_corrected,
@@ -177,29 +148,11 @@ class ColorCalibration(ResultSummary):
             found["drift_choice"] = asdict(self.drift_choice)
         if self.table_scores:
             found["taxim_table"] = mean_figures([item.score for item in self.table_scores])
-        if self.registration is not None:
-            found["circles"] = {
-                "scale": self.registration.scale,
-                "scale_losses": self.registration.scale_losses,
-                "sigma_px": self.registration.sigma_px.mean(axis=0).tolist(),
-                **self.circle_changes(),
-                "presses": {
-                    name: {"u_px": c.u_px, "v_px": c.v_px, "radius_px": c.radius_px}
-                    for name, c in zip(self.train_names, self.circles, strict=True)
-                },
-            }
-        return found
-
-    def circle_changes(self) -> dict[str, float]:
-        """How far the circles moved when they were read again [px]."""
-        pairs = list(zip(self.start_circles, self.circles, strict=True))
-        moved = [np.hypot(b.u_px - a.u_px, b.v_px - a.v_px) for a, b in pairs]
-        grown = [b.radius_px - a.radius_px for a, b in pairs]
-        return {
-            "center_moved_median_px": float(np.median(moved)),
-            "center_moved_largest_px": float(np.max(moved)),
-            "radius_grown_median_px": float(np.median(grown)),
+        found["circles"] = {
+            name: asdict(circle)
+            for name, circle in zip(self.train_names, self.circles, strict=True)
         }
+        return found
 
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
         """``profile`` on the captures' grid, with the blocks background and color."""
@@ -245,14 +198,7 @@ class ColorCalibration(ResultSummary):
                 residuals[f"heldout_{key}"] = value
             if self.heldout:
                 spread["heldout_disc_l1_levels"] = float(np.std(list(self.heldout_l1().values())))
-            residuals["heldout_self_placed_crop_psnr_db"] = self.heldout_means("self")[
-                "crop_psnr_db"
-            ]
             residuals["heldout_failures"] = float(len(self.failures))
-        if self.left_out_l1:
-            values = list(self.left_out_l1.values())
-            residuals["left_out_disc_l1_levels"] = float(np.mean(values))
-            spread["left_out_disc_l1_levels"] = float(np.std(values))
         return Provenance(
             kind="calibrated",
             method=self._method(),
@@ -276,8 +222,6 @@ class ColorCalibration(ResultSummary):
         ]
         if options.remove_drift:
             parts.append("drift of the light taken off each frame")
-        if self.registration is not None:
-            parts.append("contact circles read again with the colours of the other presses")
         if self.split is not None and self.has_scores:
             parts.append(
                 f"{len(self.split.heldout) + len(self.split.gone)} presses held out by "

@@ -20,8 +20,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from taccel_lab.calibration.color.frames import ColorFrame
-from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TERMS, TaximTable, bin_indices, pixel_terms
 from taccel_lab.geometry import PixelGrid
@@ -43,7 +43,7 @@ _CONSTANT_RIDGE = 1e-9
 def fit_taxim_table(
     frames: Sequence[ColorFrame],
     background: np.ndarray,
-    drifts: Mapping[str, Light],
+    drifts: Mapping[str, LightDrift],
     grid: PixelGrid,
     *,
     mask: np.ndarray | None = None,
@@ -100,14 +100,14 @@ def fit_taxim_table(
 
 
 def render_taxim_table(
-    table: TaximTable, surface: PressSurface, background: np.ndarray
+    table: TaximTable, surface: BallSurface, background: np.ndarray
 ) -> np.ndarray:
     """Tactile image from a table, float32 levels in 0..255, shape [height_px, width_px, 3]."""
     change = table.change(normals_over_rest(surface))
     return np.clip(background + change, 0.0, 255.0).astype(np.float32)
 
 
-def normals_over_rest(surface: PressSurface) -> np.ndarray:
+def normals_over_rest(surface: BallSurface) -> np.ndarray:
     """Normals of a flat gel with the slopes that the surface has over its rest, shape [h, w, 3]."""
     pressed, rest = surface.normals, surface.rest_normals
     return normals_from_slopes(rest[..., :2] / rest[..., 2:] - pressed[..., :2] / pressed[..., 2:])

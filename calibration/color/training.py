@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.frames import Samples
+from taccel_lab.calibration.color.frames import ColorSamples
 from taccel_lab.calibration.training import (
     arrays_of,
     descend,
@@ -35,7 +35,7 @@ WARM_UP = 0.1
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainedColors:
     """Weights and how they came about."""
 
     model: ColorModel
@@ -44,13 +44,13 @@ class Trained:
 
 
 def train(
-    samples: Samples,
+    samples: ColorSamples,
     grid: PixelGrid,
     options: ColorFitOptions,
     *,
     start: ColorModel | None = None,
     progress: Progress = silent,
-) -> Trained:
+) -> TrainedColors:
     """Fit the network to ``samples``.
 
     ``start`` is a model to go on from; its shape and the scales of its inputs stay. Deterministic
@@ -83,10 +83,12 @@ def train(
             layers, batch_loss, after_step,
             steps=options.steps, learning_rate=options.learning_rate, warm_up=WARM_UP,
         )  # fmt: skip
-        return Trained(ColorModel(config, arrays_of(shapes, layers)), curve)
+        return TrainedColors(ColorModel(config, arrays_of(shapes, layers)), curve)
 
 
-def _scaled_config(samples: Samples, grid: PixelGrid, options: ColorFitOptions) -> ColorModelConfig:
+def _scaled_config(
+    samples: ColorSamples, grid: PixelGrid, options: ColorFitOptions
+) -> ColorModelConfig:
     plain = ColorModelConfig(
         grid.width_px,
         grid.height_px,
@@ -105,7 +107,7 @@ def _scaled_config(samples: Samples, grid: PixelGrid, options: ColorFitOptions) 
 
 
 def _tensors(
-    config: ColorModelConfig, samples: Samples
+    config: ColorModelConfig, samples: ColorSamples
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Inputs under the press and at rest, and the change that is wanted [levels]."""
     uv = samples.uv

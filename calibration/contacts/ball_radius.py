@@ -26,8 +26,8 @@ FACTORS = (0.7, 0.85, 1.0, 1.2, 1.45, 1.75, 2.2)
 ROUNDS = 8
 MIN_PRESSES = 4
 WORSE = 0.08
-"""Rise of the residual that our model of the skirt does not explain: on real presses of balls whose
-radius is known the residual changes by up to 8 % between the stated radius and twice that."""
+"""Rise of the residual that our model of the sink-in does not explain: on real presses of balls of
+known radius the residual changes by up to 8 % between the stated radius and twice that."""
 SURE = 3.0
 """Standard errors, over the presses, that a rise has to have."""
 

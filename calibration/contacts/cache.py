@@ -68,8 +68,8 @@ def kept_contacts(captures: CaptureSet) -> CachedFile[FoundContacts]:
 @cache
 def _code_sha256() -> str:
     """Of the modules that search, so that contacts of another version are never taken."""
-    rooms = (taccel_lab.calibration.contacts, taccel_lab.calibration.light)
-    folders = [Path(str(room.__file__)).parent for room in rooms]
+    packages = (taccel_lab.calibration.contacts, taccel_lab.calibration.light)
+    folders = [Path(str(package.__file__)).parent for package in packages]
     files = [path for folder in folders for path in sorted(folder.glob("*.py"))]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.light.fit import fit_light, without_light
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.calibration.robust_spread import spread_about_median
 from taccel_lab.geometry import PixelGrid
@@ -33,7 +33,7 @@ class ColorChange:
     ratio: float
     """mm_per_px_y / mm_per_px_x."""
     smoothing_px: float
-    drift: Light
+    drift: LightDrift
 
     def strength(self) -> np.ndarray:
         """Size of the colour change [levels], 0 where masked, shape [rows, width_px]."""

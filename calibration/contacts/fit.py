@@ -9,7 +9,8 @@
    change; that moves centres and radii to a fraction of a pixel (``photometric``).
 
 A single press goes the same way with a smaller map. All of it works on pictures of one size
-(``working_size``).
+(``working_size``). On a grey sensor darkness stands for depth, not for slope: each press is found
+by itself there (``grey``).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts.color_change import (
     SUNK_RADII,
     ColorChange,
@@ -31,6 +32,7 @@ from taccel_lab.calibration.contacts.first_circle import (
     gathered_share,
     turning_radius,
 )
+from taccel_lab.calibration.contacts.grey import find_grey_contact
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.photometric import (
     FittedContact,
@@ -49,10 +51,11 @@ from taccel_lab.calibration.contacts.rings import RingSamples, sample_rings
 from taccel_lab.calibration.contacts.uncertainty import circle_covariances
 from taccel_lab.calibration.contacts.working_size import WorkingSize
 from taccel_lab.calibration.light.fit import enough_pixels
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.depth_response import Channel, channel_of
 
 TASK = "finding the contacts"
 MIN_CONTRAST_LEVELS = 12.0
@@ -91,13 +94,18 @@ def detect_contact(
     name: str = "image",
     ball_radius_mm: float | None = None,
     label: ContactCircle | None = None,
+    grey: Channel | None = None,
 ) -> DetectedContact:
     """Contact circle of one ball press.
 
-    ``image`` and ``background`` are RGB levels, shape [height_px, width_px, 3]. Raises InputError
+    ``image`` and ``background`` are RGB levels, shape [height_px, width_px, 3]; ``grey`` is the
+    channel that darkens with depth, None on a sensor of coloured lamps. Raises InputError
     naming ``name`` when the image shows no contact or no round one, or when the contact reaches out
     of the image; where a ``label`` lies in it, the part in the image is enough.
     """
+    if grey is not None:
+        drop = channel_of(background, grey) - channel_of(image, grey)
+        return find_grey_contact(drop, grid, mask=mask, name=name, label=label)
     scene = _Scene.of(background, grid, mask)
     start = _start(lambda: image, scene, name)
     if ball_radius_mm is None:
@@ -108,8 +116,11 @@ def detect_contact(
     return _accept(start, contacts[0], grid, label)
 
 
-def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundContacts:
-    """Contact of every press, or the reason why it has none; the presses are fitted together.
+def find_contacts(
+    captures: CaptureSet, progress: Progress = silent, grey: Channel | None = None
+) -> FoundContacts:
+    """Contact of every press, or the reason why it has none; the presses are fitted together, but
+    those of a ``grey`` sensor (the channel that darkens with depth).
 
     A circle that a person has corrected (``contacts.toml``) is taken as it is. A contact that the
     border of the image cuts is found by its part inside where its label says that it is one.
@@ -124,6 +135,12 @@ def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundCon
             found[i] = DetectedContact(press.circle, 0.0, 1.0, 0.0, 0.0)
             continue
         try:
+            if grey is not None:
+                found[i] = detect_contact(
+                    press.image(), captures.background, captures.grid, mask=captures.mask,
+                    name=press.source, label=press.circle, grey=grey,
+                )  # fmt: skip
+                continue
             start = _start(press.image, scene, press.source)
             kept_bytes += start.change.change.nbytes
             starts[i] = start if kept_bytes <= KEPT_BYTES else replace(start, kept=None)
@@ -160,7 +177,7 @@ def find_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundCon
 
 
 def place_heldout(
-    press: Press, image: np.ndarray, captures: CaptureSet, labels: LabelPlacement
+    press: CapturedPress, image: np.ndarray, captures: CaptureSet, labels: LabelPlacement
 ) -> ContactCircle:
     """Where a press is that had no part in a fit: by its label, or found in ``image`` without one.
 
@@ -222,7 +239,7 @@ class _Start:
     """From the press's image."""
     kept: ColorChange | None
     """The same, where it is kept."""
-    drift: Light
+    drift: LightDrift
     smoothing_px: float
     circle: ContactCircle
     """In the picture of square pixels."""
@@ -347,7 +364,7 @@ def _accept(
     ):
         raise InputError(
             f"{start.name}: no round contact found; {inliers:.0%} of the rays agree on a circle of "
-            f"radius {own.radius_px:.1f} px and a ball's slope explains "
+            f"radius {own.radius_px:.1f} px; a ball's slope explains "
             f"{max(contact.explained, 0):.0%} of the colour change, of which {gathered:.0%} lies "
             f"within two radii; at least {MIN_INLIER_FRACTION:.0%}, {pixels * MIN_RADIUS_PX:g} to "
             f"{pixels * limit:g} px, {MIN_EXPLAINED:.0%} and {MIN_GATHERED:.0%} are needed. If it "

@@ -10,9 +10,9 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import (
     EQUATOR_SLACK,
+    CapturedPress,
     CaptureSet,
     ContactCircle,
-    Press,
 )
 from taccel_lab.calibration.contacts.circle_arrays import circle_array
 from taccel_lab.calibration.contacts.result import DetectedContact
@@ -98,24 +98,33 @@ class LabelPlacement:
     count: int
 
     @classmethod
-    def of(cls, presses: Sequence[Press], placed: Sequence[ContactCircle]) -> LabelPlacement:
-        """From the training presses and where they were placed, those with labels."""
+    def of(
+        cls,
+        presses: Sequence[CapturedPress],
+        placed: Sequence[ContactCircle],
+        found: Sequence[ContactCircle] | None = None,
+    ) -> LabelPlacement:
+        """From the training presses and where they were placed, those with labels.
+
+        ``found`` are their circles by the images alone, where they were placed with the help of
+        labels: errors that both sides of a regression share would make its slope too steep.
+        """
         pairs = [
-            (press.circle, c)
-            for press, c in zip(presses, placed, strict=True)
+            (press.circle, *circles)
+            for press, *circles in zip(presses, placed, found or placed, strict=True)
             if press.circle is not None
         ]
         if not pairs:
             return cls(np.zeros(3), 1.0, 0.0, np.zeros(3), 0)
-        labels, found = (circle_array(circles) for circles in zip(*pairs, strict=True))
+        labels, at, found_at = (circle_array(circles) for circles in zip(*pairs, strict=True))
         count, middle = len(labels), labels.mean(axis=0)
-        mean = found.mean(axis=0) - middle
-        label_r, found_r = labels[:, 2] - middle[2], found[:, 2] - found[:, 2].mean()
+        mean = at.mean(axis=0) - middle
+        label_r, found_r = labels[:, 2] - middle[2], found_at[:, 2] - found_at[:, 2].mean()
         variance = label_r @ label_r
         prior = SLOPE_PRIOR * variance / count
         slope = float((label_r @ found_r + prior) / (variance + prior)) if variance > 0 else 1.0
-        left = found - labels - mean
-        left[:, 2] = found_r - slope * label_r
+        left = at - labels - mean
+        left[:, 2] = at[:, 2] - at[:, 2].mean() - slope * label_r
         spread = left.std(axis=0, ddof=1) if count > 1 else np.zeros(3)
         return cls(mean, slope, float(middle[2]), spread, count)
 

@@ -24,7 +24,7 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.contacts.circle_arrays import circle_of
 from taccel_lab.calibration.contacts.rings import RingSamples
-from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO, SKIRT, slope_law
+from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO, SINK_IN_SCALE, slope_law
 from taccel_lab.calibration.robust_spread import spread_about_zero
 
 ITERATIONS = 14
@@ -135,16 +135,18 @@ def fit_contacts(
     blur_px: float,
     terms: MapTerms | None = None,
     iterations: int = ITERATIONS,
-    skirt: float | None = None,
+    sink_in: float | None = None,
 ) -> PhotometricFit:
     """Refine the circles of presses of one sensor.
 
     ``samples`` are colour changes around the starting ``circles``; ``ball_px`` is the radius of
-    each press's ball in pixels. ``blur_px`` is the guess of the picture's blur, ``skirt`` another
+    each press's ball in pixels. ``blur_px`` is the guess of the picture's blur, ``sink_in`` another
     damping length of the slope's law than its own.
     """
     terms = terms or MapTerms.for_presses(len(samples))
-    fit = _JointFit(samples, circles, ball_px, blur_px, terms, SKIRT if skirt is None else skirt)
+    fit = _JointFit(
+        samples, circles, ball_px, blur_px, terms, SINK_IN_SCALE if sink_in is None else sink_in
+    )
     for done in range(1, iterations + 1):
         if fit.round(done) < CONVERGED_PX and done > 4:
             break
@@ -159,9 +161,9 @@ class _JointFit:
         ball_px: Sequence[float],
         blur_px: float,
         terms: MapTerms,
-        skirt: float,
+        sink_in: float,
     ) -> None:
-        self.skirt = skirt
+        self.sink_in = sink_in
         self.blur_px = self.blur_guess = blur_px
         self.terms = terms
         self.presses = [
@@ -182,7 +184,7 @@ class _JointFit:
         s = press.samples
         du, dv = s.u_px - shape[0], s.v_px - shape[1]
         distance = np.hypot(du, dv) + 1e-9
-        law = slope_law(shape[2], press.ball_px, blur_px, 1.5 * s.reach_px, self.skirt)
+        law = slope_law(shape[2], press.ball_px, blur_px, 1.5 * s.reach_px, self.sink_in)
         normal, drop = law.at(distance)
         return self.terms.values(
             normal * du / distance, normal * dv / distance, drop, s.unit_u, s.unit_v
@@ -239,13 +241,15 @@ class _JointFit:
     def _solve_map(self, designs: list[np.ndarray]) -> np.ndarray:
         columns = []
         weights = [(press.samples.weight * press.robust) ** 2 for press in self.presses]
+        scaled = [design * w[:, None] for design, w in zip(designs, weights, strict=True)]
+        # The same for all colours but for a factor.
+        squares = [one.T @ design for one, design in zip(scaled, designs, strict=True)]
         for c in range(3):
             normal, wanted = 0.0, 0.0
-            for press, design, weight in zip(self.presses, designs, weights, strict=True):
-                scaled = design * weight[:, None]
-                normal = normal + press.gain[c] ** 2 * (scaled.T @ design)
+            for press, one, square in zip(self.presses, scaled, squares, strict=True):
+                normal = normal + press.gain[c] ** 2 * square
                 wanted = wanted + press.gain[c] * (
-                    scaled.T @ (press.samples.change[:, c] - press.offset[c])
+                    one.T @ (press.samples.change[:, c] - press.offset[c])
                 )
             normal = np.asarray(normal)
             ridge = RIDGE * np.trace(normal) / len(normal) + 1e-12

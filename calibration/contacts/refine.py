@@ -31,8 +31,8 @@ def refine_circle(
     prior: ContactCircle,
     prior_sigma_px: np.ndarray,
     share: float,
-) -> tuple[ContactCircle, np.ndarray]:
-    """Most probable circle by Gauss-Newton steps, and the standard deviations of u, v and radius.
+) -> ContactCircle:
+    """Most probable circle by Gauss-Newton steps.
 
     Args:
         misfit: The model of the image; any may be taken.
@@ -43,7 +43,6 @@ def refine_circle(
     """
     middle, p = circle_array([prior, start])
     known = np.diag(1 / prior_sigma_px**2)
-    normal = known
     for _ in range(ROUNDS):
         r = misfit(circle_of(p))
         ahead = [(misfit(circle_of(p + step)) - r) / STEP_PX for step in STEP_PX * np.eye(3)]
@@ -57,4 +56,4 @@ def refine_circle(
         p = np.clip(p + step, middle - reach, middle + reach)
         if np.abs(step).max() < CONVERGED_PX:
             break
-    return circle_of(p), np.sqrt(np.diag(np.linalg.inv(normal)))
+    return circle_of(p)

@@ -10,7 +10,7 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.contacts.photometric import PhotometricFit
 from taccel_lab.calibration.contacts.rings import RingSamples
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError
 
 
@@ -69,5 +69,5 @@ class FoundContacts:
     """What was fitted, one entry for each press that was, in pixels of the working size."""
     ball_px: list[float] = field(default_factory=list)
     """Radius of the ball of each of these presses, in the same [px]."""
-    drifts: dict[int, Light] = field(default_factory=dict)
+    drifts: dict[int, LightDrift] = field(default_factory=dict)
     """Drift of each frame's light, by the index of the press."""

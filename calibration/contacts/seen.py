@@ -9,16 +9,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import Press
+from taccel_lab.calibration.capture.captures import CapturedPress
 from taccel_lab.calibration.contacts.fit import detect_contact
 from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import content_key
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.signals.depth_response import Channel
 
 
 def seen_contact(
-    press: Press, background: np.ndarray, grid: PixelGrid, mask: np.ndarray | None = None
+    press: CapturedPress,
+    background: np.ndarray,
+    grid: PixelGrid,
+    mask: np.ndarray | None = None,
+    grey: Channel | None = None,
 ) -> DetectedContact:
     """Contact of ``press`` before ``background``, found once; of ``grid`` only the proportions of a
     pixel count. Errors as of ``detect_contact``, with the press's source."""
@@ -28,12 +33,13 @@ def seen_contact(
     def look() -> DetectedContact | InputError:
         try:
             return detect_contact(
-                press.image(), background, own, mask=mask, name=press.source, label=press.circle
-            )
+                press.image(), background, own, mask=mask, name=press.source, label=press.circle,
+                grey=grey,
+            )  # fmt: skip
         except InputError as fault:
             return fault
 
-    seen = content_key({"background": background, "mask": mask, "ratio": ratio})
+    seen = content_key({"background": background, "mask": mask, "ratio": ratio, "grey": grey})
     found = press.once.of(("contact", seen), look)
     if isinstance(found, InputError):
         raise found

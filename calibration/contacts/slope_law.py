@@ -10,7 +10,7 @@ eq. 3.42a, differentiated):
 damped by ``exp(-(r - a) / l)``: a gel bonded to a plate, and all the more one pressed deeply, sinks
 over a shorter distance. ``l = sqrt(R^2 - a^2)`` follows our own finite-element presses (bonded pad
 of 2.5 R thickness, contact radii of 0.52, 0.74 and 0.91 R) to 0.01 to 0.03 in n out to 2.5 a, where
-the half-space is off by 0.04 to 0.22. It is taken a quarter longer (``SKIRT``): the colours of
+the half-space is off by 0.04 to 0.22. It is taken a quarter longer (``SINK_IN_SCALE``): colours of
 presses on three sensors all ask for more, up to twice as much.
 """
 
@@ -24,7 +24,7 @@ from scipy.ndimage import gaussian_filter1d
 
 MAX_CONTACT_RATIO = 0.97
 """Largest contact radius that the law takes, in ball radii: at 1 the ball's slope is infinite."""
-SKIRT = 1.25
+SINK_IN_SCALE = 1.25
 """Damping length over ``sqrt(R^2 - a^2)``."""
 TABLE_STEPS = 280
 
@@ -60,11 +60,15 @@ def hertz_slope(ratio: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=256)  # A fit asks of each press for the same laws at several places.
 def slope_law(
-    contact_px: float, ball_px: float, blur_px: float, reach_px: float, skirt: float = SKIRT
+    contact_px: float,
+    ball_px: float,
+    blur_px: float,
+    reach_px: float,
+    sink_in: float = SINK_IN_SCALE,
 ) -> SlopeLaw:
     """The law for a contact and a ball of these radii [px], out to ``reach_px``.
 
-    ``blur_px`` is the standard deviation of what blurs the picture; ``skirt`` scales the damping
+    ``blur_px`` is the standard deviation of what blurs the picture; ``sink_in`` scales the damping
     length.
     """
     contact = min(contact_px, MAX_CONTACT_RATIO * ball_px)
@@ -74,7 +78,7 @@ def slope_law(
     slope = inside / np.sqrt(ball_px**2 - inside**2)
     outside = distance > contact
     slope[outside] *= hertz_slope(distance[outside] / contact) * np.exp(
-        -(distance[outside] - contact) / (skirt * beside)
+        -(distance[outside] - contact) / (sink_in * beside)
     )
     step = distance[1]
     sunk = np.cumsum(slope[::-1])[::-1] * (step / ball_px)

@@ -9,7 +9,7 @@ than the law says. All of that moves circles without leaving larger residuals, s
   power less says what it has moved already, on a gel of many colours three times as much);
 - without each of the channels in turn (the jackknife, B. Efron, The Jackknife, the Bootstrap and
   Other Resampling Plans, 1982, eq. 3.6);
-- with a skirt of ``OTHER_SKIRT``, the most that the colours of real presses ask for.
+- with a sink-in of ``OTHER_SINK_IN_SCALE``, the most that the colours of real presses ask for.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from taccel_lab.calibration.contacts.circle_arrays import circle_array
 from taccel_lab.calibration.contacts.photometric import MapTerms, PhotometricFit, fit_contacts
 from taccel_lab.calibration.contacts.rings import RingSamples
 
-OTHER_SKIRT = 2.0
+OTHER_SINK_IN_SCALE = 2.0
 OTHER_ROUNDS = 5
 """Rounds of Gauss-Newton from circles that are nearly right."""
 MIN_SIGMA_PX = 0.05
@@ -40,8 +40,8 @@ def circle_covariances(
     """Covariance of u, v and radius of each press [px^2], shape [3, 3].
 
     The larger of what the residuals say and what leaving out channels does, as both hold the noise,
-    plus what map and skirt do. A press tells little about its own doubt, so that half of what a
-    channel moves, and all of what map and skirt do, are typical values (medians) over the presses.
+    plus what map and sink-in do. A press tells little about its own doubt, so that half of what a
+    channel moves, and all of what map and sink-in do, are typical values (medians) over presses.
     """
     circles = [contact.circle for contact in fit.contacts]
     start = circle_array(circles)
@@ -49,21 +49,21 @@ def circle_covariances(
     def moved(
         samples: Sequence[RingSamples],
         terms: MapTerms,
-        skirt: float | None = None,
+        sink_in: float | None = None,
     ) -> np.ndarray:
         other = fit_contacts(
             samples, circles, ball_px, blur_px=fit.blur_px, terms=terms, iterations=OTHER_ROUNDS,
-            skirt=skirt,
+            sink_in=sink_in,
         )  # fmt: skip
         return circle_array([contact.circle for contact in other.contacts]) - start
 
     finer = 1.4826 * _typical(moved(samples, terms.finer()))
-    skirt = _typical(moved(samples, terms, OTHER_SKIRT))
+    sink_in = _typical(moved(samples, terms, OTHER_SINK_IN_SCALE))
     without = np.stack([moved([_without(s, c) for s in samples], terms) for c in range(CHANNELS)])
     channels = ((without - without.mean(axis=0)) ** 2).sum(axis=0) * (CHANNELS - 1) / CHANNELS
     channels[:, :2] = channels[:, :2].mean(axis=1, keepdims=True)
     channels = (channels + np.median(channels, axis=0)) / 2
-    common = finer**2 + skirt**2 + MIN_SIGMA_PX**2
+    common = finer**2 + sink_in**2 + MIN_SIGMA_PX**2
     covariances = []
     for contact, own in zip(fit.contacts, channels, strict=True):
         # Its correlations are kept: the residuals' covariance is scaled along u, v and radius.

@@ -11,12 +11,17 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts.cache import cached_contacts
 from taccel_lab.calibration.contacts.fit import find_contacts
 from taccel_lab.calibration.contacts.fusion import choose_circles, fuse_circles
-from taccel_lab.calibration.contacts.labels import LabelAgreement, compare_with_labels
+from taccel_lab.calibration.contacts.labels import (
+    LabelAgreement,
+    LabelPlacement,
+    compare_with_labels,
+)
 from taccel_lab.calibration.contacts.remarks import PRESSES_LEFT_OUT
 from taccel_lab.calibration.contacts.result import DetectedContact, Refusal
 from taccel_lab.errors import InputError
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
+from taccel_lab.signals.depth_response import Channel
 
 MAX_LOST_SHARE = 0.1
 """Part of the presses that may show no contact; beyond, something is wrong with the whole set."""
@@ -25,17 +30,25 @@ MAX_CUT_SHARE = 0.5
 
 
 def usable_presses(
-    captures: CaptureSet, progress: Progress = silent, *, cache: bool = False
+    captures: CaptureSet,
+    progress: Progress = silent,
+    *,
+    cache: bool = False,
+    grey: Channel | None = None,
 ) -> tuple[CaptureSet, list[DetectedContact], list[Remark]]:
     """The presses with a contact, their contacts in order, and a remark on those left out.
 
-    With ``cache``, contacts are kept in the user's cache folder, and taken from it.
+    With ``cache``, contacts are kept in the user's cache folder, and taken from it; those of a
+    ``grey`` sensor (``find_contacts``) are found soon enough without.
 
     Raises:
         InputError: More than a tenth of the presses show no contact, or more than half of them one
             that is cut by the border; with every reason.
     """
-    found = (cached_contacts if cache else find_contacts)(captures, progress)
+    if cache and grey is None:
+        found = cached_contacts(captures, progress)
+    else:
+        found = find_contacts(captures, progress, grey)
     refusals = [found.refusals[i] for i in sorted(found.refusals)]
     contacts = [contact for contact in found.contacts if contact is not None]
     if not refusals:
@@ -51,7 +64,7 @@ def usable_presses(
     return replace(captures, presses=kept, provenance=provenance), contacts, [remark]
 
 
-def left_out_remark(press_count: int, refusals: Sequence[Refusal], advice: str = "") -> Remark:
+def left_out_remark(press_count: int, refusals: Sequence[Refusal]) -> Remark:
     """Says which presses are left out and why; InputError with every reason where too many are."""
     if too_many_lost(press_count, [refusal.cut for refusal in refusals]):
         raise InputError("\n".join(refusal.message for refusal in refusals))
@@ -60,7 +73,10 @@ def left_out_remark(press_count: int, refusals: Sequence[Refusal], advice: str =
         count=press_count,
         names=", ".join(refusal.name for refusal in refusals),
         reasons="; ".join(refusal.message for refusal in refusals),
-        advice=advice and f" {advice}",
+        advice=" With its circle in captures.toml a press that the border cuts is used by its part "
+        "in the image"
+        if any(refusal.cut for refusal in refusals)
+        else "",
     )
 
 
@@ -90,6 +106,12 @@ class UsableCircles:
     agreement: LabelAgreement | None
     """Of found circles with labels; None where nobody gave any."""
 
+    @property
+    def labels(self) -> LabelPlacement:
+        """How labels lie against these circles."""
+        found = [contact.circle for contact in self.contacts]
+        return LabelPlacement.of(self.captures.presses, self.circles, found)
+
 
 def usable_circles(
     captures: CaptureSet,
@@ -100,7 +122,7 @@ def usable_circles(
 ) -> UsableCircles:
     """Circles of the training presses ``captures``, which are explained together.
 
-    All of them are looked at, whatever circles are taken, so that empty frames are told. With
+    All of them are looked at, whatever circles are taken, so that empty frames are found. With
     ``cache``, contacts that an earlier run or stage found in these images are taken as they are.
 
     Raises:

@@ -10,7 +10,7 @@ import numpy as np
 
 from taccel_lab.calibration.base_profile import MEASURED, captures_on_pad, require_image_of
 from taccel_lab.calibration.camera.rectification import RectificationMaps
-from taccel_lab.calibration.capture.captures import CaptureSet, Press
+from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.shared_remarks import SCALE_NOT_MEASURED
 from taccel_lab.errors import InputError
@@ -48,10 +48,10 @@ def grey_captures(
 
 
 def _rectified(captures: CaptureSet, maps: RectificationMaps) -> CaptureSet:
-    def press_of(press: Press) -> Press:
+    def press_of(press: CapturedPress) -> CapturedPress:
         if press.circle is not None:
             raise InputError(
-                f"{press.source}: contact circles are those of raw images and do not go with "
+                f"{press.source}: contact circles are those of raw images and do not fit "
                 "--maps; leave them out, they are found"
             )
         return replace(press, read=lambda: maps.apply(press.image()))

@@ -15,7 +15,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,10 +27,9 @@ from taccel_lab.calibration.base_profile import (
 )
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
-from taccel_lab.calibration.check.balls import CIRCLE_SHARE, LABEL_SIGMA_PX
 from taccel_lab.calibration.check.block_findings import capture_findings, joined, refusing_with
-from taccel_lab.calibration.contacts.result import CutContactError, Refusal
-from taccel_lab.calibration.contacts.usable import left_out_remark
+from taccel_lab.calibration.contacts.fusion import choose_circles
+from taccel_lab.calibration.contacts.usable import usable_presses
 from taccel_lab.calibration.depth.captures import grey_captures
 from taccel_lab.calibration.depth.curve import (
     ContactPixels,
@@ -42,7 +40,6 @@ from taccel_lab.calibration.depth.curve import (
     left_out_errors,
     reading_sigma_mm,
 )
-from taccel_lab.calibration.depth.grey_contact import GreyContact, find_grey_contact
 from taccel_lab.calibration.depth.options import DepthOptions
 from taccel_lab.calibration.depth.remarks import (
     curve_remarks,
@@ -51,8 +48,8 @@ from taccel_lab.calibration.depth.remarks import (
     place_remarks,
 )
 from taccel_lab.calibration.depth.result import DepthCalibration, PressFigures
-from taccel_lab.calibration.surfaces.ball_in_layer import SurfaceMaker, layer_of, layer_skirts
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.surfaces.ball_in_layer import SurfaceMaker, layer_of, layer_surfaces
+from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.calibration.thickness.travel import TOUCH_MM
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
@@ -63,7 +60,6 @@ from taccel_lab.signals.rest_surface import flat_rest
 
 BOOTSTRAPS = 40
 TASK = "finding contacts and fitting the curve"
-_CUT = "With its circle in captures.toml such a press is used by its part in the image"
 
 
 def calibrate_depth(
@@ -91,7 +87,7 @@ def calibrate_depth(
     findings = capture_findings(with_measured_scale(folder, base), "depth", progress)
     progress(TASK, 0, 1)
     rest = flat_rest(captures.grid)
-    surfaces = partial(layer_skirts, layer=layer_of(on_captures), rest=rest)
+    surfaces = partial(layer_surfaces, layer=layer_of(on_captures), rest=rest)
     with refusing_with(findings):
         share = stated_scale_share(on_captures.camera)
         found = fit_depth(captures, options, surfaces, assumed, scale_share=share)
@@ -119,8 +115,15 @@ def fit_depth(
     """
     background = channel_of(captures.background, options.channel)
     mask = None if captures.mask.all() else captures.mask
-    captures, presses, off = _find_contacts(captures, background, mask, options)
-    drops, chosen, sigma_px, given = zip(*presses, strict=True)
+    if options.circles == "detected":
+        unlabelled = (replace(press, circle=None) for press in captures.presses)
+        captures = replace(captures, presses=tuple(unlabelled))
+    captures, found, lost = usable_presses(captures, grey=options.channel)
+    chosen = choose_circles(captures, found, "labels")
+    off = [*lost, *label_remarks(captures, [contact.circle for contact in found])]
+    drops = [background - channel_of(p.image(), options.channel) for p in captures.presses]
+    sigma_px = [contact.radius_sigma_px for contact in found]
+    given = [press.circle is not None for press in captures.presses]
     radii = [press.radius_mm or captures.ball_radius_mm for press in captures.presses]
     for press, circle, radius in zip(captures.presses, chosen, radii, strict=True):
         if circle.radius_px * captures.grid.mm_per_px_x >= radius:
@@ -189,7 +192,7 @@ def fit_depth(
             response.depth_mm,
             reading_sigma_mm=reading_sigma_mm(errors),
             zero_sigma_mm=math.hypot(offset_mm, gap_mm),
-            # A cap's depth goes with the square of its width.
+            # A cap's depth grows with the square of its width.
             depth_share=2 * scale_share,
         ),
         spread_mm=spread,
@@ -214,52 +217,7 @@ def fit_depth(
     return replace(result, remarks=found_remarks)
 
 
-class _Contact(NamedTuple):
-    """Where one press is taken to be."""
-
-    drop: np.ndarray
-    """Of its grey [levels], shape [height_px, width_px]."""
-    circle: ContactCircle
-    radius_sigma_px: float
-    given: bool
-    """Whether it is the label."""
-
-
-def _find_contacts(
-    captures: CaptureSet, background: np.ndarray, mask: np.ndarray | None, options: DepthOptions
-) -> tuple[CaptureSet, list[_Contact], list[Remark]]:
-    """The presses with a contact, these, and what labels and those left out say.
-
-    The border of the image may cut a dark patch: where it ends its label says, or nothing.
-    """
-    contacts: list[_Contact] = []
-    seen: list[ContactCircle] = []
-    cut: dict[int, Refusal] = {}
-    for i, press in enumerate(captures.presses):
-        drop = background - channel_of(press.image(), options.channel)
-        label = press.circle if options.circles == "auto" else None
-        try:
-            found = find_grey_contact(drop, captures.grid, mask=mask, name=press.source)
-        except CutContactError as fault:
-            if label is None or label.beyond_px(captures.grid) <= 0:
-                cut[i] = Refusal(press.name, str(fault), cut=True)
-                continue
-            sigma_px = max(LABEL_SIGMA_PX, CIRCLE_SHARE * label.radius_px)
-            found = GreyContact(label, sigma_px, float(drop.max()))
-        seen.append(found.circle)
-        contacts.append(
-            _Contact(drop, label or found.circle, found.radius_sigma_px, label is not None)
-        )
-    remarks = []
-    if cut:
-        remark = left_out_remark(len(captures.presses), list(cut.values()), _CUT)
-        captures = captures.only([i for i in range(len(captures.presses)) if i not in cut])
-        remarks.append(remark)
-    labels = [contact.circle if contact.given else None for contact in contacts]
-    return captures, contacts, [*remarks, *label_remarks(captures, labels, seen)]
-
-
-def _rim_depth_mm(surface: PressSurface, circle: ContactCircle, captures: CaptureSet) -> float:
+def _rim_depth_mm(surface: BallSurface, circle: ContactCircle, captures: CaptureSet) -> float:
     band = np.abs(circle.distance_px(captures.grid) / circle.radius_px - 1) < 0.04
     return max(0.0, float(-surface.displacement_mm()[band].mean()))
 

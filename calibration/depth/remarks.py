@@ -40,18 +40,14 @@ ZERO_UNSURE = RemarkKind(
 )
 
 
-def label_remarks(
-    captures: CaptureSet,
-    labels: Sequence[ContactCircle | None],
-    found: Sequence[ContactCircle],
-) -> list[Remark]:
+def label_remarks(captures: CaptureSet, found: Sequence[ContactCircle]) -> list[Remark]:
     """Whether given circles lie on the dark patches of their images."""
     gaps = {
-        press.name: seen.center_gap_px(label, captures.grid)
-        for press, label, seen in zip(captures.presses, labels, found, strict=True)
-        if label is not None
+        press.name: seen.center_gap_px(press.circle, captures.grid)
+        for press, seen in zip(captures.presses, found, strict=True)
+        if press.circle is not None
     }
-    radii = {p.name: c.radius_px for p, c in zip(captures.presses, labels, strict=True) if c}
+    radii = {press.name: press.circle.radius_px for press in captures.presses if press.circle}
     off = [n for n, gap in gaps.items() if gap > max(LABEL_OFF_PX, LABEL_OFF_SHARE * radii[n])]
     if not off:
         return []

@@ -70,7 +70,8 @@ def evaluate(parameters: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.nda
     edge = light * contrast * np.exp(-0.5 * t**2) / np.sqrt(2 * np.pi)
     share = 1.0 + contrast * inside
 
-    jacobian = np.empty((*inside.shape, PARAMETERS))
+    # One derivative after the other in memory: they are written in half the time.
+    jacobian = np.empty((len(p), PARAMETERS, len(uv))).transpose(0, 2, 1)
     per_q = -edge * radius / blur
     jacobian[..., CENTRE_U] = -per_q * (s11 * yu + s12 * yv) / q
     jacobian[..., CENTRE_V] = -per_q * (s12 * yu + s22 * yv) / q

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.light.fit import BIWEIGHT, MIN_SCALE_LEVELS
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.calibration.robust_spread import spread_of_lengths
 
@@ -31,7 +31,7 @@ def average_background(
     background: np.ndarray,
     frames: Sequence[np.ndarray],
     untouched: Sequence[np.ndarray],
-    drifts: Sequence[Light],
+    drifts: Sequence[LightDrift],
     mask: np.ndarray | None = None,
 ) -> np.ndarray:
     """Robust mean of the background and the drift-free untouched parts of frames, float32 levels.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.light.remarks import LIGHT_DRIFTS
 from taccel_lab.report.remark import Remark
 
@@ -44,7 +44,7 @@ class DriftSpread:
         return self.balance_levels > BALANCE_LEVELS and self.balance_levels > BALANCE_SHARE * whole
 
 
-def drift_spread(drifts: Sequence[Light], background: np.ndarray) -> DriftSpread:
+def drift_spread(drifts: Sequence[LightDrift], background: np.ndarray) -> DriftSpread:
     """Spread of ``drifts`` of frames against ``background``, RGB levels [height, width, 3]."""
     level = background.reshape(-1, 3).astype(np.float64).mean(axis=0)
     shift = np.array([drift.shift(level) for drift in drifts])
@@ -63,7 +63,7 @@ def drift_spread(drifts: Sequence[Light], background: np.ndarray) -> DriftSpread
     )
 
 
-def drift_remarks(drifts: Sequence[Light], background: np.ndarray) -> list[Remark]:
+def drift_remarks(drifts: Sequence[LightDrift], background: np.ndarray) -> list[Remark]:
     """A remark on the drift over the frames, with figures and what to do; none where it is small.
 
     Colours and normals take the light off each frame where that helps.

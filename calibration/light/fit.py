@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.calibration.light.light import Light, unit_position
+from taccel_lab.calibration.light.light import LightDrift, unit_position
 from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.calibration.robust_spread import spread_of_lengths
 from taccel_lab.errors import InputError
@@ -43,7 +43,7 @@ def fit_light(
     mask: np.ndarray | None = None,
     *,
     gradient: bool = True,
-) -> Light:
+) -> LightDrift:
     """Light of ``frame`` against ``background`` wherever the two go together.
 
     Images are RGB levels, shape [height_px, width_px, 3]; pixels where ``mask`` is false are left
@@ -76,7 +76,7 @@ def fit_light(
         weight = biweight(distance, reach)
         fitted = _with_prior(before, others, after, weight, scale)
         left = after - before * fitted[:, :1] - fitted[:, 1:] @ others
-    return Light(
+    return LightDrift(
         gain=fitted[:, 0].copy(),
         offset=fitted[:, 1].copy(),
         gradient=fitted[:, 2:].copy() if gradient else np.zeros((3, 2)),
@@ -168,6 +168,6 @@ def normal_equations(
     return normal, side
 
 
-def without_light(image: np.ndarray, background: np.ndarray, light: Light) -> np.ndarray:
+def without_light(image: np.ndarray, background: np.ndarray, light: LightDrift) -> np.ndarray:
     """Frame minus the background in the frame's light [levels], float32."""
     return (image - light.apply(background.astype(np.float32))).astype(np.float32)

@@ -16,7 +16,7 @@ from taccel_lab.errors import InputError
 
 
 @dataclass(frozen=True)
-class Light:
+class LightDrift:
     """Light of an image against another's: ``image = gain * other + offset + gradient``."""
 
     gain: np.ndarray

@@ -10,7 +10,7 @@ import numpy as np
 
 from taccel_lab.calibration.light.average import median_where_seen
 from taccel_lab.calibration.light.fit import fit_light, without_light
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.light.smoothing import smoothed
 from taccel_lab.calibration.robust_spread import spread_of_lengths
 from taccel_lab.errors import InputError
@@ -36,7 +36,7 @@ ReadImage = Callable[[], np.ndarray]
 
 
 def untouched_pixels(
-    frame: np.ndarray, background: np.ndarray, drift: Light, mask: np.ndarray | None = None
+    frame: np.ndarray, background: np.ndarray, drift: LightDrift, mask: np.ndarray | None = None
 ) -> np.ndarray:
     """Where ``frame`` shows the background in its own light, bool, shape [height_px, width_px].
 
@@ -56,7 +56,7 @@ def untouched_pixels(
 
 
 def steady_pixels(
-    frame: np.ndarray, background: np.ndarray, drift: Light, mask: np.ndarray | None = None
+    frame: np.ndarray, background: np.ndarray, drift: LightDrift, mask: np.ndarray | None = None
 ) -> np.ndarray:
     """Where a frame may be averaged into ``background``: where no shade of a touch is left.
 
@@ -73,7 +73,7 @@ def steady_pixels(
 def _strength(
     frame: np.ndarray,
     background: np.ndarray,
-    drift: Light,
+    drift: LightDrift,
     mask: np.ndarray | None,
     sigma_px: float,
 ) -> tuple[np.ndarray, float]:
@@ -115,16 +115,16 @@ def background_from_presses(
         rarely &= mask
     if rarely.mean() > MAX_RARELY_SEEN:
         raise InputError(
-            f"no image of the untouched sensor, and {rarely.mean():.0%} of it is touched in all "
-            f"but {MIN_SEEN - 1} of the {len(images)} presses; give background, or presses that "
-            "are spread over the gel"
+            f"there is no image of the untouched sensor, and all but {MIN_SEEN - 1} of the "
+            f"{len(images)} presses touch {rarely.mean():.0%} of it; give background, or presses "
+            "spread over the gel"
         )
     return level
 
 
 def _median(
     images: Sequence[np.ndarray],
-    drifts: Sequence[Light | None],
+    drifts: Sequence[LightDrift | None],
     seen: Sequence[np.ndarray | None],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Median of the drift-free images over the frames that see a pixel, and how many do."""

@@ -6,17 +6,21 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taccel_lab.calibration.live.latency import Latency
 from taccel_lab.calibration.live.pictures import pictures
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
+from taccel_lab.calibration.live.snapshot import save_snapshot
 from taccel_lab.calibration.live.strip_chart import StripChart
 from taccel_lab.calibration.record.tiles import show_tiles, wide_panel
 from taccel_lab.report.page_text import PageText, add_note, page_table
 
 if TYPE_CHECKING:
-    from viser import ViserServer
+    import numpy as np
+    from viser import GuiApi, ViserServer
 
 FIGURES_EVERY_S = 0.25
 STAGES = {"wait": "wait for camera", "frame": "crop", "age": "taken to shown"}
@@ -25,20 +29,56 @@ SPREAD = " +-"
 """Ends the name of a standard deviation, before its unit."""
 
 
+class LiveSheet:
+    """The pictures of all sensors of a page, and its button to stop."""
+
+    def __init__(self, server: ViserServer) -> None:
+        self.server = server
+        self.stop = threading.Event()
+        self._pictures: dict[str, list[tuple[str, np.ndarray]]] = {}
+        wide_panel(server)
+        server.gui.add_button("Stop").on_click(lambda _: self.stop.set())
+
+    def show(self, name: str, pictures: list[tuple[str, np.ndarray]]) -> None:
+        """Show a sensor's pictures beside those of the others, in the order of the names."""
+        self._pictures[name] = pictures
+        several = len(self._pictures) > 1
+        shown = [
+            (f"{of}: {title}" if several else title, picture)
+            for of, own in sorted(self._pictures.items())
+            for title, picture in own
+        ]
+        show_tiles(self.server, shown)
+
+
 class LivePage:
     """A ``LiveWatcher`` in the browser."""
 
-    def __init__(self, server: ViserServer, pictures_hz: float) -> None:
-        """Fill the page of ``server``; pictures are drawn at most so often."""
-        self._server, self._every_s = server, 1.0 / pictures_hz
-        self._drawn_s = self._told_s = float("-inf")
-        self._stop, self._again = threading.Event(), threading.Event()
-        wide_panel(server)
-        gui = server.gui
+    def __init__(
+        self, sheet: LiveSheet, pictures_hz: float, snapshots: Path, name: str = ""
+    ) -> None:
+        """
+        Args:
+            sheet: Of the page.
+            pictures_hz: Pictures are drawn at most so often.
+            snapshots: Folder for them.
+            name: Of the sensor, where the page has several.
+        """
+        self._sheet, self._name = sheet, name
+        self._every_s = 1.0 / pictures_hz
+        self._drawn_s = self._shown_s = float("-inf")
+        self._again, self._keep = threading.Event(), threading.Event()
+        self._snapshots = snapshots
+        gui = sheet.server.gui
+        with gui.add_folder(name) if name else nullcontext():
+            self._fill(gui)
+
+    def _fill(self, gui: GuiApi) -> None:
         self._prompt = add_note(gui)
         self._figures = add_note(gui)
         gui.add_button("Take the untouched gel again").on_click(lambda _: self._again.set())
-        gui.add_button("Stop").on_click(lambda _: self._stop.set())
+        gui.add_button("Snapshot").on_click(lambda _: self._keep.set())
+        self._kept = add_note(gui)
         self._chart = StripChart(gui)
         self._latency = add_note(gui)
 
@@ -46,11 +86,15 @@ class LivePage:
         """Draw a reading, unless the last one was drawn just now."""
         now = time.monotonic()
         self._chart.add(now, reading)
+        if self._keep.is_set():
+            self._keep.clear()
+            kept = save_snapshot(reading, reader, self._snapshots)
+            self._kept.content = PageText("wrote {}").format(str(kept))
         if now - self._drawn_s >= self._every_s:
             self._drawn_s = now
-            show_tiles(self._server, pictures(reading, reader.background))
-        if now - self._told_s >= FIGURES_EVERY_S:
-            self._told_s = now
+            self._sheet.show(self._name, pictures(reading, reader.background))
+        if now - self._shown_s >= FIGURES_EVERY_S:
+            self._shown_s = now
             self._figures.content = figures_text(reading, reader)
             self._latency.content = latency_text(latency, reader)
             self._chart.draw()
@@ -67,7 +111,7 @@ class LivePage:
 
     def stopped(self) -> bool:
         """Whether the button was pressed."""
-        return self._stop.is_set()
+        return self._sheet.stop.is_set()
 
 
 def figures_text(reading: LiveReading, reader: LiveReader) -> PageText:
@@ -86,8 +130,8 @@ def figures_text(reading: LiveReading, reader: LiveReader) -> PageText:
         lines += [PageText("*{}*").format(text) for text in figures["warnings"]]
     if reading.press is not None:
         press = reading.press
-        told = PageText("normal force **{}**, by the contact of an elastic layer; {} mm² touch")
-        lines.append(told.format(press.force_words, f"{press.contact_mm2:.1f}"))
+        words = PageText("normal force **{}**, by the contact of an elastic layer; {} mm² touch")
+        lines.append(words.format(press.force_words, f"{press.contact_mm2:.1f}"))
         lines += [PageText("*{}*").format(text) for text in press.remarks]
     elif reader.no_pressure:
         lines.append(PageText("{}").format(reader.no_pressure))

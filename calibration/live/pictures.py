@@ -39,7 +39,7 @@ def pictures(reading: LiveReading, background: np.ndarray) -> list[tuple[str, np
 
 def depth_picture(reading: LiveReading) -> tuple[str, np.ndarray]:
     """Title with the scale, and the depth in colours; what the calibration does not reach is
-    marked, and a depth that is refused is grey."""
+    marked, and a depth that is rejected is grey."""
     surface = reading.surface
     assert surface is not None
     depth_mm = -1e3 * surface.rise_m
@@ -80,8 +80,8 @@ def _with_bar(picture: np.ndarray, colors: int, high: float) -> np.ndarray:
     for share in (0.0, 0.5, 1.0):
         row = round((1 - share) * (height - 1))
         where = (wide + 6, min(max(row + round(10 * text), round(24 * text)), height - 2))
-        told = f"{share * high:.{digits}f}"
-        cv2.putText(bar, told, where, cv2.FONT_HERSHEY_SIMPLEX, text, INK, 1, cv2.LINE_AA)
+        label = f"{share * high:.{digits}f}"
+        cv2.putText(bar, label, where, cv2.FONT_HERSHEY_SIMPLEX, text, INK, 1, cv2.LINE_AA)
     return np.hstack([picture, bar])
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.likeness import unlike
+from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.markers.tracking import MarkerTracker
-from taccel_lab.calibration.markers.tracks import Status
+from taccel_lab.calibration.markers.tracks import TrackStatus
 from taccel_lab.calibration.normals.read_surface import SurfaceReader, SurfaceReading
 from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
 from taccel_lab.errors import InputError
@@ -34,7 +34,7 @@ and is read by people."""
 REFUSED_SHARE = 0.5
 """Part of what is touched beyond the calibration from which no depth is given."""
 
-ForceTold = Callable[[np.ndarray, np.ndarray], Mapping[str, float]]
+ForceReadings = Callable[[np.ndarray, np.ndarray], Mapping[str, float]]
 """Image and background, RGB uint8, in; forces by name and unit out, such as ``{"Fz [N]": 1.2,
 "Fz +- [N]": 0.1}``: what ends in +- is the standard deviation of the one before."""
 
@@ -62,7 +62,7 @@ class LiveReading:
     stages_s: dict[str, float]
     """Time that each stage took [s]."""
     press: ContactPressure | None = None
-    """What holds the surface so; None without a surface, where it is refused, and of domes."""
+    """What holds the surface so; None without a surface, where it is rejected, and of domes."""
 
 
 def require_readable(profile: SensorProfile) -> None:
@@ -84,7 +84,7 @@ class LiveReader:
         background: np.ndarray,
         *,
         detail: int | None = None,
-        force: ForceTold | None = None,
+        force: ForceReadings | None = None,
         sigma_every: int = SIGMA_EVERY,
     ) -> None:
         """
@@ -181,7 +181,7 @@ class LiveReader:
             with _timed(stages, "markers"):
                 self.tracker.advance(image)
             places, rest = self.tracker.uv.copy(), self.tracker.dots.uv_px
-            seen = self.tracker.status == Status.SEEN
+            seen = self.tracker.status == TrackStatus.SEEN
         forces: Mapping[str, float] = {}
         if self.force is not None:
             with _timed(stages, "force"):

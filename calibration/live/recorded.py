@@ -7,20 +7,16 @@ Rows are kept beside the output as they are read, so that the same call goes on 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taccel_lab.calibration.capture.camera.replay import IMAGES, VIDEOS, natural_order
+from taccel_lab.calibration.capture.camera.recording import Recording
 from taccel_lab.calibration.live.reader import LiveReader, LiveReading
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import content_id, write_json
-from taccel_lab.files.images import read_image
 from taccel_lab.files.output_folder import atomic_directory, require_replaceable
-from taccel_lab.files.videos import count_frames, read_frames
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.style import BLUE, LIGHT, in_report_style, new_figure, save_figure
 
@@ -53,47 +49,8 @@ CURVES = (
 )
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """Frames of a video, of a folder of images in natural order, or one image."""
-
-    source: Path
-    count: int
-    images: tuple[Path, ...] = ()
-    """Empty for a video."""
-
-    @classmethod
-    def of(cls, source: Path) -> Recorded:
-        """Raises InputError for what holds no frames."""
-        if source.is_dir():
-            found = [p for p in source.iterdir() if p.suffix.lower() in IMAGES and p.is_file()]
-            if not found:
-                raise InputError(f"{source} holds no images; {', '.join(IMAGES)} are read")
-            images = tuple(sorted(found, key=natural_order))
-            return cls(source, len(images), images)
-        if source.suffix.lower() in VIDEOS:
-            return cls(source, count_frames(source)[0])
-        if source.suffix.lower() in IMAGES:
-            return cls(source, 1, (source,))
-        raise InputError(
-            f"{source} is no video ({', '.join(VIDEOS)}), no image ({', '.join(IMAGES)}) and no "
-            "folder of images"
-        )
-
-    def frames(self) -> Iterator[tuple[str, np.ndarray | InputError]]:
-        """Name and RGB levels of each frame, or why it cannot be read."""
-        if not self.images:
-            for number, image in enumerate(read_frames(self.source)):
-                yield f"{number}", image
-        for path in self.images:
-            try:
-                yield path.name, read_image(path)
-            except InputError as error:
-                yield path.name, error
-
-
 def read_recorded(
-    recorded: Recorded,
+    recording: Recording,
     reader: LiveReader,
     out: Path,
     recipe: dict[str, Any],
@@ -102,7 +59,7 @@ def read_recorded(
     """Write ``readings.csv``, ``readings.json`` and ``readings.png`` into ``out``; returns rows.
 
     Args:
-        recorded: The frames.
+        recording: The frames.
         reader: Of the profile and the untouched gel.
         out: Folder that appears whole at the end. Until then rows are kept in a hidden file beside.
         recipe: What the rows depend on; rows that were kept by another recipe are read again.
@@ -115,12 +72,12 @@ def read_recorded(
     kept_path = out.parent / f".{out.name}.readings.jsonl"
     key = content_id(recipe)
     rows = _kept(kept_path, key)
-    before = len(rows)
+    before, total = len(rows), recording.count()
     out.parent.mkdir(parents=True, exist_ok=True)
     with kept_path.open("a" if before else "w", encoding="utf-8") as kept:
         if not before:
             kept.write(json.dumps({"key": key}) + "\n")
-        for number, (name, image) in enumerate(recorded.frames()):
+        for number, (name, image) in enumerate(recording.frames()):
             if number < before:
                 if reader.tracker is not None and isinstance(image, np.ndarray):
                     reader.tracker.advance(image)  # Markers are followed from frame to frame.
@@ -129,13 +86,16 @@ def read_recorded(
             rows.append(row)
             kept.write(json.dumps(row) + "\n")
             kept.flush()
-            progress("reading frames", number + 1, recorded.count)
+            progress("reading frames", number + 1, total)
     if all(row["refused"] for row in rows):
         kept_path.unlink()
-        raise InputError(f"no frame of {recorded.source} can be read: {rows[0]['refused']}")
+        raise InputError(f"no frame of {recording.source} can be read: {rows[0]['refused']}")
     with atomic_directory(out) as folder:
         (folder / "readings.csv").write_text(_table(rows), encoding="utf-8")
-        write_json(folder / "readings.json", {"source": str(recorded.source), "frames": rows})
+        write_json(
+            folder / "readings.json",
+            {"source": str(recording.source), "camera": recording.camera, "frames": rows},
+        )
         save_figure(draw_recorded(rows), folder / "readings.png")
     kept_path.unlink()
     return rows
@@ -221,7 +181,7 @@ def figures_of(reading: LiveReading, reader: LiveReader) -> dict[str, Any]:
 
 @in_report_style
 def draw_recorded(rows: list[dict[str, Any]]) -> Figure:
-    """Depth, contact, force and markers over the frames, those that were told."""
+    """Depth, contact, force and markers over the frames, those that were read."""
 
     def column(name: str) -> np.ndarray:
         return np.array([np.nan if row.get(name) is None else row[name] for row in rows], float)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A live session: the untouched gel first, then frame after frame until somebody stops it."""
+"""Live sessions: the untouched gel first, then frame after frame until somebody stops it."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Generator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -60,7 +60,31 @@ class LiveResult:
     """Why it could not be measured, in a sentence; empty where it was, or only not yet."""
 
 
-def run_live(
+def run_live(*arguments: Any, **options: Any) -> LiveResult:
+    """Read frames until it is over; arguments and errors as of :func:`live_session`."""
+    [result] = run_together([live_session(*arguments, **options)])
+    return result
+
+
+def run_together(sessions: Sequence[Generator[LiveResult, None, None]]) -> list[LiveResult]:
+    """Go on with each session in turn, a frame each, until all are over; returns what they came
+    to."""
+    going = dict(enumerate(sessions))
+    results: dict[int, LiveResult] = {}
+    with ExitStack() as stack:
+        for session in sessions:
+            stack.enter_context(closing(session))
+        while going:
+            for number, session in list(going.items()):
+                found = next(session, None)
+                if found is None:
+                    del going[number]
+                else:
+                    results[number] = found
+    return [results[number] for number in range(len(sessions))]
+
+
+def live_session(
     make_reader: Callable[[np.ndarray], LiveReader],
     open_: Callable[[], Camera],
     watchers: list[LiveWatcher],
@@ -70,8 +94,10 @@ def run_live(
     values: ControlValues | None = None,
     framing: Framing | None = None,
     again_s: float = AGAIN_S,
-) -> LiveResult:
+) -> Generator[LiveResult, None, None]:
     """Read frames until ``frames`` are done, a watcher stops it or a replay is over.
+
+    Gives what it came to so far, always the same object, at first and after each frame.
 
     Args:
         make_reader: Of an untouched image, RGB float32.
@@ -93,27 +119,29 @@ def run_live(
     if result.reader is not None:
         result.remarks = result.reader.remarks
     untouched, frozen = _Untouched(), FrozenWatch()
-    told = ""
+    shown = ""
 
     def opened(camera: Camera) -> None:
         result.locks = tuple(camera.lock(values))
         frozen.replayed = camera.info.replayed
 
     def tell(text: str) -> None:
-        nonlocal told
-        if text != told:
-            told = text
+        nonlocal shown
+        if text != shown:
+            shown = text
             for watcher in watchers:
                 watcher.tell(text)
 
     if result.reader is None:
         tell(TOUCH_NOTHING)
+    yield result
     done, waited = 0, time.perf_counter()
     with closing(shots(open_, opened, again_s=again_s)) as stream:
         for event in stream:
             arrived = time.perf_counter()
             if isinstance(event, Gap):
                 tell(f"The camera is gone ({event.reason}); plug it in again.")
+                yield result
                 continue
             shot = Shot(framing.apply(event.image), event.time_s)
             hangs = frozen.see(shot)
@@ -125,6 +153,7 @@ def run_live(
                     result.remarks = _remarks(result.reader, untouched)
                 tell(untouched.unseen or hangs or (TOUCH_NOTHING if found is None else ""))
                 waited = time.perf_counter()
+                yield result
                 continue
             _require_size(shot.image, result.reader.background)
             tell(hangs or " ".join(result.remarks))
@@ -142,12 +171,12 @@ def run_live(
             result.latency.add(stages, time.thread_time() - start_cpu)
             done += 1
             if done == frames or any(watcher.stopped() for watcher in watchers):
-                return result
+                return
             if any(watcher.wants_background() for watcher in watchers):
                 result.reader, result.remarks, untouched = None, (), _Untouched()
                 tell(TOUCH_NOTHING)
             waited = time.perf_counter()
-    return result
+            yield result
 
 
 def _remarks(reader: LiveReader, untouched: _Untouched) -> tuple[str, ...]:

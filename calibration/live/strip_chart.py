@@ -44,7 +44,7 @@ class StripChart:
         ]
 
     def add(self, now_s: float, reading: LiveReading) -> None:
-        """Take a reading in; what it does not tell, or what is refused, is a gap."""
+        """Take a reading in; what it does not tell, or what is rejected, is a gap."""
         figures = {} if reading.refused else reading.figures
         values = (float(figures.get(name, np.nan)) for _, name, _ in CURVES)
         self._rows.append((now_s, *values))

@@ -10,8 +10,8 @@ import numpy as np
 from taccel_lab.calibration.capture import CaptureFolder
 from taccel_lab.calibration.dots.layout import PITCH_X, PITCH_Y, LayoutFit
 from taccel_lab.calibration.markers.gel_view import (
-    GelView,
     GridView,
+    PixelView,
     camera_view,
     grid_view,
     pixel_jacobian,
@@ -39,7 +39,7 @@ _AGREE = 0.02
 class ChosenView:
     """A view and what has to be said about it."""
 
-    view: GelView
+    view: PixelView
     remarks: tuple[Remark, ...]
 
 
@@ -55,7 +55,7 @@ def choose_view(
         InputError: None of them fits pictures of that size.
     """
     stated = _stated(folder, layout, size_px)
-    chosen: GelView | None = None
+    chosen: PixelView | None = None
     if _has_pose(profile):
         chosen = _through_camera(profile, size_px)
     elif profile.camera.provenance.kind in _MEASURED:
@@ -77,7 +77,7 @@ def _has_pose(profile: SensorProfile) -> bool:
     return "position_z_mm" in optics.provenance.spread
 
 
-def _through_camera(profile: SensorProfile, size_px: tuple[int, int]) -> GelView:
+def _through_camera(profile: SensorProfile, size_px: tuple[int, int]) -> PixelView:
     """The calibrated camera, with sight lines straight or bent, as its pose was fitted: what agrees
     with the calibrated pixel grid. The grid itself where neither does."""
     views = [camera_view(profile, size_px, refraction=bent) for bent in (True, False)]
@@ -119,7 +119,7 @@ def _stated(folder: CaptureFolder, layout: LayoutFit, size_px: tuple[int, int]) 
 
 
 def _disagreements(
-    chosen: GelView, stated: list[GridView], size_px: tuple[int, int]
+    chosen: PixelView, stated: list[GridView], size_px: tuple[int, int]
 ) -> tuple[Remark, ...]:
     """A warning for every stated scale that differs from the chosen one."""
     middle = np.array([(size_px[0] - 1) / 2, (size_px[1] - 1) / 2])

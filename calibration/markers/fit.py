@@ -16,10 +16,10 @@ from taccel_lab.calibration.dots.lattice import renumbered
 from taccel_lab.calibration.dots.layout import LayoutFit, fit_layout
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
 from taccel_lab.calibration.markers.choose_view import choose_view
-from taccel_lab.calibration.markers.gel_view import GelView, pixel_jacobian
+from taccel_lab.calibration.markers.gel_view import PixelView, pixel_jacobian
 from taccel_lab.calibration.markers.judgement import layout_remarks, track_remarks
 from taccel_lab.calibration.markers.remarks import VIDEO_CUT_SHORT
-from taccel_lab.calibration.markers.rest import Rest, find_rest, frames_before, video_name
+from taccel_lab.calibration.markers.rest import MarkerRest, find_rest, frames_before, video_name
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
 from taccel_lab.calibration.markers.track_figures import track_figures
 from taccel_lab.calibration.markers.tracking import track_markers
@@ -46,7 +46,7 @@ def calibrate_markers(
     """
     markers = folder.markers
     progress("finding the dots", 0, 1)
-    found = Rest(folder.require_background()) if markers is None else find_rest(markers)
+    found = MarkerRest(folder.require_background()) if markers is None else find_rest(markers)
     rest = found.frame
     image = rest.image()
     with naming(rest.source):
@@ -92,7 +92,7 @@ def calibrate_markers(
     )
 
 
-def layout_on_gel(picture: MarkerPicture, view: GelView) -> LayoutFit:
+def layout_on_gel(picture: MarkerPicture, view: PixelView) -> LayoutFit:
     """The grid in gel millimetres: the dots through the view, fitted again.
 
     Raises:
@@ -116,7 +116,7 @@ def layout_on_gel(picture: MarkerPicture, view: GelView) -> LayoutFit:
     return fit_layout(safe, lattice, covariance=covariance, in_view=missing)
 
 
-def _radius_mm(dots: Dots, view: GelView) -> tuple[float, float]:
+def _radius_mm(dots: Dots, view: PixelView) -> tuple[float, float]:
     """Median radius of whole dots on the gel, and its standard deviation [mm]."""
     whole = dots.whole if dots.whole.sum() >= 3 else np.ones(dots.count, dtype=bool)
     jacobian = pixel_jacobian(view, dots.uv_px[whole])
@@ -134,17 +134,19 @@ def _follow(video: Video, start: int, picture: MarkerPicture, progress: Progress
     name = video_name(video)
     onward = islice(video.frames(), start, None)
     with naming(video.source):
-        tracks = track_markers(_told(onward, video, start, progress), picture)
+        tracks = track_markers(_reported(onward, video, start, progress), picture)
         if start > 0:
-            back = track_markers(_told(frames_before(video, start), video, 0, progress), picture)
+            back = track_markers(
+                _reported(frames_before(video, start), video, 0, progress), picture
+            )
             tracks = MarkerTracks.joined(back, tracks)
     return TrackedVideo(name, video, tracks, track_figures(name, tracks, start))
 
 
-def _told(
+def _reported(
     frames: Iterable[np.ndarray], video: Video, done: int, progress: Progress
 ) -> Iterator[np.ndarray]:
-    """The frames; tells how many are done when the next is asked for."""
+    """The frames; tells how many are done when the next is requested."""
     name = video_name(video)
     for count, frame in enumerate(frames):
         progress(name, min(done + count, video.frame_count), video.frame_count)

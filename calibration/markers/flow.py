@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.markers.gel_view import GelView, pixel_jacobian
+from taccel_lab.calibration.markers.gel_view import PixelView, pixel_jacobian
 from taccel_lab.calibration.markers.tracks import MarkerTracks
 from taccel_lab.errors import InputError
 
@@ -34,7 +34,9 @@ class MarkerFlow:
         return len(self.displacement_mm)
 
 
-def marker_flow_mm(tracks: MarkerTracks, view: GelView, *, fps: float | None = None) -> MarkerFlow:
+def marker_flow_mm(
+    tracks: MarkerTracks, view: PixelView, *, fps: float | None = None
+) -> MarkerFlow:
     """Displacements of tracked markers on the gel.
 
     Args:

@@ -29,7 +29,7 @@ _EXACT_MM = 1e-7
 _HALF_PX = 0.25
 
 
-class GelView(Protocol):
+class PixelView(Protocol):
     """Where on the gel a pixel looks."""
 
     @property
@@ -56,7 +56,7 @@ class GridView:
     scale_sigma: float = 0.0
 
     def gel_from_pixel(self, uv_px: np.ndarray) -> np.ndarray:
-        """See ``GelView``."""
+        """See ``PixelView``."""
         return self.grid.gel_from_pixel(uv_px)
 
 
@@ -72,7 +72,7 @@ class CameraView:
     scale_sigma: float = 0.0
 
     def gel_from_pixel(self, uv_px: np.ndarray) -> np.ndarray:
-        """See ``GelView``."""
+        """See ``PixelView``."""
         uv = np.asarray(uv_px, dtype=np.float64)
         origin, directions = self.model.rays(uv.reshape(-1, 2))
         entry, inside, _ = self.media.trace(origin, directions)
@@ -90,7 +90,7 @@ class CameraView:
         return xy.reshape(uv.shape)
 
 
-def pixel_jacobian(view: GelView, uv_px: np.ndarray) -> np.ndarray:
+def pixel_jacobian(view: PixelView, uv_px: np.ndarray) -> np.ndarray:
     """Change of gel xy with the pixel [mm/px], [.., 2] -> [.., 2, 2] (last axis: along u, v)."""
     uv = np.asarray(uv_px, dtype=np.float64)
     steps = []

@@ -37,14 +37,14 @@ _ONE_LAYOUT = 0.02
 _FROM_STATED = 0.05
 """A stated picture at rest disagrees with a still video when its dots lie farther, in pitches."""
 _RIVAL = 0.5
-"""Another layout that stands still for this share of the frames is told."""
+"""Another layout that stands still for this share of the frames is reported."""
 _AVERAGED = 16
 _MIN_FREE = 10
 """Coordinates beyond those that the smooth map takes, to say how evenly dots lie."""
 
 
 @dataclass(frozen=True)
-class Rest:
+class MarkerRest:
     """The picture at rest."""
 
     frame: Frame
@@ -68,7 +68,7 @@ def video_name(video: Video) -> str:
     return parts[-1] if video.entry.file is not None else "/".join(parts[-2:])
 
 
-def find_rest(markers: MarkerCaptures) -> Rest:
+def find_rest(markers: MarkerCaptures) -> MarkerRest:
     """The picture at rest, found once.
 
     Raises:
@@ -77,20 +77,20 @@ def find_rest(markers: MarkerCaptures) -> Rest:
     return markers.once.of("rest", lambda: _find(markers))
 
 
-def _find(markers: MarkerCaptures) -> Rest:
+def _find(markers: MarkerCaptures) -> MarkerRest:
     if not markers.videos:
         if markers.rest is None:
             raise InputError(
                 "no frame at rest: the captures hold neither an image of the untouched gel "
                 "(markers.rest or background) nor a video that could show one"
             )
-        return Rest(markers.rest)
+        return MarkerRest(markers.rest)
     stated = None if markers.rest is None else _dots_of(markers.rest.image())
     pitch_px = _pitch_px(stated) or _first_pitch_px(markers.videos)
     if pitch_px is None:
         if markers.rest is None:
             raise InputError(f"{markers.videos[0].source}: no frame shows a lattice of dots")
-        return Rest(markers.rest, starts=(0,) * len(markers.videos))
+        return MarkerRest(markers.rest, starts=(0,) * len(markers.videos))
     still = [still_stretches(v.frames(), pitch_px, v.entry.fps) for v in markers.videos]
     found = _candidates(markers.videos, still)
     if markers.rest is not None:
@@ -203,7 +203,7 @@ def unevenness(picture: MarkerPicture) -> tuple[float, int]:
 
 def _most_even(
     videos: Sequence[Video], still: Sequence[Stillness], found: Sequence[_Candidate]
-) -> Rest:
+) -> MarkerRest:
     """The layout that stands still for most frames among those that are not less even."""
     layouts = _layouts(found)
     of_layout = [unevenness(group[0].picture) for group in layouts]
@@ -248,7 +248,7 @@ def _moving_frames(
 
 def _rest_of(
     videos: Sequence[Video], still: Sequence[Stillness], even: Sequence[list[_Candidate]]
-) -> Rest:
+) -> MarkerRest:
     chosen = even[0][0]
     video, stretch = videos[chosen.video], chosen.stretch
     name = video_name(video)
@@ -274,7 +274,7 @@ def _rest_of(
         video.sha256,
         partial(_mean_frame, video, inner),
     )
-    return Rest(frame, tuple(remarks), _starts(videos, even[0]))
+    return MarkerRest(frame, tuple(remarks), _starts(videos, even[0]))
 
 
 def _mean_frame(video: Video, numbers: range) -> np.ndarray:
@@ -293,10 +293,10 @@ def _starts(videos: Sequence[Video], at_rest: Sequence[_Candidate]) -> tuple[int
 
 def _beside_stated(
     rest: Frame, picture: MarkerPicture | None, videos: Sequence[Video], found: list[_Candidate]
-) -> Rest:
-    """A stated picture is taken as it is; a video that stands still elsewhere is told."""
+) -> MarkerRest:
+    """A stated picture is taken as it is; a video that stands still elsewhere is reported."""
     if picture is None:
-        return Rest(rest, starts=(0,) * len(videos))
+        return MarkerRest(rest, starts=(0,) * len(videos))
     alike = [c for c in found if _apart(picture, c.picture) < _FROM_STATED]
     remarks = []
     for number, video in enumerate(videos):
@@ -312,7 +312,7 @@ def _beside_stated(
                     way_px=_apart(picture, own[0].picture) * pitch,
                 )
             )
-    return Rest(rest, tuple(remarks), _starts(videos, alike))
+    return MarkerRest(rest, tuple(remarks), _starts(videos, alike))
 
 
 _ADVICE = (

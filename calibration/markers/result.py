@@ -20,7 +20,7 @@ from taccel_lab.calibration.dots.layout import (
 )
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.markers.flow import MarkerFlow, marker_flow_mm
-from taccel_lab.calibration.markers.gel_view import GelView
+from taccel_lab.calibration.markers.gel_view import PixelView
 from taccel_lab.calibration.markers.track_figures import TrackFigures
 from taccel_lab.calibration.markers.tracks import MarkerTracks
 from taccel_lab.calibration.result import Estimate, ResultSummary
@@ -49,7 +49,7 @@ class MarkerCalibration(ResultSummary):
     layout_mm: LayoutFit
     radius_mm: float
     radius_sigma_mm: float
-    view: GelView
+    view: PixelView
     videos: tuple[TrackedVideo, ...]
     remarks: tuple[Remark, ...]
     inputs: dict[str, str] = field(default_factory=dict)

@@ -3,7 +3,7 @@
 
 Motion is that of blocks of the picture: one step of Lucas and Kanade ("An iterative image
 registration technique", IJCAI 1981) in each, exact for motions well below the size of a dot, which
-are the ones that have to be told from none. On the GelSight Mini video of docs/ablations.md
+are the ones to be distinguished from none. On the GelSight Mini video of docs/ablations.md
 it agrees with the fitted dots to 0.02 px at the median and 0.05 px at the 90th percentile.
 """
 
@@ -22,7 +22,7 @@ STILL_SECONDS = 0.2
 """At the least, where the frame rate is known: a press that turns back stands still for less."""
 _BLOCKS = (6, 8)
 _LARGEST_PX = 640
-"""Larger pictures are shrunk to this: a hundredth of a pitch is told all the same."""
+"""Larger pictures are shrunk to this: a hundredth of a pitch is resolved all the same."""
 _SMOOTH_PX, _WIDE_PITCHES = 1.0, 0.4
 _BARE = 0.1
 """Blocks with less than this part of the usual structure say nothing of motion."""

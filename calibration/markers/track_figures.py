@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
-from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
+from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus
 
 _QUIET_PX = 0.05
 """Median distance from the frame at rest below which the gel is at rest in any case."""
@@ -47,7 +47,7 @@ class TrackFigures:
     largest_step_px: float
     """Largest way of a marker between two frames."""
     step_in_pitches: float
-    """The same over the pitch; near 0.5 a dot cannot be told from its neighbour."""
+    """The same over the pitch; near 0.5 a dot cannot be distinguished from its neighbour."""
     common_step_in_pitches: float
     """Largest median way of the seen markers between two frames, over the pitch."""
     unseen_frames: tuple[int, ...]
@@ -96,7 +96,7 @@ def track_figures(name: str, tracks: MarkerTracks, start: int = 0) -> TrackFigur
         common_step_in_pitches=common_step / pitch_px,
         unseen_frames=tuple(np.flatnonzero(tracks.seen.mean(axis=1) < _HALF).tolist()),
         seen_share=float(tracks.seen.mean()),
-        lost_share=float((tracks.status == Status.LOST).mean()),
+        lost_share=float((tracks.status == TrackStatus.LOST).mean()),
         return_frame=back,
         return_median_px=None if back is None else float(median[back]),
         return_largest_px=None if back is None else float(np.nanmax(distance[back])),

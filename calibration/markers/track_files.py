@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.markers.flow import MarkerFlow
-from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
+from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, write_json
 
@@ -77,7 +77,7 @@ def _arrays(track: MarkerTracks, flow: MarkerFlow) -> dict[str, np.ndarray]:
 
 
 def _as_dict(name: str, track: MarkerTracks, flow: MarkerFlow) -> dict[str, Any]:
-    found: dict[str, Any] = {"name": name, "status_names": [s.name.lower() for s in Status]}
+    found: dict[str, Any] = {"name": name, "status_names": [s.name.lower() for s in TrackStatus]}
     for key, value in _arrays(track, flow).items():
         if value.dtype.kind == "f":
             rounded = value.round(5).astype(object)
@@ -100,7 +100,7 @@ def _rows(name: str, track: MarkerTracks, flow: MarkerFlow) -> list[list[Any]]:
                     marker,
                     track.row[marker],
                     track.column[marker],
-                    Status(track.status[frame, marker]).name.lower(),
+                    TrackStatus(track.status[frame, marker]).name.lower(),
                     *track.uv_px[frame, marker].round(4),
                     *track.sigma_px[frame, marker].round(4),
                     *(mm.round(5) if on_gel else [""] * 4),

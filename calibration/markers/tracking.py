@@ -23,7 +23,7 @@ from taccel_lab.calibration.dots.grey_picture import grey_levels
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture
 from taccel_lab.calibration.markers.association import associate, by_lattice, disagreement
 from taccel_lab.calibration.markers.neighbourhood import Neighbourhood
-from taccel_lab.calibration.markers.tracks import MarkerTracks, Status
+from taccel_lab.calibration.markers.tracks import MarkerTracks, TrackStatus
 from taccel_lab.errors import InputError
 
 MIN_MARKERS = 4
@@ -105,7 +105,7 @@ class MarkerTracker:
         self.scale = replace(dots.scale, threshold=_WEAKER * dots.scale.threshold)
         self.uv = dots.uv_px.copy()
         self.sigma = dots.sigma_px.copy()
-        self.status = np.full(dots.count, Status.SEEN, dtype=np.uint8)
+        self.status = np.full(dots.count, TrackStatus.SEEN, dtype=np.uint8)
         self.motion = np.zeros_like(self.uv)
         self.unseen = np.zeros(dots.count, dtype=int)
         self.shape = dots.parameters.copy()
@@ -234,5 +234,5 @@ class MarkerTracker:
         outside = ((place < -slack) | (place > (width - 1 + slack, height - 1 + slack))).any(axis=1)
         lost = ~seen & (outside | (self.unseen > LOST_AFTER))
         self.status = np.where(
-            seen, Status.SEEN, np.where(lost, Status.LOST, Status.PREDICTED)
+            seen, TrackStatus.SEEN, np.where(lost, TrackStatus.LOST, TrackStatus.PREDICTED)
         ).astype(np.uint8)

@@ -9,7 +9,7 @@ from enum import IntEnum
 import numpy as np
 
 
-class Status(IntEnum):
+class TrackStatus(IntEnum):
     """What is known of a marker in a frame."""
 
     LOST = 0
@@ -28,7 +28,7 @@ class MarkerTracks:
     sigma_px: np.ndarray
     """Their standard deviations along u and v, shape [frame, marker, 2]."""
     status: np.ndarray
-    """``Status``, uint8, shape [frame, marker]."""
+    """``TrackStatus``, uint8, shape [frame, marker]."""
     rest_px: np.ndarray
     """Places at rest, shape [marker, 2]."""
     rest_sigma_px: np.ndarray
@@ -60,7 +60,7 @@ class MarkerTracks:
     @property
     def seen(self) -> np.ndarray:
         """Bool, shape [frame, marker]."""
-        return self.status == Status.SEEN
+        return self.status == TrackStatus.SEEN
 
     @property
     def displacement_px(self) -> np.ndarray:

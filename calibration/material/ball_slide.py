@@ -17,9 +17,9 @@ from typing import cast
 import numpy as np
 from scipy.optimize import brentq
 
-from taccel_lab.calibration.material.gel import Gel, Tool
+from taccel_lab.calibration.material.gel import CurveTool, Gel
 from taccel_lab.calibration.material.gel_presses import Stop
-from taccel_lab.calibration.material.press_plans import GelBench, PressPlan, simulate_each
+from taccel_lab.calibration.material.press_plans import CurvePlan, GelBench, simulate_each
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.progress import Progress, silent
 
@@ -59,7 +59,7 @@ class BallSlide:
 
 
 def depth_of_load_mm(
-    tool: Tool, load_n: float, young_pa: float, poisson_ratio: float, thickness_mm: float
+    tool: CurveTool, load_n: float, young_pa: float, poisson_ratio: float, thickness_mm: float
 ) -> float:
     """Depth at which a layer carries a load, by the linear theory of bonded layers [mm]."""
     limit = min(0.5 * thickness_mm, 0.5 * tool.radius_mm)
@@ -70,7 +70,7 @@ def depth_of_load_mm(
 
 def simulate_ball_slide(
     gel: Gel,
-    tool: Tool,
+    tool: CurveTool,
     load_n: float,
     ratio: float,
     young_pa: float,
@@ -98,7 +98,7 @@ def simulate_ball_slide(
     return BallSlide(depth, np.array(mus[: len(ratios)]), np.array(ratios))
 
 
-def slide_plan(bench: GelBench, scaled: np.ndarray, mu: float) -> PressPlan:
+def slide_plan(bench: GelBench, scaled: np.ndarray, mu: float) -> CurvePlan:
     """A press to the depth of the bench that is dragged along x in steps, ``scaled`` times mu [mm].
 
     Gives ``tangential_n``, the resistance less that at the start, and ``normal_n``. With much

@@ -6,7 +6,7 @@ same steps on the way. Presses are simulated at Chebyshev nodes of s = sqrt(1 - 
 Mooney ratio), in which forces are nearly polynomial up to incompressibility: with four nodes over
 nu 0.30 to 0.499 they are met to 0.03 %, with five to 0.005 % (a ball of 7.5 mm, 0.4 mm deep in the
 GelSight Mini's gel). Presses between the nodes measure the error of the table; that of the mesh is
-the estimate of ``PressEnv``.
+what such presses keep to.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taccel_lab.calibration.material.gel import UNIT_MODULUS_PA, Gel, Tool
+from taccel_lab.calibration.material.gel import UNIT_MODULUS_PA, CurveTool, Gel
 from taccel_lab.calibration.material.gel_presses import Stop
-from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
-from taccel_lab.calibration.material.press_plans import GelBench, PressPlan, simulate_each
+from taccel_lab.calibration.material.interpolation import ParameterAxis, ResponseTable
+from taccel_lab.calibration.material.press_plans import CurvePlan, GelBench, simulate_each
+from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.errors import InputError
 from taccel_lab.presses import PressPath
+from taccel_lab.presses.press_error import expected_error
 from taccel_lab.progress import Progress, silent
 
 NU_RANGE = (0.30, 0.499)
@@ -29,14 +31,13 @@ NU_RANGE = (0.30, 0.499)
 NU_NODES, RATIO_NODES = 4, 3
 DEPTHS = 7
 SHALLOWEST = 0.08
-"""Least simulated depth as a part of the deepest; below, force goes with depth as in Hertz' law."""
+"""Least simulated depth as a part of the deepest; below, force grows with depth as in Hertz'
+law."""
 _GRID = 1.1
 """Depth ranges are rounded outwards to powers of this, so that similar records share a table."""
 _CHECK_NU = 0.4775
-"""Between the nodes, where gels are; also the Poisson's ratio at which the mesh's error is told."""
+"""Between the nodes, where gels are."""
 _CHECK_RATIO = 0.3
-NINE_IN_TEN = 1.645
-"""Standard deviations that an error stays below in nine of ten cases."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ class TableError:
     interpolation: float
     """Greatest difference to a press between the nodes."""
     mesh: np.ndarray
-    """Estimated error of the presses at each depth, see ``PressEnv.error_estimate``, as one
-    standard deviation, shape [depth]."""
+    """Error of the presses at each depth, see ``presses.press_error``, as one standard deviation,
+    shape [depth]."""
 
     @property
     def scale(self) -> float:
@@ -117,7 +118,7 @@ def free_nu_range(largest_ratio: float) -> tuple[float, float]:
 
 def force_table(
     gel: Gel,
-    tool: Tool,
+    tool: CurveTool,
     depth_range_mm: tuple[float, float],
     *,
     free_nu: bool = True,
@@ -154,13 +155,13 @@ def force_table(
     task = f"presses of {tool.description}" + (f", friction {friction:g}" if friction else "")
     rows: list[list[dict[str, np.ndarray]]] = []
 
-    def told(_: str, done: int, each: int) -> None:
+    def on_press(_: str, done: int, each: int) -> None:
         progress(task, len(rows) * each + done, len(depths) * each)
 
     for depth in depths.tolist():
         bench = GelBench(gel, tool, depth)
         plans = [press_plan(bench, each, friction) for each in gels]
-        rows.append(list(simulate_each(bench, plans, told)))
+        rows.append(list(simulate_each(bench, plans, on_press)))
     exponent = 1.5 if tool.kind == "sphere" else 1.0
     forces = np.array([[item["force_n"][0] for item in row] for row in rows]).T
     reduced = np.log(forces / UNIT_MODULUS_PA) - exponent * np.log(depths)
@@ -172,23 +173,23 @@ def force_table(
         responses=responses,
         error=TableError(
             float(np.abs(reduced[-1] - between).max()) if free else 0.0,
-            np.array([row[-1]["error_n"][0] for row in rows]) / forces[-1] / NINE_IN_TEN,
+            _press_errors(gel, tool, depths, friction) / NORMAL_95,
         ),
         seconds=float(sum(item["seconds"] for row in rows for item in row)),
         press_count=len(gels) * len(depths),
     )
 
 
-def _axes(gel: Gel, free_nu: bool, free_ratio: bool) -> tuple[Axis, Axis]:
+def _axes(gel: Gel, free_nu: bool, free_ratio: bool) -> tuple[ParameterAxis, ParameterAxis]:
     """Of the Mooney ratio and of Poisson's ratio."""
     nu, ratio = gel.material.poisson_ratio, gel.material.mooney_ratio
     ratios = (0.0, 1.0) if free_ratio else (ratio, ratio)
     nus = free_nu_range(ratios[1]) if free_nu else (nu, nu)
-    return Axis(*ratios), Axis(*nus, "compressibility")
+    return ParameterAxis(*ratios), ParameterAxis(*nus, "compressibility")
 
 
-def press_plan(bench: GelBench, gel: Gel, friction: float = 0.0) -> PressPlan:
-    """A press of a gel to the depth of the bench: ``force_n`` and its estimated ``error_n``."""
+def press_plan(bench: GelBench, gel: Gel, friction: float = 0.0) -> CurvePlan:
+    """A press of a gel to the depth of the bench: ``force_n``."""
     goal = bench.depth_mm
     stops = [Stop(depth, read=depth == goal) for depth, _, _ in PressPath(goal).waypoints()]
     return bench.plan(
@@ -197,10 +198,23 @@ def press_plan(bench: GelBench, gel: Gel, friction: float = 0.0) -> PressPlan:
         friction,
         {"depth_mm": goal, "friction": friction},
         stops,
-        read=lambda env, _: np.column_stack([env.press_force[:, 2], env.error_estimate().force_n]),
-        arrays=lambda rows: dict(zip(["force_n", "error_n"], rows.T, strict=True)),
+        read=lambda env, _: env.press_force[:, 2:],
+        arrays=lambda rows: {"force_n": rows[:, 0]},
         must_reach=1,
     )
+
+
+def _press_errors(gel: Gel, tool: CurveTool, depths_mm: np.ndarray, friction: float) -> np.ndarray:
+    """Relative errors that presses to these depths [mm] keep to, [depth]."""
+    steps_mm = depths_mm / [len(PressPath(depth).waypoints()) for depth in depths_mm.tolist()]
+    return expected_error(
+        gel.physics,
+        tool.indenter().shape,
+        np.ones_like(depths_mm),
+        1e-3 * depths_mm,
+        1e-3 * steps_mm,
+        friction,
+    ).force_n
 
 
 def _depths(depth_range_mm: tuple[float, float]) -> np.ndarray:

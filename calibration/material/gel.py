@@ -30,7 +30,7 @@ UNIT_MODULUS_PA = 1e6
 
 
 @dataclass(frozen=True)
-class Tool:
+class CurveTool:
     """A rigid tool and where it comes down."""
 
     kind: ToolKind
@@ -64,7 +64,7 @@ class Gel:
         device: str = "cpu",
         physics: PressPhysics = PHYSICS[Accuracy.DEFAULT],
     ) -> Gel:
-        """The gel of ``profile``, with another law where one is asked for."""
+        """The gel of ``profile``, with another law where one is requested."""
         material = profile.material
         if model is not None and model != material.model:
             try:
@@ -108,7 +108,7 @@ class Gel:
             "layers": [layer.model_dump() for layer in unit.layers],
         }
 
-    def tool(self, entry: ToolEntry, default_radius_mm: float | None = None) -> Tool:
+    def tool(self, entry: ToolEntry, default_radius_mm: float | None = None) -> CurveTool:
         """The tool of a record, checked against the pad."""
         x, y = entry.center_mm
         low, high = self.pad.bounds_mm()[:, :2]
@@ -121,7 +121,7 @@ class Gel:
             size = high - low
             radius = math.sqrt(float(size[0] * size[1]) / math.pi)
             width, depth = size + 2 * np.abs([x, y]) + 4.0
-            return Tool("flat", radius, (x, y), f"box:{width:.6g}x{depth:.6g}")
+            return CurveTool("flat", radius, (x, y), f"box:{width:.6g}x{depth:.6g}")
         radius_mm = entry.radius_mm or (default_radius_mm if entry.kind == "sphere" else None)
         if radius_mm is None:
             raise InputError(
@@ -133,9 +133,9 @@ class Gel:
                 f"the radius of the {entry.kind} is {radius_mm:g} mm; at most 100 mm can be "
                 'simulated, use kind = "flat" for a plate'
             )
-        return Tool(entry.kind, radius_mm, (x, y), f"{entry.kind}:{radius_mm:.9g}")
+        return CurveTool(entry.kind, radius_mm, (x, y), f"{entry.kind}:{radius_mm:.9g}")
 
-    def mesh(self, tool: Tool, depth_mm: float) -> TetMesh:
+    def mesh(self, tool: CurveTool, depth_mm: float) -> TetMesh:
         """The pad as ``taccel-lab press`` meshes it for this tool and depth."""
         contact = tool.indenter().contact(depth_mm)
         return pad_press_mesh(self.pad, tool.at_mm, contact, self.physics.mesh)

@@ -4,9 +4,9 @@
 Environments of a scene share their moduli, but not the rest volumes of their elements. All energies
 are linear in the shear modulus and in lambda (``ipc.elasticity.dilatation``; of Mooney and Rivlin's
 law in both of its constants): two or three groups of elements on the same nodes, each with one
-modulus of 1 Pa and with volumes scaled by what that modulus is in an environment, are a gel of its
-own in each. That is one evaluation of the elements more (of Mooney and Rivlin's law two); the rest
-of a step, the linear solves above all, costs as much as ever.
+modulus of 1 Pa and with volumes scaled by what that modulus is in an environment, are another gel
+in each. That is one evaluation of the elements more (of Mooney and Rivlin's law two); the rest of a
+step, the linear solves above all, costs as much as ever.
 """
 
 from __future__ import annotations

@@ -21,9 +21,9 @@ import numpy as np
 from taccel_lab.calibration.material.force_table import ForceTable
 from taccel_lab.calibration.material.indentation_points import IndentationPoints
 from taccel_lab.calibration.material.likelihood import (
-    Group,
+    CurveGroup,
+    FittedParameter,
     Likelihood,
-    Parameter,
     Solution,
     widened,
 )
@@ -59,7 +59,7 @@ GEL_NU = (0.40, 0.499)
 
 
 @dataclass(frozen=True)
-class ForceModel:
+class PressForces:
     """Forces of all presses over the free parameters of a fit."""
 
     tables: Sequence[ForceTable]
@@ -125,7 +125,7 @@ class IndentationFit:
     mooney_ratio: float
     points: tuple[IndentationPoints, ...]
     tables: tuple[ForceTable, ...]
-    model: ForceModel
+    model: PressForces
     noise: str
     """``given``, ``constant`` or ``proportional``."""
     misfit: float
@@ -235,21 +235,21 @@ def fit_indentation(
         touch = [touch_sigma(item, touch_sigma_mm) for item in points]
     else:
         touch = touch_sigma_mm
-    parameters = [Parameter("ln_e", math.log(start_pa), math.log(1e3), math.log(1e9), 0.1)]
+    parameters = [FittedParameter("ln_e", math.log(start_pa), math.log(1e3), math.log(1e9), 0.1)]
     if free_nu:
         low = max(table.nu_range[0] for table in tables)
         high = min(table.nu_range[1] for table in tables)
         if nu_range is not None:
             low, high = max(low, nu_range[0]), min(high, nu_range[1])
         start = min(max(poisson_ratio, low + 0.1 * (high - low)), high - 0.02 * (high - low))
-        parameters.append(Parameter("nu", start, low, high, 0.02))
+        parameters.append(FittedParameter("nu", start, low, high, 0.02))
     if free_ratio:
         start = min(max(mooney_ratio, 0.05), 0.95)
-        parameters.append(Parameter("mooney_ratio", start, 0.0, 1.0, 0.2))
+        parameters.append(FittedParameter("mooney_ratio", start, 0.0, 1.0, 0.2))
     for i, sigma in enumerate(touch):
         if sigma > 0:
             parameters.append(
-                Parameter(
+                FittedParameter(
                     f"touch_{i}",
                     0.0,
                     -TOUCH_LIMIT_MM,
@@ -263,10 +263,10 @@ def fit_indentation(
         if item.zero is not None and item.zero.sigma > 0:
             sigma = item.zero.sigma
             parameters.append(
-                Parameter(f"zero_{i}", 0.0, -8 * sigma, 8 * sigma, sigma, prior_sigma=sigma)
+                FittedParameter(f"zero_{i}", 0.0, -8 * sigma, 8 * sigma, sigma, prior_sigma=sigma)
             )
     names = [p.name for p in parameters]
-    model = ForceModel(tables, names, poisson_ratio, mooney_ratio)
+    model = PressForces(tables, names, poisson_ratio, mooney_ratio)
     count = sum(len(item.depth_mm) for item in points)
     kinds = _noise_kinds(points)
     largest = max(float(np.abs(item.force_n).max()) for item in points)
@@ -274,11 +274,11 @@ def fit_indentation(
     lowest = math.inf
     for kind in kinds:
         weights = [_weights(item, kind, largest) for item in points]
-        groups = [Group(len(item.depth_mm), True) for item in points]
+        groups = [CurveGroup(len(item.depth_mm), True) for item in points]
         penalty = 0.0
         if kind != "given":
             usual = USUAL_NOISE[kind]
-            groups = [Group(count, False, usual, USUAL_COUNT)]
+            groups = [CurveGroup(count, False, usual, USUAL_COUNT)]
             # Weights and the usual noise are part of the likelihood of a kind of noise.
             dof = max(count - sum(p.prior_sigma is None or p.loose for p in parameters), 0)
             dof += USUAL_COUNT

@@ -14,7 +14,7 @@ import numpy as np
 from taccel_lab.calibration.capture import CaptureFolder, ForceRecord
 from taccel_lab.calibration.capture.record_checks import FORCE_UNITS
 from taccel_lab.calibration.capture.schema import ToolEntry
-from taccel_lab.calibration.material.gel import Gel, Tool
+from taccel_lab.calibration.material.gel import CurveTool, Gel
 from taccel_lab.calibration.material.remarks import UNUSUAL_MODULUS
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
@@ -36,7 +36,7 @@ class IndentationPoints:
     name: str
     source: str
     sha256: str
-    tool: Tool
+    tool: CurveTool
     depth_mm: np.ndarray
     """Depth past first touch, shape [point]."""
     force_n: np.ndarray
@@ -159,7 +159,7 @@ def _touching(
     name: str,
     source: str,
     sha256: str,
-    tool: Tool,
+    tool: CurveTool,
     depth: np.ndarray,
     force: np.ndarray,
     sigma: np.ndarray | None,

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 
 
 @dataclass(frozen=True)
-class Axis:
+class ParameterAxis:
     """A parameter between two ends, and the function of it in which responses are smooth."""
 
     low: float
@@ -60,7 +60,7 @@ class Axis:
         return s, -1 / s
 
 
-class Response(NamedTuple):
+class ForceResponse(NamedTuple):
     """Values of a table, [..., item, point], and their derivatives."""
 
     value: np.ndarray
@@ -73,8 +73,8 @@ class Response(NamedTuple):
 class ResponseTable:
     """Interpolated responses of a simulated gel."""
 
-    first: Axis
-    second: Axis
+    first: ParameterAxis
+    second: ParameterAxis
     way: np.ndarray
     """Rising, shape [knot]."""
     coefficients: np.ndarray
@@ -82,7 +82,7 @@ class ResponseTable:
 
     @classmethod
     def through(
-        cls, first: Axis, second: Axis, way: np.ndarray, values: np.ndarray
+        cls, first: ParameterAxis, second: ParameterAxis, way: np.ndarray, values: np.ndarray
     ) -> ResponseTable:
         """The table through values at the nodes, shape [first, second, ..., knot]."""
         one, two = (
@@ -96,7 +96,7 @@ class ResponseTable:
         object.__setattr__(self, "_spline", spline)
         object.__setattr__(self, "_slope", spline.derivative())
 
-    def at(self, first: float, second: float, way: np.ndarray) -> Response:
+    def at(self, first: float, second: float, way: np.ndarray) -> ForceResponse:
         """Responses and derivatives, shape [..., point]; past the ends of the way those there."""
         x = np.clip(way, self.way[0], self.way[-1])
         c = self._spline(x)  # type: ignore[attr-defined]
@@ -112,7 +112,7 @@ class ResponseTable:
         terms = terms.reshape(3, -1)
         found = (terms @ c.reshape(rows * columns, -1)).reshape(3, *shape)
         by_way = (terms[0] @ along.reshape(rows * columns, -1)).reshape(shape)
-        return Response(found[0], found[1], found[2], by_way)
+        return ForceResponse(found[0], found[1], found[2], by_way)
 
 
 def chebyshev_nodes(count: int) -> np.ndarray:

@@ -34,7 +34,7 @@ MISFIT_PROBABILITY = 1e-3
 
 
 @dataclass(frozen=True)
-class Parameter:
+class FittedParameter:
     """One unknown."""
 
     name: str
@@ -50,7 +50,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Group:
+class CurveGroup:
     """Residuals that share a noise."""
 
     count: int
@@ -144,7 +144,10 @@ class Likelihood:
     """Q of a model, its minimum, and profiles of it."""
 
     def __init__(
-        self, parameters: Sequence[Parameter], groups: Sequence[Group], residuals: Residuals
+        self,
+        parameters: Sequence[FittedParameter],
+        groups: Sequence[CurveGroup],
+        residuals: Residuals,
     ) -> None:
         self.parameters = tuple(parameters)
         self.groups = tuple(groups)
@@ -176,7 +179,7 @@ class Likelihood:
     def _unknown_dof(self) -> float:
         return sum(self._dof(group) for group in self.groups if not group.known)
 
-    def _dof(self, group: Group) -> float:
+    def _dof(self, group: CurveGroup) -> float:
         """Degrees of freedom that tell the noise of a group."""
         return max(group.count * self._share + group.usual_count, 1.0)
 
@@ -200,7 +203,7 @@ class Likelihood:
             scale = self._scale[free]
             hessian = curvature[np.ix_(free, free)] * np.outer(scale, scale)
             diagonal = np.diag(hessian)
-            # A parameter without influence has no curvature of its own.
+            # A parameter without influence has no curvature.
             damped = hessian + np.diag(damping * diagonal + 1e-12 * diagonal.max() + 1e-300)
             trial = theta.copy()
             trial[free] -= scale * np.linalg.solve(damped, gradient[free] * scale)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.material.indentation import IndentationFit
-from taccel_lab.calibration.material.likelihood import Likelihood, Parameter, widened
+from taccel_lab.calibration.material.likelihood import FittedParameter, Likelihood, widened
 from taccel_lab.calibration.result import NORMAL_95
 
 FOLDS = 12
@@ -55,7 +55,7 @@ def force_interval_n(
     middle = float(at[e] + fit.model.log_force(at, index, depth, recorded)[0][0])
     parameters = [p if p.prior_sigma is not None else replace(p, start=float(at[i]))
                   for i, p in enumerate(old.parameters)]  # fmt: skip
-    parameters[e] = Parameter("ln_f", middle, middle - 4, middle + 4, 0.05)
+    parameters[e] = FittedParameter("ln_f", middle, middle - 4, middle + 4, 0.05)
     found = Likelihood(parameters, old.groups, residuals).solve(["ln_f"])
     extra = NORMAL_95 * fit.tables[index].error.interpolation
     if reading:

@@ -23,7 +23,7 @@ from taccel_lab.progress import Progress, silent
 
 if TYPE_CHECKING:
     # Machines that only simulate have no reader of profiles.
-    from taccel_lab.calibration.material.gel import Gel, Tool
+    from taccel_lab.calibration.material.gel import CurveTool, Gel
     from taccel_lab.geometry import TetMesh
 
 RUBBING_LIMITS = {"max_substep_halvings": 3, "max_friction_lags": 60}
@@ -36,7 +36,7 @@ CPU_BATCH, GPU_BATCH = 1, 128
 
 
 @dataclass(frozen=True)
-class PressPlan:
+class CurvePlan:
     """One gel and the way of the tool on it."""
 
     recipe: Mapping[str, Any]
@@ -45,7 +45,7 @@ class PressPlan:
     mooney_ratio: float
     friction: float
     stops: Sequence[Stop]
-    read: Callable[[GelPresses, Sequence[PressPlan]], np.ndarray]
+    read: Callable[[GelPresses, Sequence[CurvePlan]], np.ndarray]
     """What a scene shows where its tools are, shape [env, ...], given the plans of its
     environments."""
     arrays: Callable[[np.ndarray], dict[str, np.ndarray]]
@@ -65,7 +65,7 @@ class GelBench:
     """A gel and a tool, on the mesh of one depth."""
 
     gel: Gel
-    tool: Tool
+    tool: CurveTool
     depth_mm: float
 
     @property
@@ -83,13 +83,13 @@ class GelBench:
         friction: float,
         way: Mapping[str, Any],
         stops: Sequence[Stop],
-        read: Callable[[GelPresses, Sequence[PressPlan]], np.ndarray],
+        read: Callable[[GelPresses, Sequence[CurvePlan]], np.ndarray],
         arrays: Callable[[np.ndarray], dict[str, np.ndarray]],
         must_reach: int = 0,
-    ) -> PressPlan:
+    ) -> CurvePlan:
         """A press of ``gel``, which differs from that of the bench in its law at most; its key is
         made of gel, tool, physics and the ``way`` that the tool goes."""
-        return PressPlan(
+        return CurvePlan(
             self.recipe(what, gel, way),
             gel.material.poisson_ratio,
             gel.material.mooney_ratio,
@@ -114,7 +114,7 @@ class GelBench:
             **way,
         }
 
-    def presses(self, plans: Sequence[PressPlan]) -> GelPresses:
+    def presses(self, plans: Sequence[CurvePlan]) -> GelPresses:
         """Gels of 1 MPa at rest."""
         gels = [self.gel.with_law(plan.poisson_ratio, plan.mooney_ratio) for plan in plans]
         rubs = any(plan.friction for plan in plans)
@@ -155,7 +155,7 @@ def batch_size(device: str) -> int:
 
 def follow(
     env: GelPresses,
-    plans: Sequence[PressPlan],
+    plans: Sequence[CurvePlan],
     progress: Callable[[int, int], None] | None = None,
 ) -> Followed:
     """Take the tool of each environment along its stops, as far as they converge."""
@@ -199,13 +199,13 @@ def follow(
 
 def simulate_each(
     bench: GelBench,
-    plans: Sequence[PressPlan],
+    plans: Sequence[CurvePlan],
     progress: Progress = silent,
     task: str = "presses",
 ) -> Iterator[dict[str, np.ndarray]]:
     """``simulate`` each of the plans in turn, after ``prepare``.
 
-    ``progress`` is told how many are done; whoever has seen enough may stop before the last.
+    ``progress`` receives how many are done; whoever has seen enough may stop before the last.
     """
     prepare(bench, plans, progress, task)
     for done, plan in enumerate(plans):
@@ -214,7 +214,7 @@ def simulate_each(
     progress(task, len(plans), len(plans))
 
 
-def simulate(bench: GelBench, plan: PressPlan) -> dict[str, np.ndarray]:
+def simulate(bench: GelBench, plan: CurvePlan) -> dict[str, np.ndarray]:
     """The arrays of a plan and the ``seconds`` that it took, from the cache or simulated.
 
     Raises:
@@ -232,14 +232,14 @@ def simulate(bench: GelBench, plan: PressPlan) -> dict[str, np.ndarray]:
 
 def prepare(
     bench: GelBench,
-    plans: Sequence[PressPlan],
+    plans: Sequence[CurvePlan],
     progress: Progress = silent,
     task: str = "presses",
 ) -> None:
     """Put into the cache what is missing there, where the device gains from many at a time.
 
     Candidates have one mesh, one tool and one kind of contact, with friction or without. Those that
-    fail are left to ``simulate``. ``progress`` is told how many plans are done, and of how
+    fail are left to ``simulate``. ``progress`` receives how many plans are done, and of how
     many.
     """
     size = batch_size(bench.device)
@@ -250,10 +250,10 @@ def prepare(
         part = missing[first : first + size]
         done = len(plans) - len(missing) + first
 
-        def told(step: int, steps: int, done: int = done, count: int = len(part)) -> None:
+        def on_step(step: int, steps: int, done: int = done, count: int = len(part)) -> None:
             progress(task, done + count * step // steps, len(plans))
 
-        found = follow(bench.presses(part), part, told)
+        found = follow(bench.presses(part), part, on_step)
         seconds = np.array(found.seconds / len(part))
         for plan, rows, converged in zip(part, found.rows, found.converged, strict=True):
             if converged:

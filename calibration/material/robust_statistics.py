@@ -81,7 +81,7 @@ def combined(estimates: Sequence[Estimate]) -> Estimate:
 
 
 def scatter(estimates: Sequence[Estimate]) -> float:
-    """Variance of estimates about their mean in units of their own: about 1 where they agree."""
+    """Variance of estimates about their mean in their own units: about 1 where they agree."""
     value = np.array([item.value for item in estimates])
     weight = np.array([max(item.sigma, 1e-9) for item in estimates]) ** -2.0
     mean = weight @ value / weight.sum()

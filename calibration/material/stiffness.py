@@ -250,7 +250,7 @@ def fit_stiffness(
         # The base's, moved into the interval where the data exclude it.
         held = min(max(held, profiles["nu"].interval[0]), profiles["nu"].interval[1])
     if not nu_determined:
-        # What the profile will hold decides which friction goes with it.
+        # What the profile will hold decides which friction belongs to it.
         likeliest = min(tables, key=lambda mu: fit(mu, False, ratio_determined, held).misfit)
     found = fit(likeliest, nu_determined, ratio_determined, held, profiled=None)
     # Gels have no other Poisson's ratio, unless the base profile says so.

@@ -13,7 +13,6 @@ from functools import partial
 
 import numpy as np
 
-from taccel_lab.calibration.ball_presses import ball_presses
 from taccel_lab.calibration.base_profile import stated_scale_share
 from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder, source_of
@@ -21,20 +20,20 @@ from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.check.block_findings import joined
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame
-from taccel_lab.calibration.color.light_beside import choose_drift
 from taccel_lab.calibration.color.network_fit import fit_color_model
+from taccel_lab.calibration.color.press_circles import placed_presses
+from taccel_lab.calibration.color.untouched_light import choose_drift
 from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.normals.network_fit import (
     InverseFitOptions,
     fit_normal_model,
     fold_of,
 )
 from taccel_lab.calibration.normals.options import NormalOptions, NormalTraining
-from taccel_lab.calibration.normals.practice import ImageNoise, Practice
 from taccel_lab.calibration.normals.reading_error import (
     KnownPress,
     widened,
@@ -44,9 +43,9 @@ from taccel_lab.calibration.normals.remarks import remarks_of
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import (
     EXACT,
+    CaptureScene,
     CircleSigma,
     InverseFrame,
-    Scene,
     circle_angle_rad,
     true_normals,
 )
@@ -56,27 +55,31 @@ from taccel_lab.calibration.normals.score import (
     reliability_of,
     score_heldout,
 )
+from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
 from taccel_lab.calibration.surfaces.ball_in_layer import (
     LARGEST_RADII,
     ball_surface,
     deeper_per_mm,
     depth_share,
     layer_of,
-    layer_skirts,
+    layer_surfaces,
     sunk_share,
 )
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.calibration.thickness.fit import thickness_interval
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
-from taccel_lab.progress import Progress, silent
+from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_model import NormalModel
 from taccel_lab.signals.rest_surface import flat_rest, rest_surface
 
 CHECKED = 16
-"""Practice presses that the networks never see and heights are judged by."""
+"""Synthetic presses that the networks never see and heights are judged by."""
+READING = "reading synthetic presses"
+READING_BALLS = "reading the training presses"
+READING_HELDOUT = "reading the held-out presses"
 
 
 def calibrate_normals(
@@ -99,11 +102,11 @@ def calibrate_normals(
     settings = InverseFitOptions(
         **{field.name: getattr(options, field.name) for field in fields(NormalTraining)}
     )
-    presses = ball_presses(folder, base, "normals", options, progress)
+    presses = placed_presses(folder, base, "normals", options, options.drift, progress)
     training, circles = presses.training, presses.circles
     profile = presses.profile
     pad, rest = layer_of(profile), rest_surface(profile.mesh, training.grid)
-    surfaces = layer_skirts(training, circles, pad, rest)
+    surfaces = layer_surfaces(training, circles, pad, rest)
     typical_mm = float(np.median([circle.radius_px for circle in circles]))
     typical_mm *= training.grid.mm_per_px_x
     by_gel = sunk_share(thickness_interval(profile), typical_mm, training.ball_radius_mm, pad)
@@ -118,6 +121,7 @@ def calibrate_normals(
         drift=options.drift,
         circle_source=options.circles,
         circle_sigmas_px=presses.circle_sigmas_px,
+        labels=presses.labels,
         background=profile.background_rgb,
         pad=pad,
         colors=ColorModel.from_profile(profile),
@@ -132,7 +136,7 @@ def calibrate_normals(
 def fit_normals(
     captures: CaptureSet,
     circles: Sequence[ContactCircle],
-    surfaces: Sequence[PressSurface] | None = None,
+    surfaces: Sequence[BallSurface] | None = None,
     heldout: CaptureSet | None = None,
     *,
     split: PressSplit | None = None,
@@ -141,6 +145,7 @@ def fit_normals(
     drift: DriftMode = "auto",
     circle_source: str = "given",
     circle_sigmas_px: Sequence[CircleSigma] | None = None,
+    labels: LabelPlacement | None = None,
     background: np.ndarray | None = None,
     pad: BondedLayer | None = None,
     colors: ColorModel | None = None,
@@ -153,7 +158,7 @@ def fit_normals(
     Args:
         captures: The training presses alone.
         circles: Contact circle of each press, in order.
-        surfaces: Gel surface of each press, for the skirt around the contact; None leaves it out.
+        surfaces: Gel surface of each press, for the sink-in around the contact; None leaves it out.
         heldout: Presses that are read when the model is frozen; None leaves figures out.
         split: How these were chosen, for the record.
         rest_normals: Normals of the undeformed face, shape [height_px, width_px, 3]; flat if None.
@@ -161,8 +166,9 @@ def fit_normals(
         drift: Whether each frame is brought to the background's light; ``auto`` looks at the noise.
         circle_source: How the circles were chosen, for the record.
         circle_sigmas_px: What each circle may be off by; nothing when None.
+        labels: Where labels put held-out presses; by ``circles`` when None.
         background: What images will be compared with, RGB levels; that of the captures when None.
-        pad: The gel, for practice on other tools; without it there is none.
+        pad: The gel, for synthetic presses; without it there are none.
         colors: Colours of the sensor, for the same; fitted to ``captures`` when None.
         scale_share: Standard deviation of the scale of the pixel grid, as a share of it.
         thickness_share: That of depths by the thickness of ``pad``, as a share of them.
@@ -176,7 +182,7 @@ def fit_normals(
             f"{len(circles)} and {0 if surfaces is None else len(surfaces)}"
         )
     mask = None if captures.mask.all() else captures.mask
-    scene = Scene(
+    scene = CaptureScene(
         (captures.background if background is None else background).astype(np.float32),
         captures.grid,
         captures.ball_radius_mm,
@@ -186,32 +192,35 @@ def fit_normals(
     sigmas = circle_sigmas_px or [EXACT] * len(circles)
     training, choice = _frames(captures, circles, sigmas, surfaces, scene, drift)
     options = replace(options, light_drift=choice.remove)
-    practice = None
-    if pad is not None and options.practice and surfaces is not None:
-        practice = _practice(training, scene, pad, colors, options.seed, progress)
+    synthetic_presses = None
+    if pad is not None and options.synthetic_presses and surfaces is not None:
+        synthetic_presses = _synthetic_presses(training, scene, pad, colors, options.seed, progress)
     fit = fit_normal_model(
         training,
         scene,
         options,
-        practice=() if practice is None else practice.presses(options.practice, progress),
+        synthetic_presses=()
+        if synthetic_presses is None
+        else synthetic_presses.presses(options.synthetic_presses, progress),
         progress=progress,
     )
     fit = replace(fit, model=with_cone(fit.model, training, scene))
-    unseen = () if practice is None else practice.presses(CHECKED)
-    checked = map(KnownPress.of_practice, unseen)
+    unseen = () if synthetic_presses is None else synthetic_presses.presses(CHECKED)
+    checked = counted(map(KnownPress.of_synthetic, unseen), progress, READING, CHECKED)
     balls = left_out_balls(fit.model, training, scene)
+    balls = counted(balls, progress, READING_BALLS, len(training))
     known = [(f.surface, f.circle) for f in training if f.surface is not None]
     # What all circles are off by alike is in what each of them is said to be.
     radius_px = min(radius for _, radius in sigmas)
     share = depth_share(
         known, radius_px, captures.ball_radius_mm, captures.grid, scale_share, thickness_share
     )
-    model, practised = with_reading_errors(fit.model, checked, balls, scene, share)
+    model, synthetic = with_reading_errors(fit.model, checked, balls, scene, share)
     fit = replace(fit, model=model)
     failures = {} if split is None else dict.fromkeys(split.gone, "it was left out of the captures")
     items: list[HeldoutNormals] = []
-    wanted: list[PressSurface | None] = []
-    labels = LabelPlacement.of(captures.presses, circles)
+    wanted: list[BallSurface | None] = []
+    labels = labels or LabelPlacement.of(captures.presses, circles)
     placed_px = _typical(sigmas)
     by_label_px = labels.sigma_px(placed_px)
     for press in () if heldout is None else heldout.presses:
@@ -235,6 +244,7 @@ def fit_normals(
     frozen = fit.model.config
     if items:
         unseen_balls = map(partial(_heldout_ball, scene), items, wanted)
+        unseen_balls = counted(unseen_balls, progress, READING_HELDOUT, len(items))
         fit = replace(fit, model=widened(fit.model, unseen_balls, scene))
     result = NormalCalibration(
         fit=fit,
@@ -243,7 +253,7 @@ def fit_normals(
         failures=failures,
         split=split,
         reliability=reliability_of(items, scene) if items else None,
-        practised=practised,
+        synthetic=synthetic,
         gel=None,
         frozen_radius95_sigmas=frozen.radius95_sigmas,
         frozen_along_factor=frozen.along_factor,
@@ -263,8 +273,8 @@ def _frames(
     captures: CaptureSet,
     circles: Sequence[ContactCircle],
     sigmas: Sequence[CircleSigma],
-    surfaces: Sequence[PressSurface] | None,
-    scene: Scene,
+    surfaces: Sequence[BallSurface] | None,
+    scene: CaptureScene,
     mode: DriftMode,
 ) -> tuple[list[InverseFrame], DriftChoice]:
     """Frames, and whether drift came off them."""
@@ -284,14 +294,14 @@ def _frames(
     return frames, choice
 
 
-def _practice(
+def _synthetic_presses(
     training: Sequence[InverseFrame],
-    scene: Scene,
+    scene: CaptureScene,
     pad: BondedLayer,
     colors: ColorModel | None,
     seed: int,
     progress: Progress,
-) -> Practice:
+) -> SyntheticPresses:
     """Presses of other tools in the sensor's pad and colours."""
     if colors is None:
         frames = [
@@ -305,16 +315,16 @@ def _practice(
         ).model
     noise = ImageNoise.of(training, scene, colors)
     deepest_mm = max(frame.surface.depth_mm for frame in training if frame.surface is not None)
-    return Practice(scene, pad, colors, noise, deepest_mm, np.random.default_rng(seed))
+    return SyntheticPresses(scene, pad, colors, noise, deepest_mm, np.random.default_rng(seed))
 
 
-def _light(image: np.ndarray, scene: Scene) -> Light:
+def _light(image: np.ndarray, scene: CaptureScene) -> LightDrift:
     """Light of a frame against the background, as the model will bring new ones to it."""
     return fit_light(image, scene.background, scene.mask, gradient=False)
 
 
 def left_out_balls(
-    model: NormalModel, training: Sequence[InverseFrame], scene: Scene
+    model: NormalModel, training: Sequence[InverseFrame], scene: CaptureScene
 ) -> Iterator[KnownPress]:
     """Training presses, each with the network that did not see it."""
     for i, frame in enumerate(training):
@@ -333,7 +343,9 @@ def left_out_balls(
         )
 
 
-def _heldout_ball(scene: Scene, item: HeldoutNormals, surface: PressSurface | None) -> KnownPress:
+def _heldout_ball(
+    scene: CaptureScene, item: HeldoutNormals, surface: BallSurface | None
+) -> KnownPress:
     """A press that nothing had seen, in the circle that its label gives it."""
     frame, scale = item.frame, scene.grid.mm_per_px_x
     normals = true_normals(frame, scene)
@@ -360,18 +372,22 @@ def _typical(sigmas: Sequence[CircleSigma]) -> CircleSigma:
     return float(center), float(radius)
 
 
-def with_cone(model: NormalModel, frames: Sequence[InverseFrame], scene: Scene) -> NormalModel:
+def with_cone(
+    model: NormalModel, frames: Sequence[InverseFrame], scene: CaptureScene
+) -> NormalModel:
     """The model told how steep the training balls were."""
     config = replace(model.config, cone_deg=_steepest_deg(frames, scene))
     return NormalModel(config, model.weights)
 
 
-def _steepest_deg(frames: Sequence[InverseFrame], scene: Scene) -> float:
+def _steepest_deg(frames: Sequence[InverseFrame], scene: CaptureScene) -> float:
     rim_mm = max(frame.circle.radius_px for frame in frames) * scene.grid.mm_per_px_x
     return float(np.degrees(np.arcsin(min(1.0, rim_mm / scene.ball_radius_mm))))
 
 
-def _valid_region(frames: Sequence[InverseFrame], scene: Scene) -> dict[str, tuple[float, float]]:
+def _valid_region(
+    frames: Sequence[InverseFrame], scene: CaptureScene
+) -> dict[str, tuple[float, float]]:
     """Where the training presses lie, and how steep they are."""
     u = [frame.circle.u_px for frame in frames]
     v = [frame.circle.v_px for frame in frames]

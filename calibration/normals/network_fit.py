@@ -23,16 +23,16 @@ import numpy as np
 import torch
 
 from taccel_lab.calibration.normals.options import NormalTraining
-from taccel_lab.calibration.normals.practice import PracticePress, practice_samples
 from taccel_lab.calibration.normals.samples import (
+    CaptureScene,
     InverseFrame,
+    NormalSamples,
     SampleOptions,
-    Samples,
-    Scene,
     circle_angle_rad,
     draw_samples,
     join,
 )
+from taccel_lab.calibration.normals.synthetic_presses import SyntheticPress, synthetic_samples
 from taccel_lab.calibration.training import (
     arrays_of,
     descend,
@@ -64,8 +64,8 @@ STEEPEST_SLOPE = 6.0
 BETA = 0.5
 """How far large expected errors keep their weight in the loss; 0 is the likelihood itself, which
 gives up on what is hard, 1 least squares, which lets the hardest pixels rule."""
-MOST_PRACTICE = 10_000
-"""Practice presses; each takes half a second."""
+MOST_SYNTHETIC = 10_000
+"""Synthetic presses; each takes half a second."""
 WARM_UP = 0.15
 """Share of the steps in which the learning rate rises."""
 
@@ -84,10 +84,10 @@ class InverseFitOptions(NormalTraining):
     batch_pixels: int = 1024
     """Pixels a member sees in a step."""
     learning_rate: float = 6e-3
-    practice_pixels: int = 4000
-    """Pixels drawn of each practice press."""
-    practice_share: float = 0.6
-    """Share of practice in each batch."""
+    synthetic_pixels: int = 4000
+    """Pixels drawn of each synthetic press."""
+    synthetic_share: float = 0.6
+    """Share of synthetic presses in each batch."""
     light_drift: bool = False
     """Whether the frames were brought to the background's light; the model then asks for it too."""
 
@@ -95,8 +95,10 @@ class InverseFitOptions(NormalTraining):
         for name in ("members", "steps", "batch_pixels"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if not 0 <= self.practice <= MOST_PRACTICE:
-            raise InputError(f"practice must lie in 0..{MOST_PRACTICE}, got {self.practice}")
+        if not 0 <= self.synthetic_presses <= MOST_SYNTHETIC:
+            raise InputError(
+                f"synthetic_presses must lie in 0..{MOST_SYNTHETIC}, got {self.synthetic_presses}"
+            )
         require_bands("normal model", self.position_bands)
         require_seed(self.seed)
         if not 0 < self.learning_rate < 1:
@@ -137,10 +139,10 @@ def fold_of(index: int, members: int, frame_count: int) -> int | None:
 
 def fit_normal_model(
     frames: Sequence[InverseFrame],
-    scene: Scene,
+    scene: CaptureScene,
     options: InverseFitOptions = InverseFitOptions(),
     *,
-    practice: Iterable[PracticePress] = (),
+    synthetic_presses: Iterable[SyntheticPress] = (),
     progress: Progress = silent,
 ) -> InverseFit:
     """Fit the ensemble to ``frames``, and to presses of other tools where there are any.
@@ -151,7 +153,7 @@ def fit_normal_model(
     if not frames:
         raise InputError("the fit of the inverse model needs at least one press")
     with one_thread():
-        state = _train(frames, scene, options, practice, progress)
+        state = _train(frames, scene, options, synthetic_presses, progress)
         model, left_out = state.finish([frame.name for frame in frames])
     return InverseFit(
         model=model,
@@ -165,9 +167,9 @@ def fit_normal_model(
 
 def _train(
     frames: Sequence[InverseFrame],
-    scene: Scene,
+    scene: CaptureScene,
     options: InverseFitOptions,
-    practice: Iterable[PracticePress],
+    synthetic_presses: Iterable[SyntheticPress],
     progress: Progress,
 ) -> _Training:
     scales = options.scales_px or default_scales_px(frames)
@@ -183,10 +185,11 @@ def _train(
     )
     rng = np.random.default_rng(options.seed)
     samples = [draw_samples(frame, scene, config, options.samples, rng) for frame in frames]
-    practised = [
-        practice_samples(press, scene, config, options.practice_pixels, rng) for press in practice
+    synthetic = [
+        synthetic_samples(press, scene, config, options.synthetic_pixels, rng)
+        for press in synthetic_presses
     ]
-    everything = join([*samples, *practised])
+    everything = join([*samples, *synthetic])
     config = replace(
         config,
         input_mean=tuple(float(x) for x in everything.features.mean(axis=0)),
@@ -199,37 +202,37 @@ def _train(
         circle_angle_rad(frame, scene, check.normals)
         for frame, check in zip(frames, checks, strict=True)
     ]
-    state = _Training(config, samples, checks, circles, options, practised)
+    state = _Training(config, samples, checks, circles, options, synthetic)
     state.run(progress)
     return state
 
 
 def _check_samples(
     frame: InverseFrame,
-    scene: Scene,
+    scene: CaptureScene,
     config: NormalModelConfig,
     options: InverseFitOptions,
     rng: np.random.Generator,
-) -> Samples:
+) -> NormalSamples:
     """Pixels inside the contact at the picture's own zoom."""
     drawn = replace(options.samples, disc_pixels=CHECK_PIXELS, flat_pixels=1, zooms=1)
     found = draw_samples(replace(frame, surface=None), scene, config, drawn, rng)
-    return Samples(found.features[:-1], found.normals[:-1])
+    return NormalSamples(found.features[:-1], found.normals[:-1])
 
 
 class _Training:
     def __init__(
         self,
         config: NormalModelConfig,
-        samples: Sequence[Samples],
-        checks: Sequence[Samples],
+        samples: Sequence[NormalSamples],
+        checks: Sequence[NormalSamples],
         circles_rad: Sequence[np.ndarray],
         options: InverseFitOptions,
-        practice: Sequence[Samples] = (),
+        synthetic_presses: Sequence[NormalSamples] = (),
     ) -> None:
         self.config, self.options = config, options
-        whole = join([*samples, *practice])
-        self.practised = sum(len(part.features) for part in practice)
+        whole = join([*samples, *synthetic_presses])
+        self.synthetic = sum(len(part.features) for part in synthetic_presses)
         self.inputs = torch.from_numpy(config.normalise(whole.features))
         self.still = torch.from_numpy(config.normalise(config.at_rest(whole.features)))
         self.normals = torch.from_numpy(whole.normals)
@@ -277,11 +280,11 @@ class _Training:
     def _draw(self, pool: torch.Tensor) -> torch.Tensor:
         """Indices of a member's next pixels."""
         count = self.options.batch_pixels
-        practised = round(self.options.practice_share * count) if self.practised else 0
-        drawn = pool[torch.randint(len(pool), (count - practised,), generator=self.generator)]
-        if not practised:
+        synthetic = round(self.options.synthetic_share * count) if self.synthetic else 0
+        drawn = pool[torch.randint(len(pool), (count - synthetic,), generator=self.generator)]
+        if not synthetic:
             return drawn
-        more = torch.randint(self.practised, (practised,), generator=self.generator)
+        more = torch.randint(self.synthetic, (synthetic,), generator=self.generator)
         return torch.cat([drawn, len(self.normals) - 1 - more])
 
     def _keep_best(self, step: int) -> float:
@@ -300,7 +303,7 @@ class _Training:
             means += [error] if own else []
         return float(np.degrees(np.mean(means))) if means else float("nan")
 
-    def _outputs(self, fold: int, samples: Samples) -> tuple[torch.Tensor, torch.Tensor]:
+    def _outputs(self, fold: int, samples: NormalSamples) -> tuple[torch.Tensor, torch.Tensor]:
         """Tilt and expected error of one member; of all members for a negative ``fold``."""
         part = slice(fold, fold + 1) if fold >= 0 else slice(None)
         layers = [(weight[part], bias[part]) for weight, bias in self.layers]

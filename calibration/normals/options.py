@@ -16,7 +16,7 @@ class NormalTraining:
     position_bands: int = 0
     """Bands of the positional encoding among the features: sines and cosines of the pixel's
     position. 0 to 8; 0 gives the networks the position alone."""
-    practice: int = 160
+    synthetic_presses: int = 160
     """Synthetic presses of other tools in the training, besides the captured balls. Without them
     (0) edges and walls read much too flat."""
     steps: int = 2000

@@ -10,10 +10,10 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.color.evaluate import crop_slices
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import Scene
+from taccel_lab.calibration.normals.samples import CaptureScene
 from taccel_lab.calibration.normals.score import HeldoutNormals, ball_depth_mm
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.report.style import BLUE, GREY, LIGHT, ORANGE, in_report_style, new_figure
+from taccel_lab.report.style import BLUE, LIGHT, ORANGE, in_report_style, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,7 +43,7 @@ def draw_errors(result: NormalCalibration) -> Figure:
     return figure
 
 
-def _draw_row(row: np.ndarray, item: HeldoutNormals, scene: Scene, top: float) -> AxesImage:
+def _draw_row(row: np.ndarray, item: HeldoutNormals, scene: CaptureScene, top: float) -> AxesImage:
     grid, circle = scene.grid, item.frame.circle
     crop = crop_slices(circle, grid)
     extent = _extent(crop, grid)
@@ -60,7 +60,7 @@ def _draw_row(row: np.ndarray, item: HeldoutNormals, scene: Scene, top: float) -
     return shown
 
 
-def _draw_profile(ax: Axes, item: HeldoutNormals, scene: Scene) -> None:
+def _draw_profile(ax: Axes, item: HeldoutNormals, scene: CaptureScene) -> None:
     """Integrated and true depth along the row through the contact's centre."""
     grid, circle = scene.grid, item.frame.circle
     v = int(np.clip(round(circle.v_px), 0, grid.height_px - 1))
@@ -120,19 +120,4 @@ def draw_reliability(result: NormalCalibration) -> Figure:
         fontsize=9,
     )
     ax.legend(loc="upper left")
-    return figure
-
-
-@in_report_style
-def draw_training(result: NormalCalibration) -> Figure:
-    """Error on the training pixels and on presses left out, over the steps."""
-    figure, ax = new_figure(5.2, 3.0)
-    steps, train, left_out = np.array(result.fit.curve).T
-    ax.plot(steps, train, color=GREY, label="training pixels")
-    if np.isfinite(left_out).any():
-        ax.plot(steps, left_out, color=BLUE, label="presses left out")
-    ax.set_ylim(0, None)
-    ax.set_xlabel("step")
-    ax.set_ylabel("mean error [degrees]")
-    ax.legend()
     return figure

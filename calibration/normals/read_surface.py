@@ -14,8 +14,8 @@ import numpy as np
 
 from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.light.likeness import unlike
+from taccel_lab.calibration.light.image_match import unlike
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
@@ -36,7 +36,7 @@ UNKNOWN_LIGHT_LEVELS = 8.0
 four sensors that are read as they are have 0.7 to 6.7."""
 Method = Literal["auto", "normals", "depth"]
 STEEP_SHARE = 0.02
-"""Share of pixels that the calibration says nothing of, from which on a user is told."""
+"""Share of pixels that the calibration says nothing of, from which on a user is warned."""
 SigmaOf = Literal["absolute depth", "reading alone"]
 NO_SIGMA = (
     "the profile does not say how uncertain its depths are: it was calibrated by an earlier "
@@ -61,7 +61,7 @@ class SurfaceReading(Summary):
     rise_m: np.ndarray
     """Its rise over the resting face [m], negative in a dent."""
     height_sigma_m: np.ndarray | None
-    """Standard deviation of both heights [m]. None of models that were fitted without practice
+    """Standard deviation of both heights [m]. None of models that were fitted without synthetic
     presses, and of curves of earlier versions."""
     reading_sigma_m: np.ndarray | None
     """That of the reading alone [m], which tells places of one image apart: what all depths are off
@@ -258,24 +258,24 @@ class SurfaceReader:
         return found
 
     def unlike(self, image: np.ndarray) -> str | None:
-        """Why an image is not of the profile's sensor, or None; see ``light.likeness``."""
+        """Why an image is not of the profile's sensor, or None; see ``light.image_match``."""
         levels = self._small(image).astype(np.float32)
         return unlike(levels, self.background, self._light(levels), self.mask)
 
     def in_own_light(self, image: np.ndarray) -> np.ndarray:
-        """The image as small as it is read, in the background's light where that is asked for, or
+        """The image as small as it is read, in the background's light where that is requested, or
         where its own was never calibrated; float32, shape [height_px, width_px, 3] of ``grid``."""
         levels = self._small(image).astype(np.float32)
         light = self._light(levels)
         return light.remove(levels).astype(np.float32) if self._is_removed(light) else levels
 
-    def _is_removed(self, light: Light) -> bool:
+    def _is_removed(self, light: LightDrift) -> bool:
         if self.drift:
             return True
         level = self.background.reshape(-1, 3).mean(axis=0)
         return bool((np.abs(light.shift(level)) > self._light_limit).any())
 
-    def _light(self, levels: np.ndarray) -> Light:
+    def _light(self, levels: np.ndarray) -> LightDrift:
         part = np.s_[:: self._light_step, :: self._light_step]
         mask = None if self.mask is None else self.mask[part]
         return fit_light(levels[part], self.background[part], mask, gradient=False)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """How far normals and heights are off, found on presses of known surface that were not seen.
 
-Those are practice presses that no network saw, and every training ball as read by the network that
+Those are synthetic presses that no network saw, and every training ball as read by the network that
 did not see it. Where a ball is, is known to a pixel or two only: what its centre may be off by is
 taken off the errors of normals, so that their radius does not have to hold errors of labels.
 
-Heights are told as absolute ones. Practice presses are exact and say what the reading adds. Balls
-say what comes on top, an error that lies along the slope all around the dent. How much of it is
-that of each circle and how much the reading's they do not tell apart, so that all of it counts.
+Heights are stated as absolute ones. Synthetic presses are exact and say what the reading adds.
+Balls say what comes on top, an error that lies along the slope all around the dent. How much of it
+is that of each circle and how much the reading's they do not tell apart, so that all of it counts.
 What is wrong in all circles alike, in the scale or in the gel's law was learnt along and shows in
 no error: it is given as a share of the depth.
 """
@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taccel_lab.calibration.cross_conformal import MIN_PRESSES, radius_factor
-from taccel_lab.calibration.normals.practice import PracticePress
-from taccel_lab.calibration.normals.samples import Scene
+from taccel_lab.calibration.normals.samples import CaptureScene
 from taccel_lab.calibration.normals.score import angle_between_deg
+from taccel_lab.calibration.normals.synthetic_presses import SyntheticPress
 from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normal_model import NormalModel, relative_normals
 from taccel_lab.signals.normal_model_config import RAYLEIGH_95
@@ -39,7 +39,7 @@ DENT_MM = 0.02
 
 
 @dataclass(frozen=True)
-class PracticeScore:
+class SyntheticScore:
     """Absolute errors of heights on presses of other tools."""
 
     rmse_mm: float
@@ -76,7 +76,7 @@ class KnownPress:
     """Standard deviation of the known rise [m]."""
 
     @classmethod
-    def of_practice(cls, press: PracticePress) -> KnownPress:
+    def of_synthetic(cls, press: SyntheticPress) -> KnownPress:
         """A press that no network saw, compared in its dent."""
         return cls(press.image, press.normals, press.rise_m, press.rise_m < -1e-3 * DENT_MM)
 
@@ -98,21 +98,22 @@ class _Errors:
 
 def with_reading_errors(
     model: NormalModel,
-    practice: Iterable[KnownPress],
+    synthetic_presses: Iterable[KnownPress],
     balls: Iterable[KnownPress],
-    scene: Scene,
+    scene: CaptureScene,
     depth_share: float,
-) -> tuple[NormalModel, PracticeScore | None]:
+) -> tuple[NormalModel, SyntheticScore | None]:
     """The model with its radius of 95 % and the spread of its heights, and how well it read the
-    practice presses.
+    synthetic presses.
 
     All factors are those that hold 95 % of a new press's pixels in the mean (cross-conformal): the
-    radius on practice or on captured balls, whichever asks for more, the spread of the reading on
-    practice, and what comes on top along the slopes on balls. Heights have a spread where there is
-    practice; the length over which errors go together is the one with the narrowest band.
-    ``depth_share`` is what all readings may be off by (``skirt.depth_share``).
+    radius on synthetic presses or on captured balls, whichever asks for more, the spread of the
+    reading on synthetic presses, and what comes on top along the slopes on balls. Heights have a
+    spread where there are synthetic presses; the length over which errors go together is
+    the one with the narrowest band. ``depth_share`` is what all readings may be off by
+    (``ball_in_layer.depth_share``).
     """
-    drawn = _all_errors(model, practice, scene)
+    drawn = _all_errors(model, synthetic_presses, scene)
     captured = _all_errors(model, balls, scene)
     groups = [group for group in (drawn, captured) if group]
     if not groups:
@@ -135,7 +136,7 @@ def with_reading_errors(
         along_factor=_along_factor(captured, k, factor),
     )  # fmt: skip
     dents = [float(1e3 * np.sqrt(np.mean(e.height_m**2))) for e in drawn]
-    score = PracticeScore(
+    score = SyntheticScore(
         rmse_mm=float(np.sqrt(np.mean(np.square(dents)))),
         median_press_mm=float(np.median(dents)),
         worst_press_mm=float(np.max(dents)),
@@ -148,7 +149,7 @@ def with_reading_errors(
     return NormalModel(config, model.weights), score
 
 
-def widened(model: NormalModel, heldout: Iterable[KnownPress], scene: Scene) -> NormalModel:
+def widened(model: NormalModel, heldout: Iterable[KnownPress], scene: CaptureScene) -> NormalModel:
     """The model with bands that hold 95 % of presses that nothing had seen, too, where they were
     narrower; as it is where there are fewer than ``MIN_PRESSES`` of those."""
     found = _all_errors(model, heldout, scene)
@@ -177,12 +178,14 @@ def _along_factor(balls: Sequence[_Errors], k: int, factor: float) -> float:
     return radius_factor(over, SHARE, BAND_SIGMAS) / BAND_SIGMAS
 
 
-def _all_errors(model: NormalModel, presses: Iterable[KnownPress], scene: Scene) -> list[_Errors]:
+def _all_errors(
+    model: NormalModel, presses: Iterable[KnownPress], scene: CaptureScene
+) -> list[_Errors]:
     """Of every press of which a pixel is compared."""
     return [found for press in presses if (found := _errors(model, press, scene)) is not None]
 
 
-def _errors(model: NormalModel, press: KnownPress, scene: Scene) -> _Errors | None:
+def _errors(model: NormalModel, press: KnownPress, scene: CaptureScene) -> _Errors | None:
     compared = press.compared if scene.mask is None else press.compared & scene.mask
     sample = (slice(None, None, EVERY_PX), slice(None, None, EVERY_PX))
     kept = compared[sample]

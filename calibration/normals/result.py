@@ -12,8 +12,8 @@ from taccel_lab.calibration.ball_presses import with_captured_background
 from taccel_lab.calibration.base_profile import on_grid
 from taccel_lab.calibration.capture.split import PressSplit
 from taccel_lab.calibration.normals.network_fit import InverseFit
-from taccel_lab.calibration.normals.reading_error import PracticeScore
-from taccel_lab.calibration.normals.samples import Scene
+from taccel_lab.calibration.normals.reading_error import SyntheticScore
+from taccel_lab.calibration.normals.samples import CaptureScene
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
 from taccel_lab.calibration.result import ResultSummary, mean_figures
 from taccel_lab.calibration.thickness.fit import GelThickness
@@ -26,7 +26,7 @@ class NormalCalibration(ResultSummary):
     """Result of ``calibrate_normals``."""
 
     fit: InverseFit
-    scene: Scene
+    scene: CaptureScene
     """Background, pixel grid, ball and resting face of the captures."""
     heldout: tuple[HeldoutNormals, ...]
     failures: dict[str, str]
@@ -34,8 +34,8 @@ class NormalCalibration(ResultSummary):
     split: PressSplit | None
     """How the held-out presses were chosen; None where there are none."""
     reliability: Reliability | None
-    practised: PracticeScore | None
-    """Heights of practice presses that the networks never saw; None without practice."""
+    synthetic: SyntheticScore | None
+    """Heights of synthetic presses that the networks never saw; None without any."""
     gel: GelThickness | None
     """What the presses say of the gel's thickness; None where it is known and they agree."""
     frozen_radius95_sigmas: float
@@ -53,7 +53,7 @@ class NormalCalibration(ResultSummary):
     circles: str
     """How the circles were chosen."""
     surfaces: str
-    """What gave the normals of the skirt."""
+    """What gave the normals of the sink-in."""
     valid_region: dict[str, tuple[float, float]]
     remarks: tuple[Remark, ...] = ()
 
@@ -95,7 +95,7 @@ class NormalCalibration(ResultSummary):
             "split": None if self.split is None else self.split.figures(),
             "failures": self.failures,
             "reliability": None if self.reliability is None else asdict(self.reliability),
-            "practice": None if self.practised is None else asdict(self.practised),
+            "synthetic_presses": None if self.synthetic is None else asdict(self.synthetic),
             "gel_thickness": None if self.gel is None else self.gel.figures(),
             "presses": rows,
             "widened_by_heldout": self._widened(),
@@ -150,8 +150,8 @@ class NormalCalibration(ResultSummary):
             spread["heldout_angle_deg"] = float(np.std([i.used.mean_deg for i in self.heldout]))
         if not residuals:
             residuals["train_angle_deg"] = self.fit.curve[-1][1]
-        if self.practised is not None:
-            residuals["practice_depth_rmse_mm"] = self.practised.rmse_mm
+        if self.synthetic is not None:
+            residuals["synthetic_depth_rmse_mm"] = self.synthetic.rmse_mm
         if self.reliability is not None:
             residuals["observed_over_expected"] = self.reliability.ratio()
         config, options = self.fit.model.config, self.fit.options
@@ -162,8 +162,8 @@ class NormalCalibration(ResultSummary):
                 f"of {', '.join(f'{s:g}' for s in config.scales_px)} px and position"
                 + f" in {config.position_bands} bands"
                 * (config.position_bands > 0)
-                + f"; {options.steps} Adam steps, stopped on left-out presses; practice on "
-                f"{options.practice if self.practised else 0} other presses; circles: "
+                + f"; {options.steps} Adam steps, stopped on left-out presses; "
+                f"{options.synthetic_presses if self.synthetic else 0} synthetic presses; circles: "
                 f"{self.circles}; sink-in: {self.surfaces}; light drift "
                 + ("taken off" if config.light_drift else "left in")
             ),

@@ -2,7 +2,7 @@
 """Pixels with known normals, drawn from ball presses: the training data of the inverse model.
 
 Inside the contact the ball gives the normal, far from it the resting face does. Between the two
-lies the gel's skirt, whose normals only a surface (``PressSurface``) gives; without one those
+lies the gel's sink-in, whose normals only a surface (``BallSurface``) gives; without one those
 pixels are left out.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII, ContactCircle
 from taccel_lab.calibration.normals.ball_normals import ball_normals
 from taccel_lab.calibration.pixel_draw import draw_regions
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.normal_features import color_change
@@ -25,7 +25,7 @@ from taccel_lab.signals.normals import rotate_to_z
 
 RIM_RADII = 0.98
 """Within this many contact radii a pixel lies in the contact, as well as circles are known."""
-SKIRT_RADII = 1.03
+SINK_IN_RADII = 1.03
 """Beyond this many it surely lies outside."""
 
 
@@ -47,14 +47,14 @@ class InverseFrame:
     """RGB levels under the background's light, float, shape [height_px, width_px, 3]."""
     circle: ContactCircle
     sha256: str
-    surface: PressSurface | None = None
+    surface: BallSurface | None = None
     """Gel surface under the press, where one was made."""
     circle_sigma_px: CircleSigma = EXACT
     """How far the circle may be off."""
 
 
 @dataclass(frozen=True)
-class Scene:
+class CaptureScene:
     """What all presses of one capture set have in common."""
 
     background: np.ndarray
@@ -68,7 +68,7 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Samples:
+class NormalSamples:
     """Pixels of one or several presses."""
 
     features: np.ndarray
@@ -83,7 +83,7 @@ class SampleOptions:
 
     disc_pixels: int = 3000
     """Within the contact."""
-    skirt_pixels: int = 1500
+    sink_in_pixels: int = 1500
     """Between the contact and the resting face, where a surface is given."""
     flat_pixels: int = 700
     """Where the gel is at rest."""
@@ -102,11 +102,11 @@ class SampleOptions:
 
 def draw_samples(
     frame: InverseFrame,
-    scene: Scene,
+    scene: CaptureScene,
     config: NormalModelConfig,
     options: SampleOptions,
     rng: np.random.Generator,
-) -> Samples:
+) -> NormalSamples:
     """Pixels of one press at several zooms."""
     change = color_change(frame.image, scene.background, scene.mask)
     usable = usable_pixels(scene)
@@ -120,8 +120,8 @@ def draw_samples(
         (usable & (distance > UNTOUCHED_RADII), options.flat_pixels),
     ]
     if frame.surface is not None:
-        skirt = usable & (distance > SKIRT_RADII) & (distance <= UNTOUCHED_RADII)
-        regions.insert(1, (skirt, options.skirt_pixels))
+        sink_in = usable & (distance > SINK_IN_RADII) & (distance <= UNTOUCHED_RADII)
+        regions.insert(1, (sink_in, options.sink_in_pixels))
     window = _window(
         frame.circle, scene.grid, UNTOUCHED_RADII if frame.surface is not None else 1.0
     )
@@ -138,10 +138,10 @@ def draw_samples(
         for picked in draw_regions(frame.name, chosen, rng):
             features.append(maps.reshape(-1, config.input_count)[picked])
             normals.append(wanted[part].reshape(-1, 3)[picked])
-    return Samples(np.concatenate(features), np.concatenate(normals).astype(np.float32))
+    return NormalSamples(np.concatenate(features), np.concatenate(normals).astype(np.float32))
 
 
-def true_normals(frame: InverseFrame, scene: Scene) -> np.ndarray:
+def true_normals(frame: InverseFrame, scene: CaptureScene) -> np.ndarray:
     """Known normals relative to rest: of the ball inside, of the surface (or rest) outside."""
     inside = frame.circle.distance_px(scene.grid) <= frame.circle.radius_px
     if frame.surface is not None:
@@ -154,7 +154,7 @@ def true_normals(frame: InverseFrame, scene: Scene) -> np.ndarray:
     return np.where(inside[..., None], ball, outside)
 
 
-def circle_angle_rad(frame: InverseFrame, scene: Scene, normals: np.ndarray) -> np.ndarray:
+def circle_angle_rad(frame: InverseFrame, scene: CaptureScene, normals: np.ndarray) -> np.ndarray:
     """Standard deviation [rad] of each component of the ball's normals by what the circle's centre
     is off by, shape [...] of ``normals`` relative to rest of shape [..., 3].
 
@@ -165,16 +165,16 @@ def circle_angle_rad(frame: InverseFrame, scene: Scene, normals: np.ndarray) -> 
     return off * np.sqrt(0.5 + 0.5 / np.maximum(normals[..., 2], MIN_UPRIGHT) ** 2)
 
 
-def usable_pixels(scene: Scene) -> np.ndarray:
+def usable_pixels(scene: CaptureScene) -> np.ndarray:
     """Pixels that may be used, bool, shape [height_px, width_px]."""
     if scene.mask is not None:
         return scene.mask
     return np.ones((scene.grid.height_px, scene.grid.width_px), dtype=bool)
 
 
-def join(samples: Sequence[Samples]) -> Samples:
+def join(samples: Sequence[NormalSamples]) -> NormalSamples:
     """All samples in one."""
-    return Samples(
+    return NormalSamples(
         np.concatenate([s.features for s in samples]), np.concatenate([s.normals for s in samples])
     )
 

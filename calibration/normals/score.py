@@ -11,8 +11,8 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.normals.ball_normals import ball_normals
 from taccel_lab.calibration.normals.samples import (
+    CaptureScene,
     InverseFrame,
-    Scene,
     circle_angle_rad,
     true_normals,
     usable_pixels,
@@ -60,7 +60,7 @@ class AbsoluteDepth:
     """Deepest point as it should be."""
     within_68: float
     """Share of pixels within one standard deviation of what they should be; NaN where none is
-    told."""
+    stated."""
     within_95: float
     """Share within two."""
 
@@ -114,7 +114,7 @@ def score_heldout(
     model: NormalModel,
     frame: InverseFrame,
     given: ContactCircle | None,
-    scene: Scene,
+    scene: CaptureScene,
     wanted_mm: np.ndarray | None = None,
 ) -> HeldoutNormals:
     """Read one press as ``depth`` does and compare it with its ball, and absolute heights with the
@@ -154,13 +154,13 @@ def score_heldout(
     )
 
 
-def inside_of(circle: ContactCircle, scene: Scene) -> np.ndarray:
+def inside_of(circle: ContactCircle, scene: CaptureScene) -> np.ndarray:
     """Usable pixels inside a contact, bool, shape [height_px, width_px]."""
     return (circle.distance_px(scene.grid) <= circle.radius_px) & usable_pixels(scene)
 
 
 def score_circle(
-    predicted: NormalMap, height_m: np.ndarray, circle: ContactCircle, scene: Scene
+    predicted: NormalMap, height_m: np.ndarray, circle: ContactCircle, scene: CaptureScene
 ) -> AngleScore:
     """Errors inside ``circle``; ``height_m`` is the rise over rest."""
     inside = inside_of(circle, scene)
@@ -184,7 +184,7 @@ def score_circle(
     )
 
 
-def ball_depth_mm(circle: ContactCircle, scene: Scene) -> np.ndarray:
+def ball_depth_mm(circle: ContactCircle, scene: CaptureScene) -> np.ndarray:
     """Depth of a flat gel in the ball's shape below the circle [mm]; beyond it, shallower, negative
     at most by what the ball rises up to its equator. Shape [height_px, width_px].
 
@@ -197,7 +197,7 @@ def ball_depth_mm(circle: ContactCircle, scene: Scene) -> np.ndarray:
     return cap - np.sqrt(radius**2 - rim**2)
 
 
-def reliability_of(items: Sequence[HeldoutNormals], scene: Scene) -> Reliability:
+def reliability_of(items: Sequence[HeldoutNormals], scene: CaptureScene) -> Reliability:
     """Pool the held-out pixels of all presses."""
     errors, sigmas, radii = [], [], []
     for item in items:

@@ -74,10 +74,10 @@ class ContactPressure:
     @property
     def force_words(self) -> str:
         """Force and its interval in words."""
-        told = f"{self.force_n:.3g} N"
+        words = f"{self.force_n:.3g} N"
         if self.force_interval_n is not None:
-            told += " (95 %: {:.3g} to {:.3g} N)".format(*self.force_interval_n)
-        return told
+            words += " (95 %: {:.3g} to {:.3g} N)".format(*self.force_interval_n)
+        return words
 
     def figures(self) -> dict[str, Any]:
         """All numbers, ready for JSON."""
@@ -254,13 +254,13 @@ class PressureReader:
 def _modulus(profile: SensorProfile) -> tuple[tuple[float, float], tuple[str, ...]]:
     """Factors of the force at both ends of the modulus' interval, and what it rests on."""
     material = profile.material
-    pa, told = material.young_modulus_pa, material.provenance
-    interval = told.interval.get("young_modulus_pa") or _two_spreads(told.spread, pa)
+    pa, provenance = material.young_modulus_pa, material.provenance
+    interval = provenance.interval.get("young_modulus_pa") or _two_spreads(provenance.spread, pa)
     if interval is not None and 0 < interval[0] <= pa <= interval[1]:
         return (pa / interval[0], interval[1] / pa), ()
     return (1.0, 1.0), (
-        f"Young's modulus {1e-3 * pa:.3g} kPa is {told.kind} and its error is not known: forces "
-        "scale with it, and their interval does not hold it",
+        f"Young's modulus {1e-3 * pa:.3g} kPa is {provenance.kind} and its error is not known: "
+        "forces scale with it, and their interval does not hold it",
     )
 
 

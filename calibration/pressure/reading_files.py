@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.report.style import (
     save_figure,
 )
-
-if TYPE_CHECKING:
-    pass
 
 ARRAYS = (
     "height_m",
@@ -52,12 +49,14 @@ def read_mask(path: Path, profile: SensorProfile) -> np.ndarray:
 
 
 def write_reading(
-    found: TouchReading, image: np.ndarray, source: Path, profile: SensorProfile, folder: Path
+    found: TouchReading, image: np.ndarray, source: Path, folder: Path, stem: str = ""
 ) -> dict[str, Any]:
     """Write ``NAME.npz``, ``NAME.png`` and ``NAME.json`` into ``folder``; returns the figures.
 
-    ``image`` is what was read, RGB levels; it came from the file ``source``, whose name is taken.
+    ``image`` is what was read, RGB levels; it came from the file ``source``, whose name is taken
+    where there is no ``stem``.
     """
+    stem = stem or source.stem
     stored: dict[str, Any] = {}
     for key in ARRAYS:
         value = getattr(found, key)
@@ -65,9 +64,9 @@ def write_reading(
             stored[key] = value if value.dtype == bool else value.astype(np.float32)
     if found.press is not None:
         stored["pressure_pa"] = found.pressure_pa.astype(np.float32)
-    np.savez_compressed(folder / f"{source.stem}.npz", **stored)
-    picture = draw_reading(image, found, found.press, profile.grid(), source.stem)
-    save_figure(picture, folder / f"{source.stem}.png")
-    figures = {"image": str(source), **found.figures(profile.grid())}
-    write_json(folder / f"{source.stem}.json", figures)
+    np.savez_compressed(folder / f"{stem}.npz", **stored)
+    picture = draw_reading(image, found, found.press, found.grid, stem)
+    save_figure(picture, folder / f"{stem}.png")
+    figures = {"image": str(source), **found.figures()}
+    write_json(folder / f"{stem}.json", figures)
     return figures

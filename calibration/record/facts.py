@@ -25,7 +25,7 @@ QUICK_PRESSES = 20
 QUICK_LEAVES_OUT = (
     "scale: no board, no edge and no ruler was pressed. What is stated or taken from the catalogue "
     "is believed; published figures for one and the same sensor differ by a quarter, and lengths, "
-    "heights and forces go with it",
+    "heights and forces scale with it",
     "lens: no board was shown, so that distortion stays in the images",
     "force: no load cell was there. The gel's modulus and friction stay those of the catalogue, "
     "and no image is turned into newtons",
@@ -149,7 +149,7 @@ class RecordFacts:
         found["recorded"] = {
             "camera": self.camera.id,
             "begun": datetime.now(UTC).replace(microsecond=0),
-            "controls": {lock.name: lock.told for lock in self.locks},
+            "controls": {lock.name: lock.text for lock in self.locks},
             "framing": self.framing,
             "left_out": list(QUICK_LEAVES_OUT) if self.quick else [],
         }

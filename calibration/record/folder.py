@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,6 +42,19 @@ class RecordFolder:
     path: Path
     manifest: dict[str, Any]
     notes: tuple[str, ...] = ()
+    made: Sequence[Mapping[str, Any]] = ()
+    """What is known of each press that a stage makes, in order; empty without a stage."""
+
+    @property
+    def out_of_step(self) -> str:
+        """Why the presses are not taken for those of the stage; empty where they are."""
+        seen = len(self.presses)
+        if not self.made or seen == len(self.made):
+            return ""
+        return (
+            f"{seen} presses were taken and the table has {len(self.made)}: which is which is not "
+            "known, so that none gets a depth. Record them again"
+        )
 
     @property
     def presses(self) -> list[str]:
@@ -93,7 +106,11 @@ class RecordFolder:
         return name
 
     def finish(self) -> None:
-        """Write down which presses are held out, so that later ones change nothing about it."""
+        """Write down which presses are held out, so that later ones change nothing about it, and
+        what the stage knows of each where it made as many as were taken."""
+        if self.made and not self.out_of_step:
+            for entry, known in zip(self.manifest["presses"], self.made, strict=True):
+                entry |= known
         with atomic_file(self.path / MANIFEST_NAME) as staging:
             staging.write_text(self._text(), encoding="utf-8")
             freeze_split(load_capture_folder(self.path), staging)
@@ -112,8 +129,11 @@ class RecordFolder:
 
 
 @contextmanager
-def open_record(path: Path, facts: RecordFacts) -> Iterator[RecordFolder]:
+def open_record(
+    path: Path, facts: RecordFacts, made: Sequence[Mapping[str, Any]] = ()
+) -> Iterator[RecordFolder]:
     """A new folder at ``path``, or the one there, to go on with; nobody else may write into it.
+    ``made``: what is known of each press that a stage makes.
 
     Raises:
         InputError: There is something else, somebody else records into it, or it was begun with
@@ -140,16 +160,16 @@ def open_record(path: Path, facts: RecordFacts) -> Iterator[RecordFolder]:
         load_capture_folder(path)  # Refuses what is damaged, by name.
         manifest, notes = _read(path), _notes(path)
         facts.require_same(manifest, path)
-    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    new = [folder for folder in (path, *path.parents) if not folder.exists()]
     path.mkdir(parents=True, exist_ok=True)
     with _alone(path):
         for left in path.iterdir():
             if _LEFT_BEHIND.fullmatch(left.name):
                 left.unlink(missing_ok=True)
         try:
-            yield RecordFolder(path, manifest, notes)
+            yield RecordFolder(path, manifest, notes, made)
         finally:
-            for folder in made:  # Nothing came of it: no camera, no frame that can be used.
+            for folder in new:  # Nothing came of it: no camera, no frame that can be used.
                 if any(folder.iterdir()):
                     break
                 folder.rmdir()

@@ -17,7 +17,7 @@ from taccel_lab.calibration.check.frames import SATURATED_LEVEL, texture_seen
 from taccel_lab.calibration.check.light import SATURATED_SHARE
 from taccel_lab.calibration.check.presses import BLUR_TEXTURE, USEFUL_TEXTURE
 from taccel_lab.calibration.light.drift import BALANCE_LEVELS, BALANCE_SHARE, NOTABLE_LEVELS
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.record.camera_faults import flicker_words
 
 State = Literal["ok", "warn", "bad", "unknown"]
@@ -31,7 +31,7 @@ class Lamp:
 
     name: str
     state: State
-    told: str
+    text: str
     """One sentence."""
 
 
@@ -74,50 +74,50 @@ def blur_lamp(image: np.ndarray, background: np.ndarray) -> Lamp:
     return Lamp("blur", "ok", f"{min(seen, 1):.0%} of the gel's texture shows")
 
 
-def drift_lamp(light: Light, background: np.ndarray) -> Lamp:
+def drift_lamp(light: LightDrift, background: np.ndarray) -> Lamp:
     """How far the light has moved from the background's (RGB levels, [h, w, 3])."""
     shift = light.shift(background.reshape(-1, 3).astype(np.float64).mean(axis=0))
     apart = float(np.abs(shift - shift.mean()).max())
     worst = float(np.abs(shift).max())
-    told = "red {:+.1f}, green {:+.1f}, blue {:+.1f} levels since the background".format(
+    text = "red {:+.1f}, green {:+.1f}, blue {:+.1f} levels since the background".format(
         *(np.round(shift, 1) + 0.0)  # No -0.0.
     )
     if apart > BALANCE_LEVELS and apart > BALANCE_SHARE * worst:
         return Lamp(
-            "drift", "bad", f"{told}: the channels part. Switch the automatic white balance off"
+            "drift", "bad", f"{text}: the channels part. Switch the automatic white balance off"
         )
     if worst > 2 * NOTABLE_LEVELS:
         return Lamp(
             "drift",
             "bad",
-            f"{told}: the light has changed. Lock the exposure, let the lamps warm up, begin again",
+            f"{text}: the light has changed. Lock the exposure, let the lamps warm up, begin again",
         )
     state: State = "warn" if worst > NOTABLE_LEVELS else "ok"
-    return Lamp("drift", state, told)
+    return Lamp("drift", state, text)
 
 
 def flicker_lamp(levels: float) -> Lamp:
     """Whether the light stood still while the untouched gel was measured."""
-    told = flicker_words(levels)
-    if not told:
+    text = flicker_words(levels)
+    if not text:
         return Lamp("flicker", "ok", f"the light goes up and down by {levels:.1f} levels")
-    return Lamp("flicker", "bad" if levels > 2 * NOTABLE_LEVELS else "warn", told)
+    return Lamp("flicker", "bad" if levels > 2 * NOTABLE_LEVELS else "warn", text)
 
 
 def controls_lamp(locks: tuple[ControlLock, ...], replayed: bool, hangs: str = "") -> Lamp:
-    """Whether the camera goes on, and holds what it was told to."""
+    """Whether the camera goes on, and holds its settings."""
     if hangs:
         return Lamp("camera", "bad", hangs)
     if replayed:
         return Lamp("camera", "unknown", "a replay: nothing can be locked")
     failed = [str(lock) for lock in locks if lock.held is False]
     if failed:
-        return Lamp("camera", "bad", "; ".join(failed) + ". The drift lamp shows what comes of it")
+        return Lamp("camera", "bad", "; ".join(failed) + ". The drift lamp shows the effect")
     missing = [lock.name for lock in locks if lock.held is None]
-    told = ", ".join(str(lock) for lock in locks if lock.held)
+    text = ", ".join(str(lock) for lock in locks if lock.held)
     if missing:
-        return Lamp("camera", "warn", f"{told}; no control of {', '.join(missing)} to lock")
-    return Lamp("camera", "ok", told)
+        return Lamp("camera", "warn", f"{text}; no control of {', '.join(missing)} to lock")
+    return Lamp("camera", "ok", text)
 
 
 def touched_pixels(change: np.ndarray, noise_levels: float) -> np.ndarray:

@@ -14,7 +14,7 @@ from taccel_lab.calibration.record.facts import QUICK_LEAVES_OUT
 from taccel_lab.calibration.record.lamps import Lamp
 from taccel_lab.calibration.record.pictures import change_picture, coverage_picture
 from taccel_lab.calibration.record.run import Order
-from taccel_lab.calibration.record.session import Status
+from taccel_lab.calibration.record.session import SessionStatus
 from taccel_lab.calibration.record.tiles import show_tiles, wide_panel
 from taccel_lab.report.page_text import PageText, add_html_note, add_note
 
@@ -51,7 +51,7 @@ class RecordPage:
             with gui.add_folder("What a quick session leaves out", expand_by_default=False):
                 add_note(gui, _items(QUICK_LEAVES_OUT))
 
-    def show(self, status: Status) -> None:
+    def show(self, status: SessionStatus) -> None:
         """Bring the page up to date, not more often than it can be looked at."""
         now = time.monotonic()
         if now - self._shown_s < EVERY_S and not status.finished:
@@ -95,5 +95,5 @@ def _lamps_html(lamps: tuple[Lamp, ...]) -> PageText:
         '<span style="color:{}">&#9679;</span><span><b>{}</b> {}</span></div>'
     )
     return PageText().join(
-        row.format(PageText(LAMP_COLORS[lamp.state]), lamp.name, lamp.told) for lamp in lamps
+        row.format(PageText(LAMP_COLORS[lamp.state]), lamp.name, lamp.text) for lamp in lamps
     )

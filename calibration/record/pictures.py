@@ -10,7 +10,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.capture.coverage import CELLS, cell_of
-from taccel_lab.calibration.record.session import Status
+from taccel_lab.calibration.record.session import SessionStatus
 
 WIDTH_PX = 640
 TALLEST = 0.75
@@ -26,7 +26,7 @@ GREEN, AMBER, RED, BLUE, GREY = (
 )
 
 
-def change_picture(status: Status, width_px: int = WIDTH_PX) -> np.ndarray:
+def change_picture(status: SessionStatus, width_px: int = WIDTH_PX) -> np.ndarray:
     """The colour change on grey, the contact circle over it, RGB uint8 [h, width_px, 3]."""
     if status.image is None:
         return np.full((width_px * 3 // 4, width_px, 3), 40, np.uint8)
@@ -41,7 +41,7 @@ def change_picture(status: Status, width_px: int = WIDTH_PX) -> np.ndarray:
     return picture
 
 
-def coverage_picture(status: Status, width_px: int = WIDTH_PX) -> np.ndarray:
+def coverage_picture(status: SessionStatus, width_px: int = WIDTH_PX) -> np.ndarray:
     """Cells by their number of presses, all contacts, and the cell to press next.
 
     RGB uint8, shape [h, width_px, 3]."""

@@ -10,7 +10,7 @@ from typing import Literal, Protocol
 from taccel_lab.calibration.capture.camera.camera import Camera, ControlValues, Shot
 from taccel_lab.calibration.capture.camera.framing import Framing
 from taccel_lab.calibration.capture.camera.shots import AGAIN_S, Gap, shots
-from taccel_lab.calibration.record.session import Recorder, Status
+from taccel_lab.calibration.record.session import Recorder, SessionStatus
 from taccel_lab.calibration.record.trigger import Phase
 
 Order = Literal["take", "undo", "finish"]
@@ -19,7 +19,7 @@ Order = Literal["take", "undo", "finish"]
 class Watcher(Protocol):
     """Shows a session and may give orders."""
 
-    def show(self, status: Status) -> None: ...
+    def show(self, status: SessionStatus) -> None: ...
 
     def orders(self) -> list[Order]:
         """What was asked for since the last call."""
@@ -35,7 +35,7 @@ def run_session(
     framing: Framing | None = None,
     ends_by_itself: bool = True,
     again_s: float = AGAIN_S,
-) -> Status:
+) -> SessionStatus:
     """Record until all presses are taken, a watcher ends it, or a replay is over.
 
     Args:

@@ -17,7 +17,6 @@ from taccel_lab.calibration.capture.guide import capture_plan
 from taccel_lab.calibration.capture.load import MIN_SIZE_PX
 from taccel_lab.calibration.capture.sensor_facts import sensor_facts
 from taccel_lab.calibration.contacts.fit import detect_contact
-from taccel_lab.calibration.depth.grey_contact import find_grey_contact
 from taccel_lab.calibration.light.fit import fit_light
 from taccel_lab.calibration.record.advice import Advice, contact_radius_mm, next_press
 from taccel_lab.calibration.record.camera_faults import FrozenWatch
@@ -35,7 +34,6 @@ from taccel_lab.calibration.record.lamps import (
 from taccel_lab.calibration.record.trigger import CONTACT, Phase, Seen, Trigger
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals.depth_response import channel_of
 
 LAMPS_EVERY_S = 0.4
 UNTOUCHED_COUNT = 6
@@ -44,7 +42,7 @@ MESSAGES = 6
 
 
 @dataclass(frozen=True)
-class Status:
+class SessionStatus:
     """What there is to show after a frame."""
 
     phase: Phase
@@ -127,14 +125,14 @@ class Recorder:
             self._say("the camera is back")
             self._gap = ""
 
-    def lost(self, gap: Gap) -> Status:
+    def lost(self, gap: Gap) -> SessionStatus:
         """The camera is gone."""
         if not self._gap:
             self._say(gap.reason)
         self._gap = gap.reason
         return self.status()
 
-    def see(self, shot: Shot) -> Status:
+    def see(self, shot: Shot) -> SessionStatus:
         """Take a frame in, and its picture where it is time.
 
         Raises:
@@ -203,12 +201,12 @@ class Recorder:
         """Whether as many presses are there as were wanted."""
         return len(self.folder.presses) >= self.wanted
 
-    def status(self) -> Status:
+    def status(self) -> SessionStatus:
         """What there is to show."""
         seen = self._seen or Seen(Phase.RESTING, False, None)
         advice = self._advice()
         rest = self.trigger.rest
-        return Status(
+        return SessionStatus(
             phase=seen.phase,
             prompt=self._prompt(seen, advice),
             taken=len(self.folder.presses),
@@ -259,10 +257,8 @@ class Recorder:
         scale = stated.get("mm_per_px_x", 1.0), stated.get("mm_per_px_y", 1.0)
         grid = PixelGrid(image.shape[1], image.shape[0], *scale)
         try:
-            if self._grey:
-                drop = channel_of(background, "grey") - channel_of(image, "grey")
-                return find_grey_contact(drop, grid, name=name).circle, ""
-            return detect_contact(image, background, grid, name=name).circle, ""
+            channel = "grey" if self._grey else None
+            return detect_contact(image, background, grid, name=name, grey=channel).circle, ""
         except InputError as error:
             return None, str(error).removeprefix(f"{name}: ")
 

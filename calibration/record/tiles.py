@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from viser import ViserServer
 
 PAPER, INK = 250, (60, 60, 60)
-TITLE_PX, MARGIN_PX = 26, 8
+TITLE_PX, MARGIN_PX, TITLE_SCALE = 26, 8, 0.5
 WIDTH_PX = 960
 JPEG_QUALITY = 85
 
@@ -45,9 +45,15 @@ def tiled(
         sheet[top : top + size[1], left : left + size[0]] = cv2.resize(
             image, size, interpolation=how
         )[: sheet.shape[0] - top]
+        room = sheet.shape[1] - left if k % columns == columns - 1 else wide
+        text = min(TITLE_SCALE, TITLE_SCALE * (room - MARGIN_PX) / _title_px(title))
         where = (left, top - 8)
-        cv2.putText(sheet, title, where, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+        cv2.putText(sheet, title, where, cv2.FONT_HERSHEY_SIMPLEX, text, INK, 1, cv2.LINE_AA)
     return sheet
+
+
+def _title_px(title: str) -> int:
+    return cv2.getTextSize(title, cv2.FONT_HERSHEY_SIMPLEX, TITLE_SCALE, 1)[0][0]
 
 
 def _zoom(image: np.ndarray, sheet: np.ndarray, columns: int, rows: int) -> float:

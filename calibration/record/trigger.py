@@ -18,13 +18,13 @@ import numpy as np
 
 from taccel_lab.calibration.capture.framing import thumb
 from taccel_lab.calibration.light.fit import fit_light, without_light
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.record.camera_faults import nothing_seen
 
 SMOOTHING_SHARE = 1 / 60
 """Standard deviation of the smoothing, as a part of the small image's shorter side."""
 QUANTISATION_LEVELS = 12**-0.5
-"""Noise of 8 bits: a replayed still has none of its own."""
+"""Noise of 8 bits: a replayed still has none."""
 CONTACT, RELEASED = 4.0, 2.0
 """Times the largest change of untouched frames from which there is a contact, and below which it
 is gone."""
@@ -76,7 +76,7 @@ class Seen:
     change_levels: float = 0.0
     """The largest of it."""
     motion_levels: float = 0.0
-    light: Light | None = None
+    light: LightDrift | None = None
     """Of the frame against the untouched gel."""
     at_rest: bool = False
     """Whether the frame shows the untouched gel, standing still for as long as a contact has to."""
@@ -89,7 +89,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Rest:
+class UntouchedGel:
     """The untouched gel, small, and how much its frames differ by themselves."""
 
     image: np.ndarray
@@ -101,13 +101,13 @@ class Rest:
     flicker_levels: float = 0.0
     """Half of the range that the light of the frames has, in the channel that has most."""
 
-    def change(self, small: np.ndarray) -> tuple[np.ndarray, Light]:
+    def change(self, small: np.ndarray) -> tuple[np.ndarray, LightDrift]:
         """Smoothed colour change [levels], the light's drift taken off, and that light."""
         step = (slice(None, None, FIT_STEP),) * 2
         light = fit_light(small[step], self.image[step], gradient=False)
         return _smooth(without_light(small, self.image, light)), light
 
-    def followed(self, small: np.ndarray, light: Light, seconds: float) -> Rest:
+    def followed(self, small: np.ndarray, light: LightDrift, seconds: float) -> UntouchedGel:
         """As it looks now, so many seconds on: slow changes are no contact."""
         share = np.float32(min(seconds / FOLLOW_S, 1.0))
         image = self.image + share * (light.remove(small).astype(np.float32) - self.image)
@@ -119,7 +119,7 @@ class Trigger:
     """Frames in; whether a picture is to be taken out."""
 
     hold_s: float = HOLD_S
-    rest: Rest | None = None
+    rest: UntouchedGel | None = None
     _phase: Phase = Phase.RESTING
     _recent: deque[tuple[float, np.ndarray]] = field(default_factory=deque)
     _gathered: list[tuple[float, np.ndarray]] = field(default_factory=list)
@@ -213,12 +213,12 @@ class Trigger:
         return Seen(Phase.WAITING, False, change, _largest(change), 0.0, light, at_rest=True)
 
 
-def _rest_of(frames: list[tuple[float, np.ndarray]]) -> Rest | None:
+def _rest_of(frames: list[tuple[float, np.ndarray]]) -> UntouchedGel | None:
     """The untouched gel of frames in which nothing moves; None where something does: the means of
     the two halves, in which noise is small, differ by more than frames ``LAG_S`` apart."""
     images = np.stack([small for _, small in frames])
     half = len(images) // 2
-    rest = Rest(images.mean(axis=0), 0.0, 0.0)
+    rest = UntouchedGel(images.mean(axis=0), 0.0, 0.0)
     seen = [rest.change(small) for small in images]
     changes = [_largest(change) for change, _ in seen]
     mean = rest.image.reshape(-1, 3).astype(np.float64).mean(axis=0)
@@ -230,10 +230,10 @@ def _rest_of(frames: list[tuple[float, np.ndarray]]) -> Rest | None:
         if past:
             motions.append(_largest(_smooth(images[i] - images[past[-1]])))
     change = max(*changes, QUANTISATION_LEVELS)
-    shift, _ = Rest(images[:half].mean(axis=0), 0.0, 0.0).change(images[half:].mean(axis=0))
+    shift, _ = UntouchedGel(images[:half].mean(axis=0), 0.0, 0.0).change(images[half:].mean(axis=0))
     if _largest(shift) > max(float(np.median(motions)), QUANTISATION_LEVELS):
         return None
-    return Rest(rest.image, change, max(*motions, QUANTISATION_LEVELS, 0.0), flicker)
+    return UntouchedGel(rest.image, change, max(*motions, QUANTISATION_LEVELS, 0.0), flicker)
 
 
 def _smooth(image: np.ndarray) -> np.ndarray:

@@ -154,10 +154,11 @@ def _refuse_chance(refit: RefitCalibration, has_color: bool) -> None:
     disc, whole = (_sure_gain(refit.errors, *names) for names in _PAIRS)
     if max(disc, whole) <= 0:
         raise InputError(
-            "no correction is worth it: on frames left out of the fit the error is "
+            "no correction helps; on frames left out of the fit the error is "
             f"{refit.mean('before'):.2f} levels with the old profile and "
-            f"{refit.mean('after'):.2f} with a refitted one ({refit.mean('whole_before'):.2f} and "
-            f"{refit.mean('whole_after'):.2f} over the whole frames). The old profile stays"
+            f"{refit.mean('after'):.2f} with a refitted one; over whole frames "
+            f"{refit.mean('whole_before'):.2f} and {refit.mean('whole_after'):.2f}; the old "
+            "profile stays"
         )
 
 

@@ -13,11 +13,10 @@ from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
 from taccel_lab.calibration.contacts.fit import place_heldout
-from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.refit.light_change import RefitFrame
-from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_skirts
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_surfaces
+from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.color_model import ColorModel
@@ -73,14 +72,14 @@ def refit_frames(
     usable = usable_circles(training, cache=False)
     training, circles = usable.captures, usable.circles
     pad, rest = layer_of(profile), rest_surface(profile.mesh, captures.grid)
-    made = layer_skirts(training, circles, pad, rest)
+    made = layer_surfaces(training, circles, pad, rest)
     frames += _pressed(profile, training, circles, made)
     if not split.heldout:
         return NewFrames(frames, [], _providers(made))
     others = captures.only(split.heldout)
-    shift = LabelPlacement.of(training.presses, circles)
+    shift = usable.labels
     placed = [place_heldout(press, press.image(), others, shift) for press in others.presses]
-    made_there = layer_skirts(others, placed, pad, rest)
+    made_there = layer_surfaces(others, placed, pad, rest)
     heldout = _pressed(profile, others, placed, made_there)
     return NewFrames(frames, heldout, _providers([*made, *made_there]))
 
@@ -89,7 +88,7 @@ def _pressed(
     profile: SensorProfile,
     captures: CaptureSet,
     circles: list[ContactCircle],
-    surfaces: list[PressSurface],
+    surfaces: list[BallSurface],
 ) -> list[RefitFrame]:
     """The presses with the change that the profile's colour model gives for them."""
     model = ColorModel.from_profile(profile)
@@ -110,7 +109,7 @@ def _pressed(
     return frames
 
 
-def _predicted_change(model: ColorModel, surface: PressSurface) -> np.ndarray:
+def _predicted_change(model: ColorModel, surface: BallSurface) -> np.ndarray:
     """Change of colour that the model gives for a press [levels], [height_px, width_px, 3]."""
     change = model.predict_pixels(
         np.arange(surface.height_m.size),
@@ -121,7 +120,7 @@ def _predicted_change(model: ColorModel, surface: PressSurface) -> np.ndarray:
     return change.reshape(surface.normals.shape)
 
 
-def _providers(surfaces: list[PressSurface]) -> str:
+def _providers(surfaces: list[BallSurface]) -> str:
     return ", ".join(sorted({surface.provider for surface in surfaces}))
 
 

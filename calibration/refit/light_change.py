@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.light.fit import biweight
-from taccel_lab.calibration.light.light import Light, unit_position
+from taccel_lab.calibration.light.light import LightDrift, unit_position
 from taccel_lab.calibration.robust_spread import spread_about_zero
 from taccel_lab.errors import InputError
 
@@ -30,7 +30,7 @@ FRAME_PIXELS = 12_000
 BIWEIGHT = 4.0
 ITERATIONS = 8
 FLAT_LEVELS = 4.0
-"""Spread of a background's channel below which its gain cannot be told from its offset."""
+"""Spread of a background's channel below which its gain cannot be separated from its offset."""
 PRIOR_SIGMA = np.array([0.5, 1.0, 50.0, 15.0, 15.0])
 """Prior spread of gain, response, offset and the gradient's parts around no change."""
 NO_CHANGE = np.array([1.0, 1.0, 0.0, 0.0, 0.0])
@@ -56,7 +56,7 @@ class RefitFrame:
 class LightChange:
     """Change of every channel since the profile was made."""
 
-    light: Light
+    light: LightDrift
     """Of the background."""
     response: np.ndarray
     """Factor of the colour change, shape [3]."""
@@ -182,7 +182,7 @@ def _biweight_fit(
 
 def _light(channels: Sequence[np.ndarray]) -> LightChange:
     rows = np.array(channels)
-    return LightChange(Light(rows[:, 0], rows[:, 2], rows[:, 3:]), rows[:, 1])
+    return LightChange(LightDrift(rows[:, 0], rows[:, 2], rows[:, 3:]), rows[:, 1])
 
 
 def _jackknife(left_out: Sequence[LightChange]) -> LightChange:
@@ -191,7 +191,7 @@ def _jackknife(left_out: Sequence[LightChange]) -> LightChange:
         count = len(stack)
         return np.sqrt((count - 1) / count * ((stack - stack.mean(axis=0)) ** 2).sum(axis=0))
 
-    light = Light(
+    light = LightDrift(
         sigma([x.light.gain for x in left_out]),
         sigma([x.light.offset for x in left_out]),
         sigma([x.light.gradient for x in left_out]),

@@ -64,7 +64,7 @@ def color_discs(
     Args:
         model: Colour model.
         span: Largest sine of the tilt.
-        displacement_mm: Rise of the face over rest that goes with it [mm].
+        displacement_mm: Rise of the face over rest that belongs to it [mm].
         rest_normals: Of the untouched face, shape [height_px, width_px, 3]; flat if missing.
         trained_sine: Largest sine of the tilt that the model was fitted to.
     """

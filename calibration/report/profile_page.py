@@ -9,13 +9,12 @@ from typing import Any
 from taccel_lab.calibration.report import remarks
 from taccel_lab.calibration.report.profile_figures import (
     draw_depth_response,
-    draw_image_at_rest,
     draw_perturbed,
     draw_profile_discs,
-    draw_profile_mesh,
 )
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.profile import Block, SensorProfile
+from taccel_lab.report.figures_mesh import draw_mesh
 from taccel_lab.report.mesh_view import mesh_view
 from taccel_lab.report.page import Page, Picture, Table
 from taccel_lab.report.remark import Remark, Severity
@@ -176,7 +175,7 @@ def _pictures(profile: SensorProfile) -> list[Picture]:
     pictures = [
         Picture(
             "mesh",
-            lambda: draw_profile_mesh(profile),
+            lambda: draw_mesh(mesh.nodes_m, mesh.faces, mesh.face_regions),
             "The gel's mesh, faces by region.",
             mesh_view(mesh.nodes_m, mesh.faces, mesh.face_regions),
         )
@@ -185,7 +184,7 @@ def _pictures(profile: SensorProfile) -> list[Picture]:
         pictures.append(
             Picture(
                 "image_at_rest",
-                lambda: draw_image_at_rest(profile),
+                profile.plot,
                 "The untouched sensor, in mm of the gel frame"
                 + ("; circles are the markers' places." if profile.markers else "."),
             )

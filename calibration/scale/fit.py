@@ -18,6 +18,7 @@ from taccel_lab.calibration.scale.landmarks import scale_from_landmarks
 from taccel_lab.calibration.scale.pitches import scale_from_boards, scale_from_markers
 from taccel_lab.calibration.scale.result import STATED, ScaleCalibration
 from taccel_lab.calibration.scale.spheres import measure_contacts, scale_from_spheres
+from taccel_lab.calibration.scale.stage import scale_from_stage
 from taccel_lab.calibration.shared_remarks import SCALE_NOT_MEASURED
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
@@ -62,7 +63,7 @@ def calibrate_scale(
         raise InputError(
             f"{folder.source} holds nothing of known length: give a board on the gel (on_gel = "
             "true, pitch_mm), [[edges]] with length_mm, [markers] with pitch_x_mm and "
-            "pitch_y_mm, [[landmarks]], or ball presses with depth_mm "
+            "pitch_y_mm, [[landmarks]], ball presses with stage_mm or depth_mm "
             "(docs/calibration_camera.md)"
         )
     estimates: list[ScaleEstimate] = []
@@ -136,10 +137,18 @@ def _add_spheres(
     ratio = 1.0
     if "x" in axes and "y" in axes:
         ratio = axes["y"].estimate.value / axes["x"].estimate.value
-    try:
-        estimates.append(scale_from_spheres(*measure_contacts(folder, ratio), ratio))
-    except InputError as error:
-        failures["spheres"] = str(error)
+    contacts, refused = measure_contacts(folder, ratio)
+    placed = [contact for contact in contacts if contact.press.stage_mm is not None]
+    jobs: dict[str, Callable[[], ScaleEstimate]] = {
+        "spheres": lambda: scale_from_spheres(contacts, refused, ratio)
+    }
+    if placed:
+        jobs["stage"] = lambda: scale_from_stage(placed)
+    for name, job in jobs.items():
+        try:
+            estimates.append(job())
+        except InputError as error:
+            failures[name] = str(error)
     progress("finding contacts", 1, 1)
 
 

@@ -21,8 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from taccel_lab.calibration.capture.captures import Press
+from taccel_lab.calibration.capture.captures import CapturedPress
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.capture.sensor_facts import sensor_facts
 from taccel_lab.calibration.contacts.seen import seen_contact
 from taccel_lab.calibration.result import NORMAL_95, Estimate
 from taccel_lab.calibration.robust_spread import spread_about_zero
@@ -43,8 +44,9 @@ MIN_DEPTHS = 3
 class BallContact:
     """The contact of one press."""
 
-    press: Press
+    press: CapturedPress
     ball_mm: float
+    center_px: tuple[float, float]
     radius_px: float
     sigma_px: float
     labelled: bool
@@ -62,21 +64,26 @@ def measure_contacts(
     background = folder.require_background().image()
     height, width = background.shape[:2]
     grid = PixelGrid(width, height, 1.0, ratio)
+    facts = sensor_facts(folder.sensor, folder.design)
+    grey = "grey" if facts is not None and facts.is_grey else None
     for press in folder.presses:
         ball = press.radius_mm or folder.ball_radius_mm
         if ball is None:
             refused.append(f"{press.source}: the radius of the ball is not stated")
             continue
         if press.circle is not None:
-            found.append(BallContact(press, ball, press.circle.radius_px, MIN_SIGMA_PX, True))
+            center = press.circle.u_px, press.circle.v_px
+            radius = press.circle.radius_px
+            found.append(BallContact(press, ball, center, radius, MIN_SIGMA_PX, True))
             continue
         try:
-            contact = seen_contact(press, background, grid, folder.mask)
+            contact = seen_contact(press, background, grid, folder.mask, grey)
         except InputError as error:
             refused.append(str(error))
             continue
         sigma = max(contact.radius_sigma_px, MIN_SIGMA_PX)
-        found.append(BallContact(press, ball, contact.circle.radius_px, sigma, False))
+        center = contact.circle.u_px, contact.circle.v_px
+        found.append(BallContact(press, ball, center, contact.circle.radius_px, sigma, False))
     return found, refused
 
 

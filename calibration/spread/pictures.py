@@ -8,17 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taccel_lab.calibration.light.light import Light
-from taccel_lab.report.style import BLUE, GREEN, ORANGE, in_report_style, new_figure
+from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.report.style import CHANNELS, in_report_style, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CHANNELS = (("red", ORANGE), ("green", GREEN), ("blue", BLUE))
-
 
 @in_report_style
-def draw_lights(lights: Sequence[Light], pivot: np.ndarray) -> Figure:
+def draw_lights(lights: Sequence[LightDrift], pivot: np.ndarray) -> Figure:
     """Gain, and offset at the mean level, of each light in order."""
     order = np.arange(len(lights))
     figure, (left, right) = new_figure(9.0, 3.4, 1, 2)

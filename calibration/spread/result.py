@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.light.drift import drift_spread
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.result import ResultSummary
 from taccel_lab.calibration.shared_remarks import TOO_FEW
 from taccel_lab.calibration.spread.units import UnitSpread
@@ -31,7 +31,7 @@ FEW = 5
 class SpreadCalibration(ResultSummary):
     """A perturbation block with what it rests on."""
 
-    frame_drifts: tuple[Light, ...]
+    frame_drifts: tuple[LightDrift, ...]
     """Light of each frame against the background."""
     frame_noise_levels: float | None
     units: UnitSpread | None
@@ -67,7 +67,7 @@ class SpreadCalibration(ResultSummary):
         return values
 
     @property
-    def lights(self) -> tuple[Light, ...]:
+    def lights(self) -> tuple[LightDrift, ...]:
         """The lights whose spread is taken: of the units where there are several, else frames."""
         if self.units is not None and self.units.lights:
             return self.units.lights
@@ -132,7 +132,7 @@ class SpreadCalibration(ResultSummary):
 
 
 def light_spread(
-    lights: Sequence[Light], pivot: np.ndarray
+    lights: Sequence[LightDrift], pivot: np.ndarray
 ) -> dict[str, tuple[float, float, float]]:
     """Standard deviations of gain, offset and gradient between lights, by channel.
 
@@ -163,5 +163,5 @@ def _triple(values: np.ndarray) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])
 
 
-def _drift_figures(drift: Light) -> dict[str, Any]:
+def _drift_figures(drift: LightDrift) -> dict[str, Any]:
     return {"gain": drift.gain, "offset": drift.offset, "gradient": drift.gradient}

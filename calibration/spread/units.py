@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 
@@ -23,7 +23,7 @@ class UnitSpread:
     """Standard deviations between units; None of what fewer than two of them measured."""
 
     unit_count: int
-    lights: tuple[Light, ...]
+    lights: tuple[LightDrift, ...]
     """Light of each unit against the mean of all images at rest; empty without images."""
     mm_per_px_relative: float | None
     center_px: float | None
@@ -89,7 +89,7 @@ def _relative(values: Sequence[float]) -> float | None:
     return float(np.std(values, ddof=1) / np.mean(values))
 
 
-def _lights(profiles: Sequence[SensorProfile]) -> tuple[Light, ...]:
+def _lights(profiles: Sequence[SensorProfile]) -> tuple[LightDrift, ...]:
     images = [p.background_rgb for p in profiles if p.background_rgb is not None]
     if len(images) < 2 or len({image.shape for image in images}) > 1:
         return ()

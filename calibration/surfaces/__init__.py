@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gel surfaces under calibration presses."""
 
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.surfaces.press_surface import BallSurface
 
-__all__ = ["PressSurface"]
+__all__ = ["BallSurface"]

@@ -17,8 +17,7 @@ from taccel_lab.calibration.surfaces.bonded_layer import (
     LayerPress,
     press_layer,
 )
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
-from taccel_lab.calibration.surfaces.radial import slope_of
+from taccel_lab.calibration.surfaces.press_surface import BallSurface, slope_of
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
@@ -41,7 +40,7 @@ pressed for the part of them that touches: what 8 to 60 points per radius say of
 of balls 0.3 to 1.6 mm in 4 mm (0.06 to 0.3)."""
 
 
-SurfaceMaker = Callable[[CaptureSet, Sequence[ContactCircle]], list[PressSurface]]
+SurfaceMaker = Callable[[CaptureSet, Sequence[ContactCircle]], list[BallSurface]]
 """Surfaces of presses in circles, in order; InputError for a circle that the ball cannot leave."""
 
 
@@ -51,9 +50,9 @@ def layer_of(profile: SensorProfile) -> BondedLayer:
     return BondedLayer(profile.gel.thickness_mm, nearly)
 
 
-def layer_skirts(
+def layer_surfaces(
     captures: CaptureSet, circles: Sequence[ContactCircle], layer: BondedLayer, rest: RestSurface
-) -> list[PressSurface]:
+) -> list[BallSurface]:
     """Surfaces of all presses on a pad, in order: the ball's shape in the contact, and what a
     bonded layer does around it.
 
@@ -71,11 +70,11 @@ def layer_skirts(
 
 def ball_surface(
     circle: ContactCircle, ball_mm: float, grid: PixelGrid, layer: BondedLayer, rest: RestSurface
-) -> PressSurface:
+) -> BallSurface:
     """A layer, at rest as ``rest``, under a ball that touches it in ``circle``."""
     depth_mm, rise_mm = ball_in_layer(circle, ball_mm, grid, layer)
     slope = slopes_from_height(1e-3 * rise_mm, grid)
-    return PressSurface(
+    return BallSurface(
         height_m=rest.height_m + 1e-3 * rise_mm,
         rest_height_m=rest.height_m,
         normals=normals_from_slopes(slope + slope_of(rest.normals)),
@@ -112,7 +111,7 @@ def ball_in_layer(
 
 
 def depth_share(
-    presses: Sequence[tuple[PressSurface, ContactCircle]],
+    presses: Sequence[tuple[BallSurface, ContactCircle]],
     radius_sigma_px: float,
     ball_mm: float,
     grid: PixelGrid,
@@ -174,11 +173,13 @@ def _pressed_to(
     The contact's area grows nearly in proportion to the depth, so that is the step.
     """
     depth = min(wanted_mm**2 / ball_mm, 0.5 * layer.thickness_mm)
+    found = None
     for _ in range(MAX_TRIES):
-        found = press_layer(tool_mm, depth, step_mm, layer)
+        found = press_layer(tool_mm, depth, step_mm, layer, start=found)
         area = float(found.contact.sum()) * step_mm[0] * step_mm[1]
         radius = np.sqrt(max(area, step_mm[0] * step_mm[1]) / np.pi) - RIM_STEPS * step_mm[0]
         if abs(radius - wanted_mm) < RADIUS_TOLERANCE * wanted_mm:
             break
         depth = min(depth * (wanted_mm / radius) ** 2, 0.95 * layer.thickness_mm)
+    assert found is not None
     return depth, found

@@ -87,6 +87,7 @@ def press_layer(
     layer: BondedLayer,
     *,
     tolerance: float = 1e-3,
+    start: LayerPress | None = None,
 ) -> LayerPress:
     """Press a tool into the layer.
 
@@ -97,6 +98,7 @@ def press_layer(
         step_mm: Distance of the grid's points along x and y.
         layer: The gel.
         tolerance: Largest penetration, and largest gap in the contact, over the depth.
+        start: The press at a depth near by, from which a few steps are left.
     """
     if not 0 < depth_mm < layer.thickness_mm:
         raise InputError(
@@ -105,7 +107,8 @@ def press_layer(
     gap = np.minimum(tool_mm, FAR_MM) - depth_mm
     if (gap >= 0).all():
         raise InputError("the tool does not reach the face; give its height over its lowest point")
-    pressure = pressure_under(gap, step_mm, layer, tolerance * depth_mm)
+    near = None if start is None else start.pressure
+    pressure = pressure_under(gap, step_mm, layer, tolerance * depth_mm, near)
     return LayerPress(rise_under(pressure, step_mm, layer), pressure.astype(np.float64))
 
 

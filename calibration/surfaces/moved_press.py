@@ -8,19 +8,16 @@ gel stays in; the change with the contact radius is that of the radial profiles.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import map_coordinates
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
-from taccel_lab.calibration.surfaces.radial import RadialSurfaces, slope_of
+from taccel_lab.calibration.surfaces.press_surface import BallSurface, slope_of
+from taccel_lab.calibration.surfaces.radial import RadialSurfaces
 from taccel_lab.signals.normals import normals_from_slopes
 
-MOVED_RADII = 2.7
-"""Beyond this many contact radii a surface stays where it was: it is nearly at rest there."""
 _MAX_TILT = math.radians(88.0)
 
 
@@ -39,7 +36,7 @@ class MovedPress:
     @classmethod
     def of(
         cls,
-        surface: PressSurface,
+        surface: BallSurface,
         circle: ContactCircle,
         library: RadialSurfaces,
         reach_radii: float = 3.0,
@@ -91,42 +88,3 @@ class MovedPress:
         slope = rest + np.stack([slope_x, slope_y], axis=-1)
         slope += change[:, None] * np.stack([x, y], axis=-1)
         return normals_from_slopes(slope), sunk + after[1] - before[1]
-
-
-def moved_surfaces(
-    surfaces: Sequence[PressSurface],
-    simulated: Sequence[ContactCircle],
-    circles: Sequence[ContactCircle],
-    library: RadialSurfaces,
-) -> list[PressSurface]:
-    """Surfaces simulated at some circles as if simulated at others near them.
-
-    The travel changes with what the gel sinks at the middle.
-    """
-    grid = library.grid
-    moved = []
-    for surface, at, circle in zip(surfaces, simulated, circles, strict=True):
-        if circle == replace(at, radius_px=surface.contact_radius_px):
-            moved.append(surface)
-            continue
-        near = np.flatnonzero(circle.distance_px(grid) <= MOVED_RADII * circle.radius_px)
-        normals, height = surface.normals.copy(), surface.height_m.copy()
-        found, sunk = MovedPress.of(surface, at, library).at(circle, near)
-        normals.reshape(-1, 3)[near] = found
-        height.reshape(-1)[near] = surface.rest_height_m.reshape(-1)[near] + sunk * 1e-3
-        middle = np.zeros(1)
-        deeper_mm = (
-            library.profiles_at(surface.contact_radius_px, middle)[1]
-            - library.profiles_at(circle.radius_px, middle)[1]
-        )
-        moved.append(
-            replace(
-                surface,
-                normals=normals,
-                height_m=height,
-                contact_radius_px=circle.radius_px,
-                depth_mm=surface.depth_mm + float(deeper_mm[0]),
-                provider=f"{surface.provider}, moved",
-            )
-        )
-    return moved

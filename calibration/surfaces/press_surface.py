@@ -12,7 +12,7 @@ from taccel_lab.errors import InputError
 
 
 @dataclass(frozen=True)
-class PressSurface:
+class BallSurface:
     """Deformed and undeformed contact face of the gel on the image's pixel grid, gel frame."""
 
     height_m: np.ndarray
@@ -52,3 +52,8 @@ class PressSurface:
     def displacement_mm(self) -> np.ndarray:
         """Rise of the face over its rest position [mm], negative below, shape [height, width]."""
         return (self.height_m - self.rest_height_m) * 1e3
+
+
+def slope_of(normals: np.ndarray) -> np.ndarray:
+    """dh/dx and dh/dy of outward normals, shape [..., 2]."""
+    return -normals[..., :2] / np.maximum(normals[..., 2:], 1e-3)

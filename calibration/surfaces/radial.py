@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.surfaces.press_surface import BallSurface, slope_of
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -46,7 +46,7 @@ class RadialSurfaces:
     @classmethod
     def of(
         cls,
-        surfaces: Sequence[PressSurface],
+        surfaces: Sequence[BallSurface],
         circles: Sequence[ContactCircle],
         grid: PixelGrid,
     ) -> RadialSurfaces:
@@ -94,13 +94,8 @@ class RadialSurfaces:
         return tilt, sunk * radius_mm
 
 
-def slope_of(normals: np.ndarray) -> np.ndarray:
-    """dh/dx and dh/dy of outward normals, shape [..., 2]."""
-    return -normals[..., :2] / np.maximum(normals[..., 2:], 1e-3)
-
-
 def _profile(
-    surface: PressSurface, circle: ContactCircle, grid: PixelGrid
+    surface: BallSurface, circle: ContactCircle, grid: PixelGrid
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean tilt [rad] and displacement per contact radius around a press, shape [sample]."""
     count = round(REACH / STEP) + 1

@@ -4,7 +4,7 @@
 Beside the pad there is no gel that a press could move, and near its edge a pressed pad may leave
 pixels that it covered: meshes cut rounded corners short (by 0.11 mm on a GelSight Mini), and gel
 gives way. Such pixels are used by nothing. An image that shows clearly more than the pad is
-refused: its scale is wrong, or what lies beside the gel has to be masked.
+rejected: its scale is wrong, or what lies beside the gel has to be masked.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The thickness of the gel from its ball presses, and the profile of such a gel.
 
-A thickness that nobody measured is fitted, and its interval goes with the profile into every ± of a
+A thickness that nobody measured is fitted, and its interval enters, by the profile, every ± of a
 depth. One that is stated for this very gel has to agree with the images. One that a publication
 gives, of another unit, stays: where images contradict it the interval reaches to what they tell.
 """
@@ -22,7 +22,7 @@ from taccel_lab.calibration.press_options import ThicknessMode
 from taccel_lab.calibration.surfaces.ball_in_layer import layer_of
 from taccel_lab.calibration.surfaces.design import with_thickness
 from taccel_lab.calibration.thickness.layers import STEPS, THICKEST_MM, LayerFamily
-from taccel_lab.calibration.thickness.rings import BallImage, ToldByRings, told_by_rings
+from taccel_lab.calibration.thickness.rings import BallImage, RingEstimate, estimate_by_rings
 from taccel_lab.calibration.thickness.travel import TravelPress, log_likelihood
 from taccel_lab.errors import InputError
 from taccel_lab.profile import Provenance, SensorProfile
@@ -49,13 +49,13 @@ class GelThickness:
     """As taken."""
     interval_mm: tuple[float, float]
     """Bounds of 95 %; 16 mm stand for that and more."""
-    told_mm: tuple[float, float, float]
+    estimate_mm: tuple[float, float, float]
     """Median and bounds of 95 % that the captures tell."""
     before_mm: float
     """What the profile had."""
     origin: Origin
     """Where that came from."""
-    by_rings: ToldByRings | None
+    by_rings: RingEstimate | None
     """How the gel sinks around the balls; None where that tells nothing."""
     travels: int
     """Presses of known travel."""
@@ -72,18 +72,18 @@ class GelThickness:
 
     def sentence(self) -> str:
         """What is taken, and why."""
-        told, (low, high) = self._told(), self.interval_mm
+        words, (low, high) = self._estimate_words(), self.interval_mm
         if self.origin == "published" and not self.fitted:
             return (
-                f"The gel is taken as {self.thickness_mm:g} mm thick, as published; {told}, and "
+                f"The gel is taken as {self.thickness_mm:g} mm thick, as published; {words}, and "
                 f"every ± of a depth holds {low:.1f} to {high:.1f} mm."
             )
         return (
             f"The gel is taken as {self.thickness_mm:.3g} mm thick "
-            f"({low:.1f} to {high:.1f}): {told}."
+            f"({low:.1f} to {high:.1f}): {words}."
         )
 
-    def _told(self) -> str:
+    def _estimate_words(self) -> str:
         by = []
         if self.by_rings is not None:
             by.append(f"how it sinks around {self.balls} balls")
@@ -91,7 +91,7 @@ class GelThickness:
             by.append(f"the travel of {self.travels} presses")
         if not by:
             return "nobody measured it, and neither rings around the balls nor travel tell it"
-        _, low, high = self.told_mm
+        _, low, high = self.estimate_mm
         most = f"{high:.1f} mm" if high < 0.97 * THICKEST_MM else "more"
         return f"{' and '.join(by)} says {low:.1f} to {most}"
 
@@ -100,7 +100,7 @@ class GelThickness:
         return {
             "thickness_mm": self.thickness_mm,
             "interval_mm": list(self.interval_mm),
-            "told_mm": list(self.told_mm),
+            "estimate_mm": list(self.estimate_mm),
             "before_mm": self.before_mm,
             "before": self.origin,
             "unexplained": None if self.by_rings is None else self.by_rings.unexplained,
@@ -116,7 +116,7 @@ class GelThickness:
         if self.fitted:
             changes |= {
                 "kind": "calibrated",
-                "method": f"{NAME} fitted: {self._told()}",
+                "method": f"{NAME} fitted: {self._estimate_words()}",
                 "source": f"{self.source}; {known.source}",
                 "inputs": self.inputs,
                 "residuals": {
@@ -191,8 +191,8 @@ def gel_thickness(
             return None
     density = _density(layers.thickness_mm, rings)
     if travels:
-        told = log_likelihood(travels, layers.thickness_mm, layer.poisson_ratio)
-        density = density * np.exp(told - told.max())
+        log_density = log_likelihood(travels, layers.thickness_mm, layer.poisson_ratio)
+        density = density * np.exp(log_density - log_density.max())
     low, middle, high = _quantiles(layers.thickness_mm, density)
     taken, interval = before, (low, high)
     contradicted = not low <= before <= high
@@ -213,7 +213,7 @@ def gel_thickness(
     return GelThickness(
         thickness_mm=taken,
         interval_mm=interval,
-        told_mm=(middle, low, high),
+        estimate_mm=(middle, low, high),
         before_mm=before,
         origin=origin,
         by_rings=rings,
@@ -231,7 +231,7 @@ def _rings(
     balls_mm: Sequence[float],
     profile: SensorProfile,
     layers: LayerFamily,
-) -> ToldByRings | None:
+) -> RingEstimate | None:
     """What the images tell; nothing on a curved gel."""
     rest = rest_surface(profile.mesh, captures.grid)
     if rest.normals[..., 2].min() < FLAT:
@@ -243,10 +243,10 @@ def _rings(
         image = press.image().astype(np.float32)
         light = fit_light(image, background, mask, gradient=False)
         presses.append(BallImage(light.remove(image) - background, circle, ball))
-    return told_by_rings(presses, captures.grid, captures.mask, layers)
+    return estimate_by_rings(presses, captures.grid, captures.mask, layers)
 
 
-def _density(thickness_mm: np.ndarray, rings: ToldByRings | None) -> np.ndarray:
+def _density(thickness_mm: np.ndarray, rings: RingEstimate | None) -> np.ndarray:
     """Of the logarithm of the thickness: even where images tell nothing, else about what they tell
     as widely as the layer's law may misjudge it."""
     if rings is None:

@@ -5,6 +5,7 @@ circle, and how it slopes beside it."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -37,6 +38,7 @@ class LayerFamily:
     """Slopes towards the ball there, shape [layer, place]."""
 
     @classmethod
+    @lru_cache(maxsize=8)  # Blocks that are fitted to the same presses ask for the same layers.
     def under(cls, radius_mm: float, ball_mm: float, poisson_ratio: float) -> LayerFamily:
         """Layers that a ball touches in a circle of ``radius_mm``."""
         touched = min(radius_mm, LARGEST_RADII * ball_mm)

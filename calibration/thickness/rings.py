@@ -58,7 +58,7 @@ class _Rings:
 
 
 @dataclass(frozen=True)
-class ToldByRings:
+class RingEstimate:
     """What the images tell."""
 
     thickness_mm: np.ndarray
@@ -68,9 +68,9 @@ class ToldByRings:
     """Share of the slopes beside that the nearest layer leaves over."""
 
 
-def told_by_rings(
+def estimate_by_rings(
     presses: Sequence[BallImage], grid: PixelGrid, usable: np.ndarray, layers: LayerFamily
-) -> ToldByRings | None:
+) -> RingEstimate | None:
     """What presses on a flat gel tell of its thickness; None where too few rings around the
     contacts lie in the image, or no layer explains them.
 
@@ -99,12 +99,12 @@ def told_by_rings(
     left = min((found[1] for found in whole if found is not None), default=np.inf)
     if left > UNEXPLAINED:
         return None
-    rng, told = np.random.default_rng(0), []
+    rng, estimates = np.random.default_rng(0), []
     for _ in range(RESAMPLED):
         drawn = rng.integers(0, len(presses), len(presses))
         resampled = _Rings(rings.harmonic[drawn], rings.ball_slope[drawn])
-        told += [found[0] for free in (False, True) if (found := nearest(resampled, free))]
-    return ToldByRings(np.array(told), left) if len(told) >= RESAMPLED else None
+        estimates += [found[0] for free in (False, True) if (found := nearest(resampled, free))]
+    return RingEstimate(np.array(estimates), left) if len(estimates) >= RESAMPLED else None
 
 
 def _measure(presses: Sequence[BallImage], grid: PixelGrid, usable: np.ndarray) -> _Rings:

@@ -28,7 +28,7 @@ def report_folder(out: Path, report: Path | None) -> Path:
     """Where the report goes: the folder asked for, or ``<out>_report`` beside the profile."""
     if report is not None:
         return report
-    if out.name in ("", ".."):  # These have no name of their own.
+    if out.name in ("", ".."):  # These have no name.
         out = Path(os.path.abspath(out))
     if not out.name:
         raise InputError(f"{out} cannot be a profile folder; name a new or empty folder")

@@ -40,7 +40,7 @@ class CalibrateForce(ForceOptions):
         from taccel_lab.datasets.reading import Dataset
         from taccel_lab.errors import InputError
         from taccel_lab.learning.force.fit import calibrate_force
-        from taccel_lab.learning.force.report import force_page
+        from taccel_lab.learning.force.force_page import force_page
         from taccel_lab.learning.force.training_file import TrainingFile
         from taccel_lab.processes.start_warp import start_warp
         from taccel_lab.profile import load_profile

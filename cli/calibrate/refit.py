@@ -35,7 +35,7 @@ class CalibrateRefit:
         from taccel_lab.calibration.capture import load_capture_folder
         from taccel_lab.calibration.recorded import with_session
         from taccel_lab.calibration.refit.fit import calibrate_refit
-        from taccel_lab.calibration.refit.report import refit_page
+        from taccel_lab.calibration.refit.refit_page import refit_page
         from taccel_lab.cli.calibrate.base import (
             Sayings,
             report_folder,

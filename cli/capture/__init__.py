@@ -14,7 +14,6 @@ def capture_commands() -> dict[str, Any]:
     from taccel_lab.cli.capture.import_ import CaptureImport
     from taccel_lab.cli.capture.record import CaptureQuick, CaptureRecord
     from taccel_lab.cli.capture.rectify import CaptureRectify
-    from taccel_lab.cli.capture.review import CaptureReview
 
     return {
         "check": CaptureCheckCommand,
@@ -23,6 +22,5 @@ def capture_commands() -> dict[str, Any]:
         "record": CaptureRecord,
         "quick": CaptureQuick,
         "import": CaptureImport,
-        "review": CaptureReview,
         "rectify": CaptureRectify,
     }

@@ -32,7 +32,9 @@ class CaptureCheckCommand:
     captures: Positional[Path]
     """Capture folder with captures.toml, or captures in any layout that capture import reads."""
     report: Path | None = None
-    """Folder for a report with pictures (report.html). Default: none."""
+    """Folder for report.html with a picture of each press, worst first, and contacts.toml with the
+    circles found. Correct that file where it is wrong and copy it into the capture folder; all
+    commands then use your circles. Default: none."""
     json: bool = False
     """Print everything found as JSON."""
 

@@ -4,28 +4,29 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import Positional
 
-from taccel_lab.cli.camera_options import CameraOptions
+from taccel_lab.cli.camera_options import CameraFlags
 from taccel_lab.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.calibration.record.facts import RecordFacts
-    from taccel_lab.calibration.record.session import Status
+    from taccel_lab.calibration.record.session import SessionStatus
 
 PORT = 8091
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Session(CameraOptions):
+class _Session(CameraFlags):
     sensor: Positional[str]
     """Sensor of the catalogue (taccel-lab sensors list), or the folder of a profile; flat_pad for
     any other."""
@@ -55,8 +56,10 @@ class _Session(CameraOptions):
     json: bool = False
     """Print what was recorded as JSON."""
 
-    def run_as(self, presses: int | None, quick: bool) -> None:
-        """Record; ``presses`` None: as many as the sensor's plan has."""
+    def run_as(
+        self, presses: int | None, quick: bool, made: Sequence[Mapping[str, Any]] = ()
+    ) -> None:
+        """Record; ``presses`` None: as many as the sensor's plan has. ``made``: by a stage."""
         from taccel_lab.calibration.capture.camera import CameraLostError
         from taccel_lab.calibration.capture.guide import capture_plan
         from taccel_lab.calibration.record.folder import open_record
@@ -72,7 +75,7 @@ class _Session(CameraOptions):
         wanted = presses or capture_plan(self.sensor).press_count
         console = notes()
 
-        with ExitStack() as stack, open_record(self.out, facts) as folder:
+        with ExitStack() as stack, open_record(self.out, facts, made) as folder:
             recorder = Recorder(folder, facts, wanted)
             watchers: list[Watcher] = [_Lines(console)]
             if quick:
@@ -104,7 +107,7 @@ class _Session(CameraOptions):
                 if isinstance(error, KeyboardInterrupt):
                     raise SystemExit(130) from None
                 raise
-        self._report(status, facts, quick)
+        self._report(status, quick, folder.out_of_step)
 
     def _facts(self, quick: bool) -> RecordFacts:
         from taccel_lab.calibration.record.facts import RecordFacts
@@ -127,7 +130,7 @@ class _Session(CameraOptions):
             framing=str(self.framing()),
         )
 
-    def _report(self, status: Status, facts: RecordFacts, quick: bool) -> None:
+    def _report(self, status: SessionStatus, quick: bool, out_of_step: str) -> None:
         from taccel_lab.calibration.capture import load_capture_folder
         from taccel_lab.calibration.record.facts import QUICK_LEAVES_OUT
         from taccel_lab.cli.console import print_json, results
@@ -147,10 +150,11 @@ class _Session(CameraOptions):
                     "finished": status.finished,
                     "contents": contents,
                     "lamps": [
-                        {"name": lamp.name, "state": lamp.state, "told": lamp.told}
+                        {"name": lamp.name, "state": lamp.state, "told": lamp.text}
                         for lamp in status.lamps
                     ],
                     "left_out": list(QUICK_LEAVES_OUT) if quick else [],
+                    "out_of_step": out_of_step,
                 }
             )
             return
@@ -158,7 +162,9 @@ class _Session(CameraOptions):
         console.print(f"wrote {self.out}: {status.taken} of {status.wanted} presses")
         for lamp in status.lamps:
             if lamp.state in ("warn", "bad"):
-                console.print(f"  {lamp.name}: {lamp.told}")
+                console.print(f"  {lamp.name}: {lamp.text}")
+        if out_of_step:
+            console.print(out_of_step, soft_wrap=True)
         out = shlex.quote(str(self.out))
         if status.taken < status.wanted:
             console.print("the same command continues it")
@@ -178,9 +184,20 @@ class CaptureRecord(_Session):
 
     presses: int | None = None
     """Number of presses. Default: that of capture guide."""
+    table: Path | None = None
+    """Table of the presses that a printer makes meanwhile (printer_presses.csv of capture guide
+    --printer): each gets its depth and place."""
 
     def run(self) -> None:
-        self.run_as(self.presses, quick=False)
+        from taccel_lab.calibration.capture.press_table import read_press_table
+
+        if self.table is None:
+            self.run_as(self.presses, quick=False)
+            return
+        if self.presses is not None:
+            raise InputError("--presses and --table both say how many; leave --presses away")
+        made = read_press_table(self.table)
+        self.run_as(len(made), quick=False, made=made)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,7 +224,7 @@ class _Lines:
         self._prompt = ""
         self._bad: set[str] = set()
 
-    def show(self, status: Status) -> None:
+    def show(self, status: SessionStatus) -> None:
         new = []
         for message in status.messages:
             if self._said and message is self._said[0]:
@@ -218,8 +235,8 @@ class _Lines:
             self._console.print(message)
         bad = {lamp.name for lamp in status.lamps if lamp.state == "bad"}
         for lamp in status.lamps:
-            if lamp.name in bad - self._bad and lamp.told != status.prompt:
-                words = f"{lamp.name}: {lamp.told}"
+            if lamp.name in bad - self._bad and lamp.text != status.prompt:
+                words = f"{lamp.name}: {lamp.text}"
                 self._console.print(words)
         self._bad |= bad
         if status.prompt != self._prompt:

@@ -23,7 +23,7 @@ from taccel_lab.learning.force import remarks as say
 from taccel_lab.learning.force.options import ForceOptions
 from taccel_lab.learning.force.result import ForceCalibration
 from taccel_lab.learning.force.samples import (
-    Samples,
+    ForceSamples,
     Split,
     patch_count,
     read_samples,
@@ -43,7 +43,7 @@ from taccel_lab.learning.force.score import (
 )
 from taccel_lab.learning.force.train import (
     LightSpread,
-    Told,
+    Predictions,
     tell,
     torch_device,
     train_force_model,
@@ -77,7 +77,7 @@ def calibrate_force(
         folders: Of one data set, of several or of its shards.
         base: Profile that the block is for; the data set's own when None.
         options: Of the training.
-        progress: Told of reading and training.
+        progress: Reports reading and training.
         kept: Where the training is kept and gone on with; for the caller to remove at the end.
 
     Raises:
@@ -95,19 +95,19 @@ def calibrate_force(
     centers = patch_centers_mm(config, profile.grid())
     light = _light(profile)
 
-    def read(name: str, touches: np.ndarray) -> Samples:
+    def read(name: str, touches: np.ndarray) -> ForceSamples:
         return read_samples(data, touches, config, f"touches for {name}", progress)
 
     train = read("training", split.train)
     trained = train_force_model(train, config, centers, light, options, progress, kept)
 
-    def told(samples: Samples, seed: int, strength: float = options.light) -> Told:
+    def predicted(samples: ForceSamples, seed: int, strength: float = options.light) -> Predictions:
         drawn = dataclasses.replace(options, light=strength)
         seed += options.seed
         return tell(samples, trained.config, trained.weights, centers, light, drawn, seed=seed)
 
     validation = read("validation", split.validation)
-    seen = told(validation, VALIDATION_SEED)
+    seen = predicted(validation, VALIDATION_SEED)
     config = dataclasses.replace(
         trained.config,
         sigma_factor=sigma_factors(validation, seen),
@@ -115,7 +115,7 @@ def calibrate_force(
     )
     # Nothing goes by these: read when the model is frozen.
     test = read("test", split.test)
-    found = told(test, TEST_SEED)
+    found = predicted(test, TEST_SEED)
     touched = test.targets[:, 2] > TOUCHED_N
     if not touched.any():
         raise InputError("no touch for the test presses on the gel; make a larger data set")
@@ -127,10 +127,10 @@ def calibrate_force(
         options=options,
         counts={"training": len(train), "validation": len(validation), "test": len(test)},
         test=test,
-        told=found,
+        predicted=found,
         overall=errors_of("all", test, found, config, touched),
         at_rest=errors_of("untouched", test, found, config, ~touched) if (~touched).any() else None,
-        same_light=errors_of("all", test, told(test, TEST_SEED, 0.0), config, touched),
+        same_light=errors_of("all", test, predicted(test, TEST_SEED, 0.0), config, touched),
         unknown_stiffness_n=float(np.sqrt(np.mean(actual[touched] ** 2))),
         tables=tables_of(test, found, config),
         false_alarms=float(outside_rows(found, config).mean()),
@@ -199,7 +199,7 @@ def _light(profile: SensorProfile) -> LightSpread:
     return LightSpread(block.gain_rgb, block.pivot_rgb, block.offset_rgb, block.gradient_rgb)
 
 
-def _floor(test: Samples, touched: np.ndarray) -> tuple[float, float]:
+def _floor(test: ForceSamples, touched: np.ndarray) -> tuple[float, float]:
     """Median and 95th percentile of the labels' estimated error [N]."""
     known = test.about["force_error_n"][touched]
     known = known[np.isfinite(known)]

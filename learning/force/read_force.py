@@ -17,11 +17,11 @@ import numpy as np
 
 from taccel_lab.calibration.dots.marker_picture import MarkerPicture, find_markers
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.likeness import unlike
+from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.markers.tracking import track_markers
 from taccel_lab.errors import InputError, naming
 from taccel_lab.files.atomic_file import write_json
-from taccel_lab.learning.force.report import draw_forces
+from taccel_lab.learning.force.force_page import draw_forces
 from taccel_lab.profile import SensorProfile
 from taccel_lab.report.style import ORANGE, in_report_style, new_figure, save_figure
 from taccel_lab.signals.force_model import (

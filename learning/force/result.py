@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.learning.force.options import ForceOptions
-from taccel_lab.learning.force.samples import Samples, Split
+from taccel_lab.learning.force.samples import ForceSamples, Split
 from taccel_lab.learning.force.score import Errors, Imposters, as_json
-from taccel_lab.learning.force.train import COMPARED, Told, Trained
+from taccel_lab.learning.force.train import COMPARED, Predictions, TrainedForces
 from taccel_lab.profile import ForceBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 from taccel_lab.signals.force_settings import (
@@ -23,15 +23,15 @@ from taccel_lab.signals.force_settings import (
 class ForceCalibration:
     """Result of ``calibrate_force``."""
 
-    trained: Trained
+    trained: TrainedForces
     config: ForceModelConfig
     """With factors and limits."""
     split: Split
     options: ForceOptions
     counts: dict[str, int]
     """Images for training, validation and test."""
-    test: Samples
-    told: Told
+    test: ForceSamples
+    predicted: Predictions
     """Of ``test``, in drawn lights."""
     overall: Errors
     """Of all touched images of the test."""

@@ -42,7 +42,7 @@ ASPECT = 0.01
 
 
 @dataclass(frozen=True)
-class Samples:
+class ForceSamples:
     """Steps of touches, a row each."""
 
     change: np.ndarray
@@ -190,7 +190,7 @@ def read_samples(
     config: ForceModelConfig,
     what: str = "touches",
     progress: Progress = silent,
-) -> Samples:
+) -> ForceSamples:
     """Read touches by their places in ``data.episodes``, ascending."""
     steps = data.steps
     chosen = np.flatnonzero(np.isin(steps["place"], touches))
@@ -220,7 +220,7 @@ def read_samples(
         axis=1,
     )
     targets = np.column_stack([wrench / factor[:, None], steps["contact_area_mm2"][chosen]])
-    return Samples(
+    return ForceSamples(
         change=levels.astype(np.float16),
         rest=rest.astype(np.float16),
         touch=touch,

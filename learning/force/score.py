@@ -14,10 +14,10 @@ import numpy as np
 import torch
 
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.likeness import unlike
+from taccel_lab.calibration.light.image_match import unlike
 from taccel_lab.calibration.result import NORMAL_95
-from taccel_lab.learning.force.samples import Samples
-from taccel_lab.learning.force.train import BATCH, BEYOND, Told, told_of
+from taccel_lab.learning.force.samples import ForceSamples
+from taccel_lab.learning.force.train import BATCH, BEYOND, Predictions, predictions_of
 from taccel_lab.signals.force_settings import (
     ForceModelConfig,
 )
@@ -70,13 +70,17 @@ class Imposters:
 
 
 def errors_of(
-    name: str, samples: Samples, told: Told, config: ForceModelConfig, rows: np.ndarray
+    name: str,
+    samples: ForceSamples,
+    predicted: Predictions,
+    config: ForceModelConfig,
+    rows: np.ndarray,
 ) -> Errors:
     """Errors of ``rows`` (bool) against labels at the nominal modulus."""
-    away = (told.targets - samples.targets)[rows].astype(np.float64)
+    away = (predicted.targets - samples.targets)[rows].astype(np.float64)
     truth = samples.targets[rows].astype(np.float64)
-    sigma = (told.sigma * np.array(config.sigma_factor))[rows]
-    patches = (told.patches_n - samples.patches_n)[rows]
+    sigma = (predicted.sigma * np.array(config.sigma_factor))[rows]
+    patches = (predicted.patches_n - samples.patches_n)[rows]
     firm = truth[:, 2] > 0.2
     relative = np.abs(away[firm, 2]) / truth[firm, 2]
     return Errors(
@@ -99,7 +103,9 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values, dtype=np.float64))))
 
 
-def tables_of(samples: Samples, told: Told, config: ForceModelConfig) -> dict[str, list[Errors]]:
+def tables_of(
+    samples: ForceSamples, predicted: Predictions, config: ForceModelConfig
+) -> dict[str, list[Errors]]:
     """Errors by depth, shear, place, motion and object; rows of too few images are left out."""
     about = samples.about
     shear = np.hypot(samples.targets[:, 0], samples.targets[:, 1])
@@ -108,7 +114,7 @@ def tables_of(samples: Samples, told: Told, config: ForceModelConfig) -> dict[st
 
     def row(name: str, rows: np.ndarray) -> list[Errors]:
         rows = rows & touched
-        return [errors_of(name, samples, told, config, rows)] if rows.sum() >= MIN_BIN else []
+        return [errors_of(name, samples, predicted, config, rows)] if rows.sum() >= MIN_BIN else []
 
     def bins(values: np.ndarray, edges: Sequence[float], unit: str) -> list[Errors]:
         found = []
@@ -134,40 +140,40 @@ def tables_of(samples: Samples, told: Told, config: ForceModelConfig) -> dict[st
     }
 
 
-def sigma_factors(samples: Samples, told: Told) -> tuple[float, ...]:
+def sigma_factors(samples: ForceSamples, predicted: Predictions) -> tuple[float, ...]:
     """Factors that put 95 % of each component's errors within 1.96 standard deviations."""
-    over = np.abs(told.targets - samples.targets) / np.maximum(told.sigma, 1e-12)
+    over = np.abs(predicted.targets - samples.targets) / np.maximum(predicted.sigma, 1e-12)
     return tuple(
         max(float(value) / NORMAL_95, 1e-3) for value in np.quantile(over.astype(float), 0.95, 0)
     )
 
 
-def limits_of(told: Told) -> tuple[float, ...]:
+def limits_of(predicted: Predictions) -> tuple[float, ...]:
     """Distances that all but ``OUTSIDE_SHARE`` of the images stay below; colours may go a little
     beyond the training's in any case."""
     least = (1e-6, 1e-6, BEYOND)
-    found = np.quantile(told.distances.astype(float), 1 - OUTSIDE_SHARE, axis=0)
+    found = np.quantile(predicted.distances.astype(float), 1 - OUTSIDE_SHARE, axis=0)
     return tuple(max(float(value), low) for value, low in zip(found, least, strict=True))
 
 
-def outside_rows(told: Told, config: ForceModelConfig) -> np.ndarray:
+def outside_rows(predicted: Predictions, config: ForceModelConfig) -> np.ndarray:
     """Which images are outside, bool, [step]; as ``ForceModel`` judges."""
-    far = (told.distances > np.array(config.distance_limits)).any(axis=1)
-    shear = np.hypot(told.targets[:, 0], told.targets[:, 1])
-    patch = told.patches_n[:, 2].max(axis=(1, 2))
-    reached = np.column_stack([told.targets[:, 2], shear, told.targets[:, 6], patch])
+    far = (predicted.distances > np.array(config.distance_limits)).any(axis=1)
+    shear = np.hypot(predicted.targets[:, 0], predicted.targets[:, 1])
+    patch = predicted.patches_n[:, 2].max(axis=(1, 2))
+    reached = np.column_stack([predicted.targets[:, 2], shear, predicted.targets[:, 6], patch])
     return np.asarray(far | (reached > np.array(config.most)).any(axis=1))
 
 
 def found_imposters(
-    samples: Samples,
+    samples: ForceSamples,
     config: ForceModelConfig,
     weights: dict[str, np.ndarray],
     centers_mm: np.ndarray,
     seed: int,
 ) -> list[Imposters]:
     """Images made of held-out ones that a user may give by mistake, and how many are found, by the
-    model or, before it, by what ``ForceReader`` asks of any image (``light.likeness``).
+    model or, before it, by what ``ForceReader`` asks of any image (``light.image_match``).
 
     Markers, where the network sees them, stay as they are: only the image is wrong.
     """
@@ -195,11 +201,11 @@ def found_imposters(
         for start in range(0, len(rows), BATCH):
             part = slice(start, start + BATCH)
             with torch.no_grad():
-                told = told_of(
+                predicted = predictions_of(
                     change[part], None if moved is None else moved[part], config, tensors, centers
                 )
-            arrays = {key: value.numpy() for key, value in told.items()}
-            outside.append(outside_rows(Told.of(arrays), config))
+            arrays = {key: value.numpy() for key, value in predicted.items()}
+            outside.append(outside_rows(Predictions.of(arrays), config))
         noticed = np.concatenate(outside)
         for row in np.flatnonzero(~noticed).tolist():
             levels, untouched = (a[row].permute(1, 2, 0).numpy() for a in (shown, rest))

@@ -19,7 +19,7 @@ import torch
 from taccel_lab.calibration.training import descend, one_thread
 from taccel_lab.errors import InputError
 from taccel_lab.learning.force.options import ForceOptions
-from taccel_lab.learning.force.samples import Samples, spread_of
+from taccel_lab.learning.force.samples import ForceSamples, spread_of
 from taccel_lab.learning.force.training_file import Keeper, TrainingFile, training_key
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.force_network import (
@@ -46,7 +46,7 @@ EVERY = 50
 AREA_BIAS = -5.0
 """What the areas of patches start from, before their softplus."""
 BATCH = 256
-"""Images that are told at once."""
+"""Images that are predicted at once."""
 RIDGE = 1e-3
 """Of the covariances, over their mean variance."""
 BEYOND = 1.05
@@ -67,7 +67,7 @@ class LightSpread:
 
 
 @dataclass(frozen=True)
-class Told:
+class Predictions:
     """What a network tells of samples."""
 
     targets: np.ndarray
@@ -86,13 +86,15 @@ class Told:
     """Of features, statistics and colours, [step, 3]; before limits."""
 
     @classmethod
-    def of(cls, told: Mapping[str, np.ndarray]) -> Told:
-        """From outputs of ``told_of``."""
-        return cls(**{name: told[_OUTPUTS.get(name, name)] for name in cls.__dataclass_fields__})
+    def of(cls, predicted: Mapping[str, np.ndarray]) -> Predictions:
+        """From outputs of ``predictions_of``."""
+        return cls(
+            **{name: predicted[_OUTPUTS.get(name, name)] for name in cls.__dataclass_fields__}
+        )
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainedForces:
     """A trained network, before its limits and factors are known."""
 
     config: ForceModelConfig
@@ -191,7 +193,7 @@ class _Batches:
 class _Loader:
     """Samples on a device."""
 
-    def __init__(self, samples: Samples, device: torch.device) -> None:
+    def __init__(self, samples: ForceSamples, device: torch.device) -> None:
         self.count = len(samples)
         self.change = torch.from_numpy(samples.change).to(device)
         self.rest = torch.from_numpy(samples.rest).to(device)
@@ -206,14 +208,14 @@ class _Loader:
 
 
 def train_force_model(
-    samples: Samples,
+    samples: ForceSamples,
     config: ForceModelConfig,
     centers_mm: np.ndarray,
     light: LightSpread,
     options: ForceOptions,
     progress: Progress = silent,
     kept: TrainingFile | None = None,
-) -> Trained:
+) -> TrainedForces:
     """Train on ``samples``; the same on the same machine for the same seed.
 
     ``config`` has the sizes; scales are those of the samples. A training that ``kept`` holds is
@@ -230,23 +232,25 @@ def train_force_model(
         weights, curve = _train(
             samples, config, centers_mm, light, options, device, progress, kept
         )  # fmt: skip
-        told = tell(samples, config, weights, centers_mm, light, options, seed=options.seed + 1)
+        predicted = tell(
+            samples, config, weights, centers_mm, light, options, seed=options.seed + 1
+        )
     for name in ("features", "statistics"):
-        values = getattr(told, name).astype(np.float64)
+        values = getattr(predicted, name).astype(np.float64)
         weights[f"{name}.mean"] = values.mean(axis=0).astype(np.float32)
         weights[f"{name}.whiten"] = whitening(values).astype(np.float32)
-    weights["colors.most"] = np.maximum(told.colors.max(axis=0), 1.0)
+    weights["colors.most"] = np.maximum(predicted.colors.max(axis=0), 1.0)
     shear = np.hypot(samples.targets[:, 0], samples.targets[:, 1])
     largest = (
         samples.targets[:, 2].max(), shear.max(), samples.targets[:, 6].max(),
         samples.patches_n[:, 2].max(),
     )  # fmt: skip
     most = tuple(BEYOND * max(float(value), 1e-6) for value in largest)
-    return Trained(replace(config, most=most), weights, curve)
+    return TrainedForces(replace(config, most=most), weights, curve)
 
 
 def _train(
-    samples: Samples,
+    samples: ForceSamples,
     config: ForceModelConfig,
     centers_mm: np.ndarray,
     light: LightSpread,
@@ -272,12 +276,12 @@ def _train(
         rows = batches.next_rows().to(device)
         change, rest = loader.images(rows)
         moved = None if loader.moved is None else loader.moved[rows]
-        told = forward(tensors, config, draw.lit(change, rest) / LEVELS, moved, centers)
-        away = (told["targets"] - loader.targets[rows]) / scale
-        sigma = told["sigma"] / scale
+        predicted = forward(tensors, config, draw.lit(change, rest) / LEVELS, moved, centers)
+        away = (predicted["targets"] - loader.targets[rows]) / scale
+        sigma = predicted["sigma"] / scale
         likely = 0.5 * (away / sigma).square() + sigma.log()
         weighted = (sigma.detach() ** (2 * BETA) * likely).mean()
-        by_patch = ((told["patches"] - loader.patches[rows]) / patch_scale).square().mean()
+        by_patch = ((predicted["patches"] - loader.patches[rows]) / patch_scale).square().mean()
         return weighted + PATCH_WEIGHT * by_patch
 
     def after_step(step: int, value: torch.Tensor) -> None:
@@ -330,7 +334,7 @@ def whitening(values: np.ndarray) -> np.ndarray:
 
 
 def tell(
-    samples: Samples,
+    samples: ForceSamples,
     config: ForceModelConfig,
     weights: dict[str, np.ndarray],
     centers_mm: np.ndarray,
@@ -338,7 +342,7 @@ def tell(
     options: ForceOptions,
     *,
     seed: int,
-) -> Told:
+) -> Predictions:
     """What a network says of samples in drawn lights."""
     device = torch_device(options.device)
     tensors = {name: torch.from_numpy(value).to(device) for name, value in weights.items()}
@@ -350,12 +354,12 @@ def tell(
             rows = torch.arange(start, min(start + BATCH, loader.count), device=device)
             change = draw.lit(*loader.images(rows))
             moved = None if loader.moved is None else loader.moved[rows]
-            parts.append(told_of(change, moved, config, tensors, centers))
+            parts.append(predictions_of(change, moved, config, tensors, centers))
     joined = {name: torch.cat([part[name] for part in parts]).cpu().numpy() for name in parts[0]}
-    return Told.of(joined)
+    return Predictions.of(joined)
 
 
-def told_of(
+def predictions_of(
     change: torch.Tensor,
     moved: torch.Tensor | None,
     config: ForceModelConfig,

@@ -24,7 +24,7 @@ from taccel_lab.files.atomic_file import atomic_file
 from taccel_lab.files.inner_path import real_path
 from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
 from taccel_lab.learning.force.options import ForceOptions
-from taccel_lab.learning.force.samples import Samples
+from taccel_lab.learning.force.samples import ForceSamples
 from taccel_lab.signals.force_settings import ForceModelConfig
 from taccel_lab.version import __version__
 
@@ -102,7 +102,7 @@ class TrainingFile:
 
 
 def training_key(
-    samples: Samples,
+    samples: ForceSamples,
     config: ForceModelConfig,
     centers_mm: np.ndarray,
     light: object,

@@ -3,18 +3,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 from taccel_lab.cad.parameters import restated
 from taccel_lab.cad.parts.dome_pad import SolidDomePad
-from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
 
 _TIP = "measured on the fingertip of digit360 (facebookresearch, figures only)"
-_LEDS = 8
 
 
 @dataclass(frozen=True)
@@ -24,8 +20,6 @@ class Digit360Parameters(CameraSensorParameters):
     The tactile image shows the gel from above, which no single scale of a fisheye's picture does:
     the lens makes equal angles equally large. Its focal length stands apart from the image's scale.
     """
-
-    lens_model: ClassVar[str] = "fisheye"
 
     dome_radius_mm: float = restated(
         12.5, of=SolidDomePad, minimum=8, maximum=25,
@@ -66,6 +60,9 @@ class Digit360Parameters(CameraSensorParameters):
         "below the apex",
     )  # fmt: skip
     focal_px: float = restated(203.7, source="assumption: equidistant fisheye, 180 deg over 640 px")
+    lens_model: str = restated("fisheye", source=f"{_TIP}: hyper-fisheye of 200 deg and more")
+    led_count: int = restated(8, zero_means="", source=f"{_TIP}: eight RGB LEDs in a ring")
+    led_colors: str = restated("hue", source="assumption: their hue goes once round the colours")
     led_x_mm: float = restated(9.0, source=f"{_TIP}: ring PCB, bore 11.6, outside 24.9 mm")
     led_y_mm: float = restated(9.0, source=f"{_TIP}: ring PCB, bore 11.6, outside 24.9 mm")
     led_depth_mm: float = restated(26.0, source=f"{_TIP}: ring PCB at the base of the gel")
@@ -81,7 +78,7 @@ class Digit360Parameters(CameraSensorParameters):
 
     def focal_lengths_px(self) -> tuple[float, float]:
         """Focal lengths in pixels for each radian of angle."""
-        return self.focal_px, self.focal_px
+        return self.lens_px(), self.lens_px()
 
     def apparent_distance_mm(self) -> float:
         """The camera's own distance: its lens is made for looking into the gel."""
@@ -102,19 +99,6 @@ class Digit360Parameters(CameraSensorParameters):
     def window(self) -> None:
         """None: the lens itself is glued into the gel."""
         return None
-
-    def lights(self) -> tuple[Light, ...]:
-        """Eight RGB LEDs in a ring, their hue going once round the colours."""
-        angles = [360.0 * k / _LEDS for k in range(_LEDS)]
-        return tuple(self.led(angle, _hue(angle), f"rgb {k}") for k, angle in enumerate(angles))
-
-
-def _hue(angle_deg: float) -> tuple[float, float, float]:
-    """Red at 0, green at 120, blue at 240 deg, mixed between."""
-    red, green, blue = (
-        max(0.0, math.cos(math.radians(angle_deg - at)) + 0.5) / 1.5 for at in (0.0, 120.0, 240.0)
-    )
-    return red, green, blue
 
 
 FAMILY = SensorFamily(

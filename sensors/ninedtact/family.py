@@ -80,7 +80,7 @@ class NineDTactParameters(RectangleSensorParameters):
     led_tilt_deg: float = restated(0.0, source="assumption: LEDs face the gel")
     coating_albedo: float = restated(0.02, source="assumption: black skin")
     coating_thickness_mm: float = restated(
-        0.0, source="the skin is a solid of its own, see skin_top_mm"
+        0.0, source="the skin is a separate solid, see skin_top_mm"
     )
     housing_x_mm: float = restated(32.5, source=f"{_SHELL}: 32.5 x 25.5 mm")
     housing_y_mm: float = restated(25.5, source=f"{_SHELL}: 32.5 x 25.5 mm")

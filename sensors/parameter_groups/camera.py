@@ -9,7 +9,7 @@ from typing import ClassVar
 from taccel_lab.cad.parameters import ParameterSet, parameter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile.optical_design import Camera
+from taccel_lab.profile.optical_design import DesignedCamera
 from taccel_lab.sensors.base import NO_FIGURE
 
 
@@ -18,7 +18,8 @@ class CameraParameters(ParameterSet):
     """The camera over the middle of the gel, and the tactile image that is made of its pictures.
 
     The scale of the tactile image, at the apex, and the focal length describe the same thing, seen
-    from the image and from the lens; ``scale_from`` says which of them rules.
+    from the image and from the lens; ``scale_from`` says which of them rules: the image, the lens
+    in pixels of the image, or the lens in millimetres, as data sheets have it.
     """
 
     parameter_group: ClassVar[str] = "camera"
@@ -64,13 +65,28 @@ class CameraParameters(ParameterSet):
         description="from the apex of the contact face back to the camera's centre of projection",
     )  # fmt: skip
     scale_from: str = parameter(
-        "mm_per_px", choices=("mm_per_px", "focal_px"),
+        "mm_per_px", choices=("mm_per_px", "focal_px", "lens_focal_mm"),
         source="what the sources state for this sensor",
-        description="what fixes the image's scale; with focal_px it follows the camera's distance",
+        description="what fixes the image's scale; with a focal length it follows the camera's "
+        "distance",
     )  # fmt: skip
     focal_px: float = parameter(
         800.0, minimum=120, maximum=20_000, unit="px", source=NO_FIGURE,
         description="focal length in pixels of the tactile image, used when scale_from is focal_px",
+    )  # fmt: skip
+    lens_focal_mm: float = parameter(
+        0.0, minimum=0.2, maximum=50, unit="mm", zero_means="unknown", source=NO_FIGURE,
+        description="focal length of the lens, such as an M12 lens's data sheet states it, used "
+        "when scale_from is lens_focal_mm",
+    )  # fmt: skip
+    pixel_pitch_um: float = parameter(
+        0.0, minimum=0.5, maximum=20, unit="um", zero_means="unknown", source=NO_FIGURE,
+        description="pitch of the image sensor's pixels, as its data sheet states it: the sensor's "
+        "width over raw_width_px",
+    )  # fmt: skip
+    lens_model: str = parameter(
+        "pinhole", choices=("pinhole", "fisheye"), source="assumption: an ordinary lens",
+        description="pinhole maps tangents of angles to pixels, fisheye angles",
     )  # fmt: skip
     principal_x_px: float = parameter(
         0.0, minimum=-200, maximum=200, unit="px", source="assumption: centred lens",
@@ -84,10 +100,8 @@ class CameraParameters(ParameterSet):
         0.0, minimum=0.05, maximum=20, unit="mm", zero_means="unknown, all in focus",
         source=NO_FIGURE, description="diameter of the entrance pupil",
     )  # fmt: skip
-    lens_model: ClassVar[str] = "pinhole"
-    """Of ``Camera``: pinhole or fisheye."""
     lens_distortion: ClassVar[tuple[float, ...]] = ()
-    """Of ``Camera``."""
+    """Of ``DesignedCamera``, with the family's own ``lens_model``."""
     camera_offset_mm: ClassVar[tuple[float, float]] = (0.0, 0.0)
     """Gel xy of the centre of projection."""
 
@@ -97,10 +111,23 @@ class CameraParameters(ParameterSet):
 
     def scale_mm_per_px(self) -> tuple[float, float]:
         """Size of a pixel on the contact face along x and y [mm]."""
-        if self.scale_from == "focal_px":
-            scale = self.apparent_distance_mm() / self.focal_px
+        if self.scale_from != "mm_per_px":
+            scale = self.apparent_distance_mm() / self.lens_px()
             return scale, scale
         return self.mm_per_px, self.mm_per_px_y or self.mm_per_px
+
+    def lens_px(self) -> float:
+        """Focal length of the lens in pixels of the tactile image, which the camera's picture is
+        cropped and scaled to."""
+        if self.scale_from != "lens_focal_mm":
+            return self.focal_px
+        if not (self.lens_focal_mm and self.pixel_pitch_um):
+            raise InputError(
+                "scale_from = lens_focal_mm needs lens_focal_mm and pixel_pitch_um, which the data "
+                "sheets of lens and image sensor state"
+            )
+        of_picture = 1e3 * self.lens_focal_mm / self.pixel_pitch_um
+        return of_picture * self.width_px / (self.raw_width_px * self.crop_x)
 
     def focal_lengths_px(self) -> tuple[float, float]:
         """Focal lengths fx and fy in pixels of the tactile image."""
@@ -113,8 +140,8 @@ class CameraParameters(ParameterSet):
         x, y = self.scale_mm_per_px()
         if not (1e-4 <= x <= 1 and 1e-4 <= y <= 1):
             raise InputError(
-                f"camera_distance_mm = {self.camera_distance_mm:g} and focal_px = "
-                f"{self.focal_px:g} make {x:g} mm/px; allowed: 0.0001 to 1 mm/px"
+                f"camera_distance_mm = {self.camera_distance_mm:g} and {self.scale_from} = "
+                f"{getattr(self, self.scale_from):g} make {x:g} mm/px; allowed: 0.0001 to 1 mm/px"
             )
         u, v = self._principal_point_px()
         fx, fy = self.focal_lengths_px()
@@ -134,11 +161,12 @@ class CameraParameters(ParameterSet):
         x, y = self.scale_mm_per_px()
         return self.width_px * x, self.height_px * y
 
-    def camera(self) -> Camera:
+    def camera(self) -> DesignedCamera:
         """The camera with the intrinsics of the tactile image, focused on the apex."""
         fx, fy = self.focal_lengths_px()
         u, v = self._principal_point_px()
-        return Camera(
+        own_lens = self.lens_model == self.parameters()["lens_model"].default
+        return DesignedCamera(
             width_px=self.width_px,
             height_px=self.height_px,
             fx_px=fx,
@@ -147,7 +175,7 @@ class CameraParameters(ParameterSet):
             cy_px=v,
             position_mm=(*self.camera_offset_mm, -self.camera_distance_mm),
             model=self.lens_model,  # type: ignore[arg-type]
-            distortion=self.lens_distortion,
+            distortion=self.lens_distortion if own_lens else (),
             focus_mm=self.apparent_distance_mm(),
             aperture_mm=self.aperture_mm,
         )

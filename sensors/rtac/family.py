@@ -8,14 +8,12 @@ from typing import ClassVar
 
 from taccel_lab.cad.parameters import restated
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
-from taccel_lab.profile.optical_design import Light, Window
+from taccel_lab.profile.optical_design import Window
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
-from taccel_lab.sensors.parameter_groups.lights import WHITE
 
 _SHELL = "measured on the parts of PP-Tac (bigai-ai/PP-Tac, figures only)"
 _CALIBRATION = "camera calibration of PP-Tac, OV9281, 640 x 480 px"
-_LEDS = 8
 
 
 @dataclass(frozen=True)
@@ -53,6 +51,8 @@ class RTacParameters(CameraSensorParameters):
     principal_y_px: float = restated(25.4, source=f"{_CALIBRATION}: row 264.9")
     lens_distortion: ClassVar[tuple[float, ...]] = (-0.26, 0.087, 0.0, -0.0002, -0.015)
     camera_offset_mm: ClassVar[tuple[float, float]] = (-0.27, 1.07)
+    led_count: int = restated(8, zero_means="", source="assumption: a ring under the dome's edge")
+    led_colors: str = restated("white", source="white LEDs of type 2835")
     led_x_mm: float = restated(11.0, source="assumption: a ring under the dome's edge")
     led_y_mm: float = restated(11.0, source="assumption: a ring under the dome's edge")
     led_depth_mm: float = restated(16.0, source="assumption: white 2835 LEDs under the dome")
@@ -87,10 +87,6 @@ class RTacParameters(CameraSensorParameters):
             shape="dome",
             outer_radius_mm=radius,
         )
-
-    def lights(self) -> tuple[Light, ...]:
-        """White LEDs in a ring; of the camera's channels all see the same."""
-        return tuple(self.led(360.0 * k / _LEDS, WHITE, f"white {k}") for k in range(_LEDS))
 
 
 FAMILY = SensorFamily(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a metric is, and what it is computed from."""
+"""Metrics and their inputs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Metric:
     at_load: bool = False
     """Whether it is read at a load."""
     each_tool: bool = True
-    """Whether every indenter of a press has a value of its own."""
+    """Whether every indenter of a press has its own value."""
     indenter: str = ""
     """The one that it is read of; empty for the press's first."""
     load_n: float = LOAD_N

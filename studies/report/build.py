@@ -7,10 +7,10 @@ from typing import Any
 
 from taccel_lab.report.page import write_page_into
 from taccel_lab.studies.report.page import FIGURES, study_page
-from taccel_lab.studies.runner import Outcome
+from taccel_lab.studies.runner import StudyOutcome
 
 
-def write_study_report(outcome: Outcome) -> dict[str, Any]:
+def write_study_report(outcome: StudyOutcome) -> dict[str, Any]:
     """Write ``report.html``, ``report.json`` and ``figures/*.png`` into the study's folder.
 
     Returns:

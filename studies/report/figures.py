@@ -13,7 +13,7 @@ from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.ranking import is_feasible
 from taccel_lab.studies.report.pareto import pareto_front
 from taccel_lab.studies.report.values import compared, costs_of
-from taccel_lab.studies.runner import Outcome
+from taccel_lab.studies.runner import StudyOutcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,12 +31,12 @@ def with_unit(name: str, unit: str) -> str:
     return f"{name} [{unit}]"
 
 
-def metric_label(outcome: Outcome, name: str) -> str:
+def metric_label(outcome: StudyOutcome, name: str) -> str:
     return with_unit(name, outcome.study.metrics[name].unit)
 
 
-def parameter_label(outcome: Outcome, name: str) -> str:
-    return with_unit(name, outcome.study.parameters[name].unit)
+def parameter_label(outcome: StudyOutcome, name: str) -> str:
+    return outcome.study.parameters[name].label
 
 
 def column(designs: list[DesignRow], name: str) -> np.ndarray:
@@ -45,12 +45,14 @@ def column(designs: list[DesignRow], name: str) -> np.ndarray:
     return np.array([np.nan if value is None else value for value in cells], dtype=np.float64)
 
 
-def _axis_text(outcome: Outcome, name: str, sign: float) -> str:
+def _axis_text(outcome: StudyOutcome, name: str, sign: float) -> str:
     return f"{metric_label(outcome, name)}, {'less' if sign > 0 else 'more'} is better"
 
 
 @in_report_style
-def draw_pareto(outcome: Outcome, front: list[str], best: list[str], worst: list[str]) -> Figure:
+def draw_pareto(
+    outcome: StudyOutcome, front: list[str], best: list[str], worst: list[str]
+) -> Figure:
     """The first two metrics against each other, the front joined, coloured by a parameter.
 
     Designs that break the constraints are small.
@@ -89,12 +91,31 @@ def draw_pareto(outcome: Outcome, front: list[str], best: list[str], worst: list
             )  # fmt: skip
     axes.set_xlabel(_axis_text(outcome, x_name, x_sign))
     axes.set_ylabel(_axis_text(outcome, y_name, y_sign))
+    _draw_bounds(axes, outcome, x_name, y_name)
     for values, scale in ((x, axes.set_xscale), (y, axes.set_yscale)):
         if is_wide(values):
             scale("log")
     plain_log_ticks(axes)
     axes.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none")
     return figure
+
+
+def _draw_bounds(axes: Any, outcome: StudyOutcome, x_name: str, y_name: str) -> None:
+    """The side of each bound that a constraint excludes, shaded."""
+    wide, tall = axes.get_xlim(), axes.get_ylim()
+    for name, span, limits in (
+        (x_name, axes.axvspan, wide),
+        (y_name, axes.axhspan, tall),
+    ):
+        for constraint in outcome.study.spec.constraints:
+            if constraint.metric != name:
+                continue
+            for low, high in ((limits[0], constraint.min), (constraint.max, limits[1])):
+                if low is not None and high is not None and low < high:
+                    label = f"breaks: {constraint.text()}"
+                    span(low, high, color=GREY, alpha=0.18, linewidth=0, zorder=0, label=label)
+    axes.set_xlim(wide)
+    axes.set_ylim(tall)
 
 
 def plain_log_ticks(axes: Any) -> None:
@@ -127,7 +148,7 @@ def color_norm(values: np.ndarray, log: bool) -> Any:
 
 
 @in_report_style
-def draw_pairs(outcome: Outcome) -> Figure:
+def draw_pairs(outcome: StudyOutcome) -> Figure:
     """Every pair of the first metrics, with the front of each pair."""
     designs = outcome.done
     signs = dict(list(compared(outcome).items())[:MOST_PAIRED])
@@ -160,12 +181,12 @@ def draw_pairs(outcome: Outcome) -> Figure:
 
 
 def _two_lines(label: str) -> str:
-    """A long label, its unit on a line of its own."""
+    """A long label, its unit on its own line."""
     return label.replace(" [", "\n[") if len(label) > 16 else label
 
 
 @in_report_style
-def draw_parallel(outcome: Outcome, front: list[str], best: list[str]) -> Figure:
+def draw_parallel(outcome: StudyOutcome, front: list[str], best: list[str]) -> Figure:
     """Every design as a line over parameters and metrics; better is up for metrics."""
     designs = outcome.done
     signs = compared(outcome)

@@ -11,7 +11,7 @@ from taccel_lab.report.html import format_number
 from taccel_lab.report.style import BLUE, GREY, in_report_style, new_figure
 from taccel_lab.studies.design_row import DesignRow
 from taccel_lab.studies.report.figures import color_norm, parameter_label, plain_log_ticks
-from taccel_lab.studies.runner import Outcome
+from taccel_lab.studies.runner import StudyOutcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,7 +21,7 @@ _COLUMNS = 3
 _DASHES = ("-", "--", ":", "-.")
 
 
-def tool_curves(outcome: Outcome) -> dict[str, list[tuple[DesignRow, dict[str, Any]]]]:
+def tool_curves(outcome: StudyOutcome) -> dict[str, list[tuple[DesignRow, dict[str, Any]]]]:
     """Stored presses straight down with two steps or more, by indenter, with their designs."""
     found: dict[str, list[tuple[DesignRow, dict[str, Any]]]] = {}
     for name, press in outcome.study.presses.items():
@@ -34,7 +34,7 @@ def tool_curves(outcome: Outcome) -> dict[str, list[tuple[DesignRow, dict[str, A
     return dict(list(found.items())[:MOST_TOOLS])
 
 
-def has_contacts(outcome: Outcome) -> bool:
+def has_contacts(outcome: StudyOutcome) -> bool:
     """Whether any curve has contact diameters."""
     return any(
         c.get("contact_diameter_mm") for made in tool_curves(outcome).values() for _, c in made
@@ -42,7 +42,7 @@ def has_contacts(outcome: Outcome) -> bool:
 
 
 @in_report_style
-def draw_tools(outcome: Outcome, contact: bool) -> Figure:
+def draw_tools(outcome: StudyOutcome, contact: bool) -> Figure:
     """Force over depth, or the contact's diameter over the force, a panel for each indenter.
 
     Colours are the first numeric parameter, dashes the second where it has few values.
@@ -114,7 +114,7 @@ def _shades() -> Any:
     return ListedColormap(colormaps["viridis"](np.linspace(0, 0.87, 256)))
 
 
-def _dashes(outcome: Outcome, names: list[str]) -> dict[Any, str]:
+def _dashes(outcome: StudyOutcome, names: list[str]) -> dict[Any, str]:
     """A dash for each value of a parameter; none where there are too many to tell apart."""
     values = sorted({row.parameters[name] for name in names for row in outcome.done})
     return dict(zip(values, _DASHES, strict=False)) if 1 < len(values) <= len(_DASHES) else {}

@@ -9,7 +9,7 @@ import numpy as np
 
 from taccel_lab.report.style import GREEN, ORANGE, in_report_style, new_figure
 from taccel_lab.studies.design_row import DesignRow
-from taccel_lab.studies.runner import Outcome
+from taccel_lab.studies.runner import StudyOutcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,13 +23,13 @@ def curves_of(design: DesignRow, press: str) -> list[dict[str, Any]]:
     return [c for c in design.curves.get(press) or [] if len(c["depth_mm"]) > 1]
 
 
-def drawn_presses(outcome: Outcome, designs: list[DesignRow]) -> list[str]:
+def drawn_presses(outcome: StudyOutcome, designs: list[DesignRow]) -> list[str]:
     """Presses of the study that any of the designs has curves of."""
     return [name for name in outcome.study.presses if any(curves_of(d, name) for d in designs)]
 
 
 @in_report_style
-def draw_curves(outcome: Outcome, best: list[DesignRow], worst: list[DesignRow]) -> Figure:
+def draw_curves(outcome: StudyOutcome, best: list[DesignRow], worst: list[DesignRow]) -> Figure:
     """Force over depth, or over the sideways motion, in the first record of every press."""
     presses = drawn_presses(outcome, [*best, *worst])
     columns = min(3, len(presses))

@@ -17,7 +17,7 @@ from taccel_lab.studies.report.figures import (
     plain_log_ticks,
 )
 from taccel_lab.studies.report.sensitivity import Effect, Sensitivity, with_partners
-from taccel_lab.studies.runner import Outcome
+from taccel_lab.studies.runner import StudyOutcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,7 +29,7 @@ MOST_METRICS = 12
 
 
 @in_report_style
-def draw_sensitivities(outcome: Outcome, found: dict[str, Sensitivity]) -> Figure:
+def draw_sensitivities(outcome: StudyOutcome, found: dict[str, Sensitivity]) -> Figure:
     """Metric by parameter: colour the elasticity, in words also the share or rank correlation."""
     names = [axis.name for axis in outcome.study.axes]
     metrics = list(found)
@@ -79,7 +79,7 @@ def cell_text(effect: Effect) -> str:
 
 
 @in_report_style
-def draw_effects(outcome: Outcome, found: dict[str, Sensitivity]) -> Figure:
+def draw_effects(outcome: StudyOutcome, found: dict[str, Sensitivity]) -> Figure:
     """A panel for each metric and parameter: all designs, and the means over levels of a grid.
 
     Designs that lack a partner at another level are hollow and not in the means; a level without
@@ -132,7 +132,7 @@ def _draw_means(
     x: np.ndarray,
     y: np.ndarray,
     found: Sensitivity,
-    outcome: Outcome,
+    outcome: StudyOutcome,
     name: str,
     at: Callable[[Any], float],
 ) -> None:
@@ -164,7 +164,7 @@ def _draw_means(
 
 
 @in_report_style
-def draw_maps(outcome: Outcome) -> Figure:
+def draw_maps(outcome: StudyOutcome) -> Figure:
     """Each metric over the plane of a grid's two numeric parameters."""
     first, second = outcome.study.axes
     designs = outcome.done
@@ -202,11 +202,11 @@ def draw_maps(outcome: Outcome) -> Figure:
     return figure
 
 
-def _known(outcome: Outcome, metric: str) -> bool:
+def _known(outcome: StudyOutcome, metric: str) -> bool:
     return bool(np.isfinite(column(outcome.done, metric)).any())
 
 
-def has_maps(outcome: Outcome) -> bool:
+def has_maps(outcome: StudyOutcome) -> bool:
     """Whether the study is a grid of two numeric parameters with several values each."""
     axes = outcome.study.axes
     return (

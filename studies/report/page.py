@@ -16,7 +16,7 @@ from taccel_lab.studies.report import figures, figures_curves, figures_designs, 
 from taccel_lab.studies.report.sensitivity import Sensitivity
 from taccel_lab.studies.report.values import report_values, sensitivities
 from taccel_lab.studies.report.verdict import study_verdict
-from taccel_lab.studies.runner import Outcome
+from taccel_lab.studies.runner import StudyOutcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,9 +31,10 @@ _NAMED = 3
 Values = dict[str, Any]
 
 
-def study_page(outcome: Outcome) -> Page:
+def study_page(outcome: StudyOutcome) -> Page:
     """The report of a study; pictures are drawn when it is written."""
-    values, found = report_values(outcome), sensitivities(outcome)
+    found = sensitivities(outcome)
+    values = report_values(outcome, found)
     verdict = study_verdict(outcome, values)
     values["verdict"] = {
         "good": verdict.good,
@@ -70,7 +71,7 @@ def _named(name: str, unit: str) -> str:
     return name if unit in ("", "1") else f"{name} [{unit}]"
 
 
-def _ends(outcome: Outcome, values: Values) -> list[tuple[str, DesignRow]]:
+def _ends(outcome: StudyOutcome, values: Values) -> list[tuple[str, DesignRow]]:
     """Designs shown side by side: the best and the worst, or the one nearest to the constraints."""
     wanted = [("best", values["best"]), ("worst", values["worst"])]
     if values["nearest"] is not None:
@@ -83,13 +84,13 @@ def _ends(outcome: Outcome, values: Values) -> list[tuple[str, DesignRow]]:
     ]
 
 
-def _compared(outcome: Outcome, values: Values) -> Table | None:
+def _compared(outcome: StudyOutcome, values: Values) -> Table | None:
     ends = _ends(outcome, values)
     if not ends:
         return None
     rows: list[list[Any]] = [["design", *(values["names"][row.id] for _, row in ends)]]
     rows += [
-        [_named(name, item["unit"]), *(row.parameters[name] for _, row in ends)]
+        [item["label"], *(row.parameters[name] for _, row in ends)]
         for name, item in values["parameters"].items()
     ]
     rows += [
@@ -103,7 +104,7 @@ def _compared(outcome: Outcome, values: Values) -> Table | None:
     return Table("Best and worst designs", ["", *(word for word, _ in ends)], rows, caption)
 
 
-def _effects(outcome: Outcome, values: Values, found: dict[str, Sensitivity]) -> Table | None:
+def _effects(outcome: StudyOutcome, values: Values, found: dict[str, Sensitivity]) -> Table | None:
     if len(outcome.done) < 2:
         return None
     rows = []
@@ -164,8 +165,8 @@ def _designs(values: Values) -> Table:
     def figure(row: dict[str, Any], name: str) -> str:
         low, high, value = row.get(f"{name} low"), row.get(f"{name} high"), row[name]
         text = format_number(value)
-        told = value is not None and not (low is None and high is None)
-        if told and (low is None or high is None or high - low > 1e-6 * high):
+        has_interval = value is not None and not (low is None and high is None)
+        if has_interval and (low is None or high is None or high - low > 1e-6 * high):
             text += f" ({format_number(low)} to {format_number(high)})"
         return text
 
@@ -188,14 +189,15 @@ def _designs(values: Values) -> Table:
         "otherwise; –: an end that the press does not reach. designs.csv has every row with all "
         "digits; designs/FOLDER/ keeps mesh, pictures and curves of each."
     )
-    named = [_named(n, i["unit"]) for t in ("parameters", "metrics") for n, i in values[t].items()]
+    named = [item["label"] for item in values["parameters"].values()]
+    named += [_named(name, item["unit"]) for name, item in values["metrics"].items()]
     return Table("All designs", (*named, "state", "folder"), rows, caption, folded=True)
 
 
 def _parameters(values: Values) -> Table:
     rows = [
         (
-            _named(name, item["unit"]), item["values"], item["low"], item["high"],
+            item["label"], item["values"], item["low"], item["high"],
             item["default"], item["description"],
         )
         for name, item in values["parameters"].items()
@@ -256,7 +258,9 @@ def _picture(
     return Picture(f"{FIGURES}/{name}", draw, caption, view)
 
 
-def _pictures(outcome: Outcome, values: Values, found: dict[str, Sensitivity]) -> Iterator[Picture]:
+def _pictures(
+    outcome: StudyOutcome, values: Values, found: dict[str, Sensitivity]
+) -> Iterator[Picture]:
     """Every figure that there is something to show in."""
 
     if figures_curves.tool_curves(outcome):
@@ -277,7 +281,7 @@ def _pictures(outcome: Outcome, values: Values, found: dict[str, Sensitivity]) -
 
 
 def _trade_offs(
-    outcome: Outcome, values: Values, found: dict[str, Sensitivity]
+    outcome: StudyOutcome, values: Values, found: dict[str, Sensitivity]
 ) -> Iterator[Picture]:
     pareto = values["pareto"]
     if pareto is not None:
@@ -285,8 +289,9 @@ def _trade_offs(
         yield _picture(
             "pareto",
             lambda: figures.draw_pareto(outcome, front, best, worst),
-            "The first two metrics. On the orange line nothing gets better in one without getting "
-            f"worse in the other. Nothing beats {len(front)} designs in "
+            "The trade: the goal against the metric of the first constraint, or the second metric. "
+            "Grey: excluded by a constraint. On the orange line nothing gets better in one without "
+            f"getting worse in the other. Nothing beats {len(front)} designs in "
             f"{' and '.join(pareto['first_metrics'])}, and {len(pareto['designs'])} in all of "
             f"{', '.join(pareto['metrics'])}.",
         )
@@ -322,7 +327,7 @@ def _trade_offs(
         )
 
 
-def _ends_pictures(outcome: Outcome, values: Values) -> Iterator[Picture]:
+def _ends_pictures(outcome: StudyOutcome, values: Values) -> Iterator[Picture]:
     ends = _ends(outcome, values)
     for word, row in ends:
         name = row.files.get("picture")

@@ -17,9 +17,10 @@ from taccel_lab.studies.ranking import (
     ranked,
     violations,
 )
+from taccel_lab.studies.report.answer import answer
 from taccel_lab.studies.report.pareto import pareto_front
 from taccel_lab.studies.report.sensitivity import Sensitivity, sensitivity
-from taccel_lab.studies.runner import Outcome
+from taccel_lab.studies.runner import StudyOutcome
 from taccel_lab.studies.table import table_rows
 from taccel_lab.version import __version__
 
@@ -27,8 +28,8 @@ COMPARED = 3
 """Best and worst designs that the page shows side by side, of each at most."""
 
 
-def report_values(outcome: Outcome) -> dict[str, Any]:
-    """Everything that the report says."""
+def report_values(outcome: StudyOutcome, found: dict[str, Sensitivity]) -> dict[str, Any]:
+    """Everything that the report says; ``found`` are the sensitivities by metric."""
     study, rows = outcome.study, outcome.rows
     spec = study.spec
     done = outcome.done
@@ -65,6 +66,9 @@ def report_values(outcome: Outcome) -> dict[str, Any]:
         "names": {row.id: study.name_of(row.parameters) for row in rows},
         "best": [row.id for row in best],
         "worst": [row.id for row in worst],
+        "answer": asdict(answer(best[0], rows, goal, spec.constraints, study.axes, found))
+        if goal and best
+        else None,
         "nearest": None
         if nearest is None
         else {"design": nearest.id, "violations": violations(nearest, spec.constraints)},
@@ -72,7 +76,7 @@ def report_values(outcome: Outcome) -> dict[str, Any]:
         "parameters": {axis.name: _parameter(outcome, axis.name) for axis in study.axes},
         "metrics": _metrics(outcome, done),
         "pareto": _pareto(outcome),
-        "sensitivities": {name: asdict(s) for name, s in sensitivities(outcome).items()},
+        "sensitivities": {name: asdict(s) for name, s in found.items()},
         "failures": [
             {"design": row.id, "status": row.status, "cause": row.cause, **row.parameters}
             for row in rows
@@ -91,11 +95,12 @@ def _ends(order: list[DesignRow]) -> tuple[list[DesignRow], list[DesignRow]]:
     return order[:count], order[max(count, len(order) - count) :][::-1]
 
 
-def _parameter(outcome: Outcome, name: str) -> dict[str, Any]:
+def _parameter(outcome: StudyOutcome, name: str) -> dict[str, Any]:
     parameter = outcome.study.parameters[name]
     values = [row.parameters[name] for row in outcome.rows]
     numeric = not parameter.choices and bool(values)
     return {
+        "label": parameter.label,
         "unit": parameter.unit,
         "description": parameter.description,
         "default": parameter.default,
@@ -105,7 +110,7 @@ def _parameter(outcome: Outcome, name: str) -> dict[str, Any]:
     }
 
 
-def _metrics(outcome: Outcome, done: list[DesignRow]) -> dict[str, dict[str, Any]]:
+def _metrics(outcome: StudyOutcome, done: list[DesignRow]) -> dict[str, dict[str, Any]]:
     found = {}
     for name, metric in outcome.study.metrics.items():
         values = [v for row in done if (v := row.figures.get(name)) is not None]
@@ -122,13 +127,20 @@ def _metrics(outcome: Outcome, done: list[DesignRow]) -> dict[str, dict[str, Any
     return found
 
 
-def compared(outcome: Outcome) -> dict[str, float]:
-    """Metrics with a better side that differ between designs, the goal first: 1 where less is
-    better, -1 where more is."""
+def compared(outcome: StudyOutcome) -> dict[str, float]:
+    """Metrics with a better side that differ between designs: the goal, then those of constraints;
+    1 where less is better, -1 where more is."""
+    spec = outcome.study.spec
+    goals = directed(spec.goals, outcome.study.metrics)
+    signs = {goal.metric: goal.sign for goal in goals[: max(len(spec.goals), 1)]}
+    for constraint in spec.constraints:
+        if (constraint.min is None) != (constraint.max is None):
+            signs.setdefault(constraint.metric, 1.0 if constraint.min is None else -1.0)
+    signs |= {goal.metric: goal.sign for goal in goals if goal.metric not in signs}
     return {
-        goal.metric: goal.sign
-        for goal in directed(outcome.study.spec.goals, outcome.study.metrics)
-        if len({row.figures.get(goal.metric) for row in outcome.done} - {None}) > 1
+        name: sign
+        for name, sign in signs.items()
+        if len({row.figures.get(name) for row in outcome.done} - {None}) > 1
     }
 
 
@@ -144,7 +156,7 @@ def costs_of(designs: list[DesignRow], signs: dict[str, float]) -> np.ndarray:
     return np.array(table, dtype=np.float64).reshape(len(designs), len(signs))
 
 
-def _pareto(outcome: Outcome) -> dict[str, Any] | None:
+def _pareto(outcome: StudyOutcome) -> dict[str, Any] | None:
     """Designs that no feasible one beats: in the first two metrics with a better side, and in all.
 
     With many metrics most designs are on the front of all of them.
@@ -167,7 +179,7 @@ def _pareto(outcome: Outcome) -> dict[str, Any] | None:
     }
 
 
-def sensitivities(outcome: Outcome) -> dict[str, Sensitivity]:
+def sensitivities(outcome: StudyOutcome) -> dict[str, Sensitivity]:
     """By metric; of a grid over all its designs, those without a row too."""
     grid = outcome.study.spec.sweep.kind == "grid"
     figures = {row.id: row.figures for row in outcome.rows}
@@ -188,7 +200,7 @@ def _gaps(done: list[DesignRow]) -> list[dict[str, Any]]:
     return [{"what": k[0], "cause": k[1], "designs": ids} for k, ids in found.items()]
 
 
-def _curves(outcome: Outcome) -> list[dict[str, Any]]:
+def _curves(outcome: StudyOutcome) -> list[dict[str, Any]]:
     """Depth, force and contact diameter of the presses straight down, by design and indenter."""
     straight = [n for n, p in outcome.study.presses.items() if getattr(p, "straight", False)]
     return [
@@ -206,7 +218,7 @@ def _curves(outcome: Outcome) -> list[dict[str, Any]]:
     ]
 
 
-def _cost(outcome: Outcome) -> dict[str, Any]:
+def _cost(outcome: StudyOutcome) -> dict[str, Any]:
     rows = outcome.rows
     return {
         "simulations": sum(row.simulations for row in rows),

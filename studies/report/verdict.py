@@ -8,7 +8,8 @@ from typing import Any
 
 from taccel_lab.report.html import format_number
 from taccel_lab.report.remark import Remark, Severity
-from taccel_lab.studies.runner import Outcome
+from taccel_lab.studies.report.answer import TELL_APART
+from taccel_lab.studies.runner import StudyOutcome
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class StudyVerdict:
     """What is wrong or missing."""
 
 
-def study_verdict(outcome: Outcome, values: dict[str, Any]) -> StudyVerdict:
+def study_verdict(outcome: StudyOutcome, values: dict[str, Any]) -> StudyVerdict:
     """Headline and sentences; good when the study is through and some design keeps the bounds."""
     counts, spec = values["counts"], outcome.study.spec
     remarks = []
@@ -61,7 +62,7 @@ def study_verdict(outcome: Outcome, values: dict[str, Any]) -> StudyVerdict:
     if values["gaps"]:
         text = "Some figures are missing; causes below."
         remark(Severity.WARNING, "missing_figures", text)
-    sentences = [_best_sentence(outcome, values)] if values["best"] else []
+    sentences = _answer_sentences(outcome, values) if values["best"] else []
     if values["optimiser"]:
         sentences.append(
             f"The optimiser {spec.sweep.method} tried {counts['designs']} designs and stopped: "
@@ -71,17 +72,30 @@ def study_verdict(outcome: Outcome, values: dict[str, Any]) -> StudyVerdict:
     return StudyVerdict(good, headline, tuple(sentences), tuple(remarks))
 
 
-def _best_sentence(outcome: Outcome, values: dict[str, Any]) -> str:
+def _answer_sentences(outcome: StudyOutcome, values: dict[str, Any]) -> list[str]:
+    """The best design, the range of each of its parameters, and what limits it."""
     row = next(row for row in outcome.rows if row.id == values["best"][0])
     metric = values["goal_metric"]
     unit = values["metrics"][metric]["unit"]
-    return (
-        f"The {values['goal']}, {format_number(row.figures[metric])} {unit}, "
-        f"has {values['names'][row.id]}."
+    unit = "" if unit in ("", "1") else f" {unit}"
+    found = values["answer"]
+    ranges = ", ".join(
+        f"{name} {format_number(low)} to {format_number(high)}"
+        for name, (low, high) in found["intervals"].items()
+        if low < high
     )
+    limits = "; ".join(limit["text"] for limit in found["limits"])
+    return [
+        f"The {values['goal']}, {format_number(row.figures[metric])}{unit}, "
+        f"has {values['names'][row.id]}.",
+        f"Range of the answer: {ranges}."
+        if ranges
+        else f"All other designs are over {100 * TELL_APART:g} % worse.",
+        f"Limited by {limits}." if limits else "No constraint and no range limits it.",
+    ]
 
 
-def _nearest_sentence(outcome: Outcome, values: dict[str, Any]) -> str:
+def _nearest_sentence(outcome: StudyOutcome, values: dict[str, Any]) -> str:
     nearest = values["nearest"]
     if nearest is None:
         return "No design has all the figures that the constraints are about."
@@ -93,7 +107,7 @@ def _nearest_sentence(outcome: Outcome, values: dict[str, Any]) -> str:
     return f"Nearest comes {values['names'][nearest['design']]}: {missed}."
 
 
-def _holes(outcome: Outcome, values: dict[str, Any]) -> list[str]:
+def _holes(outcome: StudyOutcome, values: dict[str, Any]) -> list[str]:
     """What designs without figures take from the means of a grid."""
     lacking = {name: found["lacking"] for name, found in values["sensitivities"].items()}
     most = max(lacking.values(), default=0)

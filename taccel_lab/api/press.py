@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,18 +18,20 @@ from taccel_lab.camera.gel_camera import camera_of, face_of
 from taccel_lab.presses import PHYSICS, Accuracy, profile_material, simulate_press
 from taccel_lab.presses.press import deepest_mm
 from taccel_lab.presses.press_force import ROUGH_TOLERANCE, press_to_force
+from taccel_lab.presses.press_within import AS_IT_IS, press_within
 from taccel_lab.signals.rest_surface import rest_surface
 
 if TYPE_CHECKING:
     from taccel_lab.presses import PressOutcome, PressPath, PressPhysics
-    from taccel_lab.presses.press_force import Told
+    from taccel_lab.presses.press_force import StepProgress
+    from taccel_lab.presses.press_within import Refinement, Resolution
 
 
 def press(
     sensor: AnySensor,
     indenter: str = PressOptions.indenter,
     *,
-    progress: Told | None = None,
+    progress: StepProgress | None = None,
     **options: Unpack[PressWords],
 ) -> Press:
     """Press an indenter into a sensor's gel.
@@ -45,13 +48,13 @@ def press(
         SimulationError: A step did not converge; ``run_press`` hands over those before it.
     """
     plan = PressPlan.of(sensor, PressOptions(indenter=indenter, **options))
-    with steps_if_watched(progress, f"pressing {indenter} {plan.options.aim()}") as told:
-        return run_press(plan, told)
+    with steps_if_watched(progress, f"pressing {indenter} {plan.options.aim()}") as on_step:
+        return run_press(plan, on_step)
 
 
 def run_press(
     plan: PressPlan,
-    progress: Told | None = None,
+    progress: StepProgress | None = None,
     stopped: Callable[[Press], None] | None = None,
 ) -> Press:
     """Simulate a plan. Where a step fails, or an interrupt comes, ``stopped`` is handed what was
@@ -61,34 +64,65 @@ def run_press(
     rest = rest_surface(plan.profile.mesh, face_of(camera))
     finished: list[PressOutcome] = []
 
-    def simulate(physics: PressPhysics, path: PressPath, told: Told | None) -> PressOutcome:
-        gel = plan.mesh_for(physics, path.depth_mm)
+    def simulate(
+        physics: PressPhysics,
+        path: PressPath,
+        progress: StepProgress | None,
+        at: Resolution = AS_IT_IS,
+    ) -> PressOutcome:
+        gel = plan.mesh_for(physics, path.depth_mm, at.mesh)
         outcome = simulate_press(
             gel,
             profile_material(plan.profile.material, gel),
             plan.indenter,
             options.at_mm,
-            path,
+            path.with_steps(at.steps),
             camera,
             friction_coefficient=plan.friction,
-            physics=physics,
+            physics=replace(physics, dhat_m=min(at.dhat_m, physics.dhat_m)),
             designed_rest=rest,
             device=options.device,
-            progress=told,
+            progress=progress,
             keep_states=options.states,
             stopped=finished.append,
         )
+        if options.mesh == "profile":
+            # Nobody has measured what that mesh does.
+            outcome = replace(outcome, force_error_n=math.nan, height_error_m=math.nan)
         finished.append(outcome)
         return outcome
 
     def result(outcome: PressOutcome, failure: str | None = None) -> Press:
-        return Press(plan, outcome, time.perf_counter() - started, failure)
+        return Press(plan, outcome, time.perf_counter() - started, failure, refinement)
 
+    refinement: Refinement | None = None
+    at, share, depth_mm = AS_IT_IS, options.asked_share, plan.first_mm
     try:
-        if options.force_n is None:
-            outcome = simulate(plan.physics, options.path(plan.first_mm), progress)
-        else:
-            outcome = _to_force(plan, options.force_n, simulate, progress)
+        if options.force_n is not None and plan.physics.accuracy != Accuracy.FAST:
+            depth_mm = _rough_depth_mm(plan, options.force_n, simulate, progress)
+        if share is not None:
+            outcome, refinement = press_within(
+                share,
+                lambda at: simulate(plan.physics, options.path(depth_mm), progress, at),
+                plan.physics.dhat_m,
+                rubs=plan.friction > 0,
+                budget_s=options.budget_s,
+            )
+            at = refinement.used
+        elif options.force_n is None:
+            outcome = simulate(plan.physics, options.path(depth_mm), progress)
+        if options.force_n is not None:
+            outcome = press_to_force(
+                options.force_n,
+                lambda depth_mm, on_step: simulate(
+                    plan.physics, options.path(depth_mm), on_step, at
+                ),
+                deepest_mm(plan.gel, options.at_mm),
+                first_mm=depth_mm,
+                progress=progress,
+            )
+            if refinement is not None:
+                outcome = refinement.stated_for(outcome)
     except BaseException as error:
         if finished and stopped is not None:
             stopped(result(finished[-1], str(error) or "interrupted"))
@@ -96,28 +130,20 @@ def run_press(
     return result(outcome)
 
 
-def _to_force(
+def _rough_depth_mm(
     plan: PressPlan,
     force_n: float,
-    simulate: Callable[[PressPhysics, PressPath, Told | None], PressOutcome],
-    told: Told | None,
-) -> PressOutcome:
-    """About how deep, by presses straight down of low accuracy; then as asked for."""
-    options, first_mm = plan.options, None
-    limit_mm = deepest_mm(plan.gel, options.at_mm)
-    if plan.physics.accuracy != Accuracy.FAST:
-        rough = replace(PHYSICS[Accuracy.FAST], element=plan.physics.element)
-        first_mm = press_to_force(
-            force_n,
-            lambda depth_mm, told: simulate(rough, options.path(depth_mm, aside=False), told),
-            limit_mm,
-            tolerance=ROUGH_TOLERANCE,
-            told=told,
-        ).path.depth_mm
+    simulate: Callable[[PressPhysics, PressPath, StepProgress | None], PressOutcome],
+    progress: StepProgress | None,
+) -> float:
+    """About how deep a force is [mm], by presses straight down of low accuracy."""
+    rough = replace(PHYSICS[Accuracy.FAST], element=plan.physics.element)
     return press_to_force(
         force_n,
-        lambda depth_mm, told: simulate(plan.physics, options.path(depth_mm), told),
-        limit_mm,
-        first_mm=first_mm,
-        told=told,
-    )
+        lambda depth_mm, on_step: simulate(
+            rough, plan.options.path(depth_mm, aside=False), on_step
+        ),
+        deepest_mm(plan.gel, plan.options.at_mm),
+        tolerance=ROUGH_TOLERANCE,
+        progress=progress,
+    ).path.depth_mm

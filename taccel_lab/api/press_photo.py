@@ -137,7 +137,7 @@ class PressPhoto:
 
     def draw(self, painted: np.ndarray, profile: SensorProfile, psnr_db: float) -> Figure:
         """Photo, simulation and their difference side by side, over the gel."""
-        from taccel_lab.report.figures import draw_likeness
+        from taccel_lab.report.figures import draw_comparison
 
         simulated = self.simulated(painted, profile)
-        return draw_likeness(eight_bit(self.rgb), eight_bit(simulated), profile.grid(), psnr_db)
+        return draw_comparison(eight_bit(self.rgb), eight_bit(simulated), profile.grid(), psnr_db)

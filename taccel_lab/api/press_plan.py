@@ -47,7 +47,7 @@ class PressPlan:
 
     @classmethod
     def of(cls, sensor: AnySensor, options: PressOptions) -> PressPlan:
-        """Refuse, before a mesh is made, all that can be refused. Errors as of ``press``."""
+        """Refuse, before a mesh is made, all that can be rejected. Errors as of ``press``."""
         start_warp()
         require_device(options.device)
         options.require_aim()
@@ -107,17 +107,21 @@ class PressPlan:
         at_mm, aim = self.options.at_mm, self.options.aim()
         return write_scene(folder, family, gel, self.indenter, at_mm, self.first_mm, aim)
 
-    def mesh_for(self, physics: PressPhysics, depth_mm: float) -> TetMesh:
-        """Mesh of a press to a depth [mm], in the gel frame [m]."""
-        first = physics is self.physics and depth_mm == self.first_mm
-        return self.gel if first else self._meshed(physics, depth_mm)
+    def mesh_for(self, physics: PressPhysics, depth_mm: float, refinement: float = 1.0) -> TetMesh:
+        """Mesh of a press to a depth [mm], in the gel frame [m], with ``refinement`` times as many
+        elements along every side as ``physics`` says."""
+        same = physics.mesh == self.physics.mesh and refinement == 1.0
+        first = same and depth_mm == self.first_mm
+        return self.gel if first else self._meshed(physics, depth_mm, refinement)
 
-    def _meshed(self, physics: PressPhysics, depth_mm: float) -> TetMesh:
+    def _meshed(self, physics: PressPhysics, depth_mm: float, refinement: float = 1.0) -> TetMesh:
         if self.options.mesh == "profile":
             return self.profile.mesh
         try:
             contact = self.indenter.contact(depth_mm)
-            return profile_press_mesh(self.profile, self.options.at_mm, contact, physics.mesh)
+            return profile_press_mesh(
+                self.profile, self.options.at_mm, contact, physics.mesh, refinement
+            )
         except InputError as error:
             x, y = self.options.at_mm
             raise InputError(

@@ -13,12 +13,12 @@ from taccel_lab.progress import watching_console
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from taccel_lab.presses.press_force import Told
+    from taccel_lab.presses.press_force import StepProgress
     from taccel_lab.presses.press_outcome import PressStep
 
 
 @contextmanager
-def step_progress(console: Console, title: str) -> Iterator[Told]:
+def step_progress(console: Console, title: str) -> Iterator[StepProgress]:
     """Yield a callback that draws each step."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -45,11 +45,11 @@ def step_progress(console: Console, title: str) -> Iterator[Told]:
 
 
 @contextmanager
-def steps_if_watched(told: Told | None, title: str) -> Iterator[Told | None]:
-    """Yield ``told``; where it is None, a bar on a terminal or in a notebook, else nothing."""
-    console = None if told is not None else watching_console()
+def steps_if_watched(progress: StepProgress | None, title: str) -> Iterator[StepProgress | None]:
+    """Yield ``progress``; where it is None, a bar on a terminal or in a notebook, else nothing."""
+    console = None if progress is not None else watching_console()
     if console is None:
-        yield told
+        yield progress
         return
     with step_progress(console, title) as bar:
         yield bar

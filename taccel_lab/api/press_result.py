@@ -13,6 +13,7 @@ import numpy as np
 from taccel_lab.api.press_photo import LIKE
 from taccel_lab.exporters.image_files import eight_bit
 from taccel_lab.files.output_folder import atomic_directory
+from taccel_lab.presses.press_error import plus_minus
 from taccel_lab.presses.press_files import write_press
 from taccel_lab.presses.press_image import PREDICTED_PX, painted_images, predicted_images
 from taccel_lab.presses.press_markers import PressMarkers
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from taccel_lab.api.press_plan import PressPlan
     from taccel_lab.presses import PressOutcome
+    from taccel_lab.presses.press_within import Refinement
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -39,6 +41,8 @@ class Press(Summary):
     """Time of the whole."""
     failure: str | None = None
     """Why the press ended before its path did."""
+    refinement: Refinement | None = None
+    """How a percentage of ``--accuracy`` was met, or not; None of its grades."""
 
     @property
     def force_n(self) -> float:
@@ -47,7 +51,7 @@ class Press(Summary):
 
     @property
     def force_error_n(self) -> float:
-        """Estimated discretisation error of the force [N]."""
+        """Stated error of the force [N], see ``PressOptions.accuracy``; NaN of a stored mesh."""
         return self.outcome.force_error_n
 
     @property
@@ -67,7 +71,7 @@ class Press(Summary):
 
     @property
     def height_error_mm(self) -> float:
-        """Estimated discretisation error of the heights, root mean square [mm]."""
+        """Stated error of the heights, root mean square [mm]; NaN of a stored mesh."""
         return 1e3 * self.outcome.height_error_m
 
     @property
@@ -82,8 +86,8 @@ class Press(Summary):
 
     @cached_property
     def image(self) -> np.ndarray | None:
-        """Tactile image, RGB, uint8: in the profile's colours, [height_px, width_px, 3], or, before
-        a calibration, as the optical design predicts it, of its own size. None without either."""
+        """Tactile image, RGB, uint8, [height_px, width_px, 3], in the profile's colours. Before a
+        calibration the optical design predicts it, in another size; None without either."""
         if self._painted[0] is not None:
             return eight_bit(self._painted[0])
         outcome = self.outcome
@@ -108,9 +112,10 @@ class Press(Summary):
         return photo.figures(painted, self.contact_mask, self.plan.profile)
 
     def figures(self) -> dict[str, Any]:
-        """Every number of the press, as in ``press.json``."""
+        """Return every number of the press, as in ``press.json``."""
         like = {} if self.like is None else {"like": self.like}
-        return {**self.outcome.figures(), **like}
+        refined = {} if self.refinement is None else {"refinement": self.refinement.figures()}
+        return {**self.outcome.figures(), **refined, **like}
 
     def save(self, folder: Path | str) -> None:
         """Write pictures, arrays, mesh and ``press.json`` as the folder, whole or not at all.
@@ -135,6 +140,7 @@ class Press(Summary):
             "friction_coefficient": plan.friction,
             "differs_from_calibration": plan.differs,
             "like": self.like,
+            "refinement": None if self.refinement is None else self.refinement.figures(),
             "failure": self.failure,
             "seconds": self.seconds,
         }
@@ -153,12 +159,12 @@ class Press(Summary):
         return draw_press(self.image, self.depth_mm, self.contact_mask, grid, self.summary()[0])
 
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
-        """What was pressed how far, and what came of it."""
+        """Summarise the press: tool, depth, force and contact."""
         options, last = self.plan.options, self.outcome.last
         height, width = self.outcome.height_m.shape
         rows = [
-            ("force", f"{self.force_n:.4g} +- {self.force_error_n:.2g} N"),
-            ("deepest", f"{self._deepest_mm():.4g} +- {self.height_error_mm:.2g} mm"),
+            ("force", f"{self.force_n:.4g}{plus_minus(self.force_error_n)} N"),
+            ("deepest", f"{self._deepest_mm():.4g}{plus_minus(self.height_error_mm)} mm"),
             ("contact radius", f"{1e3 * self.outcome.contact_radius_m:.3g} mm (equal area)"),
             ("image", f"{width} x {height} px, {self._colours()}"),
             ("residual", f"{last.residual_n[0]:.1e} N after {len(self.outcome.steps)} steps"),
@@ -166,6 +172,8 @@ class Press(Summary):
         ]
         if self.like is not None:
             rows.append(("photo", f"{self.like['psnr_db']:.1f} dB ({self._untouched()})"))
+        if self.refinement is not None:
+            rows.append(("refined", self.refinement.words()))
         if self.failure is not None:
             rows.append(("stopped", self.failure))
         depth = self.outcome.steps[-1].depth_mm

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What counts as a sensor wherever one is asked for."""
+"""What counts as a sensor."""
 
 from __future__ import annotations
 
@@ -18,22 +18,21 @@ class HasProfile(Protocol):
     def profile(self) -> SensorProfile: ...
 
 
-_STEP = (".step", ".stp")
 AnySensor = SensorProfile | HasProfile | Path | str
 """A profile, what has one, the folder of one, or a sensor of the catalogue."""
 
 
 def load_sensor(
-    name: Path | str, parameters: Mapping[str, Any] | None = None, **step: Any
+    name: Path | str, parameters: Mapping[str, Any] | None = None, **gel: Any
 ) -> SensorProfile:
-    """The profile of a sensor.
+    """Load the profile of a sensor.
 
     Args:
         name: A sensor of the catalogue, such as ``"gelsight_mini"``; the folder of a profile; or
-            a STEP file of a gel.
+            a file of a gel (STEP, STL, OBJ, 3MF, .msh, .vtu).
         parameters: Design parameters other than the catalogue's, such as
-            ``{"thickness_mm": 3}``; with a STEP file those of the sensor that it is ``like``.
-        step: With a STEP file, as of ``taccel-lab import-step``: ``contact``, ``bond``, ``window``
+            ``{"thickness_mm": 3}``; with a file those of the sensor that it is ``like``.
+        gel: With such a file, as of ``taccel-lab import-gel``: ``contact``, ``bond``, ``window``
             and the other fields of ``FaceSelection``, ``edge_mm`` and ``like``.
 
     Raises:
@@ -42,10 +41,10 @@ def load_sensor(
     from taccel_lab.sensors.profile import catalogue_profile, stock_sensor
     from taccel_lab.sensors.registry import sensor_families
 
-    if Path(name).suffix.lower() in _STEP:
-        return _of_step(Path(name), parameters, **step)
-    if step:
-        raise InputError(f"{', '.join(step)} select faces of a STEP file; {name} is none")
+    if _is_gel(name):
+        return _of_gel(Path(name), parameters, **gel)
+    if gel:
+        raise InputError(f"{', '.join(gel)} select faces of a gel's file; {name} is none")
     if not parameters:
         return stock_sensor(str(name))
     if str(name) not in sensor_families():
@@ -56,20 +55,27 @@ def load_sensor(
     return catalogue_profile(str(name), parameters)
 
 
-def _of_step(
+def _is_gel(name: Path | str) -> bool:
+    """Whether a name is that of a file that a gel is read from, rather than of a folder."""
+    from taccel_lab.cad.gel_import import SUFFIXES
+
+    return Path(name).suffix.lower() in SUFFIXES and not Path(name).is_dir()
+
+
+def _of_gel(
     path: Path,
     parameters: Mapping[str, Any] | None,
-    edge_mm: float = 2.0,
+    edge_mm: float | None = None,
     like: str = "flat_pad",
     **faces: Any,
 ) -> SensorProfile:
-    from taccel_lab.cad.step_import import FaceSelection
+    from taccel_lab.cad.gel_import import FaceSelection
     from taccel_lab.sensors.imported import imported_sensor
 
     unknown = sorted(set(faces) - set(FaceSelection.model_fields))
     if unknown:
         raise InputError(
-            f"{', '.join(unknown)}: no option of a STEP file; there are "
+            f"{', '.join(unknown)}: no option of such a file; there are "
             f"{', '.join([*FaceSelection.model_fields, 'edge_mm', 'like'])}"
         )
     selection = FaceSelection(**faces)
@@ -84,7 +90,7 @@ def profile_of(sensor: AnySensor) -> SensorProfile:
     if isinstance(sensor, (Path, str)):
         from taccel_lab.sensors.profile import load_sensor as load
 
-        return load_sensor(sensor) if Path(sensor).suffix.lower() in _STEP else load(str(sensor))
+        return load_sensor(sensor) if _is_gel(sensor) else load(str(sensor))
     return sensor.profile
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -10,15 +11,32 @@ from taccel_lab.files.text_file import read_text
 from taccel_lab.files.toml_file import TOML_LIMIT_BYTES
 from taccel_lab.model.devices import require_device
 from taccel_lab.processes.start_warp import start_warp
+from taccel_lab.report.page import first_figure
 from taccel_lab.studies.report import write_study_report
-from taccel_lab.studies.runner import Listener, Outcome, run_study
+from taccel_lab.studies.report.page import study_page
+from taccel_lab.studies.runner import Listener, StudyOutcome, run_study
 from taccel_lab.studies.study import default_kit, read_study
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from taccel_lab.files.shard import Shard
     from taccel_lab.studies.study import Study
 
 Accuracy = Literal["fast", "default", "reference"]
+
+
+@dataclass(repr=False)
+class StudyResult(StudyOutcome):
+    """Where a study stands after a run, ready to be drawn."""
+
+    def plot(self) -> Figure:
+        """Draw the first figure of the report.
+
+        Raises:
+            InputError: No design has figures yet.
+        """
+        return first_figure([study_page(self)])
 
 
 def study(
@@ -30,7 +48,7 @@ def study(
     accuracy: Accuracy | None = None,
     limit: int | None = None,
     listener: Listener | None = None,
-) -> Outcome:
+) -> StudyResult:
     """Evaluate the designs of a study file; write their rows as they come, table and report.
 
     The same call goes on with a study that was stopped.
@@ -53,7 +71,7 @@ def study(
         processes=processes, device=device, limit=limit, listener=listener,
     )  # fmt: skip
     write_study_report(outcome)
-    return outcome
+    return StudyResult(**vars(outcome))
 
 
 def plan_study(file: Path | str, accuracy: Accuracy | None = None) -> Study:
@@ -72,7 +90,7 @@ def evaluate_study(
     limit: int | None = None,
     shard: Shard | None = None,
     listener: Listener | None = None,
-) -> Outcome:
+) -> StudyOutcome:
     """Evaluate the designs of a planned study, or a shard of them, without a report."""
     require_device(device or planned.spec.run.device)
     return run_study(

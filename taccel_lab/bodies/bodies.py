@@ -48,7 +48,7 @@ class Surface:
             raise InputError(f"thickness_m must lie in [0, 0.1] m, got {self.thickness_m}")
 
     def meets(self, other: Surface) -> bool:
-        """Whether the layers of two bodies may touch."""
+        """Tell whether the layers of two bodies may touch."""
         return bool(self.layer & other.collides_with and other.layer & self.collides_with)
 
 
@@ -86,7 +86,7 @@ def _check_vector(value: tuple[float, float, float], name: str, whose: str) -> N
 
 @dataclass(frozen=True)
 class SoftBody:
-    """A FEM body; its bonded nodes carry no degrees of freedom of their own."""
+    """A FEM body, whose bonded nodes are prescribed."""
 
     mesh: TetMesh
     material: Material | MaterialField
@@ -137,7 +137,7 @@ class SoftBody:
         _check_vector(self.initial_velocity_m_s, "initial_velocity_m_s", repr(self.name))
 
     def bonded(self) -> np.ndarray:
-        """Bonded node indices of ``mesh``, int64, shape [n]."""
+        """Return bonded node indices of ``mesh``, int64, shape [n]."""
         if self.bonded_nodes is None:
             return self.mesh.bonded_nodes()
         return np.unique(np.asarray(self.bonded_nodes, dtype=np.int64))
@@ -201,7 +201,8 @@ class AffineBody:
         _check_vector(self.initial_spin_rad_s, "initial_spin_rad_s", repr(self.name))
 
     def mass_properties(self) -> MassProperties:
-        """Of the even solid, or as stated; InputError for a mesh that encloses none."""
+        """Return those of the even solid, or those stated; InputError for a mesh that encloses
+        none."""
         solid = mass_properties(self.shape, self.density_kg_m3)
         if self.stated_mass is None:
             return solid

@@ -20,6 +20,7 @@ import numpy as np
 from taccel_lab.bodies.mesh_checks import check_edges
 from taccel_lab.bodies.primitives import TriangleMesh
 from taccel_lab.errors import InputError
+from taccel_lab.geometry.connectivity import piece_of_cells
 
 _SOLID = 1 + 1e-6
 """Sum of two principal moments over the third one: of a flat plate 1."""
@@ -78,8 +79,8 @@ class StatedMass:
         low, middle, high = np.linalg.eigvalsh((inertia + inertia.T) / 2)
         if np.abs(inertia - inertia.T).max() > 1e-6 * high or not low + middle > high * _SOLID:
             raise InputError(
-                f"the inertia is that of no solid: it must be symmetric, and the sum of two of its "
-                f"principal moments larger than the third, got {low:.3g}, {middle:.3g}, {high:.3g} "
+                "the inertia is that of no solid: it must be symmetric, and two principal moments "
+                f"must add up to more than the third, got {low:.3g}, {middle:.3g}, {high:.3g} "
                 "kg m^2"
             )
         object.__setattr__(self, "center_m", center)
@@ -128,7 +129,7 @@ def mass_properties(mesh: TriangleMesh, density_kg_m3: float) -> MassProperties:
         raise InputError("the mesh is a single point and has no volume")
     points = points / scale
     triangles = points[faces]
-    _require_outward(triangles, _shells(faces, len(points)))
+    _require_outward(triangles, piece_of_cells(faces))
 
     volume, first, _ = _integrals(triangles)
     center = first / volume
@@ -151,17 +152,6 @@ def mass_properties(mesh: TriangleMesh, density_kg_m3: float) -> MassProperties:
         second_moments_kg_m2=density_kg_m3 * scale**5 * moments,
         radius_m=float(scale * np.linalg.norm(points[used] - center, axis=1).max()),
     )
-
-
-def _shells(faces: np.ndarray, vertex_count: int) -> np.ndarray:
-    """Connected piece of each face, 0, 1, ..., shape [face_count]."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    rows, columns = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
-    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(vertex_count, vertex_count))
-    labels = connected_components(graph, directed=False)[1][faces[:, 0]]
-    return np.unique(labels, return_inverse=True)[1].ravel()
 
 
 def _require_outward(triangles: np.ndarray, shells: np.ndarray) -> None:

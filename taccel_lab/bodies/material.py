@@ -109,8 +109,8 @@ class Material:
     def mooney_rivlin(
         cls, c10_pa: float, c01_pa: float, bulk_modulus_pa: float, density_kg_m3: float = 1000.0
     ) -> Material:
-        """A Mooney-Rivlin solid from its constants [Pa]: mu = 2 (c10 + c01) and the bulk modulus
-        of small strains."""
+        """Make a Mooney-Rivlin solid from its constants [Pa]: mu = 2 (c10 + c01) and the bulk
+        modulus of small strains."""
         for name, value in (("c10", c10_pa), ("c01", c01_pa)):
             if not (math.isfinite(value) and value >= 0):
                 raise InputError(f"{name} must be zero or positive, got {value:g} Pa")

@@ -9,6 +9,7 @@ from taccel_lab.bodies.crossings import self_crossings
 from taccel_lab.errors import InputError
 from taccel_lab.files.triangle_file import FLAT as FLAT_TRIANGLE
 from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.connectivity import pieces_of_pairs
 from taccel_lab.geometry.length_units import other_readings
 from taccel_lab.geometry.tet_checks import check_connectivity, first_of, unique_rows
 
@@ -33,7 +34,7 @@ def check_extent(vertices: np.ndarray, what: str, limits_m: tuple[float, float])
 def check_surface(vertices: np.ndarray, faces: np.ndarray, what: str, *, closed: bool) -> None:
     """Refuse a triangle surface that is not manifold, oriented, clean and free of crossings.
 
-    ``vertices``: [n, 3] [m]; ``faces``: [m, 3]; ``closed``: whether open edges are refused too.
+    ``vertices``: [n, 3] [m]; ``faces``: [m, 3]; ``closed``: whether open edges are rejected too.
     """
     faces = faces.astype(np.int64)
     unused = np.setdiff1d(np.arange(len(vertices)), faces)
@@ -150,19 +151,13 @@ def _inner_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _check_fans(faces: np.ndarray, what: str) -> None:
     """Faces around a vertex form one fan: two that meet in a point only are not a surface."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     edges, places = _inner_edges(faces)
     # Corners of two faces at the same end of a shared edge belong to the same fan.
     links = []
     for end in range(2):
         at = [(faces[places[:, k] // 3] == edges[:, end, None]).argmax(axis=1) for k in range(2)]
         links.append(np.stack([3 * (places[:, k] // 3) + at[k] for k in range(2)], axis=1))
-    pairs = np.concatenate(links)
-    count = faces.size
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    labels = connected_components(graph, directed=False)[1]
+    labels = pieces_of_pairs(np.concatenate(links), faces.size)
     fan_nodes = faces.ravel()[np.unique(labels, return_index=True)[1]]
     nodes, fans = np.unique(fan_nodes, return_counts=True)
     pinched = nodes[fans > 1]

@@ -10,7 +10,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TriangleMesh:
     """A triangle surface in its body frame."""
 
@@ -18,6 +18,12 @@ class TriangleMesh:
     """Vertex positions [m], float64, shape [vertex_count, 3]."""
     faces: np.ndarray
     """Triangles, outward by the right-hand rule, int32, shape [face_count, 3]."""
+
+    def __repr__(self) -> str:
+        size = " x ".join(f"{1e3 * side:.4g}" for side in np.ptp(self.vertices_m, axis=0))
+        return (
+            f"TriangleMesh of {len(self.vertices_m)} vertices, {len(self.faces)} faces, {size} mm"
+        )
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices_m, dtype=np.float64)
@@ -60,7 +66,7 @@ def _require_length(name: str, value_m: float) -> None:
 
 
 def sphere_mesh(radius_m: float, edge_m: float) -> TriangleMesh:
-    """A sphere about the origin as a subdivided icosahedron with edges of about ``edge_m``.
+    """Make a sphere about the origin as a subdivided icosahedron with edges of about ``edge_m``.
 
     The vertices lie slightly outside the sphere and the face centres slightly inside, so that the
     polyhedron's mean radius is the sphere's: chords bias a contact by less than edge^2 / (24 r).
@@ -126,7 +132,7 @@ def sphere_mesh(radius_m: float, edge_m: float) -> TriangleMesh:
 
 
 def box_mesh(size_m: tuple[float, float, float]) -> TriangleMesh:
-    """An axis-aligned box about the origin, 12 triangles."""
+    """Make an axis-aligned box about the origin, 12 triangles."""
     for value in size_m:
         _require_length("box edge", value)
     half = np.asarray(size_m) / 2
@@ -137,7 +143,7 @@ def box_mesh(size_m: tuple[float, float, float]) -> TriangleMesh:
 
 
 def cylinder_mesh(radius_m: float, height_m: float, segments: int = 64) -> TriangleMesh:
-    """A flat-ended cylinder about the origin, axis along z; ends are fans of ``segments``."""
+    """Make a flat-ended cylinder about the origin, axis along z; ends are fans of ``segments``."""
     _require_length("cylinder radius", radius_m)
     _require_length("cylinder height", height_m)
     if segments < 8:

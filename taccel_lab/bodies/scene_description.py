@@ -21,6 +21,7 @@ from taccel_lab.bodies.bodies import (
 )
 from taccel_lab.bodies.joints import Joint, check_joints
 from taccel_lab.errors import InputError
+from taccel_lab.summary import Summary
 
 
 class TimeScheme(StrEnum):
@@ -68,8 +69,8 @@ class TimeStepping:
         return not self.quasi_static and self.scheme is TimeScheme.BDF2
 
 
-@dataclass(frozen=True, init=False)
-class SceneDescription:
+@dataclass(frozen=True, init=False, repr=False)
+class SceneDescription(Summary):
     """Bodies and how they meet, in ``env_count`` copies; ``scene.Scene`` puts it on a device.
 
     Copies share connectivity and differ in rest shape, state, kinematic poses, and in which of the
@@ -86,6 +87,19 @@ class SceneDescription:
     pair_friction: Mapping[tuple[str, str], float]
     """Coefficient of a pair of bodies by name. Other pairs take the harmonic mean of the bodies'
     own coefficients; a body whose own is None takes the other's."""
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """Return what ``repr`` shows."""
+        lists = {
+            "kinematic": self.kinematic_bodies,
+            "affine": self.affine_bodies,
+            "planes": self.planes,
+            "joints": self.joints,
+        }
+        rows = [(body.name, f"{body.mesh.node_count} nodes") for body in self.soft_bodies]
+        rows += [(name, str(len(items))) for name, items in lists.items() if items]
+        time = "quasi-static" if self.time.quasi_static else f"steps of {1e3 * self.time.dt_s:g} ms"
+        return f"scene, env_count = {self.env_count}", [*rows, ("time", time)]
 
     def __init__(
         self,

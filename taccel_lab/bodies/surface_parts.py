@@ -5,17 +5,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.geometry.connectivity import compacted, piece_of_nodes
+
 
 def one_node_of_each_part(faces: np.ndarray) -> np.ndarray:
     """One node of each connected part of a surface with faces [n, 3]."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    used, compact = np.unique(faces, return_inverse=True)
-    compact = compact.reshape(faces.shape)
-    rows, columns = compact[:, [0, 1]].ravel(), compact[:, [1, 2]].ravel()
-    links = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(len(used), len(used)))
-    _, labels = connected_components(links, directed=False)
+    used, packed = compacted(faces)
+    labels = piece_of_nodes(packed, len(used))
     return used[np.unique(labels, return_index=True)[1]]
 
 

@@ -49,7 +49,7 @@ def _incidence(items: np.ndarray, node_count: int) -> tuple[np.ndarray, np.ndarr
 
 
 def surface_topology(faces: np.ndarray, node_count: int, what: str) -> SurfaceTopology:
-    """Build the incidence of a triangle surface; an edge of three or more faces is refused."""
+    """Build the incidence of a triangle surface; an edge of three or more faces is rejected."""
     corners = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     edges, inverse = np.unique(np.sort(corners, axis=1), axis=0, return_inverse=True)
     counts = np.bincount(inverse.ravel(), minlength=len(edges))

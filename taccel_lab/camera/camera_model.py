@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.profile.optical_design import Camera
+from taccel_lab.profile.optical_design import DesignedCamera
 
 _ITERATIONS = 40
 _TOLERANCE = 1e-12
@@ -24,7 +24,7 @@ _TOLERANCE = 1e-12
 class CameraModel:
     """Projects points of the gel frame through one camera, and back to rays."""
 
-    def __init__(self, camera: Camera) -> None:
+    def __init__(self, camera: DesignedCamera) -> None:
         self.camera = camera
         self.gel_from_camera = camera.gel_from_camera()
         """Rotation, shape [3, 3]."""
@@ -95,7 +95,7 @@ class CameraModel:
         return np.concatenate([image * scale[..., None], np.cos(theta)[..., None]], axis=-1)
 
 
-def resized(camera: Camera, width_px: int, height_px: int) -> Camera:
+def resized(camera: DesignedCamera, width_px: int, height_px: int) -> DesignedCamera:
     """The same camera with its image scaled to another size; pixel centres are whole numbers."""
     sx, sy = width_px / camera.width_px, height_px / camera.height_px
     return replace(

@@ -21,7 +21,7 @@ from taccel_lab.camera.media import glued_back_mm, media_between
 from taccel_lab.camera.refraction import DomeMedia, FlatMedia, Media
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, Region
-from taccel_lab.profile.optical_design import Camera, Light, OpticalDesign
+from taccel_lab.profile.optical_design import DesignedCamera, Light, OpticalDesign
 
 if TYPE_CHECKING:
     from taccel_lab.profile import OpticsBlock, SensorProfile
@@ -39,7 +39,7 @@ _SUNK = 0.75
 class GelCamera:
     """A camera that sees the gel in perspective."""
 
-    camera: Camera
+    camera: DesignedCamera
     """With the intrinsics of the image."""
     media: Media
     """Between it and the gel."""
@@ -80,7 +80,7 @@ class GelCamera:
         return entry, direction
 
     def resized(self, width_px: int, height_px: int) -> GelCamera:
-        """The same view in other pixels."""
+        """Return the same view in other pixels."""
         across, down = width_px / self.width_px, height_px / self.height_px
         face = self.face
         size = max(2, round(face.width_px * across)), max(2, round(face.height_px * down))
@@ -118,7 +118,7 @@ class GelCamera:
             camera[name] = tuple(camera[name])
         kind = {"flat": FlatMedia, "dome": DomeMedia}[media.pop("shape")]
         return cls(
-            Camera(**camera),
+            DesignedCamera(**camera),
             kind(**{name: tuple(values) for name, values in media.items()}),
             PixelGrid(**record["face"]),
         )
@@ -190,7 +190,7 @@ def profile_media(profile: SensorProfile, optics: OpticsBlock) -> Media:
     return media_between(design, glued_back_mm(profile.mesh))
 
 
-def _agrees(profile: SensorProfile, camera: Camera, media: Media) -> bool:
+def _agrees(profile: SensorProfile, camera: DesignedCamera, media: Media) -> bool:
     """Whether optics have the scale of the grid, or nobody measured that."""
     if profile.camera.provenance.kind not in _MEASURED:
         return True
@@ -202,7 +202,7 @@ def _agrees(profile: SensorProfile, camera: Camera, media: Media) -> bool:
     return bool((np.abs(theirs / ours - 1) < _AGREES).all())
 
 
-def _with_face(camera: Camera, media: Media, profile: SensorProfile) -> GelCamera:
+def _with_face(camera: DesignedCamera, media: Media, profile: SensorProfile) -> GelCamera:
     """The camera, with pixels over all of the face that it sees, at rest and pressed in."""
     found = GelCamera(camera, media, profile.grid())
     nodes = 1e3 * profile.mesh.nodes_m[np.unique(profile.mesh.region_faces(Region.CONTACT))]
@@ -259,8 +259,8 @@ def apparent_distance_mm(optics: OpticsBlock, profile: SensorProfile) -> float:
     """From the centre of projection to the gel along the optical axis, as it seems from the lens.
 
     Focal length times mm/px, of the mean of both axes. The intrinsics may be of another image than
-    the tactile one, which was then cut out of it or made smaller; which of the two is told by what
-    paraxial refraction leaves of the true distance.
+    the tactile one, which was then cut out of it or made smaller; which of the two is decided by
+    what paraxial refraction leaves of the true distance.
     """
     grid = profile.grid()
     scale = np.array([grid.mm_per_px_x, grid.mm_per_px_y])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.geometry import TetMesh
+from taccel_lab.geometry.connectivity import compacted
 from taccel_lab.profile import HousingBlock
 from taccel_lab.profile.units import m_from_mm
 
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 
 def compact(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points that the faces use, and the faces in their numbering."""
-    used, local = np.unique(faces, return_inverse=True)
-    return points[used], local.reshape(np.shape(faces))
+    used, local = compacted(faces)
+    return points[used], local
 
 
 def gel_surface(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 OPSET = 17
 IR_VERSION = 8
-"""The file version that goes with opset 17."""
+"""The file version of opset 17."""
 
 
 class Graph:

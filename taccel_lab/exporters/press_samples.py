@@ -24,7 +24,7 @@ BALL_RADII_MM = (1.0, 8.0)
 MAX_TILT_DEG = 60.0
 """Where the colour block does not say how steep the surfaces were that it was fitted to."""
 TILTS_DEG = (5.0, 80.0)
-"""Within which the steepest surface that is asked for lies."""
+"""Within which the steepest surface that is requested lies."""
 SHALLOWEST_MM = -0.02
 """Presses are drawn down to this at least."""
 IN_CONTACT = 0.5
@@ -58,10 +58,10 @@ class ColorSource:
         self.max_tilt_rad = rad_from_deg(
             np.clip(region.get("surface_tilt_deg", (0.0, MAX_TILT_DEG))[1], *TILTS_DEG)
         )
-        """Steepest surface that is asked for."""
+        """Steepest surface that is requested."""
         deepest_mm = region.get("displacement_mm", (-0.5 * profile.gel.thickness_mm, 0.0))[0]
         self.deepest_mm = min(deepest_mm, SHALLOWEST_MM)
-        """Lowest displacement that is asked for [mm]."""
+        """Lowest displacement that is requested [mm]."""
         self.thickness_mm = profile.gel.thickness_mm
 
     def change(
@@ -132,10 +132,10 @@ def _ball_samples(
     rho = np.maximum(r / contact, 1.0)
     bracket = (2 - rho**2) * np.arcsin(1 / rho) + np.sqrt(rho**2 - 1)
     fade = np.exp(-np.maximum(r - contact, 0) / thickness_mm)
-    skirt = -(contact**2) / (np.pi * ball) * bracket
+    sink_in = -(contact**2) / (np.pi * ball) * bracket
     slope = 2 * contact / (np.pi * ball) * (rho * np.arcsin(1 / rho) - np.sqrt(1 - 1 / rho**2))
-    skirt_slope = fade * (slope - skirt / thickness_mm)
+    sink_in_slope = fade * (slope - sink_in / thickness_mm)
     return (
-        np.where(inside, np.arcsin(sine), np.arctan(skirt_slope)),
-        np.where(inside, cap, fade * skirt),
+        np.where(inside, np.arcsin(sine), np.arctan(sink_in_slope)),
+        np.where(inside, cap, fade * sink_in),
     )

@@ -28,7 +28,7 @@ HOUSING_DENSITY = 1050.0
 
 
 @dataclass(frozen=True)
-class MassProperties:
+class UrdfInertia:
     """Of a body in a frame [kg, m, kg m^2]."""
 
     mass: float
@@ -37,7 +37,7 @@ class MassProperties:
     """About the centre of mass, shape [3, 3]."""
 
 
-FRAME_MASS = MassProperties(1e-6, np.zeros(3), 1e-12 * np.eye(3))
+FRAME_MASS = UrdfInertia(1e-6, np.zeros(3), 1e-12 * np.eye(3))
 """Of a link that is a frame only: a milligram. Bullet gives a link without inertia 1 kg."""
 
 
@@ -104,7 +104,7 @@ def export_urdf(profile: SensorProfile, folder: Path) -> ExportRecord:
     return record
 
 
-def tet_mass(mesh: TetMesh, density: float) -> MassProperties:
+def tet_mass(mesh: TetMesh, density: float) -> UrdfInertia:
     """Exact for uniform tets: the integral of x x^T over one is
     V / 20 (sum x_i x_i^T + (sum x_i)(sum x_i)^T)."""
     corners = mesh.nodes_m[mesh.tets]
@@ -117,10 +117,10 @@ def tet_mass(mesh: TetMesh, density: float) -> MassProperties:
         np.einsum("t,tia,tib->ab", volumes, arms, arms)
         + np.einsum("t,ta,tb->ab", volumes, total, total)
     ) * (density / 20)
-    return MassProperties(mass, center, np.trace(second) * np.eye(3) - second)
+    return UrdfInertia(mass, center, np.trace(second) * np.eye(3) - second)
 
 
-def housing_mass(housing: HousingBlock) -> MassProperties:
+def housing_mass(housing: HousingBlock) -> UrdfInertia:
     """A closed box of the stated wall, open to the front."""
     outer = m_from_mm(np.array(housing.size_mm))
     wall = m_from_mm(housing.wall_mm)
@@ -137,22 +137,22 @@ def housing_mass(housing: HousingBlock) -> MassProperties:
     for part in parts:
         arm = part.center - center
         inertia += part.inertia + part.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    return MassProperties(mass, center, inertia)
+    return UrdfInertia(mass, center, inertia)
 
 
-def _box(size: np.ndarray, center: np.ndarray, density: float) -> MassProperties:
+def _box(size: np.ndarray, center: np.ndarray, density: float) -> UrdfInertia:
     mass = float(density * size.prod())
     squares = size**2
-    return MassProperties(mass, center, np.diag(mass / 12 * (squares.sum() - squares)))
+    return UrdfInertia(mass, center, np.diag(mass / 12 * (squares.sum() - squares)))
 
 
-def _turned(body: MassProperties) -> MassProperties:
-    return MassProperties(
+def _turned(body: UrdfInertia) -> UrdfInertia:
+    return UrdfInertia(
         body.mass, LINK_FROM_GEL @ body.center, LINK_FROM_GEL @ body.inertia @ LINK_FROM_GEL.T
     )
 
 
-def _add_inertial(link: ElementTree.Element, body: MassProperties) -> None:
+def _add_inertial(link: ElementTree.Element, body: UrdfInertia) -> None:
     inertial = ElementTree.SubElement(link, "inertial")
     ElementTree.SubElement(inertial, "origin", xyz=_text(body.center), rpy="0 0 0")
     ElementTree.SubElement(inertial, "mass", value=repr(float(body.mass)))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Foreign readers run in a process of their own, with limits on memory and time.
+"""Foreign readers run in a separate process, with limits on memory and time.
 
 Libraries that decode CAD files, meshes, images and videos may crash on a file, take all memory or
 never return. What happens to that process becomes a sentence about the library, with its version:
-it may crash on sound files too. The next file gets a fresh process.
+it may crash on sound files too. The next file gets a fresh process; and a process that fails after
+it has read other files may owe it to those, so that its file is read again in a fresh one.
 """
 
 from __future__ import annotations
@@ -37,15 +38,14 @@ KEPT_BYTES = 16 << 20
 """Of the place for arrays, when a reader waits; larger ones are given back."""
 MAX_IMAGE_PIXELS = 1 << 26
 """Of an image; cameras have up to 61 million."""
+CAPTURE_OPTIONS = "OPENCV_FFMPEG_CAPTURE_OPTIONS"
 ENVIRONMENT = {
     # Of 64 cores the stacks of the threads of two libraries take half of the memory.
     **dict.fromkeys(THREAD_LIMITS, "1"),
     # OpenCV compares it with an image's header before it decodes.
     "OPENCV_IO_MAX_IMAGE_PIXELS": str(MAX_IMAGE_PIXELS),
     # Of what FFmpeg reads, playlists would name other files, and addresses.
-    "OPENCV_FFMPEG_CAPTURE_OPTIONS": (
-        "protocol_whitelist;file|format_whitelist;avi,mov,mp4,matroska,webm"
-    ),
+    CAPTURE_OPTIONS: ("protocol_whitelist;file|format_whitelist;avi,mov,mp4,matroska,webm"),
 }
 """Variables that readers start with."""
 
@@ -64,8 +64,15 @@ def read_apart(
 
     Raises InputError when the process crashes, runs out of memory or takes too long.
     """
-    with _readers.use() as reader:
-        return reader.ask(_Asked(what, by, limit_s), read, arguments, False)
+    asked = _Asked(what, by, limit_s)
+    for fresh in (False, True):
+        with _readers.use(fresh) as reader:
+            try:
+                return reader.ask(asked, read, arguments, False)
+            except _Failed:
+                if not reader.has_read:
+                    raise
+    raise AssertionError("a fresh process has read nothing before")
 
 
 def stream_apart(
@@ -76,12 +83,19 @@ def stream_apart(
     limit_s: float = LIMIT_S,
 ) -> Generator[Result, None, None]:
     """Items of the iterator ``read(*arguments)`` as they are read; limits are those of an item."""
-    with _readers.use() as reader:
-        asked = _Asked(what, by, limit_s)
-        item, more = reader.ask(asked, read, arguments, True)
-        while more:
-            yield item
-            item, more = reader.next_item(asked)
+    asked = _Asked(what, by, limit_s)
+    for fresh in (False, True):
+        with _readers.use(fresh) as reader:
+            try:
+                item, more = reader.ask(asked, read, arguments, True)
+            except _Failed:
+                if reader.has_read:
+                    continue
+                raise
+            while more:
+                yield item
+                item, more = reader.next_item(asked)
+            return
 
 
 @dataclass(frozen=True)
@@ -91,6 +105,10 @@ class _Asked:
     what: str
     by: str
     limit_s: float
+
+
+class _Failed(InputError):
+    """The process crashed or ran out of memory, which need not be the file's fault."""
 
 
 class _Reader:
@@ -106,6 +124,8 @@ class _Reader:
         self.owner = os.getpid()
         self.idle = True
         """Whether it waits for a file; one that was left amid a file is of no more use."""
+        self.has_read = False
+        """Whether it has read a file: what that one left in the process may harm the next."""
 
     def ask(
         self,
@@ -148,14 +168,14 @@ class _Reader:
             kind, content, sizes = self.child.pipe.recv()
             content = pickle.loads(content, buffers=self._buffers(sizes))
         except (EOFError, ConnectionResetError):
-            raise InputError(
+            raise _Failed(
                 f"{asked.what}: {_version(asked.by)} crashed on it (the process "
                 f"{self.child.cause_of_death()}). The file may be sound. Save it again, from "
                 "another program or with other settings, or try another version of that library; "
                 "if that does not help, report the file"
             ) from None
         if kind == "memory":
-            raise InputError(
+            raise _Failed(
                 f"{asked.what} needs more than {MEMORY_BYTES / 2**30:g} GiB of memory to be read; "
                 "the file may be far too large, or damaged"
             )
@@ -202,14 +222,15 @@ class _Readers:
         self._lock = threading.Lock()
 
     @contextmanager
-    def use(self) -> Iterator[_Reader]:
-        """A reader for one file."""
-        reader = self._take()
+    def use(self, fresh: bool = False) -> Iterator[_Reader]:
+        """A reader for one file; a ``fresh`` one has read none before."""
+        reader = _Reader() if fresh else self._take()
         try:
             yield reader
         finally:
             with self._lock:
                 if reader.idle:
+                    reader.has_read = True
                     self._idle.append(reader)
             if not reader.idle:
                 reader.end()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Triangles of Collada files (.dae), read by pycollada in a process of its own.
+"""Triangles of Collada files (.dae), read by pycollada in its own process.
 
 Lengths are those of the file times its unit, metres where it names none, and the axis that the file
 calls up is turned to z, as https://www.khronos.org/collada says. RViz leaves ``up_axis`` out, and
@@ -77,8 +77,8 @@ def read_collada(path: Path, as_drawn: bool = False) -> tuple[np.ndarray, np.nda
         raise InputError(f"{path} shows no faces")
     if not as_drawn and (up := _up_axis(root)) != "Z_UP":
         warnings.warn(
-            f"{path} says {up}, so it is turned to z up; if it lies wrong then, as files do that "
-            "are made for RViz, which leaves this out, load it as it is drawn",
+            f"{path} says {up}, so it is turned to z up; if it now lies wrong, load it as drawn: "
+            "RViz ignores this entry, and files made for it may state a wrong axis",
             InputWarning,
             stacklevel=2,
         )

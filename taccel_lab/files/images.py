@@ -59,7 +59,7 @@ Image = Path | np.ndarray | Callable[[], np.ndarray]
 
 
 def levels(image: Image | str) -> np.ndarray:
-    """RGB levels of an image that is in memory already, in a file, or read when it is asked for."""
+    """RGB levels of an image that is in memory already, in a file, or read on demand."""
     if callable(image):
         return image()
     return image if isinstance(image, np.ndarray) else read_image(Path(image))
@@ -68,7 +68,7 @@ def levels(image: Image | str) -> np.ndarray:
 def _rgb(path: Path) -> np.ndarray:
     import cv2
 
-    image = _decoded(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    image = _decoded_file(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if image.dtype == np.uint16:
         brightest = int(image.max())
         if 0 < brightest < LOW_16_BIT:
@@ -86,7 +86,7 @@ def _rgb(path: Path) -> np.ndarray:
 def _grey(path: Path) -> np.ndarray:
     import cv2
 
-    return _decoded(path, cv2.IMREAD_GRAYSCALE)
+    return _decoded_file(path, cv2.IMREAD_GRAYSCALE)
 
 
 def _size(path: Path) -> tuple[int, int]:
@@ -94,11 +94,24 @@ def _size(path: Path) -> tuple[int, int]:
     return width, height
 
 
-def _decoded(path: Path, flags: int) -> np.ndarray:
+def decoded_bgr(data: bytes, name: Path | str) -> np.ndarray:
+    """Levels of an encoded image in OpenCV's order of channels, uint8, shape [height, width, 3].
+
+    For code that runs in the readers' process. Raises InputError with ``name`` as ``read_image``.
+    """
+    import cv2
+
+    return _decoded(data, name, cv2.IMREAD_COLOR)
+
+
+def _decoded_file(path: Path, flags: int) -> np.ndarray:
+    return _decoded(read_regular_file(path, MAX_FILE_BYTES, "an image"), path, flags)
+
+
+def _decoded(data: bytes, path: Path | str, flags: int) -> np.ndarray:
     import cv2
 
     cv2.setNumThreads(1)  # Each takes address space, which counts as memory.
-    data = read_regular_file(path, MAX_FILE_BYTES, "an image")
     if not data:
         raise InputError(f"{path} is empty (0 bytes); copy it again or leave it out")
     image = None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where paths lead; and what a file names lies in its own folder, or is refused.
+"""Where paths lead; and what a file names lies in its own folder, or is rejected.
 
 A manifest, a data set or a study may come from anybody. Read, copied, written and deleted are only
 files in its folder: no name and no link in it leads anywhere else.
@@ -85,7 +85,7 @@ def require_inner_name(name: str) -> str:
 
 
 def inner_path(folder: Path, name: str) -> Path:
-    """Path of the file ``name`` of ``folder``; links that lead out of the folder are refused.
+    """Path of the file ``name`` of ``folder``; links that lead out of the folder are rejected.
 
     Raises InputError with the path.
     """

@@ -79,7 +79,7 @@ def atomic_directory(target: Path | str, check: Check | None = None) -> Iterator
     """Yield a hidden folder that takes the place of ``target`` when the block ends without error.
 
     An earlier folder at ``target`` stays untouched until then, and goes only after the new one
-    stands. A file, or a folder with files of somebody else, is refused.
+    stands. A file, or a folder with files of somebody else, is rejected.
 
     Args:
         target: The folder; its parents are made.
@@ -256,7 +256,7 @@ def _staging(target: Path) -> Iterator[Path]:
 @contextmanager
 def _lock(folder: Path, *, wait: bool = True) -> Iterator[bool | None]:
     """Hold ``folder``: True if held, False where the file system knows no locks, None if it is
-    somebody else's or gone. The lock goes with the process."""
+    somebody else's or gone. The lock ends with the process."""
     try:
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except OSError:

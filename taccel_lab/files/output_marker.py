@@ -52,26 +52,38 @@ def write_marker(folder: Path) -> None:
 def read_marker(folder: Path) -> dict[str, str]:
     """Digest of each file that was written; empty where there is no sound marker: one that names
     files outside the folder is not of our making."""
+    return _marker(folder)[0]
+
+
+def _marker(folder: Path) -> tuple[dict[str, str], dict[str, int]]:
+    """Digests and sizes by name; earlier versions kept no sizes."""
     try:
-        files = read_json(folder / OUTPUT_MARKER).get("files")
+        found = read_json(folder / OUTPUT_MARKER)
+        files, sizes = found.get("files"), found.get("bytes")
         for name in files if isinstance(files, dict) else ():
             require_inner_name(name)
     # ValueError: such a name. FileNotFoundError: it vanished while it was read.
     except (InputError, ValueError, FileNotFoundError):
-        return {}
-    return files if isinstance(files, dict) else {}
+        return {}, {}
+    return (
+        files if isinstance(files, dict) else {},
+        sizes if isinstance(sizes, dict) else {},
+    )
 
 
 def foreign_files(folder: Path) -> list[str]:
     """Files that no command wrote, or that were changed since: the first ones found."""
-    written = read_marker(folder)
+    written, sizes = _marker(folder)
     found = []
     for name, path in marked_files(folder):
         if path.name in DESKTOP_FILES:
             continue
         # What vanishes meanwhile was an earlier output that another process clears away.
         with suppress(FileNotFoundError):
-            if name not in written or written[name] != _digest(path):
+            # A file of another size need not be read.
+            size = path.lstat().st_size if path.is_file() and not path.is_symlink() else None
+            known = name in written and (size is None or sizes.get(name, size) == size)
+            if not known or written[name] != _digest(path):
                 found.append(name)
         if len(found) > MOST_SHOWN:
             break
@@ -85,13 +97,12 @@ def visible_faults(folder: Path) -> list[str]:
 
     Raises InputError where the folder has no sound marker; OSError for what cannot be looked at.
     """
-    written = read_marker(folder)
+    written, sizes = _marker(folder)
     if not written:
         raise InputError(f"{folder} has no list of its files, or a damaged one ({OUTPUT_MARKER})")
-    sizes = read_json(folder / OUTPUT_MARKER).get("bytes")
     faults = []
     for name in written:
-        kept = sizes.get(name) if isinstance(sizes, dict) else None
+        kept = sizes.get(name)
         try:
             status = (folder / name).lstat()
         except (FileNotFoundError, NotADirectoryError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contents of files as frozen models: what is written is what is meant, or is refused by name."""
+"""Contents of files as frozen models: what is written is what is meant, or is rejected by name."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ _DELIMITERS = ",;\t"
 class Row:
     """One row."""
 
-    table: Table
+    table: TextTable
     line: int
     """Number in the file, from 1."""
     cells: Sequence[str]
@@ -55,8 +55,8 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Table:
-    """A table, whose rows are split as they are asked for."""
+class TextTable:
+    """A table, whose rows are split on demand."""
 
     path: Path
     header: tuple[str, ...]
@@ -112,7 +112,7 @@ class Table:
             yield Row(self, line, cells)
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> TextTable:
     """Read a table and its header.
 
     Raises InputError with the path, here or as the rows are read: no file, too large, no text, no
@@ -129,7 +129,7 @@ def read_table(path: Path) -> Table:
     if twice is not None:
         raise InputError(f"{path} has the column {shown(twice)} twice; which one counts?")
     rest = text.split("\n", line)[line:]
-    return Table(path, header, delimiter, rest[0] if rest else "", line + 1)
+    return TextTable(path, header, delimiter, rest[0] if rest else "", line + 1)
 
 
 def read_table_text(path: Path) -> str:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Triangle surfaces of other programs: STL, PLY and OBJ files, read by VTK in a process of its own.
+"""Triangle surfaces of other programs: STL, PLY and OBJ files, read by VTK in its own process,
+and 3MF files, by lib3mf.
 
 VTK believes what a file says of its counts and indices and crashes where that is wrong.
 """
@@ -18,19 +19,27 @@ from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.files.apart import read_apart
 from taccel_lab.files.regular_file import require_regular_file
 
-SUFFIXES = (".stl", ".ply", ".obj")
+SUFFIXES = (".stl", ".ply", ".obj", ".3mf")
 MAX_TRIANGLES = 500_000
 """Of a surface; scans that are to be touched have a tenth of it, and contact with more is slow."""
 MAX_BYTES = 150 << 20
 """As many triangles in the format that takes the most for each: STL as text, 300 bytes."""
 FLAT = 1e-10
 """Twice the area of a triangle over its longest edge squared, up to which it has none."""
+_MM_PER_UNIT = {
+    "MicroMeter": 1e-3, "MilliMeter": 1.0, "CentiMeter": 10.0, "Inch": 25.4, "Foot": 304.8,
+    "Meter": 1e3,
+}  # fmt: skip
+"""Of lib3mf's units."""
+_STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+"""A triangle of a binary STL file."""
 _PLY_HEAD_BYTES = 1 << 16
 """Where the header of a PLY file ends, some 400 bytes as a rule."""
 
 
 def read_triangle_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Points in the unit of the file, float64, [n, 3], and triangles, int64, [m, 3].
+    """Points in the unit of the file, of 3MF in millimetres, float64, [n, 3], and triangles, int64,
+    [m, 3].
 
     Faces of more corners are cut into triangles, points at the same place merged, and triangles
     without area that this leaves, such as those between two equal points, go, and so do those of
@@ -41,14 +50,19 @@ def read_triangle_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
     Raises InputError for a file that cannot be read, has no faces, more than ``MAX_TRIANGLES``, or
     coordinates that are not finite.
     """
-    require_regular_file(path, MAX_BYTES, "a triangle mesh (STL, PLY or OBJ)")
+    require_regular_file(path, MAX_BYTES, "a triangle mesh (STL, PLY, OBJ or 3MF)")
     names = (path, Path(os.path.realpath(path)))
     suffix = next((name.suffix.lower() for name in names if name.suffix.lower() in SUFFIXES), None)
     if suffix is None:
-        raise InputError(f"{path}: only .stl, .ply and .obj files can be read as triangles")
+        raise InputError(f"{path}: only .stl, .ply, .obj and .3mf files can be read as triangles")
     if suffix == ".ply":
         _check_ply_counts(path)
-    points, faces = read_apart(str(path), _read_with_vtk, path, suffix, by="vtkmodules")
+    if suffix == ".stl":
+        _check_stl_numbers(path)
+    if suffix == ".3mf":
+        points, faces = read_apart(str(path), _read_with_lib3mf, path, by="lib3mf")
+    else:
+        points, faces = read_apart(str(path), _read_with_vtk, path, suffix, by="vtkmodules")
     if not len(faces):
         raise InputError(f"{path} holds no faces, or is not a readable mesh file")
     return without_idle_faces(path, points, faces)
@@ -59,7 +73,7 @@ def without_idle_faces(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The same surface without triangles that have no area or stand there twice, and with a
     warning, where its edges meet better without them: programs leave some behind in closed
-    surfaces. Points that no face has go with them."""
+    surfaces. Points of no face go, too."""
     corners = points[faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -104,6 +118,32 @@ def _read_with_vtk(path: Path, suffix: str) -> tuple[np.ndarray, np.ndarray]:
     return _cleaned(path, loaded)
 
 
+def _read_with_lib3mf(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """All that the file builds, where it puts it [mm]; runs in the readers' process."""
+    from lib3mf import Lib3MF
+
+    model: Any = Lib3MF.Wrapper().CreateModel()
+    try:
+        model.QueryReader("3mf").ReadFromFile(str(path))
+        merged = model.MergeToModel()
+    except Lib3MF.ELib3MFException as error:
+        raise InputError(f"{path} is not a 3MF file that lib3mf can read ({error})") from None
+    scale = _MM_PER_UNIT[model.GetUnit().name]
+    points, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int64)], 0
+    objects = merged.GetMeshObjects()
+    while objects.MoveNext():
+        mesh = objects.GetCurrentMeshObject()
+        _check_count(path, mesh.GetTriangleCount())
+        corners = np.array([tuple(v.Coordinates) for v in mesh.GetVertices()])
+        points.append(scale * corners.reshape(-1, 3))
+        indices = np.array([tuple(t.Indices) for t in mesh.GetTriangleIndices()], dtype=np.int64)
+        faces.append(indices.reshape(-1, 3) + count)
+        count += len(corners)
+    if len(faces) == 1:
+        return points[0], faces[0]
+    return clean_triangles(path, np.concatenate(points), np.concatenate(faces))
+
+
 def clean_triangles(
     path: Path, points: np.ndarray, faces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -140,6 +180,21 @@ def _check_ply_counts(path: Path) -> None:
             )
         if name == b"face":
             _check_count(path, count)
+
+
+def _check_stl_numbers(path: Path) -> None:
+    """Refuse NaN in a binary file, of which VTK makes an empty surface."""
+    data = path.read_bytes()
+    count = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
+    if not count or len(data) != 84 + _STL.itemsize * count:
+        return
+    corners = np.frombuffer(data, dtype=_STL, offset=84)["corners"]
+    bad = np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))
+    if len(bad):
+        raise InputError(
+            f"{path}: {len(bad)} of {count} triangles have NaN or infinite coordinates (the first "
+            f"is triangle {bad[0]})"
+        )
 
 
 def _check_count(path: Path, count: int) -> None:

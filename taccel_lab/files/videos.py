@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Video files, decoded frame by frame by OpenCV's FFmpeg in the readers' process.
 
-Pixels are as the file stores them, as those of images are: how a player would turn them is not
-followed.
+OpenCV's wheels decode no AV1, in which LeRobot's data sets are coded: PyAV does that. Pixels are as
+the file stores them, as those of images are: how a player would turn them is not followed.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.errors import InputError
-from taccel_lab.files.apart import stream_apart
+from taccel_lab.files.apart import CAPTURE_OPTIONS, ENVIRONMENT, stream_apart
 from taccel_lab.files.regular_file import LARGEST_BYTES, require_regular_file
 
 if TYPE_CHECKING:
     import cv2
+    from av import VideoFrame
 
 MAX_FRAME_PIXELS = 1 << 25
 """Of a frame; 8K has 33.2 million."""
@@ -48,11 +49,8 @@ def count_frames(path: Path) -> tuple[int, int]:
 def _frames(path: Path) -> Iterator[np.ndarray]:
     import cv2
 
-    capture, first, count = _opened(path), (), 0
-    while True:
-        read, frame = capture.read()
-        if not read:
-            break
+    first, count = (), 0
+    for frame in _decoded(path):
         count += 1
         _require_few(path, count)
         first = first or frame.shape
@@ -65,6 +63,43 @@ def _frames(path: Path) -> Iterator[np.ndarray]:
     _require_two(path, count)
 
 
+def _decoded(path: Path) -> Iterator[np.ndarray]:
+    """Frames, BGR."""
+    capture = _opened(path)
+    if _is_av1(capture):
+        yield from (frame.to_ndarray(format="bgr24") for frame in _av1(path))
+        return
+    while True:
+        read, frame = capture.read()
+        if not read:
+            return
+        yield frame
+
+
+def _is_av1(capture: cv2.VideoCapture) -> bool:
+    import cv2
+
+    code = int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF
+    return code.to_bytes(4, "little").upper() == b"AV01"
+
+
+def _av1(path: Path) -> Iterator[VideoFrame]:
+    try:
+        import av
+        from av.error import FFmpegError
+    except ImportError:
+        raise InputError(
+            f"{path} is coded in AV1, which needs PyAV: pip install 'taccel-lab[datasets]'"
+        ) from None
+    # Options as OpenCV gets them from the environment.
+    options = dict(pair.split(";") for pair in ENVIRONMENT[CAPTURE_OPTIONS].split("|", 1))
+    try:
+        with av.open(str(path.absolute()), options=options) as container:
+            yield from container.decode(video=0)
+    except FFmpegError:
+        return  # As OpenCV does: what was decoded so far counts.
+
+
 def _counts(path: Path) -> Iterator[tuple[int, int]]:
     """The count so far now and then: to count a long video may take long."""
     import cv2
@@ -72,7 +107,9 @@ def _counts(path: Path) -> Iterator[tuple[int, int]]:
     capture, count = _opened(path), 0
     stated = capture.get(cv2.CAP_PROP_FRAME_COUNT)
     stated = int(stated) if 0 < stated < 2**31 else 0
-    while capture.grab():  # Decodes, but makes no picture.
+    # Each decodes, but makes no picture.
+    decoded = _av1(path) if _is_av1(capture) else iter(capture.grab, False)
+    for _ in decoded:
         count += 1
         _require_few(path, count)
         if count % _TOLD_FRAMES == 0:

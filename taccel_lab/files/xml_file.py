@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""XML files, without entities of their own: those can name other files, and grow."""
+"""XML files, without their own entities: those can name other files, and grow."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finer tets where they are asked for, of any mesh: bisection at longest edges.
+"""Finer tets where they are requested, of any mesh: bisection at longest edges.
 
 Tets that are too large are cut at the middle of their longest edge, and so is whatever shares that
 edge, after its own longest edge has been cut (M. C. Rivara, "Local modification of meshes for
@@ -71,7 +71,7 @@ class _Parts:
 
     def cut(self, lengths: np.ndarray, edges: np.ndarray, large: np.ndarray) -> None:
         """Cut the longest edges of the tets of a mask, and of all that share those."""
-        # Equal lengths are told apart by the edge, so that neighbours agree which is the longest.
+        # Equal lengths are ordered by the edge, so that neighbours agree which is the longest.
         order = np.lexsort((edges, lengths), axis=1)
         longest = np.take_along_axis(edges, order[:, -1:], axis=1)[:, 0]
         marked = np.unique(longest[large])

@@ -16,7 +16,7 @@ class PixelGrid:
     """Pixel centres of an image laid over the gel, in the gel frame.
 
     The gel frame has x to the right of the image, y down the image and z out of the gel (away
-    from the camera); its origin lies on the undeformed contact face at the pad's centre. Pixel
+    from the camera). Its origin lies on the undeformed contact face at the pad's centre. Pixel
     (0, 0) is the centre of the top left pixel.
     """
 
@@ -52,7 +52,7 @@ class PixelGrid:
         return (np.arange(self.height_px) - self.center_v_px) * self.mm_per_px_y
 
     def refined(self, points: int) -> PixelGrid:
-        """The same part of the gel in ``points`` x ``points`` pixels for each of these."""
+        """Return the same part of the gel in ``points`` x ``points`` pixels for each of these."""
         return PixelGrid(
             self.width_px * points,
             self.height_px * points,
@@ -85,13 +85,14 @@ class PixelGrid:
         )
 
     def contains(self, xy_mm: np.ndarray) -> np.ndarray:
-        """Whether points of the gel [mm], [..., 2] or [..., 3], lie in the image, bool, [...]."""
+        """Tell whether points of the gel [mm], [..., 2] or [..., 3], lie in the image, bool,
+        [...]."""
         u, v = np.moveaxis(self.pixel_from_gel(xy_mm), -1, 0)
         inside = (u > -0.5) & (u < self.width_px - 0.5)
         return inside & (v > -0.5) & (v < self.height_px - 0.5)
 
     def resized(self, width_px: int, height_px: int) -> PixelGrid:
-        """The same view in other pixels."""
+        """Return the same view in other pixels."""
         across, down = self.width_px / width_px, self.height_px / height_px
         return PixelGrid(
             width_px,

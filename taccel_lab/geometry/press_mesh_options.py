@@ -17,6 +17,10 @@ def _needed(first: float, way: float) -> int:
     return math.ceil(math.log(filled) / math.log(LARGEST_GROWTH) - 1e-9)
 
 
+def _even(count: float) -> int:
+    return max(4, 2 * round(count / 2))
+
+
 @dataclass(frozen=True)
 class OutlineMeshOptions:
     """Resolution around a contact with an outline: of a punch, an edge, any mesh. Rows of nodes lie
@@ -31,6 +35,25 @@ class OutlineMeshOptions:
     top: float = 0.1
     """Thickness of the uppermost layer, as a part of the geometric mean of the contact's half
     widths and the gel's thickness."""
+
+    def refined(self, factor: float) -> OutlineMeshOptions:
+        """With ``factor`` times as many elements along every side; all rings together stay even, as
+        domes need it."""
+        inner = max(1, round(factor * self.inner))
+        both = 2 * max(2, round(factor * (self.inner + self.outer) / 2))
+        return replace(
+            self,
+            core=_even(factor * self.core),
+            inner=inner,
+            outer=both - inner,
+            layers=max(2, round(factor * self.layers)),
+            top=self.top / factor,
+        )
+
+    @property
+    def cell_count(self) -> int:
+        """A measure of the number of elements."""
+        return self.core * (self.inner + self.outer) * self.layers
 
 
 @dataclass(frozen=True)
@@ -67,6 +90,25 @@ class PressMeshOptions:
         rings = even + _needed(size, to_edge_mm - fine)
         layers = _needed(self.top_layer * radius_mm, thickness_mm)
         return replace(self, rings=max(self.rings, rings), layers=max(self.layers, layers))
+
+    def refined(self, factor: float) -> PressMeshOptions:
+        """With ``factor`` times as many elements along every side; rings and the core stay even, as
+        domes need it."""
+        return replace(
+            self,
+            elements_per_radius=factor * self.elements_per_radius,
+            core=_even(factor * self.core),
+            rings=2 * math.ceil(factor * self.rings / 2 - 1e-9),
+            layers=max(2, round(factor * self.layers)),
+            top_layer=self.top_layer / max(1.0, factor) ** 0.5,
+            outline=self.outline.refined(factor),
+            scattered=self.scattered.refined(factor),
+        )
+
+    @property
+    def cell_count(self) -> int:
+        """A measure of the number of elements around a ball."""
+        return self.core * self.rings * self.layers
 
 
 DEFAULT_PRESS_MESH = PressMeshOptions()

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.geometry.tet_mesh import Region, TetMesh
+from taccel_lab.summary import Summary
 
 TET_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 """Ends of the middle nodes 4 to 9 of a tet."""
@@ -22,8 +23,8 @@ MIDDLE_MASS = 4.0 / 27.0
 [Hinton, Rock and Zienkiewicz 1976]. Row sums would make corner masses negative."""
 
 
-@dataclass(frozen=True)
-class QuadraticMesh:
+@dataclass(frozen=True, repr=False)
+class QuadraticMesh(Summary):
     """Ten-node tets on a linear mesh; reads like a TetMesh where only nodes and faces matter."""
 
     base: TetMesh
@@ -36,6 +37,11 @@ class QuadraticMesh:
     shape [4 base_face_count, 3]; those of base face i start at 4 i."""
     face_regions: np.ndarray
     """``Region`` of each face, int32, shape [4 base_face_count]."""
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """Return what ``repr`` shows."""
+        title, rows = self.base.summary()
+        return title, [("nodes", f"{self.node_count}, {self.tet_count} quadratic tets"), *rows[1:]]
 
     @property
     def nodes_m(self) -> np.ndarray:
@@ -51,27 +57,28 @@ class QuadraticMesh:
         return len(self.tets)
 
     def with_middles(self, corners: np.ndarray) -> np.ndarray:
-        """Values at all nodes of a field linear in each tet, [..., corner, k] -> [..., node, k]."""
+        """Return values at all nodes of a field linear in each tet, [..., corner, k] -> [..., node,
+        k]."""
         middles = 0.5 * (corners[..., self.edges[:, 0], :] + corners[..., self.edges[:, 1], :])
         return np.concatenate([corners, middles], axis=-2)
 
     def region_faces(self, *regions: Region) -> np.ndarray:
-        """Faces of the given regions, int32, shape [n, 3]."""
+        """Return the faces of the given regions, int32, shape [n, 3]."""
         return self.faces[np.isin(self.face_regions, [int(r) for r in regions])]
 
     def region_nodes(self, *regions: Region) -> np.ndarray:
-        """Sorted node indices that lie on faces of the given regions, shape [n]."""
+        """Return sorted node indices that lie on faces of the given regions, shape [n]."""
         return np.unique(self.region_faces(*regions))
 
     def bonded_nodes(self) -> np.ndarray:
-        """Sorted nodes glued to the rigid backing: those of the bond and window faces."""
+        """Return sorted nodes glued to the rigid backing: those of the bond and window faces."""
         return self.region_nodes(Region.BOND, Region.WINDOW)
 
     def held_with(self, corners: np.ndarray) -> np.ndarray:
-        """Sorted nodes held when these corners are: the middle of an edge is held along with its
-        ends where a whole boundary face or a whole tet is held around it.
+        """Return the sorted nodes held when these corners are. The middle of an edge is held with
+        its ends where a whole boundary face or a whole tet is held around it.
 
-        An edge whose two ends are held for reasons of their own (one from face to face across a
+        An edge whose two ends are held for other reasons (one from face to face across a
         thin layer, or two separate points) stays free to bend.
         """
         held = np.zeros(self.base.node_count, dtype=bool)

@@ -38,13 +38,9 @@ def corner_normals(vertices_m: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     from scipy import sparse
 
     corners = vertices_m[triangles]
-    twice = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area2 = np.linalg.norm(twice, axis=1)
-    flat = twice / np.maximum(area2, np.finfo(float).tiny)[:, None]
+    twice, flat, area2 = _facets(corners)
     count = triangles.size
-    joined = _joined_corners(triangles, corners, flat, area2)
-    graph = sparse.coo_array((np.ones(len(joined)), tuple(joined.T)), shape=(count, count))
-    fans, fan = sparse.csgraph.connected_components(graph, directed=False)
+    fans, fan = _fans(triangles, corners, flat, area2)
     belongs = sparse.csr_array((np.ones(count), (np.arange(count), fan)), shape=(count, fans))
     pairs = sparse.coo_array(belongs @ belongs.T)
     mine, other = pairs.coords[0] // 3, pairs.coords[1] // 3
@@ -55,6 +51,44 @@ def corner_normals(vertices_m: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     np.add.at(total, pairs.coords[0][near], weight[:, None] * twice[other[near]])
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return (total / np.maximum(length, np.finfo(float).tiny)).reshape(-1, 3, 3)
+
+
+def split_at_creases(
+    vertices_m: np.ndarray, triangles: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Give each smooth part around a vertex its own vertex, so that renderers which average
+    normals at vertices draw sharp edges sharp.
+
+    Args:
+        vertices_m: Vertices [m], shape [n, 3].
+        triangles: Outward triangles, shape [m, 3].
+
+    Returns:
+        The vertex that each new vertex copies, int64 [k], and triangles of new vertices [m, 3].
+    """
+    corners = vertices_m[triangles]
+    _, flat, area2 = _facets(corners)
+    _, fan = _fans(triangles, corners, flat, area2)
+    _, first, index = np.unique(fan, return_index=True, return_inverse=True)
+    return triangles.ravel()[first].astype(np.int64), index.reshape(-1, 3)
+
+
+def _facets(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Twice the vector area, the unit normal (0 without area) and twice the area of triangles."""
+    twice = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area2 = np.linalg.norm(twice, axis=1)
+    return twice, twice / np.maximum(area2, np.finfo(float).tiny)[:, None], area2
+
+
+def _fans(
+    triangles: np.ndarray, corners: np.ndarray, flat: np.ndarray, area2: np.ndarray
+) -> tuple[int, np.ndarray]:
+    """How many groups of corners smooth edges join, and the group of each corner, [3 m]."""
+    from scipy import sparse
+
+    joined, count = _joined_corners(triangles, corners, flat, area2), triangles.size
+    graph = sparse.coo_array((np.ones(len(joined)), tuple(joined.T)), shape=(count, count))
+    return sparse.csgraph.connected_components(graph, directed=False)
 
 
 def _corner_angles(corners: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.errors import InputError
+from taccel_lab.summary import Summary
 
 
 class Region(enum.IntEnum):
@@ -20,8 +21,8 @@ class Region(enum.IntEnum):
     WINDOW = 3
 
 
-@dataclass(frozen=True)
-class TetMesh:
+@dataclass(frozen=True, repr=False)
+class TetMesh(Summary):
     """Tetrahedra of one soft body with the region of each surface face.
 
     The gel frame: x right and y down in the tactile image, z out of the gel, origin on the
@@ -39,6 +40,14 @@ class TetMesh:
     tet_layers: np.ndarray = None  # type: ignore[assignment]  # __post_init__ fills it in
     """Layer of each tet, int32, shape [tet_count]: 0 the gel proper, 1 a skin over it; all 0 when
     None."""
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """Return what ``repr`` shows."""
+        size = " x ".join(f"{1e3 * side:.4g}" for side in np.ptp(self.nodes_m, axis=0))
+        named = [(region, int((self.face_regions == int(region)).sum())) for region in Region]
+        faces = ", ".join(f"{count} {region.name.lower()}" for region, count in named if count)
+        nodes = f"{self.node_count}, {self.tet_count} linear tets"
+        return "mesh of a soft body", [("nodes", nodes), ("size", f"{size} mm"), ("faces", faces)]
 
     def __post_init__(self) -> None:
         for name, width in (("nodes_m", 3), ("tets", 4), ("faces", 3)):
@@ -93,19 +102,19 @@ class TetMesh:
         return len(self.tets)
 
     def volumes_m3(self) -> np.ndarray:
-        """Signed tet volumes [m^3], shape [tet_count]."""
+        """Return signed tet volumes [m^3], shape [tet_count]."""
         return tet_volumes(self.nodes_m, self.tets)
 
     def region_faces(self, *regions: Region) -> np.ndarray:
-        """Faces of the given regions, int32, shape [n, 3]."""
+        """Return the faces of the given regions, int32, shape [n, 3]."""
         return self.faces[np.isin(self.face_regions, [int(r) for r in regions])]
 
     def region_nodes(self, *regions: Region) -> np.ndarray:
-        """Sorted node indices that lie on faces of the given regions, shape [n]."""
+        """Return sorted node indices that lie on faces of the given regions, shape [n]."""
         return np.unique(self.region_faces(*regions))
 
     def bonded_nodes(self) -> np.ndarray:
-        """Sorted nodes glued to the rigid backing: those of the bond and window faces."""
+        """Return sorted nodes glued to the rigid backing: those of the bond and window faces."""
         return self.region_nodes(Region.BOND, Region.WINDOW)
 
 

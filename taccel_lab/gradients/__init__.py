@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slopes of what comes of quasi-static motions over materials, friction, sizes and tools' ways.
+"""Gradients of quasi-static motions with respect to materials, friction, sizes and tool paths.
 
 ``GelMotion`` runs, ``pull_back`` gives the gradients of a loss; both as one function of torch are
 ``torch_motion.TorchMotion``.

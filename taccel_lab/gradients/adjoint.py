@@ -31,7 +31,7 @@ from taccel_lab.ipc.potentials.contact_derivatives import (
     NOW,
     TURN_BEFORE,
     TURN_NOW,
-    ContactSlopes,
+    ContactDerivatives,
 )
 from taccel_lab.ipc.potentials.friction import step_motion
 from taccel_lab.model.elastic import ElementArrays
@@ -43,7 +43,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Gradients:
-    """dL / d what went into a motion; NaN in environments without slopes."""
+    """dL / d what went into a motion; NaN in environments without gradients."""
 
     young_modulus: Array
     """By Young's modulus [1/Pa], shape [env_count, gel_count]; contact stiffness that follows it
@@ -60,7 +60,7 @@ class Gradients:
     """By the poses of the tools, [step_count + 1, env_count, kinematic_count, 7]: by x, y, z [1/m],
     and along the unit quaternions x, y, z, w."""
     causes: list[str | None]
-    """Why an environment has no slopes, None where it has."""
+    """Why an environment has no gradients, None where it has."""
 
 
 def pull_back(
@@ -153,24 +153,24 @@ class _Sweep:
         tangent = Tangent(solver, state, who=ok)
         tangent.add_elements()
         elastic = solver.linear.values.numpy().copy()
-        slopes = {
-            int(env): motion.slopes(int(env), state, before.positions, before.poses, True)
+        derivatives = {
+            int(env): motion.derivatives(int(env), state, before.positions, before.poses, True)
             for env in np.flatnonzero(ok)
         }
         by_x = self.carried + np.where(ok[:, None, None], by_positions, 0.0)
         self.carried = np.zeros_like(by_x)
         outer = {
-            env: self._of_wrenches(k, env, slopes[env], x[env], by_wrenches[env], by_x[env])
-            for env in slopes
+            env: self._of_wrenches(k, env, derivatives[env], x[env], by_wrenches[env], by_x[env])
+            for env in derivatives
         }
         for env, weights in outer.items():
-            _add_nodes(by_x[env], slopes[env], slopes[env].columns[:, NOW], weights)
+            _add_nodes(by_x[env], derivatives[env], derivatives[env].columns[:, NOW], weights)
         rhs = -by_x[:, self.free_nodes]
         if solver.friction is None:
             tangent.add_contact()
             solved = tangent.solve(rhs)
         else:
-            solved = tangent.solve_transposed(rhs, slopes)
+            solved = tangent.solve_transposed(rhs, derivatives)
             # A step minimises its energy with friction frozen: there its Hessian is positive.
             tangent.add_contact(
                 step_motion(
@@ -184,12 +184,12 @@ class _Sweep:
         multipliers[:, self.free_nodes] = solved.solution
         for scale in self.scales:
             scale.update(tangent.active, state.positions, solver.candidates)
-        for env, contact in slopes.items():
+        for env, contact in derivatives.items():
             cause = solved.causes[env]
             if contact.kinks.any():
                 cause = (
                     "it began with a node right over the border of a face that it touches at the "
-                    "end, where friction has one slope on each side: shift a body a little"
+                    "end, where friction has one derivative on each side: shift a body a little"
                 )
             if cause is not None:
                 self.causes[env] = f"step {k + 1}: {cause}"
@@ -208,27 +208,35 @@ class _Sweep:
         self._of_mounts(k, tangent, x, multipliers)
 
     def _of_wrenches(
-        self, k: int, env: int, slopes: ContactSlopes, x: Array, by_wrench: Array, by_x: Array
+        self,
+        k: int,
+        env: int,
+        derivatives: ContactDerivatives,
+        x: Array,
+        by_wrench: Array,
+        by_x: Array,
     ) -> Array:
         """dL / d forces of the collisions by way of the wrenches [collision, 4, 3]; what the arms
         of moments add goes to ``by_x`` and to the tools."""
-        weights = np.zeros_like(slopes.forces)
+        weights = np.zeros_like(derivatives.forces)
         poses = self.record.poses[k + 1, env]
-        for tool, touched in enumerate(self.motion.touched(slopes)):
+        for tool, touched in enumerate(self.motion.touched(derivatives)):
             force, moment = by_wrench[tool, :3], by_wrench[tool, 3:]
             on = touched[:, :, None]
-            arms = x[slopes.nodes] - poses[tool, :3]
+            arms = x[derivatives.nodes] - poses[tool, :3]
             weights += np.where(on, force + np.cross(moment, arms), 0.0)
-            by_arms = np.where(on, np.cross(slopes.forces, moment), 0.0)
-            np.add.at(by_x, slopes.nodes, by_arms)
+            by_arms = np.where(on, np.cross(derivatives.forces, moment), 0.0)
+            np.add.at(by_x, derivatives.nodes, by_arms)
             self.shifts[k + 1, env, tool] -= by_arms.sum(axis=(0, 1))
         return weights
 
-    def _of_contact(self, k: int, env: int, slopes: ContactSlopes, weights: Array) -> None:
+    def _of_contact(
+        self, k: int, env: int, derivatives: ContactDerivatives, weights: Array
+    ) -> None:
         """By what the forces of collisions depend on beside positions."""
-        power = np.einsum("cix,cix->c", weights, slopes.forces)
-        rubbed = np.einsum("cix,cix->c", weights, slopes.per_friction)
-        first, second = slopes.bodies.T
+        power = np.einsum("cix,cix->c", weights, derivatives.forces)
+        rubbed = np.einsum("cix,cix->c", weights, derivatives.per_friction)
+        first, second = derivatives.bodies.T
         np.add.at(self.friction[env], (first, second), rubbed)
         other = first != second
         np.add.at(self.friction[env], (second[other], first[other]), rubbed[other])
@@ -237,17 +245,17 @@ class _Sweep:
             moduli = self.model.largest_moduli.numpy()
             moduli = moduli[env % len(moduli)]
             for gel in range(self.young.shape[1]):
-                mine = (slopes.bodies == gel).any(axis=1)
+                mine = (derivatives.bodies == gel).any(axis=1)
                 theirs = np.where(first == gel, moduli[second], moduli[first])
                 rules = mine & ((moduli[gel] > theirs) | ~other)
                 self.young[env, gel] += power[rules].sum() / moduli[gel]
                 if (mine & other & (moduli[gel] == theirs)).any():
                     self.young[env, gel] = np.nan
         for gel, scale in enumerate(self.scales):
-            self.scale[env, gel] += (weights * scale.force_slopes(env, slopes)).sum()
-        tool = slopes.bodies[:, 0] - self.motion.first_kinematic
+            self.scale[env, gel] += (weights * scale.force_derivatives(env, derivatives)).sum()
+        tool = derivatives.bodies[:, 0] - self.motion.first_kinematic
         for at, columns in ((k + 1, TURN_NOW), (k, TURN_BEFORE)):
-            turned = np.einsum("cnix,cix->cn", slopes.columns[:, columns], weights)
+            turned = np.einsum("cnix,cix->cn", derivatives.columns[:, columns], weights)
             np.add.at(self.turns[at, env], tool[tool >= 0], turned[tool >= 0])
 
     def _of_prescribed(self, at: int, env: int, x: Array, by_x: Array) -> None:
@@ -316,7 +324,7 @@ class _Sweep:
                     sums[k + 1, :, tool, axis] -= np.einsum("erx,erx->e", mine, pull)
 
     def result(self) -> Gradients:
-        """With the start, and NaN where there are no slopes."""
+        """With the start, and NaN where there are no gradients."""
         record = self.record
         lost = np.array([cause is not None for cause in self.causes])
         for env in np.flatnonzero(~lost):
@@ -331,10 +339,12 @@ class _Sweep:
         return Gradients(self.young, self.poisson, friction, self.scale, poses, self.causes)
 
 
-def _add_nodes(by_x: Array, slopes: ContactSlopes, columns: Array, weights: Array) -> None:
+def _add_nodes(
+    by_x: Array, derivatives: ContactDerivatives, columns: Array, weights: Array
+) -> None:
     """Add (d forces / d x)^T ``weights`` [collision, 4, 3] to ``by_x``, [node_count, 3]."""
     found = np.einsum("cnix,cix->cn", columns, weights).reshape(-1, 4, 3)
-    np.add.at(by_x, slopes.nodes, found)
+    np.add.at(by_x, derivatives.nodes, found)
 
 
 def _moduli(motion: GelMotion, gel: int) -> tuple[Array, Array]:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A motion of tools against gels that remembers what its slopes need.
+"""A motion of tools against gels that remembers what its gradients need.
 
 Each step is one undivided quasi-static step of ``SolverIPC`` to a tighter tolerance than usual: it
 ends where the forces balance, with friction frozen where it ends, and friction counts sliding from
-where it began. A step that would only converge in parts is no step with slopes: the environment is
-left out from there on, with its cause.
+where it began. A step that would only converge in parts is no step with gradients: the environment
+is left out from there on, with its cause.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.potentials.contact_derivatives import ContactSlopes, contact_slopes
+from taccel_lab.ipc.potentials.contact_derivatives import ContactDerivatives, contact_derivatives
 from taccel_lab.ipc.potentials.friction import step_motion
 from taccel_lab.model import Model
 from taccel_lab.scene import MaterialField
@@ -23,7 +23,7 @@ from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC
 from taccel_lab.state import State, as_poses, initial_state
 
 TIGHT = SolverConfig(relative_tolerance=1e-8, absolute_tolerance_n=1e-10)
-"""Slopes are those of a balance of forces: they are as exact as it is."""
+"""Derivatives are those of a balance of forces: they are as exact as it is."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class MotionRecord:
     step, world axes, shape [step_count, env_count, kinematic_count, 6]. Forces act at the nodes of
     what is touched."""
     causes: list[str | None]
-    """Why an environment has no slopes, None where it has."""
+    """Why an environment has no gradients, None where it has."""
     changes: int
     """``Model.changes`` when it was run."""
     seconds: float
@@ -68,8 +68,8 @@ class GelMotion:
         """
         if not model.scene.time.quasi_static:
             raise InputError(
-                "gradients are those of quasi-static scenes of gels, tools and planes: affine "
-                "bodies, joints and inertia have none; move the tool as a KinematicBody, and leave "
+                "gradients need a quasi-static scene of gels, tools and planes; affine bodies, "
+                "joints and inertia have none: move the tool as a KinematicBody, and leave "
                 "TimeStepping at quasi_static=True"
             )
         for body in model.scene.soft_bodies:
@@ -112,34 +112,38 @@ class GelMotion:
                     )
                     continue
                 positions[k, env] = found[env]
-                slopes = self.slopes(int(env), state, solver.origin, solver.origin_poses, False)
-                wrenches[k, env] = self._wrenches(slopes, found[env], target[env])
+                derivatives = self.derivatives(
+                    int(env), state, solver.origin, solver.origin_poses, False
+                )
+                wrenches[k, env] = self._wrenches(derivatives, found[env], target[env])
         return MotionRecord(poses, start, positions, wrenches, causes, model.changes, seconds)
 
-    def slopes(
+    def derivatives(
         self, env: int, state: State, before: wp.array, poses_before: wp.array, by_all: bool
-    ) -> ContactSlopes:
-        """Forces of the solver's collisions, those of ``state``, and their slopes where ``by_all``,
+    ) -> ContactDerivatives:
+        """Forces of the solver's collisions, those of ``state``, with derivatives where ``by_all``,
         in a step that began at ``before`` [m], [env_count, node_count]."""
         solver, model = self.solver, self.model
         friction = solver.friction
         motion = step_motion(model, state.positions, before, state.poses, poses_before)
         eps = None if friction is None else friction.eps_u_m
-        return contact_slopes(model, solver.collisions, motion, eps, env, by_all)
+        return contact_derivatives(model, solver.collisions, motion, eps, env, by_all)
 
-    def _wrenches(self, slopes: ContactSlopes, x: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    def _wrenches(
+        self, derivatives: ContactDerivatives, x: np.ndarray, poses: np.ndarray
+    ) -> np.ndarray:
         """See ``MotionRecord.wrenches``, of one environment."""
         found = np.zeros((len(poses), 6))
-        for tool, touched in enumerate(self.touched(slopes)):
-            forces = np.where(touched[:, :, None], slopes.forces, 0.0)
-            arms = x[slopes.nodes] - poses[tool, :3]
+        for tool, touched in enumerate(self.touched(derivatives)):
+            forces = np.where(touched[:, :, None], derivatives.forces, 0.0)
+            arms = x[derivatives.nodes] - poses[tool, :3]
             found[tool, :3] = forces.sum(axis=(0, 1))
             found[tool, 3:] = np.cross(arms, forces).sum(axis=(0, 1))
         return found
 
-    def touched(self, slopes: ContactSlopes) -> list[np.ndarray]:
+    def touched(self, derivatives: ContactDerivatives) -> list[np.ndarray]:
         """Of each tool the nodes that it touches and that are not its own, bool, [collision, 4]."""
-        bodies = self.model.surface.node_bodies.numpy()[slopes.nodes]
+        bodies = self.model.surface.node_bodies.numpy()[derivatives.nodes]
         tools = self.first_kinematic + np.arange(len(self.model.kinematic))
         own = [bodies == tool for tool in tools]
         return [mine.any(axis=1, keepdims=True) & ~mine for mine in own]

@@ -16,7 +16,12 @@ import warp as wp
 
 from taccel_lab.ipc.broad_phase.candidates import Candidates
 from taccel_lab.ipc.contact.collisions import Collisions
-from taccel_lab.ipc.potentials.contact_derivatives import INSET, RANGE, THRESHOLD, ContactSlopes
+from taccel_lab.ipc.potentials.contact_derivatives import (
+    INSET,
+    RANGE,
+    THRESHOLD,
+    ContactDerivatives,
+)
 from taccel_lab.model import Model
 from taccel_lab.solvers import SolverConfig
 
@@ -66,16 +71,16 @@ class RestScale:
         for side in self._sides:
             side.update(active, positions, candidates)
 
-    def force_slopes(self, env: int, slopes: ContactSlopes) -> np.ndarray:
-        """d forces of the collisions ``slopes`` / d scale at the same positions [N], shape
+    def force_derivatives(self, env: int, derivatives: ContactDerivatives) -> np.ndarray:
+        """d forces of the collisions ``derivatives`` / d scale at the same positions [N], shape
         [collision, 4, 3]. A collision that one side does not have is at the end of its range, where
         it has no force."""
-        by_scale = np.zeros((len(slopes.nodes), 4))
+        by_scale = np.zeros((len(derivatives.nodes), 4))
         for side, sign in zip(self._sides, (-1, 1), strict=True):
             columns = {name: side.of(env, getattr(side, name)) for name in Collisions.columns}
             keys = _keys(columns["kinds"], columns["stencils"])
             at = {key: row for row, key in enumerate(keys)}
-            rows = [at.get(key, -1) for key in _keys(slopes.kinds, slopes.nodes)]
+            rows = [at.get(key, -1) for key in _keys(derivatives.kinds, derivatives.nodes)]
             known = np.array(rows, dtype=np.int64) >= 0
             values = np.stack(
                 [columns["stiffnesses"], *(columns[name] for name in NUMBERS)], axis=1
@@ -84,11 +89,11 @@ class RestScale:
             by_scale[known] += sign * both / (2 * _STEP)
             by_scale[~known] = np.nan
         by_scale = np.nan_to_num(by_scale)
-        stiff = slopes.stiffnesses
+        stiff = derivatives.stiffnesses
         stiffer = np.divide(by_scale[:, 0], stiff, out=np.zeros_like(stiff), where=stiff != 0)
-        found = stiffer[:, None, None] * slopes.forces
+        found = stiffer[:, None, None] * derivatives.forces
         for i, column in enumerate(NUMBERS.values()):
-            found += by_scale[:, 1 + i, None, None] * slopes.columns[:, column]
+            found += by_scale[:, 1 + i, None, None] * derivatives.columns[:, column]
         return found
 
 

@@ -211,7 +211,7 @@ def build_element_groups(
     """Element groups and what they add to the matrix.
 
     ``starts``: first node of each body. ``free``, ``moving``: nodes that have a row in the matrix
-    or go with rows of an affine body, and nodes that are prescribed to move, bool, [node_count].
+    or follow rows of an affine body, and nodes that are prescribed to move, bool, [node_count].
     ``ElementArrays.set_gather`` comes later, with the matrix.
     """
     members: dict[tuple[MaterialModel, Element, bool], list[int]] = {}

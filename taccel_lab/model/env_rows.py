@@ -145,7 +145,7 @@ def given_array(
     value: Any, name: str, shape: tuple[int, ...], dtype: Any, device: wp.Device
 ) -> wp.array:
     """An array of Warp of float64, vec3d or transformd on the memory of ``value``, or on a copy's
-    where that has gaps or an order of its own, as some views of torch have.
+    where that has gaps or its own order, as some views of torch have.
 
     ``value`` has the components as its last axis. The host's is checked and stays on the host; what
     is on ``device`` already is not checked for its values: that would wait for the device.

@@ -17,7 +17,7 @@ from taccel_lab.model.model import BodyKind
 
 
 @dataclass(frozen=True)
-class Part:
+class LayoutPart:
     """One body of the scene, in its own node numbers."""
 
     kind: BodyKind
@@ -36,7 +36,7 @@ class Layout:
         """Affine body that each soft body is mounted on, -1 for none."""
         self.rest_count = max([len(part.rest_m) for part in self.soft], default=1)
         parts = [
-            Part(BodyKind.SOFT, _in_mount(body, part.rest_m), part.faces)
+            LayoutPart(BodyKind.SOFT, _in_mount(body, part.rest_m), part.faces)
             for body, part in zip(scene.soft_bodies, self.soft, strict=True)
         ]
         self.properties = [
@@ -44,13 +44,13 @@ class Layout:
             for index, body in enumerate(scene.affine_bodies)
         ]
         for body in scene.affine_bodies:
-            parts.append(Part(BodyKind.AFFINE, body.shape.vertices_m[None], body.shape.faces))
+            parts.append(LayoutPart(BodyKind.AFFINE, body.shape.vertices_m[None], body.shape.faces))
         for body in scene.kinematic_bodies:
             vertices, faces = _vertices_and_faces(body.shape)
-            parts.append(Part(BodyKind.KINEMATIC, vertices[None], faces))
+            parts.append(LayoutPart(BodyKind.KINEMATIC, vertices[None], faces))
         for plane in scene.planes:
             origin = np.asarray(plane.point_m, dtype=np.float64)[None, None]
-            parts.append(Part(BodyKind.PLANE, origin, np.zeros((0, 3), dtype=np.int32)))
+            parts.append(LayoutPart(BodyKind.PLANE, origin, np.zeros((0, 3), dtype=np.int32)))
         self.parts = parts
         self.affine_count = len(self.properties)
         self.soft_count = sum(part.rest_m.shape[1] for part in self.soft)
@@ -69,7 +69,7 @@ class Layout:
         return [i for i, carrier in enumerate(self.carriers) if carrier == affine]
 
     @staticmethod
-    def _with_reach(solid: MassProperties, gels: list[Part]) -> MassProperties:
+    def _with_reach(solid: MassProperties, gels: list[LayoutPart]) -> MassProperties:
         """A solid whose radius takes in the gels on it."""
         reach = [np.linalg.norm(gel.rest_m - solid.center_m, axis=-1).max() for gel in gels]
         return replace(solid, radius_m=max([solid.radius_m, *map(float, reach)]))

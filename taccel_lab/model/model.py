@@ -49,6 +49,7 @@ from taccel_lab.model.env_parameters import (
 from taccel_lab.model.env_rows import device_mask
 from taccel_lab.model.matrix_pattern import BlockPattern
 from taccel_lab.model.surface import SurfaceArrays, SurfaceTrees
+from taccel_lab.summary import Summary
 
 
 class BodyKind(IntEnum):
@@ -119,8 +120,8 @@ class RigidTarget:
     [rest_count], or [1] of an affine body."""
 
 
-@dataclass
-class Model:
+@dataclass(repr=False)
+class Model(Summary):
     """Static data of a scene; shapes beside each field."""
 
     scene: SceneDescription
@@ -192,6 +193,12 @@ class Model:
     """How often arrays of parameters were replaced by larger ones, which stale graphs point to."""
 
     # Parameters by environment -----------------------------------------------------------------
+
+    def summary(self) -> tuple[str, list[tuple[str, str]]]:
+        """Return what ``repr`` shows."""
+        title, rows = self.scene.summary()
+        unknowns = ("unknowns", f"{3 * self.free_count} of {self.node_count} nodes")
+        return f"model of a {title} on {self.device}", [*rows, unknowns]
 
     def set_body(
         self,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The door to newton-physics: its models in, our gels in its solvers and viewers.
+"""Bridge to newton-physics: its models in, our gels in its solvers and viewers.
 
 Newton itself (the extra ``newton``) loads with the first call that needs it.
 """

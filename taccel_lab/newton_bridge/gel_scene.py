@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gels on newton's bodies, and what they touch, as a scene of ours.
 
-A gel stands on a frame that goes with its body, as on a robot's link. What it touches is a body of
+A gel stands on a frame that moves with its body, as on a robot's link. What it touches is a body of
 newton's that is prescribed here (a kinematic body for each of its shapes), or, if it moves freely
 and shall be ``inside``, an affine body; and the endless planes of the world.
 """
@@ -69,7 +69,7 @@ class GelScene:
         self.mounts: list[Mount] = []
         """Gels on their frames, whose ``link`` is the name of newton's body."""
         self.frames: list[tuple[int, np.ndarray]] = []
-        """Newton's body that each kinematic body goes with, and body_from_frame [4, 4]."""
+        """Newton's body that each kinematic body moves with, and body_from_frame [4, 4]."""
         self.affine: list[int] = []
         """Newton's body of each affine body."""
         kinematic: list[KinematicBody] = []

@@ -128,7 +128,7 @@ class NewtonModel:
                 if name in carriers:
                     array = np.where(array >= 0, array - count * np.maximum(own, 0), array)
                 if name == "shape_transform":
-                    # What stands in a world itself goes with the world.
+                    # What stands in a world itself moves with the world.
                     array = np.where(self.array("shape_body")[:, None] >= 0, array, 0.0)
                 for world in worlds:
                     if not np.array_equal(array[own == world], array[own == 0]):

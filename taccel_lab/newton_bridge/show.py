@@ -74,7 +74,7 @@ class SceneView:
     def log(
         self, state: State, time_s: float, env: int = 0, forces: np.ndarray | None = None
     ) -> None:
-        """Show a state as a frame of its own.
+        """Show a state as a separate frame.
 
         Args:
             state: Of the model.

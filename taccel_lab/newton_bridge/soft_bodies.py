@@ -15,6 +15,7 @@ import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry.connectivity import compacted, piece_of_nodes
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.newton_bridge.newton_model import NewtonModel
 from taccel_lab.robots.transforms import matrix_of
@@ -27,7 +28,7 @@ STRAIN = 1e-3
 
 
 @dataclass(frozen=True)
-class ImportedGel:
+class NewtonGel:
     """A soft body, and what carries it."""
 
     gel: SoftBody
@@ -37,7 +38,7 @@ class ImportedGel:
     """Newton's particles that are its nodes, [node]."""
 
 
-def soft_bodies(source: NewtonModel) -> list[ImportedGel]:
+def soft_bodies(source: NewtonModel) -> list[NewtonGel]:
     """All soft bodies of a model, in the frames of the bodies that carry them.
 
     Raises InputError for particles that belong to no tet, springs and cloth, tets that do not start
@@ -52,7 +53,7 @@ def soft_bodies(source: NewtonModel) -> list[ImportedGel]:
     tets = source.array("tet_indices").reshape(-1, 4).astype(np.int64)
     if not count:
         return []
-    pieces = _pieces(tets, count)
+    pieces = piece_of_nodes(tets, count)
     alone = np.setdiff1d(np.arange(count), tets)
     if len(alone):
         raise InputError(f"{len(alone)} particles belong to no tet, such as particle {alone[0]}")
@@ -62,19 +63,8 @@ def soft_bodies(source: NewtonModel) -> list[ImportedGel]:
     ]
 
 
-def _pieces(tets: np.ndarray, count: int) -> np.ndarray:
-    """Connected piece of each particle, [particle]."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    rows = np.repeat(tets[:, 0], 4)
-    graph = coo_array((np.ones(len(rows)), (rows, tets.ravel())), shape=(count, count))
-    return connected_components(graph, directed=False)[1]
-
-
-def _gel(source: NewtonModel, name: str, tets: np.ndarray, own: np.ndarray) -> ImportedGel:
-    particles, flat = np.unique(tets[own], return_inverse=True)
-    local = flat.reshape(-1, 4)
+def _gel(source: NewtonModel, name: str, tets: np.ndarray, own: np.ndarray) -> NewtonGel:
+    particles, local = compacted(tets[own])
     points = source.array("particle_q").reshape(-1, 3)[particles]
     size = float(np.ptp(points, axis=0).max())
     _check_rest(source, name, points[local], own)
@@ -104,7 +94,7 @@ def _gel(source: NewtonModel, name: str, tets: np.ndarray, own: np.ndarray) -> I
         name=name,
         element=Element.LINEAR,
     )
-    return ImportedGel(gel, carrier, particles)
+    return NewtonGel(gel, carrier, particles)
 
 
 def _check_rest(source: NewtonModel, name: str, corners: np.ndarray, own: np.ndarray) -> None:

@@ -267,8 +267,8 @@ def _free_joint(source: NewtonModel, body: int) -> tuple[int, int] | None:
         for name in ("joint_X_p", "joint_X_c"):
             if not np.array_equal(source.array(name)[row], [0, 0, 0, 0, 0, 0, 1]):
                 raise InputError(
-                    f"the free joint of body {source.model.body_label[body]!r} has frames of its "
-                    "own: a body inside needs one without"
+                    f"the free joint of body {source.model.body_label[body]!r} has its own "
+                    "frames: a body inside needs one without"
                 )
         return int(source.array("joint_q_start")[row]), int(source.array("joint_qd_start")[row])
     return None

@@ -2,12 +2,12 @@
 """Camera, lights and what a sensor would look like before it is built."""
 
 from taccel_lab.profile.optical_design import (
-    Camera,
     Coating,
+    DesignedCamera,
     Light,
     MarkerGrid,
     OpticalDesign,
     Window,
 )
 
-__all__ = ["Camera", "Coating", "Light", "MarkerGrid", "OpticalDesign", "Window"]
+__all__ = ["Coating", "DesignedCamera", "Light", "MarkerGrid", "OpticalDesign", "Window"]

@@ -77,7 +77,7 @@ class Photometry:
 
 
 def measure_photometry(model: OpticalModel) -> Photometry:
-    """Figures of the untouched gel of a model."""
+    """Measure the photometry of a model's untouched gel."""
     light = model.light_field()
     mask = light.mask
     # Dots are no unevenness of the light.

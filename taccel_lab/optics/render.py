@@ -181,7 +181,7 @@ class OpticalModel:
         return self.display.rgb(self._rest_linear)
 
     def render(self, positions_m: Any = None) -> PreviewImage:
-        """The image of the gel.
+        """Render the image of the gel.
 
         Args:
             positions_m: Node positions in the gel frame [m], shape [node, 3] or [env, node, 3],
@@ -200,8 +200,8 @@ class OpticalModel:
         return PreviewImage(*(np.stack([getattr(f, name) for f in frames]) for name in names))
 
     def render_formula(self, top_mm: Callable[[np.ndarray], np.ndarray]) -> PreviewImage:
-        """The image of another face, such as a pressed one, of a model made ``from_formula``; its
-        formula has to be defined where the model's is."""
+        """Render the image of another face, such as a pressed one, of a model made
+        ``from_formula``; its formula has to be defined where the model's is."""
         if self._grid_mm is None:
             raise InputError("a model made from a mesh takes node positions, not a formula")
         face = height_face(top_mm, *self._grid_mm)
@@ -299,7 +299,7 @@ class OpticalModel:
         return albedo
 
     def picture(self, light: LightField) -> PreviewImage:
-        """The image of a light field."""
+        """Render the image of a light field."""
         linear = self.radiance(light)
         return PreviewImage(
             rgb=self.display.rgb(linear),

@@ -22,7 +22,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.optics.shading_kernels import hit_kernel
-from taccel_lab.signals.contact_surface import ContactSurface
+from taccel_lab.signals.contact_surface import ContactFaceMesh
 from taccel_lab.signals.gradient_recovery import recover_gradients
 
 CREASE_DEG = 30.0
@@ -144,7 +144,7 @@ class GelFace:
             return None
         import warp as wp
 
-        surface = ContactSurface.from_faces(self._faces)
+        surface = ContactFaceMesh.from_faces(self._faces)
         return (
             wp.array(surface.ring_start, dtype=wp.int32, device=self._device),
             wp.array(surface.ring_nodes, dtype=wp.int32, device=self._device),

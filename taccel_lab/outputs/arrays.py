@@ -33,7 +33,7 @@ def negated(values: wp.array, into: wp.array | None = None) -> wp.array:
 
 
 def to_torch(array: wp.array) -> torch.Tensor:
-    """A tensor on the same memory; vectors and matrices become trailing axes."""
+    """Return a tensor on the same memory; vectors and matrices become trailing axes."""
     return wp.to_torch(array, requires_grad=False)
 
 

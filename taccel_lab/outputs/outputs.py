@@ -32,7 +32,7 @@ class Outputs:
     """Construct once, ``update(state)`` after a step, then read.
 
     Forces, wrenches, gaps and sliding are those of the last step of the solver; of another state
-    they are refused. Arrays that were handed out keep their values at the next update.
+    they are rejected. Arrays that were handed out keep their values at the next update.
     """
 
     @in_turn
@@ -88,10 +88,10 @@ class Outputs:
 
     @in_turn
     def soft_wrenches(self, who: np.ndarray | None = None) -> wp.array:
-        """Force and torque of contact and friction on each soft body, about the origin and in the
-        axes of its mesh where its mount carries that (``GelFrames``; on a kinematic mount the
-        mount's own), of the world where it has none: (Fx, Fy, Fz, Mx, My, Mz) [N, N m], six
-        float64, shape [env_count, soft_count]. Does not wait for the device.
+        """Return force and torque of contact and friction on each soft body, about the origin.
+        Axes are those of its mesh where a mount carries it (``GelFrames``), of a kinematic mount
+        those of the mount, and of the world where it has none. (Fx, Fy, Fz, Mx, My, Mz) [N, N m],
+        six float64, shape [env_count, soft_count]. Does not wait for the device.
 
         ``who``: environments to read, bool, [env_count], of the host, a row for each; all when
         None.

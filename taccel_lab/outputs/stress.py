@@ -29,7 +29,7 @@ wp.set_module_options({"enable_backward": False})
 
 @cache
 def _stress_kernel(model: MaterialModel, element: Element) -> wp.Kernel:
-    """Kernel over (environment, element), in a module of its own for each law and element."""
+    """Kernel over (environment, element), in its own module for each law and element."""
     law = LAWS[model]
     piola = law.piola
     shape_piola = law.shape_piola

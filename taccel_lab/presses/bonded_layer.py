@@ -130,7 +130,7 @@ def _solve(
     is no ball), at the quadrature's nodes and, last, at t = a; and the quadrature's weights [mm].
     """
     count = 24 + int(8 * a_mm / thickness_mm)
-    nodes, weights = np.polynomial.legendre.leggauss(count)
+    nodes, weights = _gauss_nodes(count)
     t = 0.5 * a_mm * (nodes + 1)
     weights = 0.5 * a_mm * weights
     at = np.append(t, a_mm)
@@ -150,8 +150,14 @@ def _solve(
 
 
 @cache
+def _gauss_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of [-1, 1]; a ball's curve asks for the same few counts at each of its contacts."""
+    return np.polynomial.legendre.leggauss(count)
+
+
+@cache
 def _kernel_quadrature() -> tuple[np.ndarray, np.ndarray]:
-    x, weights = np.polynomial.legendre.leggauss(_KERNEL_NODES)
+    x, weights = _gauss_nodes(_KERNEL_NODES)
     return 0.5 * _KERNEL_END * (x + 1), 0.5 * _KERNEL_END * weights
 
 

@@ -35,8 +35,8 @@ def physics_difference(
     """
     fitted = material.fitted_with
     if fitted is None:
-        told = material.provenance
-        if told.kind != "calibrated" or "young_modulus_pa" not in told.spread:
+        provenance = material.provenance
+        if provenance.kind != "calibrated" or "young_modulus_pa" not in provenance.spread:
             return None
         return (
             "It is not recorded what this profile's material was fitted with (an older version "

@@ -68,15 +68,15 @@ def measured_ranges(profile: SensorProfile) -> dict[str, MeasuredRange]:
     return found
 
 
-def _of_fit(told: Provenance, name: str, value: float) -> tuple[float, float, str] | None:
+def _of_fit(provenance: Provenance, name: str, value: float) -> tuple[float, float, str] | None:
     """Half widths below and above the value by the material's own calibration."""
-    if told.kind not in _MEASURED:
+    if provenance.kind not in _MEASURED:
         return None
-    if name in told.interval:
-        low, high = told.interval[name]
+    if name in provenance.interval:
+        low, high = provenance.interval[name]
         return max(value - low, 0.0), max(high - value, 0.0), "the calibration's 95 % interval"
-    if told.spread.get(name, 0.0) > 0:
-        half = 2 * told.spread[name]
+    if provenance.spread.get(name, 0.0) > 0:
+        half = 2 * provenance.spread[name]
         return half, half, "two standard deviations of the calibration"
     return None
 

@@ -8,10 +8,12 @@ so that what one fits another reproduces. What a user chooses is an ``Accuracy``
 from __future__ import annotations
 
 import dataclasses
+import re
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from taccel_lab.errors import InputError
 from taccel_lab.geometry.press_mesh_options import (
     DEFAULT_PRESS_MESH,
     OutlineMeshOptions,
@@ -27,6 +29,32 @@ class Accuracy(StrEnum):
     FAST = "fast"
     DEFAULT = "default"
     REFERENCE = "reference"
+
+
+LEAST_SHARE, LARGEST_SHARE = 0.005, 0.5
+"""Errors that may be asked for."""
+
+
+def parse_accuracy(text: str) -> Accuracy | float:
+    """A grade, or the relative error of the force that is asked for [1], such as 0.03 of ``3%``.
+
+    Raises:
+        InputError: Neither a grade nor a percentage, or one that no press can keep.
+    """
+    if text in {*Accuracy}:
+        return Accuracy(text)
+    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*", text)
+    if found is None:
+        raise InputError(
+            f"accuracy {text!r} is not known; allowed: {', '.join(Accuracy)}, or the largest error "
+            "of the force in per cent, such as 3%"
+        )
+    share = float(found[1]) / 100
+    if not LEAST_SHARE <= share <= LARGEST_SHARE:
+        raise InputError(
+            f"accuracy {text} is not possible; use {LEAST_SHARE:.1%} to {LARGEST_SHARE:.0%}"
+        )
+    return share
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ MOST_GROWTH = 3.0
 MOST_PRESSES = 12
 """Presses allowed; three reach the tolerance as a rule."""
 
-Told = Callable[[int, int, PressStep], None]
-PressTo = Callable[[float, Told], PressOutcome]
+StepProgress = Callable[[int, int, PressStep], None]
+PressTo = Callable[[float, StepProgress], PressOutcome]
 """A press to a depth [mm], which tells its steps as ``simulate_press`` does."""
 
 
@@ -76,7 +76,7 @@ def press_to_force(
     *,
     first_mm: float | None = None,
     tolerance: float = FORCE_TOLERANCE,
-    told: Told | None = None,
+    progress: StepProgress | None = None,
 ) -> PressOutcome:
     """The press whose normal force, straight down at full depth, is ``force_n`` within
     ``tolerance``: the same as one to its depth, to the last digit, whatever led there.
@@ -89,7 +89,7 @@ def press_to_force(
         limit_mm: Deepest press.
         first_mm: Where to begin; a tenth of ``limit_mm`` when None.
         tolerance: Part of ``force_n``.
-        told: As ``progress`` of ``simulate_press``, for all presses.
+        progress: As ``progress`` of ``simulate_press``, for all presses.
 
     Raises:
         InputError: No such force, or one that is not reached at ``limit_mm``.
@@ -102,8 +102,8 @@ def press_to_force(
 
         def tell(done: int, total: int, step: PressStep, curve: _Curve = curve) -> None:
             curve.add(step)
-            if told is not None:
-                told(done, total, step)
+            if progress is not None:
+                progress(done, total, step)
 
         try:
             outcome = press(depth_mm, tell)

@@ -17,6 +17,7 @@ from taccel_lab.outputs import Outputs
 from taccel_lab.presses.indenter import Indenter
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.presses.press import PressEnv
+from taccel_lab.presses.press_error import plus_minus
 from taccel_lab.presses.press_path import PressPath
 from taccel_lab.presses.press_states import PressStates
 from taccel_lab.presses.press_surface import PressSurface, press_surface
@@ -62,9 +63,9 @@ class PressOutcome(Summary):
     physics: PressPhysics
     steps: list[PressStep]
     force_error_n: float
-    """Estimated error of the last force [N], see ``PressEnv.error_estimate``."""
+    """Stated error of the last force [N], see ``press_error``; NaN where none is known."""
     height_error_m: float
-    """Estimated error of the heights, root of the mean square over the contact's surroundings."""
+    """Stated error of the heights, root mean square [m]; NaN where none is known."""
     positions_m: np.ndarray
     """Deformed gel nodes [m], shape [node, 3]."""
     contact_forces_n: np.ndarray
@@ -101,7 +102,7 @@ class PressOutcome(Summary):
         """Depth, force with its estimated error, and what the last step ended with."""
         final = self.steps[-1]
         return f"press to {final.depth_mm:.4g} mm", [
-            ("force", f"{final.wrench[2]:.4g} +- {self.force_error_n:.2g} N"),
+            ("force", f"{final.wrench[2]:.4g}{plus_minus(self.force_error_n)} N"),
             ("gel", f"{self.mesh.node_count} nodes, {self.mesh.tet_count} tets"),
             ("last step", final.report.summary()),
         ]
@@ -115,7 +116,7 @@ class PressOutcome(Summary):
         return tactile_image(model, background_rgb, self)
 
     def figures(self) -> dict[str, Any]:
-        """Numbers of the press for a JSON file."""
+        """Return the numbers of the press for a JSON file."""
         steps = [step.report for step in self.steps]
         final = self.steps[-1]
         return {

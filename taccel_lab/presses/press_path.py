@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from taccel_lab.errors import InputError
 
@@ -53,6 +53,14 @@ class PressPath:
                 f"{MAX_STEPS} steps of this path; at least {least_mm:.3g} mm and {least_deg:.3g} "
                 "deg are needed"
             )
+
+    def with_steps(self, times: int) -> PressPath:
+        """Divide the same path into ``times`` as many steps."""
+        if times == 1:
+            return self
+        far = max(self.depth_mm, math.hypot(*self.shear_mm))
+        down, turns = min(self.step_mm, far), min(self.step_deg, abs(self.twist_deg) or 1.0)
+        return replace(self, step_mm=down / times, step_deg=turns / times)
 
     def waypoints(self) -> list[tuple[float, tuple[float, float], float]]:
         """(depth [mm], shear [mm], twist [deg]) at the end of each step."""

@@ -2,7 +2,7 @@
 """Between which values the figures of a sensor lie, and why: the one place that says so.
 
 Wide enough for every sensor that we know of, and for what a calibration may find; narrow enough
-that a wrong unit, a factor of 1,000, is refused wherever a figure's own range allows that. Where a
+that a wrong unit, a factor of 1,000, is rejected wherever a figure's own range allows that. Where a
 figure is bounded by another one, the class that holds both says so.
 """
 

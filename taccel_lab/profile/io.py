@@ -63,7 +63,7 @@ def save_profile(
 ) -> None:
     """Write ``profile`` as the folder ``path``, which appears whole or not at all.
 
-    An earlier profile there is replaced; a folder that holds anything else is refused. With
+    An earlier profile there is replaced; a folder that holds anything else is rejected. With
     ``only``, blocks of these keys alone are written: ``load_profile`` needs ``onto`` for them.
     """
     import tomli_w

@@ -38,7 +38,7 @@ def _add_position_bands(document: Document) -> Document:
     document = {**document, "schema_version": 4}
     for key in ("color", "normals"):
         block = document.get(key)
-        # What is no table with a table in it is refused by the schema, in its own words.
+        # What is no table with a table in it is rejected by the schema, in its own words.
         if isinstance(block, dict) and isinstance(block.get("architecture"), dict):
             settings = {**block["architecture"], "position_bands": 0}
             if key == "normals":

@@ -20,7 +20,7 @@ Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Camera:
+class DesignedCamera:
     """A physical camera: intrinsics, distortion, pose and what decides its depth of field."""
 
     width_px: int
@@ -222,7 +222,7 @@ class MarkerGrid:
 class OpticalDesign:
     """Everything that decides what the camera sees of the gel."""
 
-    camera: Camera
+    camera: DesignedCamera
     lights: tuple[Light, ...]
     coating: Coating = Coating()
     window: Window | None = None

@@ -14,8 +14,8 @@ from pydantic import Field, model_validator
 from taccel_lab.files.strict_model import Number, StrictModel, Whole
 from taccel_lab.profile.bounds import Bound
 from taccel_lab.profile.optical_design import (
-    Camera,
     Coating,
+    DesignedCamera,
     Light,
     MarkerGrid,
     OpticalDesign,
@@ -77,9 +77,11 @@ class OpticsBlock(Block):
                 raise ValueError(f"{name}: {bound}, got {value:g}: {bound.why}")
         return self
 
-    def camera(self) -> Camera:
+    def camera(self) -> DesignedCamera:
         """The camera; raises InputError for figures that no camera has."""
-        return Camera(**{name: getattr(self, name) for name in Camera.__dataclass_fields__})
+        return DesignedCamera(
+            **{name: getattr(self, name) for name in DesignedCamera.__dataclass_fields__}
+        )
 
     @classmethod
     def from_design(

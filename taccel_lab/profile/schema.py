@@ -117,8 +117,8 @@ class Block(StrictModel):
             try:
                 super().__init__(**values)
             except ValidationError as error:
-                told = {fault["loc"][0] for fault in error.errors() if fault["loc"]}
-                rest = {name: value for name, value in values.items() if name not in told}
+                faulty = {fault["loc"][0] for fault in error.errors() if fault["loc"]}
+                rest = {name: value for name, value in values.items() if name not in faulty}
                 lines = [f"{self.key}.{t}" for t in describe_errors(error, type(self)).splitlines()]
                 lines += out_of_bounds(self.key, SimpleNamespace(**rest), self.key)
                 raise InputError("\n".join(lines[:MAX_FAULTS])) from None
@@ -204,7 +204,7 @@ class LayerMaterial(_Solid):
 class FittedWith(StrictModel):
     """The presses that a material was fitted with: only like ones reproduce what it was fitted to.
 
-    Stiffness is what makes simulated forces those of the records, so it goes with the element, the
+    Stiffness is what makes simulated forces those of the records, so it depends on the element, the
     mesh, the contact range and the friction of the simulation.
     """
 
@@ -276,7 +276,7 @@ class CameraBlock(Block):
         )
 
     def grid(self) -> PixelGrid:
-        """The pixel grid of the tactile image."""
+        """Return the pixel grid of the tactile image."""
         return PixelGrid(
             width_px=self.width_px,
             height_px=self.height_px,

@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -40,6 +40,9 @@ from taccel_lab.profile.schema import (
     SensorBlock,
 )
 from taccel_lab.summary import Summary
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Block key -> field of SensorProfile that holds the array(s) the block describes.
 ARRAY_FIELDS = {
@@ -94,7 +97,7 @@ class SensorProfile(Summary):
             self._check_weights(key)
 
     def grid(self) -> PixelGrid:
-        """The pixel grid of the tactile image."""
+        """Return the pixel grid of the tactile image."""
         return self.camera.grid()
 
     def untouched(
@@ -117,7 +120,7 @@ class SensorProfile(Summary):
         return image
 
     def blocks(self) -> dict[str, Block]:
-        """The blocks that are present, by key, in the order of the file."""
+        """Return the blocks that are present, by key, in the order of the file."""
         found = {block.key: getattr(self, block.key) for block in BLOCK_TYPES}
         return {key: block for key, block in found.items() if block is not None}
 
@@ -141,13 +144,24 @@ class SensorProfile(Summary):
         for key, block in self.blocks().items():
             if key == "sensor":
                 continue
-            told = block.provenance
+            provenance = block.provenance
             residuals = ", ".join(
-                f"{name} {value:.4g}" for name, value in list(told.residuals.items())[:2]
+                f"{name} {value:.4g}" for name, value in list(provenance.residuals.items())[:2]
             )
-            rows.append((f"[{key}]", told.kind + (f": {residuals}" if residuals else "")))
+            rows.append((f"[{key}]", provenance.kind + (f": {residuals}" if residuals else "")))
         family = "" if self.sensor.family == self.sensor.name else f" ({self.sensor.family})"
         return f"profile of {self.sensor.name}{family}", rows
+
+    def plot(self) -> Figure:
+        """Draw the untouched image with its dots, or the gel's mesh where no image is known."""
+        from taccel_lab.profile.profile_figure import draw_image_at_rest
+        from taccel_lab.report.figures_mesh import draw_mesh
+
+        if self.background_rgb is None:
+            mesh = self.mesh
+            return draw_mesh(mesh.nodes_m, mesh.faces, mesh.face_regions)
+        dots_mm = None if self.markers is None else self.markers.grid().points_mm()
+        return draw_image_at_rest(self.background_rgb, self.grid(), dots_mm)
 
     def optical_design(self) -> OpticalDesign | None:
         """Camera, lights, coating and window; None without the blocks ``optics``, ``lights`` and

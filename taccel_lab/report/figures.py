@@ -104,7 +104,7 @@ def draw_press(
 
 
 @in_report_style
-def draw_likeness(
+def draw_comparison(
     photo: np.ndarray, simulated: np.ndarray, grid: PixelGrid, psnr_db: float
 ) -> Figure:
     """Photo of a press, its simulation, and their difference, twofold about middle grey, over the

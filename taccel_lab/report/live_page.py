@@ -84,7 +84,7 @@ def page_address(server: ViserServer) -> str:
 def serve_until_stopped(stop: threading.Event | None = None) -> None:
     """Wait until Ctrl-C, which is how pages end and no error, or until ``stop`` is set."""
     stop = stop or threading.Event()
-    # An event that is waited for without end would hold back Ctrl-C on some systems.
+    # Waiting for an event without end would hold back Ctrl-C on some systems.
     with contextlib.suppress(KeyboardInterrupt):
         while not stop.wait(0.2):
             pass

@@ -21,7 +21,7 @@ def markdown_table(head: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
 def with_parts(page: str, parts: Mapping[str, str]) -> str:
     """A page with new text between each ``<!-- begin NAME -->`` and ``<!-- end NAME -->``.
 
-    Raises InputError where a part has no place of its own.
+    Raises InputError where a part has no place.
     """
     for name, text in parts.items():
         begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"

@@ -9,11 +9,12 @@ mailed as one file.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, write_json
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.report.html import data_url, image_suffix, report_environment
@@ -85,6 +86,27 @@ class Page:
     def verdict(self) -> Verdict:
         """What the remarks leave."""
         return judge(self.remarks)
+
+
+def first_figure(pages: Iterable[Page]) -> Figure:
+    """Draw the first figure of the first page that has one.
+
+    Raises:
+        InputError: No page has a figure.
+    """
+    from matplotlib.figure import Figure
+
+    for page in pages:
+        for picture in page.pictures:
+            if isinstance(found := picture.draw(), Figure):
+                return found
+    raise InputError("nothing was measured that a figure could show")
+
+
+def sentence(text: str) -> str:
+    """A phrase as a sentence: a capital at its beginning, a full stop at its end."""
+    text = text.strip()
+    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
 
 
 def to_do_first(remarks: Sequence[Remark]) -> tuple[list[Remark], list[Remark]]:

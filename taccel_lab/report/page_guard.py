@@ -6,7 +6,7 @@ open WebSockets, which no browser keeps to their own origin. So every request, H
 
 - begins with the token of this run, which only the printed address has;
 - names this machine as its ``Host``: a stranger's name that was made to mean this machine
-  (DNS rebinding) is refused;
+  (DNS rebinding) is rejected;
 - has no ``Origin`` but the page's own.
 
 What is answered forbids the browser to run scripts of attributes, and to load from elsewhere: the
@@ -54,7 +54,7 @@ def run_token() -> str:
 
 
 def is_own_request(path: str, headers: Headers, served: str) -> bool:
-    """Whether a request comes from whom the address was told, and from no other website.
+    """Whether a request comes from whoever has the address, and from no other website.
 
     Args:
         path: Path of the request, with its query.

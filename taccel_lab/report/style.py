@@ -18,6 +18,8 @@ BLUE = "#0072b2"
 ORANGE = "#d55e00"
 GREEN = "#009e73"
 PURPLE = "#cc79a7"
+CHANNELS = (("red", ORANGE), ("green", GREEN), ("blue", BLUE))
+"""Lamps and channels of images, in the colours of their lines."""
 GREY = "#6b7280"
 LIGHT = "#d1d5db"
 INK = "#1f2937"

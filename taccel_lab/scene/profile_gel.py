@@ -35,7 +35,8 @@ def profile_gel(profile: SensorProfile, mesh: TetMesh | None = None, **options: 
 
 
 def profile_material(block: MaterialBlock, mesh: TetMesh) -> Material | MaterialField:
-    """The gel and the layers over it by the layers of ``mesh``; uniform for a mesh of one layer.
+    """Make the gel and the layers over it by the layers of ``mesh``; uniform for a mesh of one
+    layer.
 
     Raises:
         InputError: The mesh has a layer that the block states no material for.

@@ -31,7 +31,7 @@ class Scene(SceneDescription):
         gel: Mapping[str, Any] | None = None,
         **scene: Any,
     ) -> Scene:
-        """A scene whose soft body is the gel of a profile.
+        """Make a scene whose soft body is the gel of a profile.
 
         ``SignalTactile.from_profile(profile, solver=...)`` then shows what that sensor sees.
 

@@ -2,7 +2,7 @@
 """Cutting a scene into parts that hold some of its environments each.
 
 Environments do not influence one another, so parts can be stepped anywhere without a word between
-them: in several processes, each of which takes the part of its rank and a device of its own.
+them: in several processes, each of which takes the part of its rank and its own device.
 """
 
 from __future__ import annotations

@@ -4,21 +4,11 @@
 Every signal is built once from static data, reads a state with ``update(...)`` and then exposes
 arrays whose first axis is the environment. ``SignalTactile`` works on device arrays throughout,
 for many environments; ``FineSurface`` shows it the object's own shape where that touches.
+
+The public names of ``__init__.pyi`` load their modules on first use: the networks, which every
+command that reads a profile needs, are there without the solver and Warp.
 """
 
-from taccel_lab.signals.contact_surface import ContactSurface
-from taccel_lab.signals.fine_surface import FineSurface
-from taccel_lab.signals.forces import resultant_wrench
-from taccel_lab.signals.markers import MarkerLayout
-from taccel_lab.signals.normals import normals_from_height, normals_from_slopes
-from taccel_lab.signals.tactile import SignalTactile
+from taccel_lab.lazy_names import lazy_names
 
-__all__ = [
-    "ContactSurface",
-    "FineSurface",
-    "MarkerLayout",
-    "SignalTactile",
-    "normals_from_height",
-    "normals_from_slopes",
-    "resultant_wrench",
-]
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

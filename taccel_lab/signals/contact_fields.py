@@ -33,7 +33,7 @@ from taccel_lab.model.env_rows import chosen_env
 from taccel_lab.outputs.arrays import negated
 from taccel_lab.outputs.sliding import Sliding, read_sliding
 from taccel_lab.outputs.surface_load import Middles, SurfaceLoad, SurfaceLoadReader
-from taccel_lab.signals.contact_surface import ContactSurface
+from taccel_lab.signals.contact_surface import ContactFaceMesh
 from taccel_lab.signals.markers import in_gel_frame
 from taccel_lab.signals.raster import GridMap, barycentric, grid_map, pixel_xy, rasterize, xy_of
 from taccel_lab.solvers.solver_ipc import SolverIPC
@@ -269,7 +269,7 @@ class ContactFields:
         self._load: SurfaceLoad | None = None
         self._sliding: Sliding | None = None
         self._forces: list[wp.array] = []
-        surface = ContactSurface.from_mesh(mesh)
+        surface = ContactFaceMesh.from_mesh(mesh)
         device = self._device = model.device
         first = model.bodies[gel].node_slice.start
         self._node_idx = wp.array(surface.node_idx + first, dtype=wp.int32, device=device)

@@ -16,7 +16,7 @@ from taccel_lab.geometry import QuadraticMesh, Region, TetMesh
 
 
 @dataclass(frozen=True)
-class ContactSurface:
+class ContactFaceMesh:
     """Triangulation of the contact faces with its neighbourhoods."""
 
     node_idx: np.ndarray
@@ -35,7 +35,7 @@ class ContactSurface:
         return len(self.node_idx)
 
     @classmethod
-    def from_mesh(cls, mesh: TetMesh | QuadraticMesh) -> ContactSurface:
+    def from_mesh(cls, mesh: TetMesh | QuadraticMesh) -> ContactFaceMesh:
         """Cut the faces of region CONTACT out of ``mesh``; InputError when there is none."""
         faces = mesh.region_faces(Region.CONTACT)
         if len(faces) == 0:
@@ -46,7 +46,7 @@ class ContactSurface:
         return cls.from_faces(faces)
 
     @classmethod
-    def from_faces(cls, faces: np.ndarray) -> ContactSurface:
+    def from_faces(cls, faces: np.ndarray) -> ContactFaceMesh:
         """Build from triangles in tet-mesh numbering, shape [face_count, 3]."""
         node_idx, local = np.unique(np.asarray(faces), return_inverse=True)
         local = local.reshape(-1, 3).astype(np.int32)

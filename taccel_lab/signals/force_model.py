@@ -13,7 +13,7 @@ profile's, and adds what is not known of it to the standard deviations.
 
 Whether an image is like those of the training is asked four ways: the Mahalanobis distance of the
 network's last features from the training's (Lee et al., NeurIPS 2018), that of simple statistics of
-the change of colour, whether a colour, and whether what is told lies beyond anything that was
+the change of colour, whether a colour, and whether the prediction lies beyond anything that was
 trained.
 """
 
@@ -199,16 +199,16 @@ class ForceModel:
         with torch.no_grad():
             levels = torch.from_numpy(change.transpose(2, 0, 1)[None].copy())
             centers = torch.from_numpy(self.centers_mm.astype(np.float32))
-            told = forward(self.tensors, config, levels / LEVELS, moved, centers)
-            away = distances(levels, told["features"], self.tensors)[0].numpy()
-        return self._reading(told, away / np.array(config.distance_limits))
+            output = forward(self.tensors, config, levels / LEVELS, moved, centers)
+            away = distances(levels, output["features"], self.tensors)[0].numpy()
+        return self._reading(output, away / np.array(config.distance_limits))
 
-    def _reading(self, told: Mapping[str, torch.Tensor], distances: np.ndarray) -> ForceReading:
+    def _reading(self, output: Mapping[str, torch.Tensor], distances: np.ndarray) -> ForceReading:
         config, factor = self.config, self.stiffness
-        patches = told["patches"][0].permute(1, 2, 0).numpy().astype(np.float64) * factor
-        targets = told["targets"][0].numpy().astype(np.float64)
-        sigma = told["sigma"][0].numpy() * np.array(config.sigma_factor, dtype=np.float64)
-        outside = self._outside(targets, float(told["patches"][0, 2].amax()), distances)
+        patches = output["patches"][0].permute(1, 2, 0).numpy().astype(np.float64) * factor
+        targets = output["targets"][0].numpy().astype(np.float64)
+        sigma = output["sigma"][0].numpy() * np.array(config.sigma_factor, dtype=np.float64)
+        outside = self._outside(targets, float(output["patches"][0, 2].amax()), distances)
         targets[:6] *= factor
         sigma[:6] *= factor
         sigma[:6] = np.hypot(sigma[:6], config.stiffness_relative * np.abs(targets[:6]))

@@ -57,7 +57,7 @@ class ForceModelConfig:
     sigma_factor: tuple[float, ...] = (1.0,) * len(TARGETS)
     """Factor on the standard deviations, found on objects that the training did not see."""
     young_modulus_pa: float = 1e5
-    """Of the gel that forces are told for."""
+    """Of the gel that forces are predicted for."""
     stiffness_relative: float = 0.0
     """Standard deviation of a unit's modulus, as a part of it."""
     most: tuple[float, ...] = (math.inf,) * 4

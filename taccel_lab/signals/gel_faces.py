@@ -3,14 +3,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.model import Model
 
+if TYPE_CHECKING:
+    from taccel_lab.signals.color_model import ColorModel
+
+Colors = Callable[[PixelGrid], "tuple[ColorModel, np.ndarray]"]
+"""Of the pixels of a gel its colour network and its image untouched, levels [height, width, 3]."""
 MARKERS = (8, 6)
-"""Columns and rows of markers on a gel that has none of its own."""
+"""Columns and rows of markers on a gel that has none."""
 
 
 def bonded_gels(model: Model) -> list[int]:

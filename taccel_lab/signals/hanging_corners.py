@@ -61,7 +61,7 @@ class HangingCorners:
         first = int(model.bodies[gel].nodes[0])
         middles = np.array([node for ring in rings.values() for node in ring], dtype=np.int32)
         starts = np.cumsum([0, *map(len, rings.values())])
-        # Gels of environments may be graded for contacts of their own.
+        # Gels of environments may be graded for their own contacts.
         xy = body.nodal_rest_m[..., :2]
         shares = np.empty((len(xy), len(middles)))
         for size in {len(ring) for ring in rings.values()}:

@@ -79,7 +79,8 @@ def solve_contact(
     iterations: int = ITERATIONS,
     sharpenings: int = SHARPENINGS,
 ) -> tuple[Any, Any]:
-    """The fine surface and its pressures; always as many iterations, so that nothing is waited for.
+    """The fine surface and its pressures; always as many iterations, so that nothing waits for the
+    device.
 
     Args:
         compliance: ``layer_compliance``, float32, numpy's or torch's as the others.

@@ -48,7 +48,7 @@ class MarkerLayout:
         return self.nodes.shape[-2]
 
     def by_rest(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes and weights, [rest_count, marker, 3] both."""
+        """Return nodes and weights, [rest_count, marker, 3] both."""
         if self.nodes.ndim == 2:
             return self.nodes[None], self.weights[None]
         return self.nodes, self.weights
@@ -66,8 +66,8 @@ class MarkerLayout:
         mesh: TetMesh | QuadraticMesh,
         rest_positions_m: np.ndarray | None = None,
     ) -> MarkerLayout:
-        """The same markers, at ``xy_mm`` [marker, 2], on the face of the ``designed`` gel, which
-        ``mesh``, or those of ``rest_positions_m``, draw more coarsely."""
+        """Place the same markers at ``xy_mm`` [marker, 2], on the face of the ``designed`` gel,
+        which ``mesh``, or those of ``rest_positions_m``, draw more coarsely."""
         flat, there = MarkerLayout.where_on(designed, xy_mm)
         height_m = np.full(len(there), np.nan)
         height_m[there] = 1e-3 * flat.places_mm(designed.nodes_m)[:, 2]
@@ -105,7 +105,7 @@ class MarkerLayout:
         return cls(layout.nodes[..., shown, :], layout.weights[..., shown, :], lifts), chosen
 
     def places_mm(self, positions_m: np.ndarray, gel: int = 0) -> np.ndarray:
-        """Where the markers are [mm], [..., marker, 3], with nodes at ``positions_m``
+        """Return where the markers are [mm], [..., marker, 3], with nodes at ``positions_m``
         [..., node, 3]; ``gel``: which of the rest shapes the gel has."""
         nodes, weights = self.by_rest()
         gel %= len(nodes)
@@ -233,7 +233,7 @@ def _project_markers_kernel(
 
 
 class MarkerProjection:
-    """Pixel positions of markers; one launch for all environments that are asked for."""
+    """Pixel positions of markers; one launch for all environments that are requested."""
 
     def __init__(
         self, layout: MarkerLayout, view: View, *, env_count: int, first_node: int, device: Any

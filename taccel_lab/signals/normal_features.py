@@ -68,7 +68,7 @@ def local_features(
         slope_scales_px: Windows across which the change's variation is taken [px].
         mask: Pixels that count, bool, shape [h, w]; all when None.
         background: Untouched picture [levels], shape [h, w, 3]; a feature when it is given.
-        place: What each pixel is told of its place (``pixel_place``), shape [h, w, n].
+        place: What each pixel knows of its place (``pixel_place``), shape [h, w, n].
         zoom: Factor on all scales: the features of the picture shrunk by it.
         picked: Pixels whose features are wanted, counted along rows, shape [n]; the result has
             shape [n, feature] then.

@@ -293,7 +293,7 @@ def _rigid_body(model: Model, body: str) -> tuple[int, AffineBody | KinematicBod
 
 def _in_triangles(mesh: TriangleMesh) -> np.ndarray:
     """``corner_normals`` in the axes of their triangles, see ``_turned``, [face, corner, 3]: they
-    go with triangles wherever these are moved to."""
+    move with triangles wherever these are moved to."""
     a, b, c = (mesh.vertices_m[mesh.faces[:, k]] for k in range(3))
     normal = np.cross(b - a, c - a)
     axes = np.stack([b - a, np.cross(normal, b - a), normal], axis=1)

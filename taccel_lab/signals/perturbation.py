@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Domain randomisation from a measured spread: other units, other days, other lamps.
+"""Domain randomisation: other units, other days, other lamps, and what breaks in use.
 
 ``PerturbationBlock`` holds standard deviations that were measured between captures or units. One
-draw a environment makes a sensor that could have been built: a gain and an offset of each channel,
-a gradient of the light, and changed scale, place, modulus and friction; noise is drawn anew for
-every image. Images may be numpy arrays or torch tensors on any device (``wp.to_torch`` of what
-``SignalTactile`` reads): the arithmetic stays where they are.
+draw an environment makes a sensor that could have been built: a gain and an offset of each channel,
+a gradient of the light, and changed scale, place, modulus and friction. ``SensorFaults`` are what
+no calibration measures: a person states them. ``PerturbedSensors`` gives images of both.
 """
 
 from __future__ import annotations
@@ -23,6 +22,50 @@ if TYPE_CHECKING:
 
 MIN_FACTOR = 0.05
 """Gains and relative changes are kept above this, so that no draw turns a light or a gel off."""
+
+
+@dataclass(frozen=True)
+class SensorFaults:
+    """What goes wrong of a sensor in use, of images or of maps of taxels; 0: nothing.
+
+    Dead taxels, gain, crosstalk and hysteresis are those of Genesis' tactile sensors
+    (Genesis-Embodied-AI/Genesis, ``genesis/options/sensors``).
+    """
+
+    dead_share: float = 0.0
+    """Part of the pixels or taxels that is dead, 0 to 1."""
+    dead_range: tuple[float, float] = (0.0, 0.0)
+    """Values that dead ones show, in the unit of the values."""
+    pixel_gain: float = 0.0
+    """Standard deviation of the gain of a pixel or taxel, as a part of it."""
+    crosstalk: float = 0.0
+    """Part of a value that is its neighbours', 0 to 1."""
+    crosstalk_px: float = 2.0
+    """Standard deviation of their Gaussian weights [px]."""
+    hysteresis: float = 0.0
+    """Part of a change by which values overshoot (a Maxwell branch beside the elastic one)."""
+    hysteresis_s: float = 0.5
+    """Time in which that fades [s]."""
+    lamp_dimming: float = 0.0
+    """Standard deviation of the loss of each channel's lamp, as a part of it; images alone."""
+    wear: float = 0.0
+    """Largest loss of light in a patch whose coating is worn, 0 to 1; images alone."""
+    wear_radius: float = 0.3
+    """Standard deviation of that patch, as a part of half the image."""
+
+    def __post_init__(self) -> None:
+        for name in ("dead_share", "crosstalk", "wear"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"{name} is {getattr(self, name)}; 0 to 1 is allowed")
+        for name in ("pixel_gain", "hysteresis", "lamp_dimming"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(f"{name} is {getattr(self, name)}; 0 or more is allowed")
+        for name in ("crosstalk_px", "hysteresis_s", "wear_radius"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise InputError(f"{name} is {getattr(self, name)}; more than 0 is allowed")
+        low, high = self.dead_range
+        if not (np.isfinite(self.dead_range).all() and low <= high):
+            raise InputError(f"dead_range is {self.dead_range}; two numbers, rising, are allowed")
 
 
 @dataclass(frozen=True)
@@ -48,6 +91,14 @@ class Perturbation:
     """Shape [env_count]."""
     friction_shift: np.ndarray
     """Added to the coefficient of friction, shape [env_count]."""
+    lamps: np.ndarray
+    """Part of each channel's light that is left, shape [env_count, 3]."""
+    worn: np.ndarray
+    """Patch of worn coating: place across and down (-1 to 1), radius, and the part of the light
+    that is lost in its middle, shape [env_count, 4]."""
+    seeds: np.ndarray
+    """From which pixels are drawn, int32, shape [env_count]."""
+    faults: SensorFaults
 
     @property
     def env_count(self) -> int:
@@ -74,58 +125,14 @@ class Perturbation:
         """Coefficient of friction of each environment, at least 0, shape [env_count]."""
         return np.maximum(nominal + self.friction_shift, 0.0)
 
-    def apply(self, images: Any, rng: np.random.Generator | None = None) -> Any:
-        """Images of the drawn sensors, as ``PerturbationBlock`` says.
-
-        Args:
-            images: RGB levels 0..255, float, shape [env_count, height_px, width_px, 3]; a numpy
-                array or a torch tensor.
-            rng: For the noise; none is added without it.
-
-        Returns:
-            The same kind of array, on the same device, clipped to 0..255.
-        """
-        shape = tuple(images.shape)
-        if len(shape) != 4 or shape[0] != self.env_count or shape[3] != 3:
-            raise InputError(
-                f"images have shape {list(shape)}; [{self.env_count}, height, width, 3] is needed"
-            )
-        height, width = shape[1:3]
-        u = np.linspace(-1, 1, width)[None, None, :, None]
-        v = np.linspace(-1, 1, height)[None, :, None, None]
-        # gain * image + the rest, so that a nominal draw changes nothing, to the last bit.
-        shift = self.offset + (1 - self.gain) * self.pivot
-        gain, offset = (self._like(a[:, None, None, :], images) for a in (self.gain, shift))
-        across, down = (self._like(self.gradient[:, k][:, None, None, :], images) for k in (0, 1))
-        changed = images * gain + offset
-        changed = changed + across * self._like(u, images) + down * self._like(v, images)
-        if rng is not None and self.noise_levels > 0:
-            changed = changed + self._noise(images, rng)
-        return changed.clip(0.0, 255.0)
-
-    @staticmethod
-    def _like(values: np.ndarray, images: Any) -> Any:
-        """``values`` as the kind of array that ``images`` is."""
-        if isinstance(images, np.ndarray):
-            return values.astype(images.dtype if images.dtype.kind == "f" else np.float32)
-        import torch
-
-        return torch.as_tensor(values, dtype=images.dtype, device=images.device)
-
-    def _noise(self, images: Any, rng: np.random.Generator) -> Any:
-        if isinstance(images, np.ndarray):
-            noise = rng.standard_normal(images.shape, dtype=np.float32)
-            return noise * np.float32(self.noise_levels)
-        import torch
-
-        generator = torch.Generator(device=images.device)
-        generator.manual_seed(int(rng.integers(2**63)))
-        shape, kind = tuple(images.shape), {"dtype": images.dtype, "device": images.device}
-        return torch.randn(shape, generator=generator, **kind) * self.noise_levels
-
 
 def draw_perturbation(
-    block: PerturbationBlock, env_count: int, rng: np.random.Generator, *, strength: float = 1.0
+    block: PerturbationBlock,
+    env_count: int,
+    rng: np.random.Generator,
+    *,
+    strength: float = 1.0,
+    faults: SensorFaults = SensorFaults(),
 ) -> Perturbation:
     """Draw a sensor for each environment from the measured spread.
 
@@ -134,6 +141,7 @@ def draw_perturbation(
         env_count: Number of environments.
         rng: Source of randomness.
         strength: Multiplies every standard deviation; 0 gives the nominal sensor.
+        faults: What is broken besides, as stated.
 
     Raises:
         InputError: No environments, or a negative strength.
@@ -156,4 +164,18 @@ def draw_perturbation(
         center_shift_px=normal(block.center_px, 2),
         young_modulus_factor=np.maximum(1 + normal(block.young_modulus_relative), MIN_FACTOR),
         friction_shift=normal(block.friction_coefficient),
+        **_broken(faults, env_count, rng),
     )
+
+
+def _broken(faults: SensorFaults, env_count: int, rng: np.random.Generator) -> dict[str, Any]:
+    dimmed = np.abs(faults.lamp_dimming * rng.standard_normal((env_count, 3)))
+    places = rng.uniform(-1, 1, (env_count, 2))
+    radius = np.full((env_count, 1), faults.wear_radius)
+    lost = faults.wear * rng.uniform(0, 1, (env_count, 1))
+    return {
+        "lamps": np.maximum(1 - dimmed, MIN_FACTOR),
+        "worn": np.hstack([places, radius, lost]),
+        "seeds": rng.integers(2**30, size=env_count, dtype=np.int32),
+        "faults": faults,
+    }

@@ -26,7 +26,7 @@ import numpy as np
 import warp as wp
 
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.signals.contact_surface import ContactSurface
+from taccel_lab.signals.contact_surface import ContactFaceMesh
 from taccel_lab.signals.face_patches import (
     RECORD,
     evaluate_patch,
@@ -168,7 +168,7 @@ class PixelWalk:
 
     def __init__(
         self,
-        surface: ContactSurface,
+        surface: ContactFaceMesh,
         rest_points: np.ndarray,
         grid: PixelGrid,
         *,

@@ -23,7 +23,7 @@ import warp as wp
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
 from taccel_lab.model.env_rows import chosen_env
 from taccel_lab.processes.start_warp import start_warp
-from taccel_lab.signals.contact_surface import ContactSurface
+from taccel_lab.signals.contact_surface import ContactFaceMesh
 from taccel_lab.signals.face_patches import RECORD, build_patches_kernel
 from taccel_lab.signals.gradient_recovery import FEW_SWEEPS, NetworkScratch, recover_gradients
 from taccel_lab.signals.markers import in_gel_frame
@@ -71,7 +71,7 @@ class SurfaceSampler:
             device: Warp device.
         """
         start_warp()
-        self.surface = surface = ContactSurface.from_mesh(mesh)
+        self.surface = surface = ContactFaceMesh.from_mesh(mesh)
         """Topology of the contact face."""
         self._area2_m2 = smallest_area2(grid)
         self._map = grid_map(grid)

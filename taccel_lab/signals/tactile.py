@@ -49,7 +49,7 @@ SIGNALS = (*_IMAGES, "markers_px", *CONTACT_SIGNALS)
 
 
 class _Signal:
-    """A signal as an attribute, read when it is asked for."""
+    """A signal as an attribute, read on demand."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -158,11 +158,14 @@ class SignalTactile:
         self._count = env_count
         """Environments that are shown."""
 
+    def __repr__(self) -> str:
+        return f"signals on {self.device}, env_count = {self.env_count}, of a {self._mesh!r}"
+
     @classmethod
     def from_solver(
         cls, solver: SolverIPC, grid: View, *, gel: int = 0, **options: Any
     ) -> SignalTactile:
-        """The signals of a gel of a solver's scene, those of its contact too.
+        """Read the signals of a gel of a solver's scene, those of its contact too.
 
         ``update(state)`` is all that it takes after a step: a gel that moves with a mount is looked
         at in its own frame.
@@ -197,8 +200,8 @@ class SignalTactile:
         solver: SolverIPC | None = None,
         **options: Any,
     ) -> SignalTactile:
-        """The signals of a profile's sensor, through its camera (``camera_of``): its dots that are
-        seen and, where it has them, background and colour model: images show the dots.
+        """Read the signals of a profile's sensor, through its camera (``camera_of``): its dots that
+        are seen and, where it has them, background and colour model: images show the dots.
 
         Args:
             profile: Sensor.
@@ -336,8 +339,8 @@ class SignalTactile:
         return self._look(part)[1]
 
     def rasterized_count(self) -> int:
-        """Environments of the latest chunk that were folded or left pixels beside the pad, which
-        takes longer; waits for the device. For tests and figures."""
+        """Count environments of the latest chunk that were folded or left pixels beside the pad,
+        which takes longer; waits for the device. For tests and figures."""
         sampler = self._surface.made
         return 0 if sampler is None else int(np.count_nonzero(sampler.rasterized))
 

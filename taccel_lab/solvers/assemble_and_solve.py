@@ -19,14 +19,16 @@ from taccel_lab.solvers.env_progress import (
     Counts,
     Curvature,
     Flags,
+    Following,
     Phases,
     Prescribed,
     Rules,
     Search,
     lower_flags,
 )
-from taccel_lab.solvers.report import EnvStatus
+from taccel_lab.solvers.follow_friction import follow_friction, follows_friction
 from taccel_lab.solvers.step_launches import StepLaunches
+from taccel_lab.solvers.step_report import EnvStatus
 
 wp.set_module_options({"enable_backward": False})
 
@@ -56,6 +58,7 @@ def projection(
     env: int,
     prescribed: Prescribed,
     balance: Balance,
+    following: Following,
     curvature: Curvature,  # out
     search: Search,
     r: Rules,
@@ -72,7 +75,8 @@ def projection(
         curvature.projected[env] -= 1
         return PSD_CLAMP
     one = wp.float64(1.0)
-    if prescribed.progress[env] < one or search.alpha[env] < one or search.cuts[env] > 0:
+    cut = search.alpha[env] < one or search.cuts[env] > 0
+    if prescribed.progress[env] < one or (cut and following.follows[env] == 0):
         return PSD_CLAMP
     near = r.relative_tolerance * balance.excess[env] < wp.float64(EXACT_BELOW)
     stuck = balance.residual[env] > wp.float64(STUCK_ABOVE) * balance.last_residual[env]
@@ -107,6 +111,7 @@ def _aim_step_kernel(
     prescribed: Prescribed,  # out
     clearance: Clearance,  # out
     balance: Balance,  # out
+    following: Following,  # out
     curvature: Curvature,  # out
     search: Search,
     flags: Flags,  # out
@@ -142,8 +147,9 @@ def _aim_step_kernel(
     prescribed.goal[env] = goal
     if progress < one:
         prescribed.moving[env] = 1
+    follows_friction(env, counts, prescribed, balance, following, curvature, r)
     curvature.boost[env] = boosted(env, prescribed, balance, curvature, search)
-    curvature.psd_mode[env] = projection(env, prescribed, balance, curvature, search, r)
+    curvature.psd_mode[env] = projection(env, prescribed, balance, following, curvature, search, r)
     renewed[env] = 1 - counts.newton[env] % 2
     linear_tolerances[env] = LINEAR_TOLERANCE
     if progress < one or counts.newton[env] == 0:
@@ -159,7 +165,9 @@ def _count_solve_kernel(
     extra: ListRoom,  # out
     phases: Phases,  # out
     counts: Counts,  # out
+    following: Following,  # out
     curvature: Curvature,  # out
+    flags: Flags,  # out
 ):
     """After a breakdown the last iterate still descends, unless there is none: then an exact matrix
     is projected in the next iteration, and this one stays where it is."""
@@ -172,7 +180,10 @@ def _count_solve_kernel(
     counts.cg[env] += iterations[env]
     counts.newton[env] += 1
     if breakdown[env] == 0:
+        if following.follows[env] != 0:
+            flags.following[0] = 1
         return
+    following.follows[env] = 0
     if curvature.psd_mode[env] == PSD_NONE:
         curvature.projected[env] = PROJECTED_AFTER
     elif iterations[env] == 0:
@@ -189,7 +200,8 @@ def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] =
 
     def count() -> None:
         solved = [linear.iterations, linear.breakdown, linear.extra.room]
-        run.decide(_count_solve_kernel, *solved, p.phases, p.counts, p.curvature)
+        parts = [p.phases, p.counts, p.following, p.curvature, p.flags]
+        run.decide(_count_solve_kernel, *solved, *parts)
 
     def spread() -> None:
         # Not by ``active``, from which counting takes those that stop.
@@ -198,6 +210,8 @@ def assemble_and_solve(run: StepLaunches, beside: Sequence[Callable[[], None]] =
         )
 
     run.together([count, spread])
+    if s.corrected is not None:
+        wp.capture_if(p.flags.following, on_true=lambda: follow_friction(run))
 
 
 def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
@@ -216,6 +230,7 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
             p.prescribed,
             p.clearance,
             p.balance,
+            p.following,
             p.curvature,
             p.search,
             p.flags,

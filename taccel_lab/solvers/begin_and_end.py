@@ -17,6 +17,7 @@ from taccel_lab.solvers.env_progress import (
     Counts,
     Curvature,
     Flags,
+    Following,
     Phases,
     Prescribed,
     Roster,
@@ -24,8 +25,8 @@ from taccel_lab.solvers.env_progress import (
     Search,
     lower_flags,
 )
-from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.step_launches import StepLaunches
+from taccel_lab.solvers.step_report import EnvStatus
 
 wp.set_module_options({"enable_backward": False})
 
@@ -49,6 +50,7 @@ def _begin_step_kernel(
     prescribed: Prescribed,  # out
     clearance: Clearance,  # out
     balance: Balance,  # out
+    following: Following,  # out
     curvature: Curvature,  # out
     search: Search,  # out
     flags: Flags,  # out
@@ -94,6 +96,9 @@ def _begin_step_kernel(
     clearance.bend[env] = zero
     balance.lag_change[env] = wp.float64(wp.inf)
     balance.damping[env] = one
+    following.follows[env] = 0
+    following.pause[env] = 0
+    following.left[env] = wp.float64(0.0)
     clearance.margin[env] = r.dhat
     search.before[env] = zero
     curvature.projected[env] = 0
@@ -202,6 +207,7 @@ def begin_step(run: StepLaunches) -> None:
         p.prescribed,
         p.clearance,
         p.balance,
+        p.following,
         p.curvature,
         p.search,
         p.flags,
@@ -244,9 +250,9 @@ def end_step(run: StepLaunches) -> None:
     """Roll back what failed; velocities and joints of what converged, which the user's state
     gets."""
     s, state, p = run.s, run.state, run.p
-    if s.silent:
+    if s.invertible:
         p.roster.inverted_after.zero_()
-        find_inversions(s.silent, p.roster.underway, state.positions, p.roster.inverted_after)
+        find_inversions(s.invertible, p.roster.underway, state.positions, p.roster.inverted_after)
     if s.inertia is not None and state.history is not None:
         least = s.config.absolute_tolerance_n
         s.inertia.find_jumps(p.balance.body_forces, state.history, least, p.roster.refused)

@@ -9,11 +9,11 @@ from typing import Any
 
 @dataclass
 class Control:
-    """What a step is asked for; what is None stays as it is.
+    """Targets and loads of a step; what is None stays as it is.
 
-    Arrays are numpy's, which are checked, or on the solver's device, such as torch tensors of
-    float64 (through DLPack) and arrays of Warp: these are read where they are, without the host,
-    and not checked for their values, as that would wait for the device.
+    Arrays of numpy are checked. Arrays on the solver's device, such as torch tensors of float64
+    (through DLPack) and arrays of Warp, are read where they are. Their values are not checked, as
+    that would wait for the device.
     """
 
     target_poses: Any = None

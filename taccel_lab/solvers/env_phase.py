@@ -7,7 +7,8 @@ from enum import IntEnum
 
 import warp as wp
 
-from taccel_lab.solvers.env_progress import Phases
+from taccel_lab.solvers.env_progress import Counts, Flags, Phases, Rules
+from taccel_lab.solvers.step_report import EnvStatus
 
 wp.set_module_options({"enable_backward": False})
 
@@ -29,6 +30,8 @@ class EnvPhase(IntEnum):
     """Newton has converged, its joints may be open."""
     FREEZING = 6
     """Its friction is frozen anew."""
+    RETREATING = 7
+    """It takes back a part of its step, or all."""
 
 
 STEPPING = wp.constant(int(EnvPhase.STEPPING))
@@ -37,7 +40,9 @@ STAYING = wp.constant(int(EnvPhase.STAYING))
 SEARCHING = wp.constant(int(EnvPhase.SEARCHING))
 CLOSING = wp.constant(int(EnvPhase.CLOSING))
 FREEZING = wp.constant(int(EnvPhase.FREEZING))
+RETREATING = wp.constant(int(EnvPhase.RETREATING))
 _RESTING = wp.constant(int(EnvPhase.RESTING))
+_NO_CONVERGENCE = wp.constant(int(EnvStatus.NO_CONVERGENCE))
 
 
 @wp.func
@@ -73,3 +78,20 @@ def stop(
     phases.active[env] = 0
     phases.inner[env] = 0
     phases.fresh[env] = 0
+
+
+@wp.func
+def go_on(
+    env: int,
+    phases: Phases,  # out
+    counts: Counts,
+    flags: Flags,  # out
+    r: Rules,
+):
+    """Stop where the iterations are used up; ``running`` says whether anything goes on. Not where
+    friction is frozen anew first, or a step taken back."""
+    if phases.active[env] != 0 and phases.phase[env] < FREEZING:
+        if counts.newton[env] >= r.max_newton:
+            stop(env, _NO_CONVERGENCE, phases)
+        elif flags.rounds[0] < flags.most_rounds[0]:
+            flags.running[0] = 1

@@ -9,7 +9,7 @@ import warp as wp
 
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.report import ReportBlock
+from taccel_lab.solvers.step_report import ReportBlock
 
 
 @wp.struct
@@ -164,8 +164,22 @@ class Balance:
     """Largest ``excess`` since friction was last frozen anew."""
     damping: wp.array(dtype=wp.float64)
     """Longest step while freezing alternates."""
-    untouched: wp.array(dtype=wp.int32)
-    """Mask of those that began the step without a contact."""
+
+
+@wp.struct
+class Following:
+    """Steps whose direction counts how friction follows the contacts (``follow_friction``)."""
+
+    follows: wp.array(dtype=wp.int32)
+    """Mask of those that take such a step."""
+    excess_before: wp.array(dtype=wp.float64)
+    """``excess`` where the step began."""
+    share: wp.array(dtype=wp.float64)
+    """Part of the step that is taken, 0 where it leads nowhere."""
+    pause: wp.array(dtype=wp.int32)
+    """Iterations until the next one."""
+    left: wp.array(dtype=wp.float64)
+    """Largest part of the residual that a freezing of friction left in this step."""
 
 
 @wp.struct
@@ -223,6 +237,10 @@ class Flags:
     """How many line searches go on."""
     freezing: wp.array(dtype=wp.int32)
     """Whether friction is frozen anew anywhere."""
+    following: wp.array(dtype=wp.int32)
+    """Whether a direction that follows friction is looked for anywhere."""
+    retreating: wp.array(dtype=wp.int32)
+    """Whether such a step is taken back anywhere."""
     closing: wp.array(dtype=wp.int32)
     """Whether Newton has converged in any environment whose joints may be open."""
     reopened: wp.array(dtype=wp.int32)
@@ -252,6 +270,8 @@ def lower_flags(
     flags.running[0] = 0
     flags.searching[0] = 0
     flags.freezing[0] = 0
+    flags.following[0] = 0
+    flags.retreating[0] = 0
     flags.closing[0] = 0
     flags.reopened[0] = 0
 
@@ -263,6 +283,7 @@ PARTS = {
     "prescribed": Prescribed,
     "clearance": Clearance,
     "balance": Balance,
+    "following": Following,
     "curvature": Curvature,
     "search": Search,
     "flags": Flags,
@@ -283,6 +304,7 @@ class EnvProgress:
     ) -> None:
         self.roster, self.phases, self.counts = Roster(), Phases(), Counts()
         self.prescribed, self.clearance, self.balance = Prescribed(), Clearance(), Balance()
+        self.following = Following()
         self.curvature, self.search, self.flags = Curvature(), Search(), Flags()
         self.report = ReportBlock.zeros(env_count, device)
         """What a report needs, on the memory of the parts."""

@@ -11,8 +11,8 @@ import warp as wp
 from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import Counts, Phases
-from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.step_launches import StepLaunches
+from taccel_lab.solvers.step_report import EnvStatus
 
 wp.set_module_options({"enable_backward": False})
 

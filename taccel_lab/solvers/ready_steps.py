@@ -18,8 +18,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.model.env_rows import checked_mask, device_mask
 from taccel_lab.solvers.control import Control
 from taccel_lab.solvers.env_progress import NO_LIMIT
-from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.solvers.step_report import EnvStatus, StepReport
 from taccel_lab.state import State
 
 
@@ -46,8 +46,8 @@ class ReadySteps:
     ) -> StepReport:
         """Begin a step in the environments of ``who`` and go on in those underway.
 
-        ``control``: what is asked of the steps that begin, as of ``SolverIPC.step``; read for
-        ``who`` alone, so that each environment's step may have a length of its own. ``who``: bool,
+        ``control``: targets and loads of the steps that begin, as of ``SolverIPC.step``; read for
+        ``who`` alone, so that each environment's step may have its own length. ``who``: bool,
         [env_count]; all that are not underway when None.
 
         In the report, RUNNING are those whose step is underway, and SKIPPED those that take none.

@@ -26,18 +26,21 @@ from taccel_lab.solvers.env_progress import (
     Counts,
     Curvature,
     Flags,
+    Following,
     Phases,
     Prescribed,
     Rules,
     Search,
 )
-from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.step_launches import StepLaunches
+from taccel_lab.solvers.step_report import EnvStatus
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 
 _LINE_SEARCH = wp.constant(int(EnvStatus.LINE_SEARCH))
 _CONTACT_OVERFLOW = wp.constant(int(EnvStatus.CONTACT_OVERFLOW))
+FREE_SHARE = 0.3
+"""Part of the collision-free way that a direction which follows friction is taken along."""
 SHARPENING = 0.5
 """What a full step adds to the curvature of friction that the next direction counts."""
 
@@ -102,6 +105,7 @@ def _open_search_kernel(
     prescribed: Prescribed,  # out
     clearance: Clearance,  # out
     balance: Balance,
+    following: Following,
     search: Search,  # out
     flags: Flags,  # out
 ):
@@ -124,6 +128,11 @@ def _open_search_kernel(
         clearance.near[env] = 0
         search.cuts[env] = 0
         alpha = wp.min(clearance.limit[env], balance.damping[env])
+        if following.follows[env] != 0:
+            alpha = clearance.limit[env]
+            if alpha < wp.float64(1.0):
+                # A direction that meets something is far too long.
+                alpha *= wp.float64(FREE_SHARE)
         alpha = wp.min(alpha, largest_turn / wp.max(clearance.bend[env], wp.float64(1.0e-300)))
         search.alpha[env] = alpha
         if alpha > wp.float64(0.0):
@@ -155,13 +164,16 @@ def is_good(
     smallest_bend: wp.float64,
     prescribed: Prescribed,
     clearance: Clearance,
+    following: Following,
     search: Search,
     r: Rules,
 ) -> bool:
     """Whether a trial lowers the energy.
 
-    While frames are still on their way the energy may rise: they do work. A body that turns leaves
-    the chord that CCD checked: where one does, ``limit`` is that of the path really taken.
+    While frames are still on their way the energy may rise: they do work. So it may along
+    a direction that follows friction, which the residual will judge (``freeze_friction``).
+    A body that turns leaves the chord that CCD checked: where one does, ``limit`` is that of the
+    path really taken.
     Sums of that many terms carry rounding of about 1e-14 of the energy, each element's energy is a
     small difference of terms as large as its shear modulus times its volume, and that of an affine
     body is the square of one.
@@ -176,7 +188,8 @@ def is_good(
         wp.float64(1.0e-4) * search.alpha[env] * wp.min(search.derivative[env], wp.float64(0.0))
     )
     good = wp.isfinite(after)
-    if prescribed.progress[env] >= one and not (after <= before + descent + rounding):
+    minimises = prescribed.progress[env] >= one and following.follows[env] == 0
+    if minimises and not (after <= before + descent + rounding):
         good = False
     if is_curved(env, smallest_bend, prescribed, clearance) and clearance.limit[env] < one:
         good = False
@@ -214,6 +227,7 @@ def judge_trial(
     counts: Counts,  # out
     prescribed: Prescribed,  # out
     clearance: Clearance,  # out
+    following: Following,
     curvature: Curvature,  # out
     search: Search,  # out
     flags: Flags,  # out
@@ -223,7 +237,7 @@ def judge_trial(
     clearance.near[env] = 0
     if overflows(env, collisions):
         stop(env, _CONTACT_OVERFLOW, phases)
-    elif is_good(env, smallest_bend, prescribed, clearance, search, r):
+    elif is_good(env, smallest_bend, prescribed, clearance, following, search, r):
         accept(env, phases, prescribed, curvature, search)
     else:
         search.alpha[env] = wp.float64(0.5) * search.alpha[env]
@@ -246,12 +260,13 @@ def _judge_trial_kernel(
     counts: Counts,  # out
     prescribed: Prescribed,  # out
     clearance: Clearance,  # out
+    following: Following,
     curvature: Curvature,  # out
     search: Search,  # out
     flags: Flags,  # out
     r: Rules,
 ):
-    """The energy of a trial, and what comes of it; threads as in ``_open_search_kernel``."""
+    """The energy of a trial, and its outcome; threads as in ``_open_search_kernel``."""
     env, lane = wp.tid()
     if searching[env] == 0:
         return
@@ -268,6 +283,7 @@ def _judge_trial_kernel(
             counts,
             prescribed,
             clearance,
+            following,
             curvature,
             search,
             flags,
@@ -321,14 +337,16 @@ def search_line(run: StepLaunches) -> None:
     gradients = [s.gradient, s.contact_gradient, s.friction_gradient]
     known = int(s.joints is None)
     rules = [s.collisions.room, LARGEST_TURN, SMALLEST_TURN]
-    parts = [p.phases, p.counts, p.prescribed, p.clearance, p.balance, p.search, p.flags]
+    parts = [p.phases, p.counts, p.prescribed, p.clearance, p.balance, p.following]
+    parts += [p.search, p.flags]
     start = [p.phases.active, *gradients, s.displacements, run.energies, known]
     launch_rows(_open_search_kernel, [*start, *rules, *parts], [])
 
     def judge() -> None:
         evaluate_trial(run)
         rules = [s.collisions.room, SMALLEST_TURN]
-        parts = [p.phases, p.counts, p.prescribed, p.clearance, p.curvature, p.search, p.flags]
+        parts = [p.phases, p.counts, p.prescribed, p.clearance, p.following, p.curvature]
+        parts += [p.search, p.flags]
         launch_rows(
             _judge_trial_kernel, [p.phases.inner, run.energies, *rules, *parts, run.rules], []
         )

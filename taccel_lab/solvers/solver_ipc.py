@@ -31,12 +31,12 @@ from taccel_lab.model.turns import TURNS, in_turn
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.control import Control
 from taccel_lab.solvers.env_progress import NO_LIMIT
-from taccel_lab.solvers.measure_and_judge import evaluate_forces
+from taccel_lab.solvers.measure import evaluate_forces
 from taccel_lab.solvers.plan import Plan, make_plan
-from taccel_lab.solvers.report import EnvStatus, StepReport
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.step_graph import StepGraph
 from taccel_lab.solvers.step_launches import StepLaunches
+from taccel_lab.solvers.step_report import EnvStatus, StepReport
 from taccel_lab.state import State, check_state, initial_state, poses_array
 
 wp.set_module_options({"enable_backward": False})
@@ -83,6 +83,9 @@ class SolverIPC(SolverParts):
         self._thread: dict[str, int] = {}
         """The thread that is at work."""
 
+    def __repr__(self) -> str:
+        return f"solver of a {self.model!r}"
+
     @property
     def plan(self) -> Plan:
         """Which parts run, and why; ``solver.plan.describe()`` prints it."""
@@ -98,7 +101,7 @@ class SolverIPC(SolverParts):
     ) -> StepReport:
         """Advance ``state`` in place by dt.
 
-        ``control``: what is asked of the step; an array is taken for ``Control.target_poses``.
+        ``control``: targets and loads of the step; an array is taken for ``Control.target_poses``.
         ``who``: environments to step, bool, [env_count]; all when None. The others, their forces
         too, stay as they are, with status SKIPPED.
         ``again``: take the latest step again to other targets. ``state`` is where it ended, which
@@ -167,8 +170,8 @@ class SolverIPC(SolverParts):
                 self.joints.reset(chosen)
 
     def refresh_forces(self, state: State, who: np.ndarray) -> None:
-        """Contacts and forces of a state where ``who`` (bool, [env_count]) was put somewhere and
-        not stepped."""
+        """Compute contacts and forces of a state where ``who`` (bool, [env_count]) was put
+        somewhere and not stepped."""
         with self.at_work():
             check_state(state, self.model)
             self.begin(state)
@@ -184,8 +187,8 @@ class SolverIPC(SolverParts):
         check_state(state, self.model)
         if self._latest is not None and self._latest() is not state:
             raise InputError(
-                "forces and contacts are those of the last step of the solver, which was not one "
-                "of this state, or was interrupted: step it, then read"
+                "the solver's last step was of another state, or was interrupted, and forces and "
+                "contacts are those of the last step: step this state, then read"
             )
 
     def _require_again(self, state: State) -> None:
@@ -201,16 +204,16 @@ class SolverIPC(SolverParts):
 
     @contextmanager
     def at_work(self) -> Iterator[None]:
-        """The turn of this thread, at a solver that no other one is using and nothing is left in
-        of a step that was interrupted.
+        """Take the turn of this thread, at a solver that no other one is using and nothing is left
+        in of a step that was interrupted.
 
         Raises:
             InputError: Another thread is stepping it.
         """
         if self._thread.setdefault("at work", get_ident()) != get_ident():
             raise InputError(
-                "another thread is stepping this solver: give each thread a solver and a state of "
-                "its own; models may be shared"
+                "another thread is stepping this solver: give each thread its own solver and "
+                "state; models may be shared"
             )
         try:
             with TURNS:
@@ -248,7 +251,7 @@ class SolverIPC(SolverParts):
         self._torn = False
 
     def follow_parameters(self) -> None:
-        """What depends on parameters of bodies that were set since the last step."""
+        """Update what depends on parameters of bodies that were set since the last step."""
         if self._moves != self.model.moves:
             self.graph.clear()
             self._moves = self.model.moves
@@ -261,8 +264,8 @@ class SolverIPC(SolverParts):
             self._changes = self.model.changes
 
     def find_separate(self, state: State) -> np.ndarray:
-        """Environments whose bodies did not overlap when they were searched, bool, [env_count];
-        those that were not looked at yet are."""
+        """Return the environments whose bodies did not overlap when they were searched, bool,
+        [env_count]; those that were not looked at yet are."""
         if not self.config.check_start:
             return self._everyone
         state.complete(self.model)
@@ -278,7 +281,7 @@ class SolverIPC(SolverParts):
         return separate
 
     def take(self, control: Control | Any, state: State, mask: wp.array | None = None) -> float:
-        """Check what is asked of a step, then copy it to where the step reads it, in the
+        """Check targets and loads of a step, then copy them to where the step reads them, in the
         environments of ``mask`` (int32, [env_count]), in all when None; returns dt [s]."""
         model = self.model
         check_state(state, model)
@@ -309,8 +312,8 @@ class SolverIPC(SolverParts):
         return dt
 
     def set_dt(self, dt: float, mask: wp.array | None = None) -> None:
-        """Steps that begin from now on are so long [s], in the environments of ``mask`` (int32,
-        [env_count]), in all when None."""
+        """Set the length [s] of steps that begin from now on, in the environments of ``mask``
+        (int32, [env_count]), in all when None."""
         if dt != self._dt:
             self._dt = dt if mask is None else math.nan
             if mask is None:
@@ -340,9 +343,9 @@ class SolverIPC(SolverParts):
                 return report
 
     def prepare_again(self, status: np.ndarray) -> np.ndarray:
-        """Environments whose attempt ended with a ``status`` after which it is made anew, bool,
-        [env_count]: those whose lists of contacts were too short, which have room now, and those
-        that met an impact, which forget the step before."""
+        """Find the environments whose attempt has to be repeated, by its ``status``; bool,
+        [env_count]. They are those whose lists of contacts were too short, which are longer now,
+        and those that met an impact, which forget the step before."""
         short = status == EnvStatus.CONTACT_OVERFLOW
         if short.any():
             short &= ~grow_all(self.lists)
@@ -355,7 +358,7 @@ class SolverIPC(SolverParts):
         return impacts | short
 
     def attempt_once(self, who: np.ndarray, reads: np.ndarray, writes: np.ndarray) -> StepReport:
-        """One undivided step in the environments ``who``; lists may be too short. Those of
+        """Try one undivided step in the environments ``who``; lists may be too short. Those of
         ``reads`` are read from the user's state first, those of ``writes`` written to it where they
         converge; masks all, bool, [env_count]."""
         if self.work.external_forces is not None and self.load is None:

@@ -11,12 +11,13 @@ from taccel_lab.ipc.broad_phase.kept_pairs import KeptPairs
 from taccel_lab.ipc.contact.collisions import Collisions
 from taccel_lab.ipc.device.launches import Scratch
 from taccel_lab.ipc.device.ragged_lists import GrowingList, initial_capacity
+from taccel_lab.ipc.linear.corrected import CorrectedSolve
 from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.ipc.motion.kinematic_nodes import FrameNodes
 from taccel_lab.ipc.motion.trial import StraightNodes
 from taccel_lab.ipc.potentials.contact import ContactPotential
 from taccel_lab.ipc.potentials.elements.elastic import ElasticPotential
-from taccel_lab.ipc.potentials.elements.inversion import BEARS_INVERSION, may_hide_inversion
+from taccel_lab.ipc.potentials.elements.inversion import BEARS_INVERSION
 from taccel_lab.ipc.potentials.energy import Potential, share_buffer
 from taccel_lab.ipc.potentials.external import ExternalLoad
 from taccel_lab.ipc.potentials.friction import FrictionPotential
@@ -39,9 +40,7 @@ class SolverParts:
         self.elastic = [ElasticPotential(model, group) for group in model.elastic]
         """One for each group of elements that share a law and a kind."""
         self.invertible = [part for part in self.elastic if part.group.law in BEARS_INVERSION]
-        """Those that may start with elements inside out, as their energy bears it."""
-        self.silent = [part for part in self.elastic if may_hide_inversion(part)]
-        """Those whose energy does not tell that a step has turned an element inside out."""
+        """Those whose energy bears elements that are inside out, at the start and at the end."""
         self.inertia = None if scene.time.quasi_static else InertiaPotential(model)
         self.viscosity = self._viscosity()
         self.affine = None
@@ -84,6 +83,9 @@ class SolverParts:
             positions_m=model.rest_positions.numpy()[0, model.free_nodes.numpy()],
             in_any_order=same,
         )
+        follows = self.friction is not None and self.joints is None
+        self.corrected = CorrectedSolve(self.linear) if follows else None
+        """Solves for directions that follow friction."""
         shape, device = (model.env_count, model.node_count), model.device
 
         def nodal() -> wp.array:
@@ -109,6 +111,10 @@ class SolverParts:
         """d(barrier)/dx at the end of the step [N]; the force on a node is its negative."""
         self.friction_gradient = nodal()
         """d(friction)/dx at the end of the step [N]; the force on a node is its negative."""
+        self.follow_start = nodal() if follows else self.origin
+        """Where a step that follows friction began [m]."""
+        self.friction_change = nodal() if follows else self.friction_gradient
+        """Change of friction along a direction [N]."""
         self.path = nodal() if model.kinematic or self.affine else self.trial
         """Way of a trial in which a body turns [m]."""
         pivots = (model.env_count, model.affine.count)

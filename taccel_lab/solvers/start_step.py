@@ -34,9 +34,9 @@ from taccel_lab.solvers.env_progress import (
 )
 from taccel_lab.solvers.find_pairs import find_pairs
 from taccel_lab.solvers.limit_step import limit_step
-from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.search_line import begin_trial, evaluate_trial
 from taccel_lab.solvers.step_launches import StepLaunches
+from taccel_lab.solvers.step_report import EnvStatus
 
 wp.set_module_options({"enable_backward": False})
 

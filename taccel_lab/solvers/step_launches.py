@@ -13,8 +13,8 @@ from taccel_lab.ipc.potentials.energy import WrittenEnergies, sum_energies, writ
 from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import Phases
-from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.solver_parts import SolverParts
+from taccel_lab.solvers.step_report import EnvStatus
 
 wp.set_module_options({"enable_backward": False})
 

@@ -18,7 +18,7 @@ import warp as wp
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.elasticity.principal import PSD_NONE
 from taccel_lab.ipc.motion.unknowns import newton_system
-from taccel_lab.ipc.potentials.contact_derivatives import NOW, ContactSlopes
+from taccel_lab.ipc.potentials.contact_derivatives import NOW, ContactDerivatives
 from taccel_lab.ipc.potentials.friction import StepMotion
 from taccel_lab.model.matrix_pattern import BlockPattern
 from taccel_lab.solvers.solver_ipc import SolverIPC
@@ -72,7 +72,7 @@ class Tangent:
         check_state(state, model)
         if solver.inertia is not None or solver.affine is not None or solver.viscosity:
             raise InputError(
-                "slopes are those of quasi-static steps of elastic gels and tools that are moved: "
+                "gradients need quasi-static steps of elastic gels and tools that are moved: "
                 "a scene with inertia, damping or affine bodies has none here"
             )
         who = np.ones(model.env_count, dtype=bool) if who is None else who
@@ -151,15 +151,18 @@ class Tangent:
                 )
         return Solved(linear.solution.numpy(), causes, report.iterations)
 
-    def solve_transposed(self, rhs: np.ndarray, slopes: dict[int, ContactSlopes]) -> Solved:
-        """Solve the transpose of the elements' matrix, which was added up, and the ``slopes`` of
-        contact and friction by environment, for ``rhs`` [N], [env_count, free_count, 3]."""
+    def solve_transposed(
+        self, rhs: np.ndarray, derivatives: dict[int, ContactDerivatives]
+    ) -> Solved:
+        """Solve the transpose of the elements' matrix, which was added up, and the
+        ``derivatives`` of contact and friction by environment, for ``rhs`` [N],
+        [env_count, free_count, 3]."""
         model = self.solver.model
         values = self.solver.linear.values.numpy()
         free = model.free_index.numpy()
         solution = np.zeros_like(rhs)
         causes: list[str | None] = [None] * len(rhs)
-        for env, contact in slopes.items():
+        for env, contact in derivatives.items():
             matrix = sparse_matrix(model.pattern, values[env]) + _of_contact(contact, free)
             found, causes[env] = _solve_transposed(matrix, rhs[env].ravel())
             solution[env] = found.reshape(-1, 3)
@@ -185,13 +188,13 @@ def sparse_matrix(pattern: BlockPattern, values: np.ndarray):
     return (lower + lower.T - counted_twice).tocsr()
 
 
-def _of_contact(slopes: ContactSlopes, free: np.ndarray):
+def _of_contact(derivatives: ContactDerivatives, free: np.ndarray):
     """d force of contact and friction / d x of the unknowns, scipy CSR."""
     from scipy import sparse
 
     size = 3 * (int(free.max()) + 1)
-    blocks = slopes.columns[:, NOW].reshape(-1, 4, 3, 4, 3)
-    node = free[slopes.nodes]
+    blocks = derivatives.columns[:, NOW].reshape(-1, 4, 3, 4, 3)
+    node = free[derivatives.nodes]
     axis = np.arange(3)
     shape = (len(node), 4, 3, 4, 3)
     columns = np.broadcast_to((3 * node[:, :, None] + axis)[:, :, :, None, None], shape)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``press``: one call from a script, with the command's defaults."""
+"""Sensors, presses and photos of presses from Python."""
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import subprocess
 import sys
@@ -14,24 +15,69 @@ import pytest
 
 import taccel_lab as tl
 from taccel_lab.api.press_options import PressOptions, PressWords
-from taccel_lab.cli.press import Press as PressCommand
+from taccel_lab.cli.press import PressCommand
+from taccel_lab.exporters.image_files import write_rgb
+from taccel_lab.presses.bonded_layer import layer_force_n
+from tests.support.commands import refusal
+
+
+def test_a_catalogue_name_with_parameters() -> None:
+    profile = tl.load_sensor("flat_pad", {"thickness_mm": 3})
+    assert profile.gel.thickness_mm == pytest.approx(3)
+    text = repr(profile)
+    assert text.startswith("profile of flat_pad\n") and "3 mm thick" in text
+    assert len(text.splitlines()) < 25 and max(map(len, text.splitlines())) <= 110
+    assert "<caption><b>profile of flat_pad</b></caption>" in profile._repr_html_()
+
+
+def test_the_folder_of_a_profile(tmp_path: Path) -> None:
+    tl.save_profile(tl.load_sensor("flat_pad"), tmp_path / "profile")
+    assert repr(tl.load_sensor(tmp_path / "profile")) == repr(tl.load_sensor("flat_pad"))
+    with pytest.raises(tl.InputError, match="change a sensor of the catalogue"):
+        tl.load_sensor(tmp_path / "profile", {"thickness_mm": 3})
+
+
+def test_a_step_file(tmp_path: Path) -> None:
+    import build123d as bd
+
+    bd.export_step(bd.Box(16, 12, 3), str(tmp_path / "gel.step"))
+    faces = {"contact": ("plane:+z",), "bond": ("plane:-z",), "window": ("rect:10x8",)}
+    profile = tl.load_sensor(tmp_path / "gel.step", {"young_modulus_mpa": 0.2}, **faces)
+    assert profile.gel.thickness_mm == pytest.approx(3)
+    assert profile.material.young_modulus_pa == pytest.approx(2e5)
+    with pytest.raises(tl.InputError, match="touched: no option of such a file; there are contact"):
+        tl.load_sensor(tmp_path / "gel.step", touched=("plane:+z",))
+    with pytest.raises(tl.InputError, match="contact select faces of a gel's file"):
+        tl.load_sensor("flat_pad", contact=("plane:+z",))
+
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = """
 import taccel_lab as tl
-out = tl.press("flat_pad", "sphere:4", depth_mm=0.3, accuracy="fast", mesh="profile")
+out = tl.press("flat_pad", "sphere:4", depth_mm=0.3, accuracy="fast", element="linear")
 print(out.force_n)
 """
+
+QUICK: PressWords = {"depth_mm": 0.3, "accuracy": "fast", "element": "linear"}
+"""A fast press solves in a second; one on the stored mesh takes twenty times as long."""
 
 
 @pytest.fixture(scope="module")
 def pressed() -> tl.Press:
-    return tl.press("flat_pad", "sphere:4", depth_mm=0.3, accuracy="fast", mesh="profile")
+    return tl.press("flat_pad", "sphere:4", **QUICK)
+
+
+def test_nobody_has_measured_a_stored_mesh() -> None:
+    small = tl.load_sensor("flat_pad", {"thickness_mm": 8, "length_x_mm": 12, "length_y_mm": 10})
+    pressed = tl.press(small, "sphere:4", **QUICK, mesh="profile")
+    assert np.isnan(pressed.force_error_n)
+    assert "nan" not in repr(pressed)
 
 
 def test_what_a_press_tells(pressed: tl.Press, tmp_path: Path) -> None:
     shape = pressed.plan.profile.grid().height_px, pressed.plan.profile.grid().width_px
-    assert pressed.force_n > 0 and pressed.force_error_n > 0
+    assert pressed.force_n > 0
+    assert pressed.force_error_n > 0
     assert pressed.wrench[2] == pressed.force_n
     assert pressed.height_mm.shape == pressed.contact_mask.shape == shape
     assert np.nanmax(pressed.depth_mm) == pytest.approx(0.3, abs=0.01)
@@ -62,7 +108,7 @@ def test_the_deepest_place_is_that_of_the_contact(
 
 def test_a_profile_and_its_name_press_alike(pressed: tl.Press) -> None:
     profile = tl.load_sensor("flat_pad")
-    again = tl.press(profile, "sphere:4", depth_mm=0.3, accuracy="fast", mesh="profile")
+    again = tl.press(profile, "sphere:4", **QUICK)
     assert again.force_n == pytest.approx(pressed.force_n, rel=1e-6)
     # Friction is the profile's unless another one is given.
     assert again.plan.friction == profile.material.friction_coefficient > 0
@@ -92,6 +138,8 @@ def test_the_command_has_the_same_options_and_defaults() -> None:
         ({"depth_mm": 0.3, "force_n": 1.0}, "one of --depth-mm, --force-n and --like"),
         ({"depth_mm": 9.0}, "goes past the gel"),
         ({"depth_mm": 0.3, "accuracy": "best"}, "accuracy 'best' is not known; allowed: fast"),
+        ({"depth_mm": 0.3, "accuracy": "3%", "mesh": "profile"}, "leave out --mesh and --element"),
+        ({"depth_mm": 0.3, "accuracy": "3%", "budget_s": 0.0}, "--budget-s must be above 0 s"),
         ({"depth_mm": 0.3, "element": "cubic"}, "element 'cubic' is not known"),
         ({"depth_mm": 0.3, "friction": -1.0}, "--friction"),
         ({"depth_mm": 0.3, "device": "tpu"}, "device 'tpu' is not there"),
@@ -125,3 +173,88 @@ def test_a_checkout_without_links_presses_from_a_plain_script(tmp_path: Path) ->
     assert done.returncode == 0 and done.stderr == "", done.stderr
     (line,) = done.stdout.splitlines()
     assert 0.01 < float(line) < 10
+
+
+@pytest.mark.slow
+def test_a_percentage_is_kept_against_the_closed_form() -> None:
+    """Small strains, no friction: the exact linear solution is within 1 % of the truth there."""
+    found = tl.press("flat_pad", "sphere:4", depth_mm=0.1, friction=0.0, accuracy="3%")
+    refined, gel = found.refinement, found.plan.profile.material
+    assert refined is not None and refined.shortfall is None
+    exact = layer_force_n(
+        "sphere",
+        np.array([0.1]),
+        4.0,
+        found.plan.profile.gel.thickness_mm,
+        gel.poisson_ratio,
+        gel.young_modulus_pa,
+    )[0]
+    assert 0 < found.force_error_n <= 0.03 * found.force_n
+    assert abs(found.force_n - exact) <= found.force_error_n + 0.01 * exact
+    assert found.figures()["refinement"]["stated"] <= 0.03
+    assert "refined" in repr(found)
+
+
+# Photos -------------------------------------------------------------------------------------------
+
+
+SENSOR = "gelsight_mini"
+
+
+@pytest.fixture(scope="module")
+def photo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated press stands for the photo: its place and depth are known."""
+    unit = tl.load_sensor(SENSOR)
+    press = tl.press(unit, "sphere:4", depth_mm=0.5, at_mm=(2.0, -1.5), accuracy="fast")
+    assert press.image is not None
+    path = tmp_path_factory.mktemp("photo") / "photo.png"
+    write_rgb(path, press.image)
+    return path
+
+
+def test_the_press_in_a_photo_is_found_and_simulated(photo: Path, tmp_path: Path) -> None:
+    press = tl.press(SENSOR, "sphere:4", like=photo, accuracy="fast")
+    like = press.like
+    assert like is not None
+    np.testing.assert_allclose(like["at_mm"], (2.0, -1.5), atol=0.1)
+    assert like["depth_mm"] == pytest.approx(0.5, abs=0.1)
+    assert like["psnr_db"] > like["untouched_psnr_db"] + 8
+    assert like["mean_error_levels"] < 0.5 * like["untouched_error_levels"]
+    assert "photo" in dict(press.summary()[1])
+    press.save(tmp_path / "out")
+    assert (tmp_path / "out" / "like.png").stat().st_size > 10_000
+    written = json.loads((tmp_path / "out" / "press.json").read_text())
+    assert written["like"]["psnr_db"] == pytest.approx(like["psnr_db"])
+
+
+def test_another_background_takes_the_place_of_the_profiles(photo: Path, tmp_path: Path) -> None:
+    """Of photo and background that are darker alike, nothing else changes."""
+    profile = tl.load_sensor(SENSOR)
+    assert profile.background_rgb is not None
+    untouched = tmp_path / "untouched.png"
+    write_rgb(untouched, profile.background_rgb)
+    from taccel_lab.api.press_photo import PressPhoto
+
+    own, given = (PressPhoto.read(profile, photo, path) for path in (None, untouched))
+    np.testing.assert_allclose(own.at_mm, given.at_mm, atol=0.02)
+    assert own.depth_mm == pytest.approx(given.depth_mm, abs=0.02)
+    moved = own.simulated(profile.background_rgb.astype(np.float64), profile)
+    np.testing.assert_array_equal(moved, own.background)
+
+
+def test_what_shows_no_press_is_refused(
+    photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    profile = tl.load_sensor(SENSOR)
+    assert profile.background_rgb is not None
+    rest = tmp_path / "rest.png"
+    write_rgb(rest, profile.background_rgb)
+    out = tmp_path / "out"
+    press = ("press", SENSOR, "--out", out)
+    assert "no contact" in refusal(capsys, *press, "--like", rest)
+    assert "leave out --depth-mm" in refusal(capsys, *press, "--like", photo, "--depth-mm", 0.5)
+    assert "background of --like" in refusal(
+        capsys, *press, "--depth-mm", 0.5, "--untouched", photo
+    )
+    assert "no colours" in refusal(capsys, "press", "flat_pad", "--out", out, "--like", photo)
+    assert not out.exists()

@@ -53,7 +53,7 @@ def test_a_learning_row(pace: str) -> None:
 def test_by_default_phases_are_uniform_over_the_motion() -> None:
     """A window of a motion's easy part is twice as fast as the whole."""
     default = learning.Learning()
-    phases = learning.Phases(
+    phases = learning.LearningPhases(
         2_000, 80, default.warm_up, default.reset_share, np.random.default_rng(0)
     )
     ready = np.ones(2_000, dtype=bool)
@@ -75,7 +75,6 @@ def test_a_row_says_what_was_observed(pace: str) -> None:
     spent = (seen["rgb_us_per_env_step"] + seen["wrench_us_per_env_step"]) * 1e-6
     assert 1 / seen["fps"] == pytest.approx(1 / seen["fps_without"] + spent)
     assert seen["images_per_s"] == pytest.approx(2e6 / seen["rgb_us_per_env_step"])
-    assert "observing rgb" in learning.describe(row)
     text = text_of(row, row | {"observed": None})
     assert "| observed: us a step of each | FPS without |" in text and "| nothing | - |" in text
     assert f"| rgb {number(seen['rgb_us_per_env_step'])}, wrench " in text

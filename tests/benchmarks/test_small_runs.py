@@ -36,7 +36,7 @@ def test_processes_do_the_same_steps_in_the_order_that_matters(
         assert 0 < row["worst_over_allowed"] <= 1
     assert sum(rows[0]["newton_by_step"]) > 3 and rows[0]["force_n"] > 0
     assert document["complete"] and json.dumps(document["run"])
-    assert len(capsys.readouterr().err.splitlines()) == 2 + len(rows)
+    assert len(capsys.readouterr().err.splitlines()) == 1 + len(rows)
 
 
 def test_wrong_options_are_refused(tmp_path: Path) -> None:
@@ -55,18 +55,19 @@ def test_presses_of_a_sensor_are_compared_with_a_finer_mesh(tmp_path: Path) -> N
     words = ["press_accuracy", "--quick", "--families", "flat_pad", "--out", str(tmp_path)]
     assert main([*words, "--tools", "ball 1.5"]) == 0
     document = read_result(tmp_path / "press_accuracy.json")
-    shallow, deep = document["rows"]
+    rows = document["rows"]
+    assert [row["setting"] for row in rows] == ["fast", "3%"] * 2
+    shallow, deep = rows[::2]
     assert (shallow["depth_mm"], deep["depth_mm"]) == press_accuracy.DEPTHS_MM
-    for row in (shallow, deep):
-        assert row["cause"] == "" and row["nodes"] < row["converged_nodes"]
-        assert 0 < abs(row["force_error"]) < row["estimated_force_error"] < 0.2
+    for row in rows:
+        assert row["cause"] == ""
+        assert 0 < abs(row["force_error"]) < row["estimated_force_error"] < 0.05
         assert 0 < row["height_rms_m"] < row["estimated_height_rms_m"] < 2e-5
         assert row["residual"] <= 1e-4
-    for row in (shallow, deep):
-        row["setting"] = "default"
     deep["cause"] = "unsolved"
     text = VERIFICATION["press accuracy"]({"press_accuracy": [document | {"file": "x.json"}]})
-    assert "| ball 1.5, 0.1 mm | 1 |" in text and "1 of 2 cases did not converge" in text
+    assert "| fast, balls | 1 |" in text and "| 3%, balls | 2 |" in text
+    assert "1 of 4 presses did not converge" in text
     assert main([*words, "--tools", "hammer"]) == 2
     assert main(["press_accuracy", "--families", "no_such", "--out", str(tmp_path)]) == 2
 
@@ -75,5 +76,8 @@ def test_every_tool_meets_every_material() -> None:
     cases = list(press_accuracy.all_cases())
     for tool in press_accuracy.TOOLS:
         met = {(c.poisson_ratio, c.friction) for c in cases if c.tool == tool}
-        assert met == set(press_accuracy.MATERIALS)
-        assert press_accuracy.Case("flat_pad", tool, 0.1, 0.4, 0.0).indenter().contact(0.1)
+        if tool in {"ball 1", "ball 0.5"}:  # Small balls are for thick pads.
+            assert met == {(ratio, 0.0) for ratio in press_accuracy.PAD_RATIOS}
+            continue
+        assert met >= set(press_accuracy.MATERIALS)
+        assert press_accuracy.PressCase("flat_pad", tool, 0.1, 0.4, 0.0).indenter().contact(0.1)

@@ -67,7 +67,7 @@ def test_a_budget_that_is_spent_starts_nothing(tmp_path: Path) -> None:
 def test_finished_rows_survive_an_interruption(tmp_path: Path) -> None:
     result = ResultFile("speed", "what", tmp_path, "cpu", {})
     with pytest.raises(KeyboardInterrupt), result.finishing():
-        result.add({"scene": "peg"})
+        result.add({"scene": "peg"}, "peg")
         raise KeyboardInterrupt
     document = read_result(tmp_path / "speed.json")
     assert document["rows"] == [{"scene": "peg"}]

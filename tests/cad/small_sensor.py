@@ -12,13 +12,13 @@ from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.housing_shape import HousingShape
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.cad.parts.part import gel_part
-from taccel_lab.profile.optical_design import Camera, Light, Window
+from taccel_lab.profile.optical_design import DesignedCamera, Light, Window
 
 PAD = GelPad(crown_radius_x_mm=50.0, crown_radius_y_mm=50.0, thickness_mm=5.0)
 WINDOW = Window(3.0, (24.0, 20.0))
 VIEW_MM = (18.0, 14.0)
 HOUSING = HousingShape((30.0, 26.0, 30.0), 1.5, front_z_mm=-3.5)
-CAMERA = Camera(640, 480, 800.0, 800.0, 319.5, 239.5, (0.0, 0.0, -30.0))
+CAMERA = DesignedCamera(640, 480, 800.0, 800.0, 319.5, 239.5, (0.0, 0.0, -30.0))
 
 
 def led(name: str, angle: float) -> Light:

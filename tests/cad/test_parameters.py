@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from taccel_lab.cad.gel_import.units import MM_PER_UNIT, check_units
 from taccel_lab.cad.parameters import (
     ParameterSet,
     parameter,
     parse_overrides,
     restated,
 )
-from taccel_lab.cad.step_import.units import MM_PER_UNIT, check_units
 from taccel_lab.errors import InputError
 
 

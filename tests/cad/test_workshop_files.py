@@ -26,11 +26,11 @@ from taccel_lab.cad.export import (
     write_part_step,
     write_part_stl,
 )
+from taccel_lab.cad.gel_import.step_reader import read_step
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad_solid import labelled_solid
-from taccel_lab.cad.step_import.reader import read_step
 from taccel_lab.profile.optical_design import Light
 from tests.cad.small_sensor import PAD, small_sensor
 

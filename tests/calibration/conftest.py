@@ -17,8 +17,8 @@ def taxim_captures() -> CaptureSet:
     return load_captures(taxim_presses())
 
 
-@pytest.fixture(scope="module")
-def equal_captures_are_judged_once() -> Iterator[None]:
+@pytest.fixture(scope="session", autouse=True)
+def _equal_captures_are_judged_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         detect_once(patch)
         judge_slopes_once(patch)

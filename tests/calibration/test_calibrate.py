@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import taccel_lab.calibration.calibrate as whole
-from taccel_lab.calibration.block_outcome import State
+from taccel_lab.calibration.block_outcome import BlockState
 from taccel_lab.calibration.blocks import BLOCKS
 from taccel_lab.calibration.calibrate import calibrate
 from taccel_lab.calibration.capture.folder import CaptureFolder
@@ -28,8 +28,6 @@ from taccel_lab.files import images
 from taccel_lab.profile import CameraBlock, Provenance, SensorProfile, load_profile
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.support.small_captures import write_captures
-
-pytestmark = pytest.mark.usefixtures("equal_captures_are_judged_once")
 
 
 @pytest.fixture
@@ -72,9 +70,9 @@ def test_blocks_build_on_one_another(captures: Path, tmp_path: Path) -> None:
         progress=lambda task, done, total: told.append(task),
     )
     assert [(o.name, o.state) for o in found.blocks] == [
-        ("background", State.DONE),
-        ("markers", State.SKIPPED),
-        ("spread", State.DONE),
+        ("background", BlockState.DONE),
+        ("markers", BlockState.SKIPPED),
+        ("spread", BlockState.DONE),
     ]
     assert "dots at rest" in found.blocks[1].message
     assert not found.unfit
@@ -95,7 +93,7 @@ def test_a_block_that_refuses_leaves_the_others_alone(
     replace_fit(monkeypatch, "background", refuse)
     found = calibrate(load_capture_folder(captures), only=("background", "spread"))
     (refused,) = found.unfit
-    assert (refused.state, refused.message) == (State.REFUSED, "the light is off")
+    assert (refused.state, refused.message) == (BlockState.REFUSED, "the light is off")
     assert refused.page is None
     assert found.profile.background is None and found.profile.perturbation is not None
     found.write_report(tmp_path / "report")
@@ -121,7 +119,7 @@ def test_the_same_call_goes_on_after_a_kill(
     with monkeypatch.context() as patch:
         replace_fit(patch, "background", kill)
         found = calibrate(captures, only=only, unfinished=kept)
-    assert [o.state for o in found.blocks] == [State.DONE, State.DONE]
+    assert [o.state for o in found.blocks] == [BlockState.DONE, BlockState.DONE]
     whole_run = calibrate(captures, only=only)
     made = []
     for profile in (found.profile, whole_run.profile):
@@ -187,7 +185,7 @@ def test_the_example_of_the_docs_runs(captures: Path, monkeypatch: pytest.Monkey
     monkeypatch.chdir(captures.parent)
     names: dict[str, Any] = {}
     exec(compile(example[1], "calibration.md", "exec"), names)
-    assert [block.state for block in names["found"].blocks] == [State.DONE, State.DONE]
+    assert [block.state for block in names["found"].blocks] == [BlockState.DONE, BlockState.DONE]
     assert Path("unit3", "profile.toml").is_file() and Path("unit3_report").is_dir()
 
 
@@ -232,7 +230,7 @@ def test_a_measured_scale_of_the_base_serves_captures_that_state_none(
 
     replace_fit(monkeypatch, "color", fit)
     found = calibrate(captures, base, only=("background", "color"))
-    assert [o.state for o in found.blocks] == [State.DONE, State.REFUSED]
+    assert [o.state for o in found.blocks] == [BlockState.DONE, BlockState.REFUSED]
     assert seen == [(scale.mm_per_px_x, scale.mm_per_px_y)]
     with pytest.raises(
         InputError, match=r"(?s)background: needs the scale.*color: needs the scale"
@@ -249,7 +247,7 @@ def test_one_check_serves_all_blocks(
 
     replace_fit(monkeypatch, "color", asks)
     found = calibrate(captures, only=("background", "color"))
-    assert [o.state for o in found.blocks] == [State.DONE, State.REFUSED]
+    assert [o.state for o in found.blocks] == [BlockState.DONE, BlockState.REFUSED]
     assert len(made) == 1
 
 
@@ -283,6 +281,6 @@ def test_every_image_is_decoded_once(captures: Path, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(images, "read_apart", counted)
     found = calibrate(captures, only=("background", "spread"))
-    assert [o.state for o in found.blocks] == [State.DONE, State.DONE]
+    assert [o.state for o in found.blocks] == [BlockState.DONE, BlockState.DONE]
     files = {str(path) for path in captures.glob("*.png")}
     assert decoded == Counter(dict.fromkeys(files, 1))

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +28,6 @@ from tests.support.synthetic_presses import (
     write_captures,
 )
 
-pytestmark = pytest.mark.usefixtures("equal_captures_are_judged_once")
-
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
@@ -49,33 +46,13 @@ def command(folder: Path, **changes: Any) -> CalibrateColor:
     )
 
 
-def test_writes_a_profile(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    without_check(monkeypatch)
-    out = folder.parent / "profile"
-    command(folder, steps=60, json=True).run()
-    figures = json.loads(capsys.readouterr().out)
-    assert figures["profile"] == str(out)
-    heldout = figures["color"]["heldout"]
-    assert set(heldout) == {"disc_l1", "crop_l1", "full_l1", "crop_psnr_db", "crop_ssim"}
-    assert heldout["disc_l1"] < figures["color"]["background_only"]["disc_l1"]
-    assert {row["name"] for row in figures["color"]["presses"]} == {"p3", "p7"}
-    profile = load_profile(out)
-    assert profile.color is not None and profile.background_rgb is not None
-    assert "bonded layer of" in profile.color.provenance.method
-    assert profile.color.provenance.residuals["heldout_disc_l1"] == pytest.approx(
-        heldout["disc_l1"]
-    )
-
-
 def test_the_fitted_table_lies_beside_the_report_and_is_exported(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     without_check(monkeypatch)
     out, base = folder.parent / "profile", folder.parent / "flat"
     save_profile(flat_profile(GRID), base)
-    command(folder, base=base, register=False).run()
+    command(folder, base=base).run()
     path = folder.parent / "profile_report" / "polycalib.npz"
     file = read_table(path)
     assert file.image_size_px == (GRID.width_px, GRID.height_px)
@@ -89,7 +66,7 @@ def test_bands_of_the_positional_encoding_are_asked_for(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     without_check(monkeypatch)
-    command(folder, register=False, position_bands=2, holdout_every=0).run()
+    command(folder, position_bands=2, holdout_every=0).run()
     assert "No press was held out" in capsys.readouterr().out
     profile = load_profile(folder.parent / "profile")
     assert profile.color is not None and profile.color.architecture["position_bands"] == 2
@@ -168,30 +145,3 @@ def test_a_design_that_cannot_be_is_refused(folder: Path, lines: str, said: str)
     with_design(folder, lines)
     with pytest.raises(InputError, match=said):
         CalibrateColor(folder, folder.parent / "profile").run()
-
-
-def test_an_empty_frame_stops_it(folder: Path) -> None:
-    (folder / "p2.png").write_bytes((folder / "background.png").read_bytes())
-    out = folder.parent / "profile"
-    with pytest.raises(InputError, match=r"p2\.png: no contact found"):
-        CalibrateColor(folder, out, base=folder.parent / "base").run()
-    assert not out.exists()
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"holdout_every": 1}, "holdout_every must be 0 or at least 2"),
-        ({"holdout_every": 9}, "too few to hold out"),
-        ({"steps": 0}, "steps must be at least 1"),
-        ({"captures": Path("nowhere")}, "nowhere does not exist"),
-    ],
-)
-def test_bad_options(
-    folder: Path, change: dict[str, object], message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    without_check(monkeypatch)
-    out = folder.parent / "profile"
-    with pytest.raises(InputError, match=message):
-        replace(CalibrateColor(folder, out, base=folder.parent / "base"), **change).run()
-    assert not out.exists()

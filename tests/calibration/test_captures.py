@@ -97,7 +97,7 @@ def test_folders_without_captures_are_refused(tmp_path: Path) -> None:
         ("mm_per_px_y = 0.1", "mm_per_px_y = 500.0", r"mm_per_px_y.*less than or equal to 1.*500"),
         ("radius_mm = 2.0", "radius_mm = -2.0", r"indenter\.radius_mm.*greater than"),
         ("radius_mm = 2.0", "radius_mm = 1.0", r"a\.png: contact radius .*more than the ball"),
-        ("schema_version = 1", "schema_version = 9", r"schema_version"),
+        ("schema_version = 1", "schema_version = 9", r"schema_version.*should be 1 or 2"),
         ('name = "second"', "colour = 3", r"presses\.1\.colour: unknown key"),
         ('name = "second"', 'name = "a"', r"names must differ, a appears twice"),
         ("u_px = 30.0", "u_px = nan", r"presses\.0\.contact\.u_px.*finite"),
@@ -114,26 +114,6 @@ def test_bad_manifest(folder: Path, old: str, new: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
         load_captures(folder)
     assert str(folder) in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("background.png", None, r"background\.png does not exist"),
-        ("b.png", (40, 64, 3), r"b\.png is 64x40 px but the background .* is 64x48 px"),
-        ("b.png", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", r"b\.png is not an image"),
-    ],
-)
-def test_bad_images(
-    folder: Path, name: str, content: tuple[int, ...] | bytes | None, message: str
-) -> None:
-    (folder / name).unlink()
-    if isinstance(content, bytes):
-        (folder / name).write_bytes(content)
-    elif content is not None:
-        write_image(folder / name, content)
-    with pytest.raises(InputError, match=message):
-        load_captures(folder)
 
 
 def write_pack(folder: Path, **changes: object) -> Path:

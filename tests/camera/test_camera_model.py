@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Projection against OpenCV, inverses, and what a lens does not image."""
+"""Pinhole cameras with distortion, and rays that a window refracts."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.camera.camera_model import (
-    CameraModel,
-    resized,
-)
-from taccel_lab.optics import Camera
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.cad.parts.dome_pad import ShellDomePad
+from taccel_lab.camera.camera_model import CameraModel, resized
+from taccel_lab.camera.media import glued_back_mm
+from taccel_lab.camera.refraction import DomeMedia, FlatMedia, refract, snell_invariant
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import quadratic_mesh
+from taccel_lab.optics import DesignedCamera
 
 # DIGIT as calibrated by CANFNet: barrel and tangential terms of a real lens.
-DIGIT = Camera(
+DIGIT = DesignedCamera(
     width_px=240,
     height_px=320,
     fx_px=328.57,
@@ -39,14 +42,14 @@ def unit(q: tuple[float, ...]) -> tuple[float, float, float, float]:
     return x, y, z, w
 
 
-def points_before(camera: Camera, count: int = 200, spread: float = 0.35) -> np.ndarray:
+def points_before(camera: DesignedCamera, count: int = 200, spread: float = 0.35) -> np.ndarray:
     rng = np.random.default_rng(3)
     in_camera = rng.uniform([-spread, -spread, 1.0], [spread, spread, 1.0], (count, 3))
     in_camera *= rng.uniform(8, 40, (count, 1))
     return in_camera @ camera.gel_from_camera().T + np.array(camera.position_mm)
 
 
-def opencv_frame(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def opencv_frame(camera: DesignedCamera) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rotation vector, translation, camera matrix, distortion as OpenCV takes them."""
     camera_from_gel = camera.gel_from_camera().T
     # OpenCV's own conversion from a matrix is inexact near half a turn.
@@ -93,7 +96,7 @@ TURNED = replace(DIGIT, rotation=unit((0.2, -0.3, 0.1, 0.9)))
 
 
 @pytest.mark.parametrize("camera", [DIGIT, FISHEYE, replace(DIGIT, distortion=()), TURNED])
-def test_every_pixel_comes_back(camera: Camera) -> None:
+def test_every_pixel_comes_back(camera: DesignedCamera) -> None:
     model = CameraModel(camera)
     uv = np.stack(np.meshgrid(np.arange(240.0), np.arange(320.0)), axis=-1)
     origin, directions = model.rays(uv)
@@ -132,3 +135,199 @@ def test_resized_camera_sees_the_same() -> None:
     points = points_before(DIGIT)
     full, small = CameraModel(DIGIT).project(points), CameraModel(half).project(points)
     np.testing.assert_allclose((full + 0.5) / 2, small + 0.5, atol=1e-9)
+
+
+# Refraction ---------------------------------------------------------------------------------------
+
+
+def snell_angle(angle: float, n_from: float, n_to: float) -> float:
+    return math.asin(n_from * math.sin(angle) / n_to)
+
+
+def shoot_flat(angle: float, edges: list[float], indices: list[float], z: float) -> float:
+    """Horizontal reach at height z of a ray that leaves edges[0] at an angle to the z axis."""
+    reach = 0.0
+    for low, high, n, n_next in zip(
+        edges, [*edges[1:], z], indices, [*indices[1:], None], strict=True
+    ):
+        reach += (high - low) * math.tan(angle)
+        if n_next is not None:
+            angle = snell_angle(angle, n, n_next)
+    return reach
+
+
+def bisect_flat(across: float, edges: list[float], indices: list[float], z: float) -> float:
+    """Angle at the camera of the ray that reaches a point, by halving an interval."""
+    low, high = 0.0, math.pi / 2 - 1e-9
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        if shoot_flat(middle, edges, indices, z) < across:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def march_spheres(
+    origin: np.ndarray,
+    direction: np.ndarray,
+    centre: np.ndarray,
+    radii: list[float],
+    indices: list[float],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Exit point and direction by angles in the plane of the ray and the centre, not by vectors."""
+    start = origin - centre
+    e1 = direction
+    e2 = start - (start @ e1) * e1
+    e2 = e2 / np.linalg.norm(e2)
+    x, y = start @ e1, start @ e2
+    heading = 0.0
+    for radius, n_from, n_to in zip(radii, indices[:-1], indices[1:], strict=True):
+        # Distance along the heading to the circle, by halving: inside before, outside after.
+        low, high = 0.0, 4 * radius
+        for _ in range(100):
+            middle = 0.5 * (low + high)
+            px, py = x + middle * math.cos(heading), y + middle * math.sin(heading)
+            if math.hypot(px, py) < radius:
+                low = middle
+            else:
+                high = middle
+        x, y = x + low * math.cos(heading), y + low * math.sin(heading)
+        radial = math.atan2(y, x)
+        inside = heading - radial
+        heading = radial + snell_angle(inside, n_from, n_to)
+    end = centre + x * e1 + y * e2
+    return end, math.cos(heading) * e1 + math.sin(heading) * e2
+
+
+@given(
+    across=st.floats(0.01, 15),
+    azimuth=st.floats(-math.pi, math.pi),
+    air=st.floats(0.5, 20),
+    window=st.floats(0.3, 8),
+    gel=st.floats(0.3, 8),
+    n_window=st.floats(1.3, 1.8),
+    n_gel=st.floats(1.3, 1.6),
+)
+def test_flat_media_agree_with_brute_force(
+    across: float,
+    azimuth: float,
+    air: float,
+    window: float,
+    gel: float,
+    n_window: float,
+    n_gel: float,
+) -> None:
+    camera_z = -(air + window + gel)
+    media = FlatMedia((-(window + gel), -gel), (1.0, n_window, n_gel))
+    camera = np.array([0.4, -0.7, camera_z])
+    point = camera + [across * math.cos(azimuth), across * math.sin(azimuth), -camera_z]
+    direction = media.sight(camera, point)
+    edges, indices = [camera_z, -(window + gel), -gel], [1.0, n_window, n_gel]
+    angle = bisect_flat(across, edges, indices, 0.0)
+    # Where the ray of the formula meets the point's height, by the reference tracer.
+    found = math.acos(direction[2])
+    assert shoot_flat(found, edges, indices, 0.0) == pytest.approx(across, abs=1e-6)
+    assert found == pytest.approx(angle, abs=1e-7)
+    assert math.atan2(direction[1], direction[0]) == pytest.approx(azimuth, abs=1e-9)
+    # And forwards: the traced ray passes through the point.
+    entry, bent, passed = media.trace(camera, direction)
+    hit = entry + bent * ((point[2] - entry[2]) / bent[2])
+    np.testing.assert_allclose(hit, point, atol=1e-6)
+    assert 0 < passed <= 1
+
+
+@given(
+    polar=st.floats(0.02, 1.3),
+    azimuth=st.floats(-3, 3),
+    offset=st.floats(-3, 3),
+    shell=st.floats(0.5, 5),
+    n_window=st.floats(1.3, 1.7),
+    n_gel=st.floats(1.3, 1.6),
+)
+def test_domes_agree_with_brute_force(
+    polar: float, azimuth: float, offset: float, shell: float, n_window: float, n_gel: float
+) -> None:
+    centre = np.array([0.0, 0.0, -15.0])
+    media = DomeMedia((0.0, 0.0, -15.0), (13.5 - shell, 13.5), (1.0, n_window, n_gel))
+    camera = centre + [0.3, 0.2, offset]
+    direction = np.array([
+        math.sin(polar) * math.cos(azimuth), math.sin(polar) * math.sin(azimuth), math.cos(polar)
+    ])  # fmt: skip
+    entry, bent, _ = media.trace(camera, direction)
+    end, heading = march_spheres(
+        camera, direction, centre, [13.5 - shell, 13.5], [1.0, n_window, n_gel]
+    )
+    np.testing.assert_allclose(entry, end, atol=1e-6)
+    np.testing.assert_allclose(bent, heading, atol=1e-6)
+    # Back from a point on that ray: it is seen in the direction that the ray started with.
+    np.testing.assert_allclose(media.sight(camera, entry + 1.5 * bent), direction, atol=1e-7)
+
+
+def test_apparent_depth_of_the_textbooks() -> None:
+    heights, indices = [10.0, 3.0, 5.0], [1.0, 1.49, 1.41]
+    media = FlatMedia((-8.0, -5.0), tuple(indices))
+    camera = np.array([0.0, 0.0, -18.0])
+    direction = media.sight(camera, np.array([0.01, 0.0, 0.0]))
+    depth = 0.01 * direction[2] / direction[0]
+    # Sum of h / n, seen from straight above (Hecht, "Optics", section 4.4).
+    apparent = sum(h / n for h, n in zip(heights, indices, strict=True))
+    assert depth == pytest.approx(apparent, rel=1e-5)
+    # A real ray far from the axis bends more than the small-angle formula says.
+    wide = media.sight(camera, np.array([12.0, 0.0, 0.0]))
+    assert 12.0 * wide[2] / wide[0] < depth - 0.1
+
+
+def test_one_index_is_a_straight_line() -> None:
+    points = np.random.default_rng(0).uniform([-9, -9, -1], [9, 9, 0], (50, 3))
+    camera = np.array([1.0, 2.0, -20.0])
+    straight = points - camera
+    straight /= np.linalg.norm(straight, axis=1, keepdims=True)
+    for media in (FlatMedia((-8.0, -5.0), (1.4,) * 3), FlatMedia((), (1.4,))):
+        np.testing.assert_allclose(media.sight(camera, points), straight, atol=1e-12)
+        entry, bent, passed = media.trace(camera, straight)
+        np.testing.assert_allclose(bent, straight, atol=1e-12)
+        np.testing.assert_allclose(passed, 1.0)
+        assert entry.shape == points.shape
+
+
+def test_total_reflection_ends_a_ray() -> None:
+    media = FlatMedia((0.0,), (1.5, 1.0))
+    critical = math.asin(1 / 1.5)
+    for angle, gets_through in ((critical - 0.01, True), (critical + 0.01, False)):
+        ray = np.array([math.sin(angle), 0.0, math.cos(angle)])
+        _, bent, passed = media.trace(np.array([0.0, 0.0, -1.0]), ray)
+        assert np.isfinite(bent).all() == gets_through
+        assert (passed > 0) == gets_through
+
+
+def test_fresnel_at_normal_and_brewster_incidence() -> None:
+    up = np.array([0.0, 0.0, 1.0])
+    _, passed = refract(up, up, 1.0, 1.5)
+    assert passed == pytest.approx(1 - (0.5 / 2.5) ** 2)
+    brewster = math.atan(1.5)
+    ray = np.array([math.sin(brewster), 0.0, math.cos(brewster)])
+    _, passed = refract(ray, up, 1.0, 1.5)
+    # Only one polarisation reflects there.
+    across = ((1 - 1.5**2) / (1 + 1.5**2)) ** 2
+    assert passed == pytest.approx(1 - 0.5 * across)
+
+
+def test_media_that_do_not_fit() -> None:
+    with pytest.raises(InputError, match="2 interfaces separate 3 media, got 2"):
+        FlatMedia((0.0, 1.0), (1.0, 1.5))
+    with pytest.raises(InputError, match="ascend"):
+        FlatMedia((1.0, 0.0), (1.0, 1.5, 1.4))
+    with pytest.raises(InputError, match="radii"):
+        DomeMedia((0, 0, 0), (2.0, 1.0), (1.0, 1.5, 1.4))
+    with pytest.raises(InputError, match="1 interfaces"):
+        DomeMedia((0, 0, 0), (2.0,), (1.0,))
+    with pytest.raises(InputError, match="below the gel points"):
+        snell_invariant(np.array([1.0]), [np.array([0.0])], [1.0])
+
+
+def test_back_of_a_curved_gel_is_read_at_the_corners_of_ten_node_tets() -> None:
+    pad = ShellDomePad(dome_radius_mm=15.0, thickness_mm=1.5)
+    mesh = quadratic_mesh(gel_mesh(pad, 3.0))
+    radius = np.linalg.norm(glued_back_mm(mesh) + [0, 0, 15.0], axis=1)
+    np.testing.assert_allclose(radius, 13.5, atol=1e-6)

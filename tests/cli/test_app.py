@@ -23,7 +23,7 @@ from typing import Any
 import pytest
 
 from taccel_lab.cli import app
-from taccel_lab.cli.press import Press
+from taccel_lab.cli.press import PressCommand
 from taccel_lab.cli.words import common_words
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.files.output_folder import atomic_directory
@@ -81,9 +81,13 @@ def test_exit_codes(
 
 
 def test_file_names_that_are_no_text_can_be_printed(tmp_path: Path) -> None:
+    """By a command that reads a profile: it starts without Warp, in a quarter of the time."""
     name = os.fsencode(tmp_path) + b"/m\xe4rz"
     os.mkdir(name)
-    program = "import sys; from taccel_lab.cli.app import main; sys.exit(main())"
+    program = (
+        "import sys; from taccel_lab.cli.app import main; code = main(); "
+        "sys.exit(code if 'warp' not in sys.modules else 'Warp is loaded')"
+    )
     for options in ([], ["--json"]):
         command = [sys.executable, "-c", program, "profile", "validate", name, *options]
         environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
@@ -136,21 +140,32 @@ def test_auto_is_a_device_of_this_machine() -> None:
     assert common_words(["capture", "auto", "--quiet"]) == (["capture", "auto"], True)
 
 
-def test_quiet_leaves_results_and_errors(tmp_path: Path) -> None:
+QUIET = """
+    import sys
+    from taccel_lab.cli import app
+
+    class Command:
+        def run(self):
+            from taccel_lab.cli.console import notes, print_json
+            from taccel_lab.errors import InputError
+            from taccel_lab.processes.start_warp import start_warp
+
+            start_warp()
+            notes().print("how far it is")
+            print_json({"a": 1})
+            raise InputError("no_such")
+
+    parse = app.parse
+    app.parse = lambda arguments: parse(arguments) and Command()
+    sys.exit(app.main(["sensors", "list", "--quiet"]))
+"""
+
+
+def test_quiet_leaves_results_and_errors() -> None:
     """In a process of its own: Warp's library writes to the process' standard error itself."""
-
-    def told(*words: object) -> tuple[str, str]:
-        program = ["-m", "taccel_lab.cli.app", "design", "gelsight_mini"]
-        done = started(sys.executable, *program, *words)
-        return done.stdout, done.stderr
-
-    out = ["--out", tmp_path / "out", "--parts", "pad"]
-    said, noted = told(*out, "--quiet", "--json")
-    assert noted == ""
-    assert json.loads(said)["quality"]["node_count"] > 1000
-    said, noted = told(*out, "--quiet", "--set", "no_such=1")
-    assert said == "" and "no_such" in noted
-    assert "Warp" not in noted and "Module" not in noted
+    done = python(QUIET)
+    assert json.loads(done.stdout) == {"a": 1}
+    assert (done.returncode, done.stderr) == (2, "error: no_such\n")
 
 
 def commands() -> Iterator[tuple[str, type]]:
@@ -160,7 +175,7 @@ def commands() -> Iterator[tuple[str, type]]:
         yield from ((f"{name} {word}".strip(), command) for word, command in inner.items())
 
 
-SWITCHED_ON = {"calibrate color": {"register", "cache", "table"}}
+SWITCHED_ON = {"calibrate color": {"cache", "table"}}
 """Booleans that are on by default. Their help stands beside ``--x`` and ``--no-x`` at once."""
 
 
@@ -229,6 +244,8 @@ def test_help_is_fast_and_light() -> None:
         best = min(best, _seconds_of_children() - start)
         assert done.returncode == 0, f"help imports {done.stderr}"
         assert "calibrate" in done.stdout
+        if best < 1.0:
+            break
     assert best < 1.0, f"help took {best:.2f} s"
 
 
@@ -302,11 +319,9 @@ def test_a_reader_that_is_gone_ends_a_table_quietly() -> None:
 
 
 def test_a_reader_that_has_enough_ends_it_quietly() -> None:
-    program = f"{sys.executable} -m taccel_lab.cli.app sensors list"
+    program = f"{sys.executable} -m taccel_lab.cli.app sensors list --json"
     done = started("bash", "-c", f"{program} | head -c 1; echo ${{PIPESTATUS[0]}}")
-    assert done.stderr == "" and done.stdout[1:].strip() in ("0", "141")
-    done = started("bash", "-c", f"{program} --json | head -c 1")
-    assert (done.stdout, done.stderr) == ("{", "")
+    assert done.stderr == "" and done.stdout in ("{0\n", "{141\n")
 
 
 @pytest.mark.parametrize(
@@ -352,7 +367,7 @@ def test_a_value_that_is_not_allowed_is_told_in_words(
 def test_numbers_are_read() -> None:
     words = "press digit --out x --depth_mm=-0.5 --at-mm -1 2e-1 --tolerance 1"
     command = app.parse(words.split())
-    assert isinstance(command, Press)
+    assert isinstance(command, PressCommand)
     assert (command.depth_mm, command.at_mm, command.force_n) == (-0.5, (-1.0, 0.2), None)
     assert isinstance(command.tolerance, float)
 

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab calibrate``: ``color`` with simulated presses, ``camera``, ``scale`` and ``all``."""
+"""``taccel-lab calibrate``: colours with simulated presses, camera, scale, material and all."""
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +15,14 @@ import pytest
 
 from taccel_lab.calibration.blocks import BLOCKS
 from taccel_lab.calibration.camera.lens import LENSES
+from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.material.force_table import force_table
+from taccel_lab.calibration.material.gel import Gel
 from taccel_lab.cli.calibrate.blocks import BLOCK_COMMANDS
 from taccel_lab.errors import InputError
+from taccel_lab.presses.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
 from taccel_lab.profile import load_profile
+from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.drawn.boards import chess_pattern, dot_pattern, pose_over, render_board
 from tests.calibration.drawn.faults import add_noise, quantise
 from tests.calibration.scale.test_agreement import write_folder
@@ -36,39 +42,35 @@ def test_every_block_has_a_command() -> None:
 # All ---------------------------------------------------------------------------------------------
 
 
-def test_profile_and_reports_are_written(captures: Path, tmp_path: Path, cli: Cli) -> None:
-    out, blocks = tmp_path / "unit", ["--only", "background", "markers", "spread"]
-    shown = cli.json("calibrate all", captures, "--out", out, *blocks)["blocks"]
+def test_an_interrupted_calibration_goes_on_and_writes_profile_and_reports(
+    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
+) -> None:
+    """The report may be the folder one is in."""
+
+    def kill(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    out, blocks = tmp_path / "unit", ["background", "markers", "spread"]
+    words = [captures, "--out", out, "--report", ".", "--only", *blocks]
+    killed = tuple(replace(b, verb=kill) if b.name == "spread" else b for b in BLOCKS)
+    with monkeypatch.context() as patch:
+        patch.setattr("taccel_lab.calibration.calibrate.BLOCKS", killed)
+        told = cli("calibrate all", *words, code=130).err
+    assert "finished blocks are kept" in told and "here_unfinished" in told.replace("\n", "")
+    shown = cli.json("calibrate all", *words)["blocks"]
     assert [(s["name"], s["state"]) for s in shown] == [
         ("background", "done"),
         ("markers", "skipped"),
         ("spread", "done"),
     ]
     assert load_profile(out).perturbation is not None
-    report = tmp_path / "unit_report"
+    report = tmp_path / "here"
     assert (report / "background" / "report.html").is_file()
     assert (report / "report.html").is_file()
     assert not list(tmp_path.glob(".*"))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["captures", "unit", "unit_report"]
-
-
-def test_the_report_may_be_the_folder_one_is_in(
-    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
-) -> None:
-    def kill(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
-    words = [captures, "--out", tmp_path / "unit", "--report", ".", "--only"]
-    blocks = tuple(replace(b, verb=kill) if b.name == "spread" else b for b in BLOCKS)
-    with monkeypatch.context() as patch:
-        patch.setattr("taccel_lab.calibration.calibrate.BLOCKS", blocks)
-        told = cli("calibrate all", *words, "background", "spread", code=130).err
-    assert "finished blocks are kept" in told and "here_unfinished" in told.replace("\n", "")
-    cli("calibrate all", *words, "background", "spread")
-    assert (tmp_path / "here" / "background" / "report.html").is_file()
-    assert not (tmp_path / "here_unfinished").exists()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["captures", "here", "unit"]
 
 
 def test_a_block_that_refuses_ends_with_1(
@@ -110,11 +112,14 @@ def test_captures_become_a_profile_that_can_be_pressed(
     assert profile.grid() == GRID
     assert profile.color is not None
     assert "bonded layer of 5 mm" in profile.color.provenance.method
+    assert profile.color.provenance.residuals["heldout_disc_l1"] == pytest.approx(
+        color["heldout"]["disc_l1"]
+    )
     assert set(profile.color.provenance.inputs) >= {"background", "p1", "p2", "p3", "p4"}
     assert sorted(os.listdir(out.parent)) == ["unit", "unit_report"]
 
     pressed = tmp_path / "press"
-    cli("press", out, "--out", pressed, "--depth-mm", "0.4")
+    cli("press", out, "--out", pressed, "--depth-mm", "0.4", "--accuracy", "fast")
     with np.load(pressed / "signals.npz") as signals:
         rgb, mask = signals["rgb"].astype(float), signals["contact_mask"]
     # Lamp 0 shines along x: the red of left and right flanks of the dent lies on either side.
@@ -130,10 +135,12 @@ def test_base_profile_gives_the_design(captures: Path, tmp_path: Path, cli: Cli)
     base = write_profile(tmp_path / "base", color=False)
     out = tmp_path / "unit"
     options = ["--base", base, "--steps", "5", "--holdout-every", "0"]
-    for _ in range(2):  # Again, in the place of the first.
-        cli("calibrate color", captures, "--out", out, *options)
-        assert load_profile(out).material == load_profile(base).material
-        assert sorted(os.listdir(tmp_path)) == ["base", "captures", "unit", "unit_report"]
+    cli("calibrate background", captures, "--out", out)
+    # In the place of the profile and the report of before.
+    cli("calibrate color", captures, "--out", out, *options)
+    assert load_profile(out).color is not None
+    assert load_profile(out).material == load_profile(base).material
+    assert sorted(os.listdir(tmp_path)) == ["base", "captures", "unit", "unit_report"]
 
 
 def test_an_interrupted_calibration_leaves_the_earlier_profile(
@@ -144,7 +151,7 @@ def test_an_interrupted_calibration_leaves_the_earlier_profile(
 
     out = write_profile(tmp_path / "unit")
     before = everything_below(tmp_path)
-    monkeypatch.setattr("taccel_lab.calibration.color.fit.layer_skirts", interrupt)
+    monkeypatch.setattr("taccel_lab.calibration.color.fit.layer_surfaces", interrupt)
     cli("calibrate color", captures, "--out", out, code=130)
     assert everything_below(tmp_path) == before
 
@@ -170,6 +177,11 @@ def save(path: Path, pattern, pose: np.ndarray, pitch_mm: float) -> None:
     cv2.imwrite(str(path), noisy[..., ::-1])
 
 
+@pytest.fixture(scope="module")
+def boards(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_boards(tmp_path_factory.mktemp("boards") / "captures")
+
+
 def write_boards(folder: Path) -> Path:
     """Six chessboards in air, and a board of dots on the gel 24 mm before the camera."""
     folder.mkdir(parents=True)
@@ -187,8 +199,10 @@ def write_boards(folder: Path) -> Path:
     return folder
 
 
-def test_boards_to_profile_report_and_maps(base: Path, tmp_path: Path, cli: Cli) -> None:
-    words = [write_boards(tmp_path / "captures"), "--base", base]
+def test_boards_to_profile_report_and_maps(
+    boards: Path, base: Path, tmp_path: Path, cli: Cli
+) -> None:
+    words = [boards, "--base", base]
     out, maps = tmp_path / "out", tmp_path / "maps.npz"
     words += ["--maps", maps, "--models", "k1", "--folds", "2", "--refraction", "none"]
     figures = cli.json("calibrate camera", *words, "--out", out)["camera"]
@@ -210,12 +224,14 @@ def test_boards_to_profile_report_and_maps(base: Path, tmp_path: Path, cli: Cli)
     assert json.loads((report / "report.json").read_text())["verdict"] in ("good", "usable")
 
 
-def test_a_board_that_contradicts_the_stated_scale(base: Path, tmp_path: Path, cli: Cli) -> None:
-    captures = write_boards(tmp_path / "captures")
+def test_a_board_that_contradicts_the_stated_scale(
+    boards: Path, base: Path, tmp_path: Path, cli: Cli
+) -> None:
+    captures = shutil.copytree(boards, tmp_path / "captures")
     manifest = captures / "captures.toml"
     text = manifest.read_text(encoding="utf-8").replace(HEADER[1], HEADER[1] + STATED)
-    boards = text.split("[[boards]]")
-    manifest.write_text(f"{boards[0]}[[boards]]{boards[2]}", encoding="utf-8")
+    parts = text.split("[[boards]]")
+    manifest.write_text(f"{parts[0]}[[boards]]{parts[2]}", encoding="utf-8")
     done = cli("calibrate camera", captures, "--base", base, "--out", tmp_path / "out")
     said = " ".join(done.err.split())
     assert "the captures state mm_per_px_x = 0.2, measured is" in said
@@ -250,3 +266,130 @@ def test_folders_without_either_are_refused_whole(
     said = cli.refusal(f"calibrate {command}", captures, "--out", out, "--base", base)
     assert not out.exists() and not (tmp_path / "out_report").exists()
     assert ("no board was found" if command == "camera" else "nothing of known length") in said
+
+
+MODULUS, POISSON, FRICTION = 3e5, 0.47, 0.5
+DEPTH = np.linspace(0.15, 1.2, 10)
+FAST = PressPhysics(Accuracy.FAST, mesh=PressMeshOptions(elements_per_radius=2.0, core=4, rings=6))
+"""Quicker than what a user gets."""
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture
+def record_captures(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A press, and a slide of a flat punch there and back."""
+    monkeypatch.setenv("TACCEL_LAB_CACHE", str(cache))
+    monkeypatch.setitem(PHYSICS, Accuracy.FAST, FAST)
+    monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 4)
+    gel = Gel.of_profile(catalogue_profile("gelsight_mini"), physics=FAST).with_law(POISSON)
+    tool = gel.tool(ToolEntry(kind="sphere", radius_mm=5.0))
+    table = force_table(gel, tool, (0.15, 1.2), free_nu=False, friction=FRICTION)
+    force = table.force_n(DEPTH, MODULUS, POISSON)
+    rng = np.random.default_rng(0)
+    folder = tmp_path / "captures"
+    folder.mkdir()
+    write(folder / "press.csv", depth_mm=DEPTH, force_n=force * (1 + 0.01 * rng.normal(size=10)))
+    shift = np.concatenate([np.linspace(0, 3, 60), np.linspace(3, 0, 60)])
+    spring = np.concatenate(
+        [np.minimum(shift[:60] / 0.5, 1), 1 - np.minimum((3 - shift[60:]) / 0.5, 2)]
+    )
+    write(
+        folder / "slide.csv",
+        shift_mm=shift,
+        normal_n=np.full(120, 2.0),
+        tangential_n=FRICTION * 2.0 * spring + 0.01 * rng.normal(size=120),
+    )
+    manifest(folder)
+    return folder
+
+
+def write(path: Path, **columns: np.ndarray) -> None:
+    rows = zip(*columns.values(), strict=True)
+    lines = [",".join(f"{value:.9g}" for value in row) for row in rows]
+    path.write_text("\n".join([",".join(columns), *lines]) + "\n")
+
+
+def manifest(folder: Path, press_mm: float = 5.0) -> None:
+    (folder / "captures.toml").write_text(
+        'schema_version = 2\nsensor = "gelsight_mini"\nsource = "test"\n'
+        '[[records]]\nfile = "press.csv"\nkind = "indentation"\n'
+        f'tool = {{ kind = "sphere", radius_mm = {press_mm} }}\n'
+        '[[records]]\nfile = "slide.csv"\nkind = "slide"\n'
+        'tool = { kind = "cylinder", radius_mm = 3.0 }\n'
+    )
+
+
+def words(record_captures: Path) -> list[object]:
+    out = record_captures.parent / "profile"
+    return [record_captures, "--out", out, "--accuracy", "fast", "--fix", f"nu={POISSON}"]
+
+
+def test_records_become_a_profile_and_a_report(record_captures: Path, cli: Cli) -> None:
+    printed = cli.json("calibrate material", *words(record_captures))["material"]
+    assert printed["verdict"] == "good"
+    profile = load_profile(record_captures.parent / "profile")
+    block = profile.material
+    low, high = block.provenance.interval["young_modulus_pa"]
+    assert low < MODULUS < high and high / low < 1.3
+    assert block.young_modulus_pa == pytest.approx(MODULUS, rel=0.02)
+    assert block.friction_coefficient == pytest.approx(FRICTION, rel=0.05)
+    assert block.poisson_ratio == POISSON
+    assert block.fitted_with is not None and block.fitted_with.friction_measured
+    assert block.fitted_with.friction_coefficient == block.friction_coefficient
+    assert block.fitted_with.physics["accuracy"] == "fast"
+    assert block.provenance.kind == "calibrated" and block.provenance.verdict == "good"
+    assert set(block.provenance.inputs) == {"press.csv", "slide.csv", "captures.toml"}
+    residuals = block.provenance.residuals
+    assert next(iter(residuals)) == "indentation_held_out_worst_relative"
+    assert residuals["indentation_worst_relative"] < 0.04
+    assert residuals["indentation_held_out_worst_relative"] < 0.06
+    assert block.provenance.valid_region["depth_mm"] == pytest.approx((0.15, 1.2))
+    report = record_captures.parent / "profile_report"
+    assert (report / "report.html").is_file() and (report / "indentation.png").is_file()
+    assert json.loads((report / "report.json").read_text())["held"] == {"poisson_ratio": POISSON}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda c: {**c, "force_n": c["force_n"] / 9.80665e-3}, "gram"),
+        (lambda c: {**c, "force_n": c["force_n"] * 1e3}, "mN"),
+        (lambda c: {**c, "depth_mm": c["depth_mm"] * 1e-3}, "metres"),
+        (lambda c: {**c, "force_n": -c["force_n"]}, "sign"),
+        (lambda c: {**c, "force_n": c["force_n"][::-1]}, "falls"),
+        (lambda c: {**c, "depth_mm": c["depth_mm"] * 1e3}, "mm"),
+    ],
+)
+def test_wrong_units_and_signs_are_refused(
+    record_captures: Path, cli: Cli, spoil, told: str
+) -> None:
+    data = np.loadtxt(record_captures / "press.csv", delimiter=",", skiprows=1)
+    write(record_captures / "press.csv", **spoil({"depth_mm": data[:, 0], "force_n": data[:, 1]}))
+    assert told in cli.refusal("calibrate material", *words(record_captures))
+    assert not (record_captures.parent / "profile").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--fix", "nu"), "name=value"),
+        (("--fix", "nu=0.6"), "[0, 0.4999]"),
+        (("--fix", "stiffness=3"), "cannot be held"),
+        (("--fix", "mooney_ratio=0.2"), "--model mooney_rivlin"),
+        (("--fix", "friction=7"), "friction must lie in [0, 5]"),
+        (("--device", "cuda:99"), "is not there"),
+    ],
+)
+def test_bad_options_are_refused(
+    record_captures: Path, cli: Cli, options: tuple[str, ...], told: str
+) -> None:
+    assert told in cli.refusal("calibrate material", *words(record_captures), *options)
+
+
+def test_captures_without_forces_say_what_is_needed(record_captures: Path, cli: Cli) -> None:
+    (record_captures / "captures.toml").write_text('schema_version = 2\nsensor = "gelsight_mini"\n')
+    assert "[[records]]" in cli.refusal("calibrate material", *words(record_captures))

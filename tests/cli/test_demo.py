@@ -9,16 +9,28 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from taccel_lab.files.output_marker import OUTPUT_MARKER
+from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.profile import load_profile, validate_profile
+from taccel_lab.scene import Element
 from tests.cli.conftest import Cli
 from tests.support.commands import run
 from tests.support.small_captures import GRID, everything_below, write_captures
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_presses() -> Iterator[None]:
+    """The demo shows a press of any accuracy; ``test_press`` holds the default's files."""
+    with pytest.MonkeyPatch.context() as patch:
+        quick = replace(PHYSICS[Accuracy.FAST], element=Element.LINEAR)
+        patch.setitem(PHYSICS, Accuracy.DEFAULT, quick)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -27,12 +39,42 @@ def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def out(captures: Path) -> Path:
-    """Output of one demo."""
+def words(captures: Path) -> list[str]:
+    """The command of one demo."""
     folder = captures.parent / "out" / "demo"
-    arguments = ["--captures", captures, "--out", folder, "--depth-mm", "0.4"]
-    assert run("demo", *arguments, "--only", "background", "color") == 0
-    return folder
+    options = ["--depth-mm", "0.4", "--only", "background", "color"]
+    return ["demo", "--captures", str(captures), "--out", str(folder), *options]
+
+
+@pytest.fixture(scope="module")
+def kept(captures: Path, words: list[str]) -> tuple[bytes, int]:
+    """Text and time of the page that a demo leaves which is killed while it fits colours."""
+    out = captures.parent / "out" / "demo"
+    kept = out.with_name("demo_unfinished")
+    page = kept / "report" / "background" / "report.html"
+    command = [sys.executable, "-m", "taccel_lab.cli.app", *words]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as running:
+        until = time.monotonic() + 120
+        while not (page.is_file() and (kept / "calibration.json").is_file()):
+            assert running.poll() is None and time.monotonic() < until
+            time.sleep(0.02)
+        running.kill()
+    assert running.returncode == -signal.SIGKILL and not out.exists()
+    assert list(json.loads((kept / "calibration.json").read_text())["blocks"]) == ["background"]
+    assert load_profile(kept / "profile").background is not None
+    return page.read_bytes(), page.stat().st_mtime_ns
+
+
+@pytest.fixture(scope="module")
+def out(captures: Path, words: list[str], kept: tuple[bytes, int]) -> Path:
+    """Output of the same command after that."""
+    assert run(*words) == 0
+    return captures.parent / "out" / "demo"
+
+
+def test_after_a_kill_what_was_finished_is_kept(out: Path, kept: tuple[bytes, int]) -> None:
+    page = out / "report" / "background" / "report.html"
+    assert (page.read_bytes(), page.stat().st_mtime_ns) == kept
 
 
 def test_profile_report_and_press_are_there(out: Path) -> None:
@@ -60,7 +102,7 @@ def test_interrupted_in_the_middle(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("taccel_lab.calibration.color.fit.layer_skirts", interrupt)
+    monkeypatch.setattr("taccel_lab.calibration.color.fit.layer_surfaces", interrupt)
     before = everything_below(out)
     for folder in (tmp_path / "new" / "demo", out):
         assert run("demo", "--captures", captures, "--out", folder) == 130
@@ -96,27 +138,3 @@ def test_bad_input_is_refused_before_any_work(
     told = cli.refusal("demo --captures", folder, *out)
     assert words in told and (options or str(folder) in told)
     assert os.listdir(tmp_path) == ["captures"]
-
-
-def test_a_kill_in_the_middle_keeps_what_is_finished(captures: Path, tmp_path: Path) -> None:
-    """Killed while colours are fitted, the same command goes on after the background."""
-    out, kept = tmp_path / "demo", tmp_path / "demo_unfinished"
-    words = ["demo", "--captures", str(captures), "--out", str(out), "--depth-mm", "0.3"]
-    command = [sys.executable, "-m", "taccel_lab.cli.app", *words, "--only", "background", "color"]
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as running:
-        page = kept / "report" / "background" / "report.html"
-        until = time.monotonic() + 120
-        while not (page.is_file() and (kept / "calibration.json").is_file()):
-            assert running.poll() is None and time.monotonic() < until
-            time.sleep(0.02)
-        running.kill()
-    assert running.returncode == -signal.SIGKILL and not out.exists()
-    assert list(json.loads((kept / "calibration.json").read_text())["blocks"]) == ["background"]
-    assert load_profile(kept / "profile").background is not None
-    made = page.read_bytes(), page.stat().st_mtime_ns
-
-    assert run(*words, "--only", "background", "color") == 0
-    page = out / "report" / "background" / "report.html"
-    assert (page.read_bytes(), page.stat().st_mtime_ns) == made
-    assert load_profile(out / "profile").color is not None and (out / "press").is_dir()
-    assert not kept.exists()

@@ -39,14 +39,13 @@ COMMANDS = {
     "calibrate all": "calibrate all CAPTURES --out OUT",
     "export": "export PROFILE --to taxim --out OUT",
     "capture check": "capture check CAPTURES --report OUT",
-    "capture review": "capture review CAPTURES --out OUT",
     "capture import": "capture import CAPTURES OUT --layout plain",
     "capture guide": "capture guide gelsight --out OUT/x.toml",
     "sensors show": "sensors show flat_pad --picture OUT/x.png",
     "profile report": "profile report PROFILE --out OUT",
     "depth": "depth PROFILE IMAGE --out OUT",
     "demo": "demo --out OUT",
-    "task run": "task run touch-insertion --output OUT",
+    "task run": "task run touch-insertion --out OUT",
 }
 
 
@@ -88,7 +87,7 @@ def test_it_is_refused_before_any_work(
     assert (tmp_path / "file").read_text() == "mine"
 
 
-@pytest.mark.parametrize("command", ["export", "capture review", "depth"])
+@pytest.mark.parametrize("command", ["export", "capture check", "depth"])
 def test_a_link_to_itself_is_no_folder(
     command: str, places: dict[str, str], tmp_path: Path, cli: Cli
 ) -> None:
@@ -150,8 +149,6 @@ def test_a_report_inside_the_profile_is_refused_before_any_work(
 # What is read --------------------------------------------------------------------------------
 
 READERS = [
-    "capture review BAD",
-    "capture review BAD --out OUT",
     "capture check BAD",
     "capture import BAD OUT",
     "calibrate color BAD --out OUT",
@@ -164,7 +161,7 @@ READERS = [
     "profile show BAD",
     "export BAD --to taxim --out OUT",
     "robot show BAD",
-    "import-step BAD",
+    "import-gel BAD",
 ]
 BAD = {"a link to itself": "loop", "below one": "loop/x", "too long": "x" * 300, "NUL": "a\0b"}
 

@@ -133,7 +133,6 @@ CHEAP = {
     "capture devices": "",
     "capture guide": "gelsight_mini",
     "capture import": "CAPTURES OUT --layout plain",
-    "capture review": "CAPTURES --out OUT",
     "doctor": "",
     "export": "PROFILE --to taxim --out OUT",
     "preview": "PROFILE --out OUT --presses --size-px 64",

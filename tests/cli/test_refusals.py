@@ -98,7 +98,6 @@ CAPTURES: list[tuple[Change, list[str]]] = [
     ),
     (frame_without_contact, [r"p2\.png: no contact found"]),
     (edit("u_px = 33.0", "u_px = nan"), [r"captures\.toml: presses\.2\.contact\.u_px", "finite"]),
-    (edit("radius_px = 11.0", "radius_px = inf"), [r"presses\.2\.contact\.radius_px", "finite"]),
     (
         edit("u_px = 33.0", "u_px = 103.0"),
         [r"p2\.png: the contact circle at \(103, 44\) px .*its centre has to be inside"],
@@ -107,13 +106,8 @@ CAPTURES: list[tuple[Change, list[str]]] = [
         edit("radius_px = 11.0", "radius_px = 21.0"),
         [r"p2\.png: contact radius 21 px is 2\.100 mm .*more than the ball's radius of 2 mm"],
     ),
-    (edit("mm_per_px_x = 0.1", "mm_per_px_x = 0.0"), ["mm_per_px_x", "0.0001"]),
-    (edit("mm_per_px_y = 0.1", "mm_per_px_y = -0.1"), ["mm_per_px_y", "0.0001"]),
     (THREE_TIMES_THE_SCALE, [r"captures\.toml: at 0\.3 x 0\.3 mm/px", "pad of 24 x 20 mm"]),
-    (edit("radius_mm = 2.0", "radius_mm = 0"), [r"indenter\.radius_mm"]),
-    (edit("radius_mm = 2.0", "radius_mm = nan"), [r"indenter\.radius_mm", "finite"]),
     (edit('source = "', 'sauce = "'), [r"captures\.toml: sauce: unknown key; allowed: .*source"]),
-    (edit("schema_version = 1", "schema_version = 3"), ["schema_version", "should be 1 or 2"]),
     (edit('"gelsight"', '"gelsite"'), ["gelsite", "gelsight"]),
     (edit("[indenter]", "[indenter"), [r"captures\.toml is not valid TOML"]),
 ]

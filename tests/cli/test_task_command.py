@@ -36,7 +36,7 @@ def test_list(cli: Cli) -> None:
 
 def test_run(cli: Cli, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    words = ["task run", short_task(tmp_path, 3), "--seeds", "2", "--output", out]
+    words = ["task run", short_task(tmp_path, 3), "--seeds", "2", "--out", out]
     assert "short: 0 of 2 seeds, 0.0% (95 %: 0.0% to 65.8%, Wilson)" in cli(*words).err
     result = json.loads((out / "result.json").read_text())
     assert (result["trials"], result["success_rate"]) == (2, 0.0)
@@ -69,14 +69,14 @@ def test_interrupted_run_keeps_what_is_done(
     monkeypatch.setattr(PegInsertion, "measure", interrupted)
     path, out = short_task(tmp_path, 2), tmp_path / "run"
     path.write_text(path.read_text().replace("environments = 8", "environments = 1"))
-    told = cli("task run", path, "--seeds", "3", "--output", out, code=130).err
+    told = cli("task run", path, "--seeds", "3", "--out", out, code=130).err
     assert "interrupted; 1 of 3 seeds are kept" in told
     assert [row["seed"] for row in json.loads((out / "result.json").read_text())["per_seed"]] == [0]
 
 
 def test_record(cli: Cli, tmp_path: Path) -> None:
     out = tmp_path / "film"
-    words = [short_task(tmp_path, 6), "--seed", "2", "--output", out]
+    words = [short_task(tmp_path, 6), "--seed", "2", "--out", out]
     assert "seed 2: came " in cli("task record", *words).err
     video = cv2.VideoCapture(str(out / "film.mp4"))
     frames = []
@@ -105,5 +105,5 @@ def test_record(cli: Cli, tmp_path: Path) -> None:
     ],
 )
 def test_bad_input(words: list[str], message: str, cli: Cli, tmp_path: Path) -> None:
-    assert message in cli.refusal("task", *words, "--output", tmp_path / "out")
+    assert message in cli.refusal("task", *words, "--out", tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data sets are the same whoever makes them, and lose nothing when they are killed."""
+"""Data sets are made, with dots, and exported."""
 
 from __future__ import annotations
 
@@ -9,19 +9,35 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
+import h5py
+import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
+from taccel_lab.camera.gel_camera import GelCamera
 from taccel_lab.datasets import runner
 from taccel_lab.datasets.check import check_dataset
 from taccel_lab.datasets.folder import DatasetFolder
+from taccel_lab.datasets.lerobot import export_lerobot
+from taccel_lab.datasets.lite import make_lite
+from taccel_lab.datasets.page import dataset_page
 from taccel_lab.datasets.reading import Dataset
+from taccel_lab.datasets.univtac import export_univtac
 from taccel_lab.errors import InputError
 from taccel_lab.files.output_marker import OUTPUT_MARKER
-from tests.support.small_data_sets import make, parts_of, plan
-from tests.support.strangers import SECRET, lure
+from taccel_lab.profile import CameraBlock, MarkersBlock, save_profile
+from taccel_lab.report.page import write_page_file
+from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.viewer.dataset_touches import read_touch
+from tests.signals.find_dots import distances_px, find_dots
+from tests.support.dotted_profiles import LIGHT, with_painted_dots
+from tests.support.small_data_sets import ASSUMED, make, parts_of, plan, small_profile
+from tests.support.strangers import LURES, REFUSED, SECRET, lure
 
 ROOT = Path(__file__).parents[2]
 
@@ -199,3 +215,204 @@ def test_a_folder_that_leads_elsewhere_is_not_gone_on_with(
     with pytest.raises(InputError, match=r"is a link|no regular file"):
         make(profile, copied)
     assert secret.read_text() == SECRET and os.listdir(secret.parent) == [secret.name]
+
+
+WIDTH, HEIGHT, RADIUS_PX = 96, 72, 3.0
+
+
+def dotted_profile(folder: Path) -> Path:
+    """Colours that no press changes, on a pad with 4 x 3 dots."""
+    profile = small_profile()
+    view = profile.grid().resized(WIDTH, HEIGHT)
+    pitch_mm = 18.0 * view.mm_per_px_x
+    markers = MarkersBlock(
+        rows=3, columns=4, pitch_x_mm=pitch_mm, pitch_y_mm=pitch_mm,
+        radius_mm=RADIUS_PX * view.mm_per_px_x, provenance=ASSUMED,
+    )  # fmt: skip
+    for name in ("perturbation", "color", "background"):
+        profile = profile.without(name)
+    profile = profile.with_block(CameraBlock.from_grid(view, ASSUMED))
+    places = view.pixel_from_gel(markers.grid().points_mm())
+    save_profile(with_painted_dots(profile, places, RADIUS_PX).with_block(markers), folder)
+    return folder
+
+
+def test_dots_go_with_the_markers(tmp_path: Path) -> None:
+    profile = dotted_profile(tmp_path / "profile")
+    make(
+        profile, tmp_path / "out", dataset={"episodes": 1},
+        objects=[{"tool": "sphere:3"}],
+        motions=[{"kind": "slip", "depth_mm": [0.3, 0.4], "shear_mm": [0.3, 0.4]}],
+    )  # fmt: skip
+    data = Dataset(tmp_path / "out")
+    rgb = data.read("rgb", slice(None)).astype(float)
+    markers = data.read("markers_px", slice(None))
+    background = data.profile(0).background_rgb
+    assert background is not None
+    assert np.abs(rgb[0] - background).max() <= 1
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    moved = np.linalg.norm(markers[-1] - markers[0], axis=1)
+    assert moved.max() > 0.7
+    for step in (0, len(rgb) - 1):
+        for u_px, v_px in markers[step]:
+            near = np.hypot(u - u_px, v - v_px) < 2 * RADIUS_PX
+            dark = (LIGHT - rgb[step, ..., 0])[near]
+            middle = [(dark * u[near]).sum() / dark.sum(), (dark * v[near]).sum() / dark.sum()]
+            assert np.hypot(*(np.array(middle) - [u_px, v_px])) < 0.25
+
+
+@pytest.mark.parametrize(
+    "sensor", ["gelsight_mini", pytest.param("gelsight_40", marks=pytest.mark.slow)]
+)
+def test_all_channels_of_a_predicted_picture_are_of_its_camera(sensor: str, tmp_path: Path) -> None:
+    designed = catalogue_profile(sensor)
+    assert designed.markers is not None
+    radius_px = designed.markers.radius_mm / designed.camera.mm_per_px_x
+    channels = ["rgb", "markers_px", "contact_mask", "depth_mm", "patch_forces_n"]
+    make(
+        sensor, tmp_path / "out",
+        dataset={"episodes": 1, "x_mm": [3.0, 3.0], "y_mm": [2.0, 2.0]},
+        objects=[{"tool": "sphere:4"}],
+        motions=[{"kind": "press", "depth_mm": [0.7, 0.7]}],
+        output={"channels": channels, "patches": [8, 6]},
+    )  # fmt: skip
+    data = Dataset(tmp_path / "out")
+    rgb, markers, touched, patches = (
+        data.read(name, slice(None))
+        for name in ("rgb", "markers_px", "contact_mask", "patch_forces_n")
+    )
+    for step in (0, len(rgb) - 1):
+        found = find_dots(rgb[step], radius_px)
+        assert len(found) >= 0.9 * len(markers[step])
+        assert distances_px(found, markers[step]).mean() < 0.3
+    camera = GelCamera.of_record(data.about[0]["sensors"][0]["units"][0]["camera"])
+    # A ball sunk into the face: the middle of what it touches, seen in perspective.
+    middle = camera.pixel_from_gel(np.array([3.0, 2.0, -0.7]))
+    v, u = np.nonzero(touched[-1])
+    assert np.abs([u.mean() - middle[0], v.mean() - middle[1]]).max() < 1.0
+    force = np.linalg.norm(patches[-1], axis=-1)
+    row, column = np.mgrid[: force.shape[0], : force.shape[1]]
+    size = np.array([camera.width_px, camera.height_px])
+    place = np.array([(force * column).sum(), (force * row).sum()]) / force.sum()
+    place = (place + 0.5) * size / force.shape[::-1] - 0.5
+    assert np.abs(place - middle).max() < 1.5
+    # What reads the folder knows where its pixels look.
+    states = read_touch(data, 0)
+    sunk = next(field.values[-1] for field in states.fields if field.label == "depth image")
+    deepest = states.rest_mm[np.nanargmax(sunk)]
+    assert np.hypot(*(deepest[:2] - [3.0, 2.0])) < 1.0
+
+
+def show(folders: list[Path], out: Path) -> None:
+    """The page of a data set as a file."""
+    write_page_file(dataset_page(Dataset(folders)), out)
+
+
+def test_lerobot(made: Path, tmp_path: Path) -> None:
+    data = Dataset(made)
+    info = export_lerobot([made], tmp_path / "lr", fps=5)
+    assert info == json.loads((tmp_path / "lr" / "meta" / "info.json").read_text())
+    assert (info["total_frames"], info["total_episodes"]) == (len(data), 6)
+    path = tmp_path / "lr" / info["data_path"].format(chunk_index=0, file_index=0)
+    frames = pq.read_table(path)
+    assert set(frames.column_names) == set(info["features"])
+    assert frames["index"].to_pylist() == list(range(len(data)))
+    assert frames["frame_index"].to_pylist() == data.steps["step"].tolist()
+    png = frames["observation.images.tactile"][3].as_py()["bytes"]
+    image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    assert (image == data.read("rgb", [3])[0]).all()
+    wrench = np.array(frames["observation.wrench"].to_pylist())
+    assert wrench == pytest.approx(data.read("wrench", slice(None)), abs=1e-6)
+    state = np.array(frames["observation.state"].to_pylist())
+    action = np.array(frames["action"].to_pylist())
+    ends = np.flatnonzero(np.diff(frames["episode_index"].to_numpy()))
+    inner = np.setdiff1d(np.arange(len(data) - 1), ends)
+    assert action[inner] == pytest.approx(state[inner + 1])
+    episodes = pq.read_table(tmp_path / "lr" / "meta/episodes/chunk-000/file-000.parquet")
+    assert sum(episodes["length"].to_pylist()) == len(data)
+    assert episodes["dataset_to_index"].to_pylist()[-1] == len(data)
+    stats = json.loads((tmp_path / "lr" / "meta" / "stats.json").read_text())
+    assert stats["observation.wrench"]["max"] == pytest.approx(wrench.max(axis=0))
+    assert stats["observation.wrench"]["std"] == pytest.approx(wrench.std(axis=0))
+    assert np.shape(stats["observation.images.tactile"]["mean"]) == (3, 1, 1)
+    tasks = pq.read_table(tmp_path / "lr" / "meta" / "tasks.parquet")
+    assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
+    told = tasks["task"].to_pylist()[frames["task_index"][0].as_py()]
+    row = data.episodes[0]
+    assert told == f"{row['motion']} {row['object']} on {row['sensor']}"
+
+
+def test_univtac(made: Path, tmp_path: Path) -> None:
+    data = Dataset(made)
+    assert export_univtac([made], tmp_path / "uv") == 6
+    rows = data.rows_of(2)
+    with h5py.File(tmp_path / "uv" / "hdf5" / "2.hdf5") as file:
+        gel = file["tactile/left_tactile"]
+        images = [
+            cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR) for png in gel["rgb"][()]
+        ]
+        # Channels in the order in which they were handed to the encoder, as their reader has them.
+        assert (np.stack(images) == data.read("rgb", rows)).all()
+        optics = data.profile(2).optics
+        distance = abs(optics.position_mm[2]) - data.read("depth_mm", rows)
+        assert gel["depth"][()] == pytest.approx(distance, abs=1e-5)
+        assert gel["marker"].shape[:2] == (len(rows), 2)
+        assert file["step"][()].tolist() == list(range(len(rows)))
+        assert file["atom/tag"][0] == b"rest"
+        assert file["embodiment/ee"].shape == (len(rows), 7)
+        assert (file["taccel_lab/wrench"][()] == data.read("wrench", rows)).all()
+    assert len(json.loads((tmp_path / "uv" / "metadata.json").read_text())) == 6
+
+
+def test_what_a_layout_needs_is_asked_for(made: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "b"
+    broken.mkdir()
+    about = json.loads((made / "dataset.json").read_text())
+    del about["channels"]["rgb"]
+    (broken / "dataset.json").write_text(json.dumps(about))
+    for export in (export_lerobot, export_univtac):
+        with pytest.raises(InputError, match="has no rgb"):
+            export([broken], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_is_written_into_the_data_set_itself(made: Path) -> None:
+    before = parts_of(made)
+    inside = made / "parts" / "x"
+    for write in (export_lerobot, export_univtac, make_lite):
+        with pytest.raises(
+            InputError, match=r"lies inside the data set .* name a folder beside it"
+        ):
+            write([made], inside)
+    assert parts_of(made) == before and not inside.exists()
+
+
+@pytest.mark.parametrize(
+    ("place", "kinds"),
+    [
+        ("parts/000001/data.zarr/rgb/c/0/0/0/0", LURES),
+        # What is no folder is no part, and an index that cannot be read is that of the parts.
+        ("parts/000001", ["link to a folder"]),
+        ("episodes.parquet", ["link out", "link to a folder"]),
+    ],
+)
+def test_what_links_name_is_not_published(
+    tmp_path: Path, place: str, kinds: Sequence[str], copied: Path
+) -> None:
+    for kind in kinds:
+        lure(copied / place, kind, tmp_path / "outside")
+        for write in (make_lite, export_lerobot, export_univtac, show):
+            with pytest.raises(InputError, match=REFUSED):
+                write([copied], tmp_path / "out")
+            assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("kind", LURES)
+@pytest.mark.parametrize("place", ["profiles/0/x", "objects/x", "spec.toml"])
+def test_a_small_data_set_has_no_files_from_elsewhere(
+    tmp_path: Path, place: str, kind: str, copied: Path
+) -> None:
+    lure(copied / place, kind, tmp_path / "outside")
+    with pytest.raises(InputError, match=REFUSED):
+        make_lite([copied], tmp_path / "out")
+    assert not (tmp_path / "out").exists()

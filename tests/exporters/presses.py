@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.profile import SensorProfile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 from taccel_lab.signals.normals import normals_from_slopes
@@ -21,12 +21,12 @@ CIRCLE = ContactCircle(220.0, 90.0, 30.0)
 BALL_RADIUS_MM = 4.0
 
 
-def press_over_rest(profile: SensorProfile) -> PressSurface:
+def press_over_rest(profile: SensorProfile) -> BallSurface:
     """A ball's dent in a flat gel: height and slopes over the surface at rest."""
     return analytic_surface(CIRCLE, profile.grid(), BALL_RADIUS_MM, decay_mm=4.0)
 
 
-def our_image(profile: SensorProfile, press: PressSurface) -> np.ndarray:
+def our_image(profile: SensorProfile, press: BallSurface) -> np.ndarray:
     """What the profile's own colour model shows of that press."""
     assert profile.color is not None and profile.color_weights is not None
     assert profile.background_rgb is not None

@@ -45,6 +45,24 @@ def take_memory() -> int:
     return len(bytearray(8 << 30))
 
 
+_read: list[int] = []
+"""Grows with each file that this process reads by ``harm``."""
+
+
+def harm(how: str) -> int:
+    """Leave the process as a damaged file may: the next file is harmed by it."""
+    _read.append(1)
+    if len(_read) > 1:
+        if how == "crash":
+            os.abort()
+        raise MemoryError
+    return os.getpid()
+
+
+def harmed_stream(how: str) -> Iterator[int]:
+    yield harm(how)
+
+
 def count(n: int) -> Iterator[int]:
     yield from range(n)
 

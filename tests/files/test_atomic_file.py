@@ -1,22 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Outputs appear whole or not at all, and never in the place of somebody else's files."""
+"""Single files appear whole or not at all; caches and locks of files."""
 
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import math
 import os
 import stat
+import subprocess
+import sys
+import warnings
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import atomic_file, to_jsonable, write_image, write_json
+from taccel_lab.files.file_cache import CACHE_VARIABLE, cached_arrays
+from taccel_lab.files.file_lock import hold
 
 
 def tree(folder: Path) -> dict[str, str]:
@@ -129,3 +137,113 @@ def test_images_are_written_anywhere(tmp_path: Path, suffix: str) -> None:
     assert cv2.imwrite(str(plain), image) and path.read_bytes() == plain.read_bytes()
     with pytest.raises(cv2.error):
         write_image(tmp_path / "image.nonsense", image)
+
+
+def test_who_holds_a_file_is_named(tmp_path: Path) -> None:
+    with open(tmp_path / "lock", "a+") as mine, open(tmp_path / "lock", "a+") as other:
+        hold(mine, "it is taken", "wait")
+        with pytest.raises(InputError, match=rf"it is taken \(process {os.getpid()} on .+\); wait"):
+            hold(other, "it is taken", "wait")
+    with open(tmp_path / "lock", "a+") as one, open(tmp_path / "lock", "a+") as two:
+        hold(one, "", "", shared=True)
+        hold(two, "", "", shared=True)
+
+
+def test_a_file_system_without_locks_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(*_: Any) -> None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+    monkeypatch.setattr(fcntl, "flock", missing)
+    with (
+        open(tmp_path / "lock", "a+") as file,
+        pytest.raises(InputError, match=r"lock cannot be locked \(Function not implemented\).*NFS"),
+    ):
+        hold(file, "", "")
+
+
+ARRAYS = {"a": np.arange(12.0).reshape(3, 4), "b": np.array([1, 2, 3], dtype=np.int32)}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    return tmp_path
+
+
+def agree(found: dict[str, np.ndarray] | None) -> bool:
+    return found is not None and all(np.array_equal(found[name], ARRAYS[name]) for name in ARRAYS)
+
+
+def test_made_once() -> None:
+    file = cached_arrays("things", {"n": 1})
+    assert file.read() is None
+    assert agree(file.read_or_make(lambda: ARRAYS))
+    assert agree(file.read_or_make(lambda: pytest.fail("it is there")))
+    assert cached_arrays("things", {"n": 2}).read() is None
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_damage_is_told_and_made_again(data: st.DataObject) -> None:
+    file = cached_arrays("things", {"n": 1})
+    file.write(ARRAYS)
+    sound = file.path.read_bytes()
+    damage = data.draw(st.sampled_from(["cut", "byte", "more", "other"]))
+    if damage == "cut":
+        spoilt = sound[: data.draw(st.integers(0, len(sound) - 1))]
+    elif damage == "byte":
+        place = data.draw(st.integers(0, len(sound) - 1))
+        flipped = sound[place] ^ data.draw(st.integers(1, 255))
+        spoilt = sound[:place] + bytes([flipped]) + sound[place + 1 :]
+    else:
+        extra = data.draw(st.binary(min_size=1, max_size=100))
+        spoilt = sound + extra if damage == "more" else extra
+    file.path.write_bytes(spoilt)
+    with pytest.warns(UserWarning, match="kept things .* are damaged") as told:
+        assert agree(file.read_or_make(lambda: ARRAYS))
+    assert len(told) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert agree(file.read())
+
+
+def test_what_cannot_be_read_is_told() -> None:
+    file = cached_arrays("things", {"n": 1})
+    file.path.mkdir(parents=True)
+    with pytest.warns(UserWarning, match="Is a directory"):
+        assert file.read() is None
+
+
+_MANY = """
+import sys, warnings
+import numpy as np
+from taccel_lab.files.file_cache import cached_arrays
+warnings.simplefilter("error")
+for turn in range(40):
+    for n in range(3):
+        file = cached_arrays("things", {"n": n})
+        found = file.read_or_make(lambda: {"a": np.full(5000, float(n))})
+        assert (found["a"] == n).all(), (turn, n)
+        if turn % 4 == int(sys.argv[1]):
+            file.path.unlink(missing_ok=True)
+"""
+
+
+def test_processes_share_a_cache(folder: Path) -> None:
+    """Four write, read and delete the same files: nobody meets a half-written one."""
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", _MANY, str(number)],
+            env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for number in range(4)
+    ]
+    for process in processes:
+        _, said = process.communicate()
+        assert process.returncode == 0, said
+    left = [path.name for path in folder.rglob("*") if path.is_file()]
+    assert len(left) <= 3, left

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""TOML, JSON, YAML and XML: what is odd or damaged is refused in a sentence with the file."""
+"""Text, tables and seeds of others are read or refused in a sentence."""
 
 from __future__ import annotations
 
@@ -8,17 +8,33 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import Field
 
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
+from taccel_lab.calibration.depth.options import DepthOptions
+from taccel_lab.calibration.normals.network_fit import InverseFitOptions
+from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
+from taccel_lab.files import table_file
+from taccel_lab.files.cell_number import number
 from taccel_lab.files.json_file import JSON_LIMIT_BYTES, read_json
 from taccel_lab.files.plain_values import MAX_DEPTH, MAX_VALUES, number_at
+from taccel_lab.files.seed import MOST_SEED, require_seed
+from taccel_lab.files.strict_model import Flag, Number, StrictModel, Whole
+from taccel_lab.files.table_file import MAX_LINE_CHARACTERS, read_table
 from taccel_lab.files.text_file import read_text, shown
 from taccel_lab.files.toml_file import TOML_LIMIT_BYTES, read_toml
 from taccel_lab.files.xml_file import MAX_DEPTH as XML_MAX_DEPTH
 from taccel_lab.files.xml_file import XML_LIMIT_BYTES, read_xml
 from taccel_lab.files.yaml_file import YAML_LIMIT_BYTES, read_yaml
+from taccel_lab.learning.force.options import ForceOptions
 from taccel_lab.printable import printable
+from taccel_lab.profile import save_profile
+from tests.support.synthetic_presses import GRID, flat_profile, synthetic_captures, write_captures
 
 Read = Callable[[Path], dict[str, Any]]
 READERS: dict[str, Read] = {"toml": read_toml, "json": read_json, "yaml": read_yaml}
@@ -244,3 +260,182 @@ def test_what_cannot_be_read_is_said(tmp_path: Path, content: bytes, words: str)
 def test_siblings_are_not_depth(tmp_path: Path) -> None:
     path = xml_written(tmp_path, b"<a>" + b"<b><c/></b>" * 1000 + b"</a>")
     assert len(read_xml(path, "a URDF file")) == 1000
+
+
+def table_of(folder: Path, content: str | bytes) -> Path:
+    path = folder / "table.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def numbers(path: Path) -> list[list[float]]:
+    table = read_table(path)
+    return [[row.number(k) for k in range(len(table.header))] for row in table.rows()]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a,b\n1.5,2\n-3,4e1\n",
+        "a,b\r\n1.5,2\r\n-3,4e1",
+        "a,b\r1.5,2\r-3,4e1\r",
+        "\ufeffa,b\n1.5,2\n-3,4e1\n",
+        "# by hand\n\n a , b\n# and more\n 1.5, 2 \n\n-3,4e1\n",
+        '"a","b"\n"1.5","2"\n-3,4e1\n',
+        "a;b\n1,5;2\n-3;4e1\n",
+        "a\tb\n1,5\t2\n-3\t4e1\n",
+    ],
+)
+def test_dialects(tmp_path: Path, text: str) -> None:
+    path = table_of(tmp_path, text)
+    assert read_table(path).header == ("a", "b")
+    assert numbers(path) == [[1.5, 2.0], [-3.0, 40.0]]
+
+
+def test_cells_in_quotes_and_bytes_that_are_no_utf_8(tmp_path: Path) -> None:
+    table = read_table(table_of(tmp_path, b'file,note\n"a,b.png","say ""hi"""\nf\xfcr.png,\x85\n'))
+    rows = [[row.text(0), row.text(1)] for row in table.rows()]
+    assert rows == [["a,b.png", 'say "hi"'], ["für.png", ""]]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "is empty; a table begins with the names"),
+        ("# only\n\n", "is empty"),
+        ("a,b,a\n1,2,3\n", "has the column 'a' twice; which one counts?"),
+        ("a,b\n1,2\n3\n", "line 3 has 1 cells, the header 2"),
+        ("a,b\n\n# c\n1,2,3\n", "line 4 has 3 cells, the header 2; beside decimal commas"),
+        ('a,b\n1,"2\n3,4\n', "line 2: a quote is not closed"),
+        ('a,b\n1,"2"x\n', "line 2: ',' expected after"),
+        ('"a,b\n1,2\n', "line 1: a quote is not closed"),
+        ("a,b\n1,x\n", "line 2: column b: 'x' is not a finite number"),
+        ("a,b\n1,\n", "line 2: column b: '' is not a finite number"),
+        ("a,b\n1,1_0\n", "line 2: column b: '1_0' is not a finite number"),
+        ("a,b\n1," + "2" * MAX_LINE_CHARACTERS + "\n", "line 2 has 131,074 characters; a row may"),
+        ("a,b\n1,2\n\0\n", "has a NUL byte in line 3"),
+    ],
+)
+def test_faults_name_file_and_line(tmp_path: Path, text: str, words: str) -> None:
+    path = table_of(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        numbers(path)
+    assert str(caught.value).startswith(str(path)) and words in str(caught.value)
+
+
+def test_too_many_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table_file, "MAX_LINES", 4)
+    assert len(numbers(table_of(tmp_path, "a,b\n" + "1,2\n" * 3))) == 3
+    with pytest.raises(InputError, match="more than 4 lines"):
+        numbers(table_of(tmp_path, "a,b\n" + "1,2\n" * 4))
+
+
+def test_columns_by_any_of_their_names(tmp_path: Path) -> None:
+    table = read_table(table_of(tmp_path, ",Name,X,x,v\n0,a,1,2,3\n"))
+    assert table.column("file", "name") == 1 and table.column("w") is None
+    assert table.require_column("v") == 4
+    with pytest.raises(InputError, match="has the columns X and x; one is needed"):
+        table.column("u", "x")
+    with pytest.raises(InputError, match=r"lacks a column u or w \(found , Name, X, x, v\)"):
+        table.require_column("u", "w")
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_every_number_is_read_back(value: float) -> None:
+    assert number(repr(value)) == value and number(f" {value:.17g}\t") == value
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", " ", "0.4_5", "1_0", "nan", "inf", "-Infinity", "1e999", "0x10", "1,5", "١٢", "１２", "²",
+     "1 2", "1e", ".", "--1", "+-1", "1d3", "true", "\u00a01", "1\n", "0" * 65],
+)  # fmt: skip
+def test_what_is_no_number(text: str) -> None:
+    with pytest.raises(ValueError, match="is not a"):
+        number(text)
+
+
+class Ball(StrictModel):
+    radius_mm: Number = Field(gt=0)
+    count: Whole = 1
+    hollow: Flag = False
+
+
+class Box(StrictModel):
+    balls: list[Ball] = Field(default_factory=list)
+
+
+def test_numbers_of_python_and_numpy() -> None:
+    ball = Ball(radius_mm=2, count=np.int64(3))  # type: ignore[arg-type]
+    assert ball == Ball(radius_mm=2.0, count=3)
+    assert type(ball.radius_mm) is float and type(ball.count) is int
+
+
+@pytest.mark.parametrize(
+    "entry",
+    ['radius_mm = "2"', "radius_mm = true", "radius_mm = 2\ncount = 3.0", "radius_mm = 2026-01-01",
+     "radius_mm = 2\ncount = true", "radius_mm = 2\nhollow = 1", 'radius_mm = 2\nhollow = "no"'],
+)  # fmt: skip
+def test_nothing_is_taken_for_something_else(tmp_path: Path, entry: str) -> None:
+    path = tmp_path / "box.toml"
+    path.write_text(f"[[balls]]\n{entry}\n")
+    with pytest.raises(InputError, match=r"box\.toml: balls\.0\.\w+: input should be a valid"):
+        Box.read(path)
+
+
+@pytest.mark.parametrize("key", ["self", "model_config", "__class__", "__init__", "cls", '""'])
+def test_keys_that_python_has_other_uses_for(tmp_path: Path, key: str) -> None:
+    path = tmp_path / "box.toml"
+    path.write_text(f"{key} = 1\n")
+    with pytest.raises(InputError, match=r"box\.toml: .*: unknown key; allowed: balls"):
+        Box.read(path)
+
+
+def test_an_unknown_key_of_an_inner_table_says_what_is_allowed_there(tmp_path: Path) -> None:
+    path = tmp_path / "box.toml"
+    path.write_text("[[balls]]\nradius_mm = 2\nradios_mm = 2\n")
+    with pytest.raises(
+        InputError, match=r"balls\.0\.radios_mm: unknown key; allowed: radius_mm, count, hollow$"
+    ):
+        Box.read(path)
+
+
+def test_long_lists_of_faults_are_cut(tmp_path: Path) -> None:
+    path = tmp_path / "box.toml"
+    path.write_text("balls = [" + "'" + "x" * 5000 + "'," + "1," * 9999 + "]")
+    with pytest.raises(InputError, match="and 9980 more faults") as caught:
+        Box.read(path)
+    assert len(str(caught.value)) < 21 * 300
+
+
+@pytest.mark.parametrize("seed", [-1, 10**20])
+@pytest.mark.parametrize(
+    "options", [ColorFitOptions, InverseFitOptions, DepthOptions, ForceOptions]
+)
+def test_options_refuse_it(options: Callable[..., object], seed: int) -> None:
+    with pytest.raises(InputError, match=rf"seed must lie in 0\.\.{MOST_SEED}, got {seed}"):
+        options(seed=seed)
+
+
+def test_the_largest_seed_is_taken() -> None:
+    torch = pytest.importorskip("torch")
+    require_seed(MOST_SEED)
+    np.random.default_rng(MOST_SEED)
+    torch.Generator().manual_seed(MOST_SEED)
+
+
+def test_synthetic_presses_have_an_end() -> None:
+    with pytest.raises(InputError, match=r"synthetic_presses must lie in 0\.\.10000, got -1"):
+        InverseFitOptions(synthetic_presses=-1)
+
+
+def test_live_needs_something_to_read_before_it_asks_for_the_camera(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_profile(flat_profile(GRID), tmp_path / "profile")
+    write_captures(tmp_path / "captures", synthetic_captures(count=3)[0])
+    words = ["live", str(tmp_path / "profile"), "--camera", str(tmp_path / "captures")]
+    assert main(words) == 2
+    told = "".join(capsys.readouterr()).replace("\n", " ")
+    assert "no normals, depth_response, markers or force block" in told
+    assert "Touch nothing" not in told and "http" not in told

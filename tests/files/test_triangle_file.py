@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damaged STL, PLY, OBJ and legacy VTK files end in a sentence with their name."""
+"""Triangle meshes and Collada files are read or refused in a sentence."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -14,8 +15,9 @@ import pyvista
 from taccel_lab.bodies.mesh_checks import check_surface
 from taccel_lab.errors import InputError, InputWarning
 from taccel_lab.files import triangle_file
+from taccel_lab.files.collada_file import read_collada
 from taccel_lab.files.legacy_vtk import read_legacy_vtk
-from taccel_lab.files.triangle_file import read_triangle_file
+from taccel_lab.files.triangle_file import MAX_TRIANGLES, read_triangle_file
 
 POINTS = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
 FACES = "3 0 2 1\n3 0 1 3\n3 1 2 3\n3 0 3 2\n"
@@ -82,7 +84,7 @@ def test_files_cut_short_or_overwritten_never_end_the_process(suffix: str, tmp_p
     pyvista.Sphere(radius=2, theta_resolution=6, phi_resolution=6).save(path)
     data = path.read_bytes()
     rng = np.random.default_rng(5)
-    for _ in range(6):
+    for _ in range(2):
         start, length = int(rng.integers(len(data))), int(rng.integers(1, 60))
         noise = bytes(rng.integers(0, 256, length, dtype=np.uint8))
         for broken in (data[:start], data[:start] + noise + data[start + length :]):
@@ -185,10 +187,7 @@ VTK_GOOD = vtk("5.1", [0, 1, 2, 3])
         (VTK_GOOD.replace(b"POINTS 4", b"POINTS x"), "'x' is not a number of points or cells"),
         (VTK_GOOD.replace(b"POINTS 4", b"POINTS -4"), "'-4' is not a number"),
         (VTK_GOOD.replace(b"POINTS 4", b"POINTS " + b"9" * 30), "'9{20}' is not a number"),
-        (
-            VTK_GOOD.replace(b"POINTS 4", b"POINTS 99999999"),
-            r"array ends at byte 2,4\d\d,",
-        ),
+        (VTK_GOOD.replace(b"POINTS 4", b"POINTS 99999999"), r"array ends at byte 2,4\d\d,"),
         (VTK_GOOD.replace(b"double", b"half\xff"), "an array of type 'half\ufffd'; known: float"),
         (VTK_GOOD.replace(b"CELLS 2 4", b"CELLS 2 3"), "holds other cells than tets"),
         (VTK_GOOD.replace(b"CELLS 2 4", b"CELLS 1 0"), "holds other cells than tets, or none"),
@@ -204,3 +203,171 @@ def test_damaged_files_are_named(data: bytes, words: str, tmp_path: Path) -> Non
     path.write_bytes(data)
     with pytest.raises(InputError, match=rf"mesh\.vtk .*({words})"):
         read_legacy_vtk(path)
+
+
+# A box of 2 x 3 x 4 units from the origin, its faces outwards.
+CORNERS = "0 0 0  2 0 0  2 3 0  0 3 0  0 0 4  2 0 4  2 3 4  0 3 4"
+SQUARES = "0 3 2 1  4 5 6 7  0 1 5 4  1 2 6 5  2 3 7 6  3 0 4 7"
+POLYLIST = f"""<polylist count="6" material="red">
+  <input semantic="VERTEX" source="#corners" offset="0"/>
+  <vcount>4 4 4 4 4 4</vcount><p>{SQUARES}</p></polylist>"""
+POLYGONS = (
+    '<polygons count="6" material="red"><input semantic="VERTEX" source="#corners" offset="0"/>'
+    + "".join(f"<p>{' '.join(SQUARES.split()[k : k + 4])}</p>" for k in range(0, 24, 4))
+    + "</polygons>"
+)
+TRIANGLES = (
+    '<triangles count="12" material="red"><input semantic="VERTEX" source="#corners" offset="0"/>'
+    + "<p>"
+    + " ".join(
+        f"{a} {b} {c}  {a} {c} {d}"
+        for a, b, c, d in (SQUARES.split()[k : k + 4] for k in range(0, 24, 4))
+    )
+    + "</p></triangles>"
+)
+UNIT = '<unit meter="0.001" name="millimeter"/>'
+PLACE = "<matrix>1 0 0 10  0 1 0 20  0 0 1 30  0 0 0 1</matrix>"
+
+
+def collada(faces: str = POLYLIST, unit: str = UNIT, up: str = "Z_UP", place: str = PLACE) -> str:
+    return f"""<?xml version="1.0" encoding="utf-8"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+  <asset><created>2020-01-01T00:00:00Z</created><modified>2020-01-01T00:00:00Z</modified>
+    {unit}<up_axis>{up}</up_axis></asset>
+  <library_images><image id="i"><init_from>../../secret.png</init_from></image></library_images>
+  <library_geometries><geometry id="box"><mesh>
+    <source id="places"><float_array id="numbers" count="24">{CORNERS}</float_array>
+      <technique_common><accessor source="#numbers" count="8" stride="3">
+        <param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/>
+      </accessor></technique_common></source>
+    <vertices id="corners"><input semantic="POSITION" source="#places"/></vertices>
+    {faces}
+    <lines count="1"><input semantic="VERTEX" source="#corners" offset="0"/><p>0 1</p></lines>
+  </mesh></geometry></library_geometries>
+  <library_visual_scenes><visual_scene id="scene">
+    <node id="outer">{place}<node id="inner">
+      <instance_geometry url="#box"><bind_material><technique_common>
+        <instance_material symbol="red" target="#nothing"/></technique_common></bind_material>
+      </instance_geometry>
+      <instance_camera url="#none"/></node></node>
+  </visual_scene></library_visual_scenes>
+  <scene><instance_visual_scene url="#scene"/></scene>
+</COLLADA>"""
+
+
+def read(folder: Path, text: str) -> tuple[np.ndarray, np.ndarray]:
+    path = folder / "part.dae"
+    path.write_text(text)
+    return read_collada(path)
+
+
+def volume(points: np.ndarray, faces: np.ndarray) -> float:
+    """Positive of faces that look outwards."""
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
+
+
+@pytest.mark.parametrize("faces", [POLYLIST, POLYGONS, TRIANGLES])
+@pytest.mark.parametrize("up", ["X_UP", "Y_UP", "Z_UP"])
+def test_a_box_in_millimetres_is_where_its_nodes_put_it(
+    faces: str, up: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "part.dae"
+    path.write_text(collada(faces, up=up))
+    points, triangles = read_collada(path, as_drawn=True)
+    assert points.shape == (8, 3) and triangles.shape == (12, 3)
+    assert points.dtype == np.float64 and triangles.dtype == np.int64
+    low, high = points.min(axis=0), points.max(axis=0)
+    np.testing.assert_allclose([low, high], [[0.01, 0.02, 0.03], [0.012, 0.023, 0.034]], rtol=1e-6)
+    assert volume(points, triangles) == pytest.approx(24e-9, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("up", "low", "high"),
+    [
+        ("X_UP", [-0.023, -0.034, 0.01], [-0.02, -0.03, 0.012]),
+        ("Y_UP", [0.01, -0.034, 0.02], [0.012, -0.03, 0.023]),
+    ],
+)
+def test_what_is_up_becomes_z(up: str, low: list[float], high: list[float], tmp_path: Path) -> None:
+    with pytest.warns(InputWarning, match=f"says {up}, so it is turned to z up"):
+        points, triangles = read(tmp_path, collada(up=up))
+    np.testing.assert_allclose([points.min(axis=0), points.max(axis=0)], [low, high], rtol=1e-6)
+    assert volume(points, triangles) == pytest.approx(24e-9, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("unit", "meter"),
+    [("", 1.0), ('<unit meter="1" name="meter"/>', 1.0), ('<unit meter="0.0254"/>', 0.0254)],
+)
+def test_units(unit: str, meter: float, tmp_path: Path) -> None:
+    points, _ = read(tmp_path, collada(unit=unit, place=""))
+    np.testing.assert_allclose(np.ptp(points, axis=0), [2 * meter, 3 * meter, 4 * meter], rtol=1e-6)
+
+
+def test_nodes_turn_scale_and_mirror(tmp_path: Path) -> None:
+    """A quarter of a turn about z brings x to y; a mirrored surface still looks outwards."""
+    place = "<translate>0 0 1</translate><rotate>0 0 1 90</rotate><scale>1 1 -2</scale>"
+    points, faces = read(tmp_path, collada(unit="", place=place))
+    low, high = points.min(axis=0), points.max(axis=0)
+    np.testing.assert_allclose([low, high], [[-3, 0, -7], [0, 2, 1]], atol=1e-5)
+    assert volume(points, faces) == pytest.approx(48, rel=1e-5)
+
+
+def test_what_the_scene_shows_twice_is_there_twice(tmp_path: Path) -> None:
+    more = '<node id="again"><instance_geometry url="#box"/></node></visual_scene>'
+    text = collada(unit="").replace("</visual_scene>", more)
+    points, faces = read(tmp_path, text)
+    assert len(points) == 16 and len(faces) == 24
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t.replace("COLLADA", "SCENE"), "root element is <SCENE>"),
+        (lambda t: t.replace('url="#box"', 'url="#ball"'), "no readable Collada file: .*ball"),
+        (lambda t: t.replace("0 3 2 1", "0 3 2 99"), "no readable Collada file"),
+        (lambda t: t.replace("0 3 2 1", "0 3 two 1"), "no readable Collada file"),
+        (lambda t: t.replace("2 3 4", "2 3 nan"), "'numbers' has entries that are no finite"),
+        (lambda t: t.replace("2 3 4", "2 3 x"), "'numbers' has entries that are no finite"),
+        (lambda t: t.replace("2 3 4", "2 3"), "no readable Collada file"),
+        (lambda t: t.replace('url="#scene"', 'url="#none"'), "no readable Collada file"),
+        (lambda t: t[: t.index("<scene>")] + "</COLLADA>", "shows no faces"),
+        (lambda t: t[:400], "is not valid XML"),
+        (lambda t: t.replace("<COLLADA", "<!DOCTYPE a><COLLADA", 1), "has a document type"),
+    ],
+)
+def test_damaged_files(change: Callable[[str], str], words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=rf"part\.dae.*{words}") as error:
+        read(tmp_path, change(collada()))
+    assert "\n" not in str(error.value)
+
+
+def test_limits_and_what_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        read_collada(tmp_path / "none.dae")
+    monkeypatch.setitem(sys.modules, "collada", None)
+    with pytest.raises(InputError, match=r"pycollada, which is not installed: pip install"):
+        read(tmp_path, collada())
+
+
+def test_too_many_faces_are_refused(tmp_path: Path) -> None:
+    head, rest = TRIANGLES.split("<p>")
+    many = head + "<p>" + "0 1 2 " * (MAX_TRIANGLES + 1) + rest
+    with pytest.raises(InputError, match=r"has 500,0[01][0-9] faces; up to 500,000 are allowed"):
+        read(tmp_path, collada(many))
+
+
+def test_overwritten_files_never_end_the_process(tmp_path: Path) -> None:
+    text, rng = collada(), np.random.default_rng(3)
+    path = tmp_path / "part.dae"
+    for _ in range(20):
+        start, length = int(rng.integers(600, len(text))), int(rng.integers(1, 30))
+        noise = "".join(map(chr, rng.integers(32, 127, length)))
+        path.write_text(text[:start] + noise + text[start + length :])
+        try:
+            points, faces = read_collada(path)
+        except InputError as error:
+            assert str(path) in str(error)
+        else:
+            assert np.isfinite(points).all() and faces.max() < len(points)

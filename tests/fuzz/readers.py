@@ -10,12 +10,30 @@ import io
 import os
 import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
+import pytest
+
+from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cli.app import Command
+from taccel_lab.datasets.placing import Placing
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import TetMesh
+from taccel_lab.presses import Indenter
+from tests.calibration.judged_once import detect_once
 from tests.fuzz.reader import Reader, Refused
-from tests.fuzz.samples import captures, layouts, profiles, results, shapes, touches
+from tests.fuzz.samples import (
+    captures,
+    layouts,
+    profiles,
+    recordings,
+    results,
+    shapes,
+    touches,
+)
 
 
 def _run(command: Command) -> None:
@@ -86,15 +104,33 @@ def _load_captures(given: Path, out: Path) -> None:
         record.sigma_n()
 
 
+@cache
+def _work_once() -> None:
+    """Most examples leave most pictures and the sensor as they are."""
+    patch = pytest.MonkeyPatch()
+    detect_once(patch)
+    mesh, meshes = Placing.mesh, {}
+
+    def mesh_once(placing: Placing, pad: Pad, tool: Indenter, *rest: Any) -> TetMesh:
+        key = placing, pad, tool.name, *rest
+        if key not in meshes:
+            meshes[key] = mesh(placing, pad, tool, *rest)
+        return meshes[key]
+
+    patch.setattr(Placing, "mesh", mesh_once)
+
+
 def _check_captures(given: Path, out: Path) -> None:
     from taccel_lab.cli.capture.check import CaptureCheckCommand
 
+    _work_once()
     _run(CaptureCheckCommand(given, json=True))
 
 
 def _check_draft(given: Path, out: Path) -> None:
     from taccel_lab.cli.capture.check import CaptureCheckCommand
 
+    _work_once()
     _run(CaptureCheckCommand(given))
 
 
@@ -132,16 +168,17 @@ def _plan_study(given: Path, out: Path) -> None:
 
 
 def _report_study(given: Path, out: Path) -> None:
-    from taccel_lab.cli.study import Study
+    from taccel_lab.cli.study import StudyCommand
     from taccel_lab.studies import report
 
     with patch.object(report, "write_study_report", lambda _: {"verdict": {"good": True}}):
-        _run(Study(given / "study.toml", out=given / "study", report_only=True, json=True))
+        _run(StudyCommand(given / "study.toml", out=given / "study", report_only=True, json=True))
 
 
 def _plan_dataset(given: Path, out: Path) -> None:
     from taccel_lab.cli.dataset import DatasetMake
 
+    _work_once()
     _run(DatasetMake(given / "touches.toml", out, check_only=True))
 
 
@@ -165,16 +202,39 @@ def _replay(given: Path, out: Path) -> None:
         pass
 
 
-def _list_step(given: Path, out: Path) -> None:
-    from taccel_lab.cli.import_step import ImportStep
+def _recorded(source: str, name: str | None) -> Callable[[Path, Path], None]:
+    """Reads all frames; those that are refused are so in a sentence of their own."""
 
-    _run(ImportStep(given / "gel.step"))
+    def call(given: Path, out: Path) -> None:
+        from taccel_lab.calibration.capture.camera.recording import Recording
+
+        frames = [image for _, image in Recording.of(given / source, name).frames()]
+        refused = [image for image in frames if isinstance(image, InputError)]
+        if refused and len(refused) == len(frames):
+            raise refused[0]
+
+    return call
+
+
+def _list_step(given: Path, out: Path) -> None:
+    from taccel_lab.cli.import_gel import ImportGel
+
+    _run(ImportGel(given / "gel.step"))
 
 
 def _import_step(given: Path, out: Path) -> None:
-    from taccel_lab.cad.step_import import FaceSelection, import_gel
+    from taccel_lab.cad.gel_import import FaceSelection, import_gel
 
     import_gel(given / "gel.step", FaceSelection.from_toml(given / "faces.toml"))
+
+
+def _gel(name: str, unit: str) -> Callable[[Path, Path], None]:
+    def call(given: Path, out: Path) -> None:
+        from taccel_lab.cad.gel_import import FaceSelection, import_gel
+
+        import_gel(given / name, FaceSelection(unit=unit))
+
+    return call
 
 
 def _indenter(*names: str) -> Callable[[Path, Path], None]:
@@ -247,8 +307,12 @@ READERS: dict[str, Reader] = {
     "dataset-folder": Reader(touches.folder, _check_dataset, own="data"),
     "texture": Reader(captures.texture, _read_texture),
     "camera-replay": Reader(captures.frames, _replay),
+    "recording-hdf5": Reader(recordings.univtac, _recorded("0.hdf5", "left_tactile/rgb")),
+    "recording-lerobot": Reader(recordings.lerobot, _recorded("set", None)),
     "step-list": Reader(shapes.step, _list_step, ("gel.step",)),
     "step-import": Reader(shapes.step, _import_step),
+    "gel-msh": Reader(shapes.tets, _gel("gel.msh", "mm")),
+    "gel-stl": Reader(shapes.stl, _gel("bytes.stl", "cm")),
     "indenter-stl": Reader(shapes.stl, _indenter("words.stl", "bytes.stl")),
     "indenter-ply": Reader(shapes.ply, _indenter("words.ply", "bytes.ply")),
     "indenter-obj": Reader(shapes.obj, _indenter("box.obj")),

@@ -34,9 +34,7 @@ def test_a_damaged_file_is_read_or_refused_in_a_sentence(
     assert any(outcome.kind == "accepted" for outcome in outcomes[reader])
 
 
-def test_seeds_do_what_they_did_when_they_were_kept(
-    outcomes: dict[str, list[Outcome]],
-) -> None:
+def test_seeds_do_what_they_did_when_they_were_kept(outcomes: dict[str, list[Outcome]]) -> None:
     """A change of the mutations deals other damage to every seed: keep new ones then."""
     before = kept()
     for outcome in (outcome for found in outcomes.values() for outcome in found):

@@ -44,8 +44,6 @@ def test_a_reader_that_never_returns_is_noticed(tmp_path: Path) -> None:
     assert [outcome.kind for outcome in found] == ["hang"] * 2
 
 
-def test_the_fault_of_a_crash_or_an_exception_has_a_place(
-    found: dict[str, list[Outcome]],
-) -> None:
+def test_the_fault_of_a_crash_or_an_exception_has_a_place(found: dict[str, list[Outcome]]) -> None:
     for name, place in (("raises", "KeyError"), ("crashes", "crash")):
         assert {outcome.where for outcome in found[name] if outcome.fault} == {place}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.bodies.primitives import TriangleMesh, box_mesh, cylinder_mesh, sphere_mesh
-from taccel_lab.geometry.shading_normals import corner_normals
+from taccel_lab.geometry.shading_normals import corner_normals, split_at_creases
 from taccel_lab.presses import parse_indenter
 
 
@@ -85,3 +85,17 @@ def test_triangles_that_turn_against_each_other_still_meet():
     normals = corner_normals(points, np.array([[0, 1, 2], [1, 3, 2]]))
     assert np.allclose(normals[0, 1], normals[1, 0]) and np.allclose(normals[0, 2], normals[1, 2])
     assert np.allclose(normals[0, 0], [0, 0, 1])
+
+
+def test_a_box_is_split_at_its_edges_and_a_ball_nowhere():
+    box = box_mesh((1e-2, 2e-2, 3e-2))
+    copied, faces = split_at_creases(box.vertices_m, box.faces)
+    assert len(copied) == 24
+    # Renderers average at vertices: on a split box that average is the flat normal.
+    np.testing.assert_array_equal(copied[faces], box.faces)
+    flat = _flat(box.vertices_m, box.faces)[:, 0]
+    for vertex in range(24):
+        around = flat[(faces == vertex).any(axis=1)]
+        assert _degrees(around, around[:1]).max() < 1e-5
+    ball = sphere_mesh(3e-3, 0.5e-3)
+    assert len(split_at_creases(ball.vertices_m, ball.faces)[0]) == len(ball.vertices_m)

@@ -218,7 +218,7 @@ def test_these_presses_stick_and_slip(name: str) -> None:
     end = State(
         positions, wp.zeros_like(positions), wp.array(record.poses[-1], dtype=wp.transformd)
     )
-    slopes = motion.slopes(0, end, solver.origin, solver.origin_poses, False)
+    slopes = motion.derivatives(0, end, solver.origin, solver.origin_poses, False)
     rubbing = slopes.per_friction[:, 0]
     pressing = slopes.forces[:, 0] - case.friction * rubbing
     share = np.linalg.norm(rubbing, axis=1) / np.linalg.norm(pressing, axis=1)

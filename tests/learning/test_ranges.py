@@ -85,6 +85,8 @@ def test_a_sensor_s_own_spread_is_drawn(task: str, measured: SensorProfile) -> N
     ranges = {item.what: item for item in env.task.ranges({})}
     assert (ranges["poisson_ratio"].low, ranges["poisson_ratio"].high) == (0.44, 0.46)
     assert ranges["poisson_ratio"].of == tuple((gel,) for gel in gels)
+    env = make_vec(task, 2, sensor=measured, randomised=True, device="cpu")
+    env.reset(seed=3)
     seen, _, _, truncated, _ = env.step(torch.zeros(env.action_space.shape))
     assert not truncated.any() and torch.isfinite(seen["wrench"]).all()
 

@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tasks to be learned are the tasks: their baselines, told as actions, come to the same."""
+"""Policies of tasks, and the PPO example."""
 
 from __future__ import annotations
 
+import json
+import runpy
+import subprocess
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +23,7 @@ from taccel_lab.tasks.grasp_scene import GRASPERS
 from taccel_lab.tasks.run import run_task
 from tests.learning.tasks import peg_parameters
 from tests.support.variants import variants
-
-pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")
+from tests.test_architecture import HEAVY
 
 
 def baseline(seeds: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -164,3 +168,37 @@ def test_an_empty_gripper_goes_where_it_is_told() -> None:
     moved = 1e3 * (env.state.poses.numpy()[0].mean(axis=0) - before.mean(axis=0))[:3]
     # It began turned by -90 degrees, and moves in that frame.
     np.testing.assert_allclose(moved, [wanted[1], -wanted[0], wanted[2]], atol=0.05)
+
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "notebooks" / "ppo_peg_insertion.py"
+SCRIPT = """
+import runpy, sys
+sys.modules.update(dict.fromkeys({absent!r}))  # None makes the import of a module fail.
+import warp as wp
+wp.config.log_level = wp.LOG_ERROR
+sys.argv = ["ppo_peg_insertion.py", *{arguments!r}]
+runpy.run_path({path!r}, run_name="__main__")
+"""
+
+
+def test_two_updates_on_a_bare_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    absent = [name for name in HEAVY if name not in ("warp", "torch", "scipy")]
+    absent += ["pydantic", "rich", "tyro", "jinja2", "tomli_w", "safetensors", "PIL", "yaml"]
+    arguments = "--envs 3 --updates 2 --steps 6 --judge 0 --randomised --output"
+    code = SCRIPT.format(
+        absent=absent, arguments=[*arguments.split(), str(tmp_path)], path=str(EXAMPLE)
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "update 2/2, 36 steps" in done.stdout
+    curve = json.loads((tmp_path / "curve.json").read_text())
+    assert curve["complete"] and curve["settings"]["envs"] == 3
+    assert [row["env_steps"] for row in curve["rows"]] == [18, 36]
+    assert (tmp_path / "policy.pt").stat().st_size > 10_000
+    assert not (tmp_path / "curve.png").exists(), "there is no matplotlib to draw it"
+    monkeypatch.setattr(sys, "argv", ["ppo_peg_insertion.py", "--draw", str(tmp_path)])
+    runpy.run_path(str(EXAMPLE), run_name="__main__")
+    assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Models of newton that the tests of the door read, and newton's own kinematics."""
+"""Models of newton that the tests of the bridge read, and newton's own kinematics."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.optics import Camera, Coating, Light, OpticalDesign, Window
+from taccel_lab.optics import Coating, DesignedCamera, Light, OpticalDesign, Window
 from taccel_lab.optics.render import OpticalModel
 
 CAMERA_Z = -30.0
@@ -19,7 +19,7 @@ def flat_top(xy_mm: np.ndarray) -> np.ndarray:
     return np.zeros(np.shape(xy_mm)[:-1])
 
 
-def camera(**changes: Any) -> Camera:
+def camera(**changes: Any) -> DesignedCamera:
     values: dict[str, Any] = {
         "width_px": 41,
         "height_px": 31,
@@ -29,7 +29,7 @@ def camera(**changes: Any) -> Camera:
         "cy_px": 15.0,
         "position_mm": (0.0, 0.0, CAMERA_Z),
     }
-    return Camera(**{**values, **changes})
+    return DesignedCamera(**{**values, **changes})
 
 
 def design(*lights: Light, **changes: Any) -> OpticalDesign:

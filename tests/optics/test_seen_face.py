@@ -14,7 +14,7 @@ from taccel_lab.camera.media import media_between
 from taccel_lab.camera.refraction import DomeMedia, FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region, TetMesh, quadratic_mesh
-from taccel_lab.optics import Camera, Light, MarkerGrid, OpticalDesign, Window
+from taccel_lab.optics import DesignedCamera, Light, MarkerGrid, OpticalDesign, Window
 from taccel_lab.optics.render import OpticalModel
 from taccel_lab.optics.surface import GelFace, height_face, seen_faces
 from taccel_lab.sensors.press_mesh import press_mesh
@@ -32,7 +32,7 @@ PAD = GelPad(
     window_y_mm=10,
 )
 DESIGN = OpticalDesign(
-    camera=Camera(64, 48, 110.0, 110.0, 31.5, 23.5, (0.0, 0.0, -20.0)),
+    camera=DesignedCamera(64, 48, 110.0, 110.0, 31.5, 23.5, (0.0, 0.0, -20.0)),
     lights=(
         Light((9.0, 0.0, -6.0), (-0.8, 0.0, 0.6), (1.0, 0.0, 0.0), (4.0, 1.0)),
         Light((-5.0, 8.0, -6.0), (0.6, -0.64, 0.48), (0.0, 1.0, 0.0), (4.0, 1.0)),
@@ -204,7 +204,7 @@ def test_media_of_flat_and_domed_backs() -> None:
     dome = np.stack([13.5 * np.sin(angles), 0 * angles, 13.5 * np.cos(angles) - 15.0], axis=1)
     shell = Window(2.0, (27.0, 27.0), 1.41, "dome", 13.5)
     inside = OpticalDesign(
-        Camera(64, 48, 60, 60, 31.5, 23.5, (0.0, 0.0, -16.0)), DESIGN.lights, window=shell
+        DesignedCamera(64, 48, 60, 60, 31.5, 23.5, (0.0, 0.0, -16.0)), DESIGN.lights, window=shell
     )
     found = media_between(inside, dome)
     assert found == DomeMedia((0.0, 0.0, -15.0), (11.5, 13.5), (1.0, 1.41, 1.41))
@@ -214,7 +214,7 @@ def test_media_of_flat_and_domed_backs() -> None:
         media_between(DESIGN, dome)
     # A camera cast into the gel looks through no interface.
     cast = OpticalDesign(
-        Camera(64, 48, 60, 60, 31.5, 23.5, (0.0, 0.0, -2.0)), DESIGN.lights, window=None
+        DesignedCamera(64, 48, 60, 60, 31.5, 23.5, (0.0, 0.0, -2.0)), DESIGN.lights, window=None
     )
     assert media_between(cast, flat) == FlatMedia((), (1.41,))
 

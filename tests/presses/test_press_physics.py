@@ -12,6 +12,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
+from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.presses import (
     PHYSICS,
     Accuracy,
@@ -24,6 +25,7 @@ from taccel_lab.presses import (
 from taccel_lab.presses.press import SETBACK_TOLERANCE
 from taccel_lab.scene import Element, Material, MaterialField, MaterialModel
 from taccel_lab.sensors.press_mesh import press_mesh
+from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.solvers import EnvStatus, SolverConfig, StepReport
 from tests.support.coarse_pads import GEL, pad
 from tests.support.variants import variants
@@ -82,12 +84,25 @@ def test_tools_with_rims_are_on_a_dome(indenter: str, converged_n: float) -> Non
 
 
 def test_a_sharp_edge_goes_deep() -> None:
-    """Without guards along the edges of tets those below the ends of the blade turn inside out."""
+    """Without guards between corners tets below the ends of the blade turn inside out."""
     tool = parse_indenter("edge:90x6")
     mesh = press_mesh("flat_pad", {}, (0.7, -0.4), tool.contact(0.6))
     env = PressEnv(mesh, Material(0.15e6, 0.4), tool, np.array([[0.7, -0.4]]))
     env.follow(PressPath(0.6))
     assert env.press_force[0, 2] == pytest.approx(0.3085, rel=0.03)
+
+
+@pytest.mark.slow
+def test_no_tet_turns_inside_out_under_a_flat_pin() -> None:
+    """With guards at points alone one did between them, after convergence, at 0.6 mm."""
+    tool = parse_indenter("cylinder:0.5")
+    mesh = press_mesh("gelsight_mini", {}, (0.0, 0.0), tool.contact(0.6))
+    layers = sensor_family("gelsight_mini").parameters().layer_materials()
+    material = layered_material([Material(m.young_modulus_pa, 0.46) for m in layers], mesh)
+    env = PressEnv(mesh, material, tool, np.zeros((1, 2)), friction_coefficient=0.5)
+    env.follow(PressPath(0.6))
+    assert env.depth_m[0] == pytest.approx(0.6e-3)
+    assert 0 < smallest_ratios(env.solver.elastic, env.state.positions)[0] < 0.1
 
 
 def test_friction_under_a_sharp_edge_settles() -> None:

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that work off items."""
+"""Child processes, where they keep their caches, and Warp's start."""
 
 from __future__ import annotations
 
 import os
+import re
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -22,18 +25,18 @@ def patient(item: Path, told: Progress) -> int:
     return os.getpid()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2])
-def test_signals_to_all_processes_of_a_job_are_the_parents(tmp_path: Path, number: int) -> None:
-    item = tmp_path / "go"
+def test_signals_to_all_processes_of_a_job_are_the_parents(tmp_path: Path) -> None:
     with ProcessPool(patient, 1) as pool:
-        events = pool.run([item])
-        first = next(events)
-        assert isinstance(first, Underway)
-        os.kill(int(first.what), number)
-        time.sleep(0.1)
-        item.touch()
-        last = next(events)
-    assert isinstance(last, Finished) and last.result == int(first.what)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2):
+            item = tmp_path / str(number)
+            events = pool.run([item])
+            first = next(events)
+            assert isinstance(first, Underway)
+            os.kill(int(first.what), number)
+            time.sleep(0.1)
+            item.touch()
+            last = next(events)
+            assert isinstance(last, Finished) and last.result == int(first.what), number
 
 
 def test_a_slurm_job_takes_the_cores_that_it_was_given(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,3 +50,88 @@ def test_a_slurm_job_takes_the_cores_that_it_was_given(monkeypatch: pytest.Monke
     assert usable_cores() == 4
     monkeypatch.setenv("SLURM_CPUS_PER_TASK", "128")
     assert usable_cores() == 64
+
+
+# Caches -------------------------------------------------------------------------------------------
+
+
+PROGRAM = """
+import pwd
+
+def nobody(uid):
+    raise KeyError(uid)
+
+pwd.getpwuid = nobody  # As for a user whom a container does not know.
+import warp as wp
+from taccel_lab.processes.cache_place import cache_folder
+from taccel_lab.errors import InputError
+from taccel_lab.model.devices import require_device
+
+wp.config.log_level = wp.LOG_ERROR
+for place in (lambda: require_device("cpu") and wp.config.kernel_cache_dir, cache_folder):
+    try:
+        print(place())
+    except InputError as error:
+        print(error)
+"""
+NO_HOME = "there is no home folder to keep .*; set TACCEL_LAB_CACHE to a folder"
+
+
+@pytest.mark.parametrize(
+    ("variables", "kernels", "results"),
+    [
+        ({"TACCEL_LAB_CACHE": "ours", "HOME": "/proc/nowhere"}, "/ours/warp/", "ours"),
+        ({"TACCEL_LAB_CACHE": "ours", "WARP_CACHE_PATH": "w"}, "/w/", "ours"),
+        ({"XDG_CACHE_HOME": "x"}, "x/warp/", "x/taccel_lab"),
+        ({"XDG_CACHE_HOME": "", "HOME": "h"}, "h/.cache/warp/", "h/.cache/taccel_lab"),
+        ({}, NO_HOME, NO_HOME),
+        (
+            {"HOME": "/proc/nowhere"},
+            "Warp cannot keep its kernels in /proc/nowhere.*; set TACCEL_LAB_CACHE to a folder",
+            "/proc/nowhere/.cache/taccel_lab",
+        ),
+    ],
+)
+def test_kernels_and_results_lie_where_the_environment_says(
+    variables: dict[str, str], kernels: str, results: str, tmp_path: Path
+) -> None:
+    named = ("HOME", "XDG_CACHE_HOME", "WARP_CACHE_PATH", "TACCEL_LAB_CACHE")
+    kept = {name: value for name, value in os.environ.items() if name not in named}
+    paths = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    run = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        env={**kept, **paths, **variables},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    first, second = run.stdout.splitlines()
+    assert re.search(kernels, first) and re.search(results, second)
+    allowed = {value.split("/")[0] for value in variables.values()}
+    assert {path.name for path in tmp_path.iterdir()} <= allowed
+
+
+# Warp ---------------------------------------------------------------------------------------------
+
+
+BEGUN_WITH = {
+    "a scene": "tl.Scene.from_profile(tl.load_sensor('flat_pad'), env_count=1).finalize('cpu')",
+    "the optical model": (
+        "p = tl.load_sensor('digit')\n"
+        "tl.OpticalModel(p.optical_design(), p.mesh, size_px=(40, 30)).render()"
+    ),
+    "the resting face": (
+        "from taccel_lab.signals.rest_surface import rest_surface\n"
+        "p = tl.load_sensor('digit')\n"
+        "rest_surface(p.mesh, p.grid())"
+    ),
+}
+
+
+@pytest.mark.parametrize("script", BEGUN_WITH.values(), ids=BEGUN_WITH)
+def test_a_script_sees_no_lines_of_warp(script: str) -> None:
+    words = [sys.executable, "-c", f"import taccel_lab as tl\n{script}"]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (done.stdout, done.stderr) == ("", "")

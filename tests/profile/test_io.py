@@ -105,7 +105,7 @@ provenances = st.builds(
 )
 
 
-@reuse_fixtures
+@settings(reuse_fixtures, max_examples=30)
 @given(data=st.data())
 def test_round_trip_of_random_values(
     full_profile: SensorProfile, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
@@ -252,10 +252,7 @@ def test_arrays_of_the_wrong_kind(profile_folder: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (
-            {"faces": lambda v: np.tile(v[:1], (len(v), 1))},
-            "0 are not out.* and 5 are repeated",
-        ),
+        ({"faces": lambda v: np.tile(v[:1], (len(v), 1))}, "0 are not out.* and 5 are repeated"),
         ({"faces": lambda v: v[:, ::-1]}, "of which 6 are not outward faces of"),
         ({"faces": lambda v: v[1:], "face_regions": lambda v: v[1:]}, "consists of 6 such faces"),
         ({"tets": lambda v: v + 2}, "tets refers to nodes that do not exist"),

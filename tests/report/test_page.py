@@ -1,22 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pages of calibrations and profiles: complete, self-contained, never half written."""
+"""Pages of reports: their text, their parts, and whose files they replace."""
 
 from __future__ import annotations
 
+import http.client
 import json
+import re
+import socket
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
+import viser
+from hypothesis import example, given
+from hypothesis import strategies as st
+from markdown_it import MarkdownIt
+from websockets.sync import client
 
 from taccel_lab.calibration.report.profile_page import profile_page
 from taccel_lab.errors import InputError
+from taccel_lab.printable import readable
 from taccel_lab.profile import DepthResponseBlock, Provenance
-from taccel_lab.report.page import Page, Picture, Table, to_do_first, write_page
+from taccel_lab.report.live_page import PageOptions, live_page, page_address
+from taccel_lab.report.page import Page, Picture, Table, page_html, to_do_first, write_page
+from taccel_lab.report.page_guard import run_token, start_guarded
+from taccel_lab.report.page_text import PageText, page_table
 from taccel_lab.report.remark import Remark, Severity
 from taccel_lab.report.style import new_figure
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.support.synthetic_presses import GRID, tiny_profile
+from tests.viewer.browser import chromium_page
 
 
 def test_a_page_shows_its_verdict_and_escapes_text(tmp_path: Path) -> None:
@@ -34,6 +52,16 @@ def test_a_page_shows_its_verdict_and_escapes_text(tmp_path: Path) -> None:
     assert "data:image/png;base64," in html and "http" not in html
     data = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
     assert data["x"] == 1.5 and data["remarks"][0]["code"] == "few"
+
+
+def test_a_page_that_judges_nothing_is_not_green_and_names_break_at_underscores() -> None:
+    measured = Page(
+        "Run", "", headline="3 of 9", tables=[Table("T", ("a",), [("contact_area_mm2",)])]
+    )
+    html = page_html(measured, {})
+    assert 'class="verdict plain"' in html and "contact_<wbr>area_<wbr>mm2" in html
+    judged = replace(measured, remarks=[Remark(Severity.ERROR, "bad", "it is bad")])
+    assert 'class="verdict plain"' not in page_html(judged, {})
 
 
 def test_a_failing_picture_leaves_the_earlier_page(tmp_path: Path) -> None:
@@ -134,3 +162,239 @@ def test_a_depth_curve_is_drawn(tmp_path: Path) -> None:
     block = DepthResponseBlock(drop_levels=(0.0, 40.0), depth_mm=(0.0, 1.2), provenance=provenance)
     write_page(profile_page(tiny_profile(GRID).with_block(block)), tmp_path / "out")
     assert (tmp_path / "out" / "depth_response.png").stat().st_size > 5000
+
+
+HERE = PageOptions(port=0, browser=False)
+TOKEN = f"/{run_token()}"
+FOREIGN = "https://elsewhere.example"
+
+
+@pytest.fixture(scope="module")
+def port() -> Iterator[int]:
+    """Port of a page that is served as by default."""
+    with live_page("A page", HERE) as server:
+        yield server.get_port()
+
+
+def status(port: int, path: str, headers: dict[str, str]) -> int:
+    """Answer to a request of a page, with nothing in it but what is given."""
+    asked = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    asked.putrequest("GET", path, skip_host=True, skip_accept_encoding=True)
+    for name, value in headers.items():
+        asked.putheader(name, value)
+    asked.endheaders()
+    try:
+        return asked.getresponse().status
+    finally:
+        asked.close()
+
+
+def socket_answer(port: int, path: str, headers: dict[str, str]) -> int:
+    """Answer to a WebSocket's first request; 101 where it is let in."""
+    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
+               "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ=="}  # fmt: skip
+    return status(port, path, {**upgrade, **headers})
+
+
+REQUESTS: list[tuple[str, str, dict[str, str], bool]] = [
+    ("the page itself", TOKEN + "/", {"Host": "127.0.0.1:{port}"}, True),
+    ("its WebSocket", TOKEN,
+     {"Host": "127.0.0.1:{port}", "Origin": "http://127.0.0.1:{port}"}, True),
+    ("a query", TOKEN + "/?darkMode", {"Host": "localhost:{port}"}, True),
+    ("a forwarded port", TOKEN, {"Host": "LocalHost:9", "Origin": "http://localhost:9"}, True),
+    ("the machine by its number", TOKEN, {"Host": "[::1]:{port}"}, True),
+    ("the machine by its name", TOKEN, {"Host": socket.gethostname()}, True),
+    ("a proxy with TLS", TOKEN, {"Host": "localhost", "Origin": "https://localhost"}, True),
+    ("no token", "/", {"Host": "127.0.0.1:{port}"}, False),
+    ("another token", "/" + "x" * 22, {"Host": "127.0.0.1:{port}"}, False),
+    ("a token cut short", TOKEN[:-1], {"Host": "127.0.0.1:{port}"}, False),
+    ("a token in the query", f"/?{run_token()}", {"Host": "127.0.0.1:{port}"}, False),
+    ("another website", TOKEN, {"Host": "127.0.0.1:{port}", "Origin": FOREIGN}, False),
+    ("another port", TOKEN, {"Host": "127.0.0.1:{port}", "Origin": "http://127.0.0.1:1"}, False),
+    ("a file's page", TOKEN, {"Host": "127.0.0.1:{port}", "Origin": "null"}, False),
+    ("an empty origin", TOKEN, {"Host": "127.0.0.1:{port}", "Origin": ""}, False),
+    ("a rebound name", TOKEN, {"Host": "elsewhere.example:{port}"}, False),
+    ("a rebound name of its own", TOKEN,
+     {"Host": "elsewhere.example", "Origin": "http://elsewhere.example"}, False),
+    ("a name that begins like ours", TOKEN, {"Host": "localhost.elsewhere.example"}, False),
+    ("a number in a name", TOKEN, {"Host": "127.0.0.1.elsewhere.example"}, False),
+    ("a user's name", TOKEN, {"Host": "elsewhere.example@127.0.0.1"}, False),
+    ("no host", TOKEN, {}, False),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("path", "headers", "own"), [case[1:] for case in REQUESTS],
+                         ids=[case[0] for case in REQUESTS])  # fmt: skip
+def test_pages_answer_their_own_requests_alone(
+    path: str, headers: dict[str, str], own: bool, port: int
+) -> None:
+    headers = {name: value.format(port=port) for name, value in headers.items()}
+    assert status(port, path, headers) == (200 if own else 403)
+    assert socket_answer(port, path, headers) == (101 if own else 403)
+
+
+def test_two_origins_or_hosts_are_none(port: int) -> None:
+    for name, value in (("Origin", f"http://127.0.0.1:{port}"), ("Host", f"127.0.0.1:{port}")):
+        with socket.create_connection(("127.0.0.1", port), timeout=10) as asked:
+            lines = [f"GET {TOKEN} HTTP/1.1", *[f"{name}: {value}"] * 2]
+            lines += [f"Host: 127.0.0.1:{port}"] * (name != "Host")
+            asked.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
+            assert b" 403 " in asked.recv(100)
+
+
+def test_what_a_foreign_page_sends_is_not_done(port: int) -> None:
+    """Such as "Undo last" of a recording: a message on a WebSocket of its own."""
+    options: dict[str, Any] = {"subprotocols": [f"viser-v{viser.__version__}"]}
+    address = f"ws://127.0.0.1:{port}{TOKEN}"
+    with client.connect(address, origin=f"http://127.0.0.1:{port}", **options) as own:
+        assert own.recv(timeout=10)
+    for path, origin in ((address, FOREIGN), (f"ws://127.0.0.1:{port}", FOREIGN)):
+        with pytest.raises(Exception, match="403"):
+            client.connect(path, origin=origin, **options)
+
+
+def test_a_page_of_another_origin_is_refused_by_the_browsers_own_socket(port: int) -> None:
+    script = """address => new Promise(done => {
+        const socket = new WebSocket(address);
+        socket.onopen = () => done("open"); socket.onerror = () => done("refused");
+    })"""
+    with chromium_page("data:text/html,elsewhere") as page:
+        # Even where the address has leaked.
+        assert page.evaluate(script, f"ws://127.0.0.1:{port}{TOKEN}") == "refused"
+
+
+@pytest.mark.parametrize(("host", "reached"), [(None, False), ("0.0.0.0", True)])
+def test_pages_listen_on_this_machine_alone_unless_asked(host: str | None, reached: bool) -> None:
+    options = HERE if host is None else PageOptions(host=host, port=0, browser=False)
+    with live_page("A page", options) as server:
+        assert page_address(server) == f"http://127.0.0.1:{server.get_port()}{TOKEN}/"
+        # All of 127.0.0.0/8 is this machine, but only what listens at every address answers there.
+        with socket.socket() as other:
+            other.settimeout(10)
+            assert (other.connect_ex(("127.0.0.2", server.get_port())) == 0) is reached
+        if reached:
+            headers = {"Host": f"192.0.2.7:{server.get_port()}"}
+            assert status(server.get_port(), TOKEN, headers) == 200
+            assert status(server.get_port(), "/", headers) == 403
+
+
+def test_a_name_that_was_asked_for_is_ours() -> None:
+    from websockets.datastructures import Headers
+
+    from taccel_lab.report.page_guard import is_own_request
+
+    asked = Headers(Host="sensors.example:8080", Origin="http://sensors.example:8080")
+    assert is_own_request(TOKEN, asked, "sensors.example")
+    assert not is_own_request(TOKEN, asked, "127.0.0.1")
+
+
+def test_a_server_that_nobody_guards_is_stopped() -> None:
+    unknown = Mock()  # As if viser listened by other means.
+    with pytest.raises(RuntimeError, match="pages would be open"):
+        start_guarded(lambda: unknown)
+    unknown.stop.assert_called_once()
+
+
+def test_pages_of_several_threads_are_all_guarded() -> None:
+    """Each once: guarded twice, a page would answer nobody."""
+    found: list[tuple[int, int]] = []
+
+    def serve() -> None:
+        with live_page("A page", HERE) as server:
+            headers = {"Host": "127.0.0.1", "Origin": FOREIGN}
+            own = status(server.get_port(), TOKEN, {"Host": "127.0.0.1"})
+            found.append((own, status(server.get_port(), TOKEN, headers)))
+
+    threads = [threading.Thread(target=serve) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert found == [(200, 403)] * 3
+
+
+MARKDOWN = MarkdownIt("commonmark", {"html": True}).enable(["table", "strikethrough"])
+HOSTILE = (
+    "<img src=x onerror=alert(1)>", "<script>alert(1)</script>", "</td></table><svg onload=a>",
+    "[x](javascript:alert(1))", "![x](http://elsewhere.example/x.png)", "{alert(1)}", "&lt;b&gt;",
+    "<!-- begin x", "**x**", "__x__", "~~x~~", "`x`", "a | b", "\\<b>", "# x", "## x", "- x", "+ x",
+    "1. x", "10) x", "---", "===", "> x", "    x", "  - x", "```\n<b>\n```", "a\n\n<b>", "a\n- b",
+    "[x]: http://elsewhere.example", "<https://elsewhere.example>", "' onmouseover='alert(1)",
+    '" onmouseover="alert(1)', "\u202e<b>", "\0<b>", "\udcff<b>", "a\r<b>", "-1.5", "*", "_",
+)  # fmt: skip
+
+
+class Shown(HTMLParser):
+    """Tags and text of a page, as a browser takes them."""
+
+    def __init__(self, source: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.tags: list[str] = []
+        self.text = ""
+        self.feed(source)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags += [tag, *(name for name, _ in attrs)]
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def bare(text: str) -> str:
+    """What a browser shows of a text, between other words."""
+    return re.sub(r"\s+", " ", readable(text)).strip()
+
+
+def examples(test: object) -> object:
+    for text in HOSTILE:
+        test = example(text)(test)  # type: ignore[arg-type]
+    return test
+
+
+@examples
+@given(st.text(max_size=40) | st.sampled_from(HOSTILE).flatmap(lambda x: st.just(x + x)))
+def test_a_text_shows_itself_and_is_no_markup(text: str) -> None:
+    escaped = PageText("{}").format(text)
+    # Alone, in a paragraph, in a list, in a table, and as HTML inside an attribute and outside.
+    for source, tags in (
+        (escaped, ["p"]),
+        (PageText("a\n\n") + text, ["p", "p"]),
+        (PageText("- a\n- {}").format(text), ["ul", "li", "li"]),
+    ):
+        page = Shown(MARKDOWN.render(source))
+        assert [tag for tag in page.tags if tag != "p"] == [tag for tag in tags if tag != "p"]
+        assert bare(page.text) in (bare(text), bare("a " + text))
+    table = Shown(MARKDOWN.render(page_table([(text, "b")], ("a", text))))
+    assert table.tags == "table thead tr th th tbody tr td td".split()
+    assert bare(table.text).replace(" ", "") == bare(f"a{text}{text}b").replace(" ", "")
+    as_html = Shown(f'<i title="{escaped}">{escaped}</i>')
+    assert as_html.tags == ["i", "title"] and bare(as_html.text) == bare(text)
+
+
+def test_what_is_ours_stays_markup_and_figures_stay_figures() -> None:
+    bold = PageText("**{}**, {:.2f} N").format(PageText("<b>x</b>"), -1.5)
+    assert bold == "**<b>x</b>**, -1.50 N"
+    assert PageText("{}").format("force 1.5 ± 0.2 N (12 %)") == "force 1.5 ± 0.2 N (12 %)"
+    assert PageText(" and ").join(["a*", PageText("*b*")]) == "a&#42; and *b*"
+    assert PageText("a ") + "<b>" == "a &lt;b&gt;"
+
+
+@pytest.mark.parametrize("text", ["<img src=x onerror='alert(1)'>", "![x](/etc/hostname)"])
+def test_notes_escape_what_is_not_said_to_be_markup(text: str) -> None:
+    """The default is the safe one: nobody has to think of it."""
+    from types import SimpleNamespace
+
+    from taccel_lab.report.page_text import Note, add_html_note, add_note
+
+    gui = SimpleNamespace(
+        add_markdown=lambda content: SimpleNamespace(content=content, visible=True),
+        add_html=lambda content, visible: SimpleNamespace(content=content, visible=visible),
+    )
+    notes: list[Note] = [add_note(gui, text), add_html_note(gui, text)]  # type: ignore[arg-type]
+    for note in notes:
+        shown = note.content
+        assert "<" not in shown and "[" not in shown and type(note._handle.content) is str
+        note.content = "**"
+        note.content += PageText("*") + text
+        assert note.content == PageText("&#42;&#42;*") + text

@@ -17,10 +17,9 @@ from PIL import Image
 from taccel_lab.calibration.report.profile_page import profile_page
 from taccel_lab.report.page import write_page
 from taccel_lab.sensors.profile import catalogue_profile
-from taccel_lab.studies.report import write_study_report
-from taccel_lab.studies.runner import run_study
-from tests.support.fake_kit import study
-from tests.viewer.browser import chromium_page, picture, wait_for
+from tests.viewer.browser import chromium_page, picture, shared_browser, wait_for  # noqa: F401
+
+pytestmark = pytest.mark.usefixtures("shared_browser")
 
 WIDER = """() => [document.documentElement, ...document.querySelectorAll('.scroll, section, main')]
   .filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.className + ' ' + e.scrollWidth)"""
@@ -73,19 +72,6 @@ def test_nothing_runs_over_on_screen_nor_in_print(address: str) -> None:
         assert page.evaluate(WIDER) == []
         page.emulate_media(media="print")
         page.set_viewport_size({"width": 690, "height": 1000})
-        assert page.evaluate(WIDER) == []
-
-
-def test_a_study_with_many_columns_runs_over_nowhere(tmp_path: Path) -> None:
-    ranges = {
-        "thickness_mm": {"min": 3, "max": 6, "count": 2},
-        "young_modulus_mpa": {"min": 0.1, "max": 0.4, "count": 2, "scale": "log"},
-        "width_px": {"values": [320, 640]},
-    }
-    write_study_report(run_study(study(parameters=ranges), tmp_path, processes=0))
-    with chromium_page((tmp_path / "report.html").as_uri(), (1280, 900)) as page:
-        for details in page.query_selector_all("details"):
-            details.evaluate("e => e.open = true")
         assert page.evaluate(WIDER) == []
 
 
@@ -189,14 +175,9 @@ def test_the_bare_wheel_scrolls_the_page_and_says_what_zooms(address: str) -> No
 
 
 def test_fingers_scroll_the_page_turn_and_zoom(address: str) -> None:
-    with chromium_page("about:blank") as first:
-        context = first.context.browser.new_context(
-            viewport={"width": 400, "height": 700}, has_touch=True
-        )
-        page = context.new_page()
-        page.goto(address)
+    with chromium_page(address, (400, 700), has_touch=True) as page:
         canvas = canvas_of(page)
-        touch = context.new_cdp_session(page)
+        touch = page.context.new_cdp_session(page)
         box = canvas.bounding_box()
         x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 

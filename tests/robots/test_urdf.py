@@ -14,7 +14,7 @@ from taccel_lab.robots import drive, load_urdf
 from taccel_lab.robots.describe import describe_robot
 from taccel_lab.robots.shapes import MeshShape
 from taccel_lab.scene import Ball, PositionDrive, TriangleMesh
-from tests.files.test_collada_file import collada
+from tests.files.test_triangle_file import collada
 from tests.support.robot_files import CHAIN, write
 
 pytest.importorskip("yourdfpy", reason="yourdfpy is not installed")

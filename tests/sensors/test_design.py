@@ -101,7 +101,7 @@ def test_files_for_the_workshop_can_be_left_out(tmp_path: Path) -> None:
 def test_what_cannot_be_built_says_how_to_leave_it_out(tmp_path: Path) -> None:
     overrides = {"housing_x_mm": 24.2}
     with pytest.raises(
-        InputError, match=r"size_mm x = 24\.2 .*leave the assembly out: --parts pad"
+        InputError, match=r"housing_x_mm = 24\.2 .*leave the assembly out: --parts pad"
     ):
         design_sensor(FAMILY, overrides, tmp_path / "out", parts=("pad", "assembly"))
     assert not list(tmp_path.iterdir())
@@ -144,12 +144,12 @@ def test_bad_input_leaves_an_earlier_result_untouched(tmp_path: Path) -> None:
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    words = ["--set", "rim=chamfer", "rim_mm=0.4", "--edge-mm", 2, "--parts", "pad", "drawing"]
+    words = ["--set", "rim=chamfer", "rim_mm=0.4", "--edge-mm", 2, "--parts", "pad"]
     found = done(capsys, "design", "gelsight", "--out", out, *words)
     assert found.code == 0
     assert "smallest dihedral angle" in found.out and "pad.step" in found.out
     assert json.loads((out / "parameters.json").read_text())["part"]["pad"]["rim"] == "chamfer"
-    assert (out / "drawing.svg").exists() and not (out / "mould_cavity.step").exists()
+    assert (out / "pad.step").exists() and not (out / "drawing.svg").exists()
 
 
 def test_command_line_refuses_unknown_sensor(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from build123d import Plane, Solid, export_step
 
-from taccel_lab.cad.step_import import FaceSelection
+from taccel_lab.cad.gel_import import FaceSelection
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.presses import (
@@ -46,7 +46,7 @@ def test_an_imported_block_is_meshed_and_all_files_are_written(
         step, SELECTION, tmp_path / "out", 1.5, progress=lambda *step: told.append(step)
     )
     assert set(result.files) == {
-        "mesh", "quality", "gel", "preview", "profile", "step", "stl", "3mf", "dxf",
+        "mesh", "quality", "gel", "faces", "preview", "profile", "step", "stl", "3mf", "dxf",
         "mould_cavity", "mould_lid", "mould_3mf", "mould_report", "drawing", "drawing_pdf",
     }  # fmt: skip
     for path in result.files.values():
@@ -160,6 +160,29 @@ def test_what_the_file_says_cannot_be_set(step: Path, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=words):
             import_design(step, SELECTION, tmp_path / "out", overrides={name: 3.0}, parts=())
         assert not (tmp_path / "out").exists()
+
+
+def test_what_needs_no_mesh_is_refused_before_it(
+    step: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def mesh(*_: object, **__: object) -> None:
+        raise AssertionError("nobody waits minutes for a mesh of this")
+
+    monkeypatch.setattr("taccel_lab.cad.mesh.tetrahedralize.tetwild_mesh", mesh)
+    # The file's gel is 3 mm thick and counts, that of the family 4.
+    window = {"window_thickness_mm": 9.5}
+    with pytest.raises(AssertionError, match="minutes"):
+        import_design(
+            step, SELECTION, tmp_path / "out", overrides={**window, "camera_distance_mm": 12.6}
+        )
+    for overrides, words in (
+        ({"camera_distance_mm": 3}, "camera_distance_mm = 3 is below its bound"),
+        ({**window, "camera_distance_mm": 12.4}, "puts the camera inside the gel or the window"),
+        ({"marker_radius_mm": 0.6, "marker_pitch_mm": 1.0}, "marker"),
+    ):
+        with pytest.raises(InputError, match=words):
+            import_design(step, SELECTION, tmp_path / "out", overrides=overrides, parts=())
+    assert not (tmp_path / "out").exists()
 
 
 def test_what_is_stated_is_not_assumed() -> None:

@@ -16,7 +16,7 @@ from taccel_lab.cad.parts.placeholders import (
     led_names,
     led_part,
 )
-from taccel_lab.profile.optical_design import Camera, Light
+from taccel_lab.profile.optical_design import DesignedCamera, Light
 from taccel_lab.sensors.assembly import gel_layers, sensor_parts
 from taccel_lab.sensors.registry import sensor_families, sensor_family
 from tests.support.variants import variants
@@ -84,7 +84,7 @@ def test_two_layers_are_two_parts_that_fill_the_gel() -> None:
 
 def test_poses_turn_as_the_optics_do() -> None:
     half = np.sqrt(0.5)
-    camera = Camera(
+    camera = DesignedCamera(
         640, 480, 500.0, 500.0, 319.5, 239.5, (1.0, 2.0, -30.0), rotation=(half, 0.0, 0.0, half)
     )
     plane, turn = Plane(camera_location(camera)), camera.gel_from_camera()

@@ -37,7 +37,10 @@ def test_it_is_small_marked_and_licensed(name: str) -> None:
     assert NOT_YOUR_UNIT in profile._repr_html_()
     design = catalogue_profile(name)
     assert not is_starter(design) and design.background is None
-    assert profile.material == design.material
+    stamped = design.material.provenance.model_copy(
+        update={"created": profile.material.provenance.created}
+    )
+    assert profile.material == design.material.model_copy(update={"provenance": stamped})
     assert (profile.camera.width_px, profile.camera.height_px) == (
         design.camera.width_px,
         design.camera.height_px,

@@ -16,7 +16,7 @@ import warp as wp
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, TetMesh
-from taccel_lab.signals import ContactSurface, normals_from_slopes
+from taccel_lab.signals import ContactFaceMesh, normals_from_slopes
 from taccel_lab.signals.gradient_recovery import recover_gradients
 from taccel_lab.signals.raster import FaceRaster
 
@@ -25,7 +25,7 @@ class HeightMapReferee:
     """Height and normals of the gel's contact surface, NaN outside the pad, in numpy."""
 
     def __init__(self, mesh: TetMesh | QuadraticMesh, grid: PixelGrid) -> None:
-        self.surface, self.grid = ContactSurface.from_mesh(mesh), grid
+        self.surface, self.grid = ContactFaceMesh.from_mesh(mesh), grid
 
     def update(self, positions: Any) -> None:
         """Read node positions [m], shape [env, node, 3], numpy or Warp."""

@@ -128,10 +128,10 @@ class PressedSphere:
     def normals(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """True outward unit normals, shape [..., 3]."""
         r = self.distance_xy(x, y)
-        at, _, skirt_slope = self._skirt()
+        at, _, sink_in_slope = self._skirt()
         inner = np.minimum(r, self.contact_radius_m)
         cap_slope = inner / np.sqrt(self.radius_m**2 - inner**2)
-        slope = np.where(r < self.contact_radius_m, cap_slope, np.interp(r, at, skirt_slope))
+        slope = np.where(r < self.contact_radius_m, cap_slope, np.interp(r, at, sink_in_slope))
         radial = np.stack([x - self.center_xy_m[0], y - self.center_xy_m[1]], axis=-1)
         radial /= np.maximum(r, 1e-15)[..., None]
         normal = np.concatenate([-slope[..., None] * radial, np.ones((*r.shape, 1))], axis=-1)

@@ -21,7 +21,7 @@ from taccel_lab.presses import Indenter, PressEnv, PressMeshOptions
 from taccel_lab.presses.press_surface import contact_radii_m
 from taccel_lab.scene import Ball, Material
 from taccel_lab.sensors.press_mesh import press_mesh
-from taccel_lab.signals import ContactSurface, FineSurface, SignalTactile, normals_from_height
+from taccel_lab.signals import ContactFaceMesh, FineSurface, SignalTactile, normals_from_height
 from taccel_lab.solvers import SolverConfig
 from tests.signals.height_map_referee import HeightMapReferee
 from tests.signals.pressed_surface import angle_deg, pixel_xy
@@ -56,7 +56,7 @@ class _Fine:
 @dataclass(frozen=True)
 class _Press:
     mesh: TetMesh | QuadraticMesh
-    surface: ContactSurface
+    surface: ContactFaceMesh
     depths_mm: tuple[float, ...]
     positions_m: np.ndarray
     """[depth, node, 3]."""
@@ -104,7 +104,7 @@ def _press(name: str) -> _Press:
     return _simulate(*PRESSES[name])
 
 
-@pytest.fixture(params=PRESSES)
+@pytest.fixture(params=variants(["frictionless", "off centre"], PRESSES))
 def press(request: pytest.FixtureRequest) -> _Press:
     return _press(request.param)
 

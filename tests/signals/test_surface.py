@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 from taccel_lab.geometry import PixelGrid, QuadraticMesh, Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.scene import AffineBody, Element, Material, Scene, SoftBody, TimeStepping, box_mesh
-from taccel_lab.signals import ContactSurface, SignalTactile
+from taccel_lab.signals import ContactFaceMesh, SignalTactile
 from taccel_lab.signals.deformed_face import DeformedFace
 from taccel_lab.signals.gradient_recovery import FEW_SWEEPS, SWEEPS, recover_gradients
 from taccel_lab.signals.hanging_corners import HangingCorners
@@ -37,7 +37,7 @@ def _bending(gradients: np.ndarray, edges: np.ndarray, xy: np.ndarray, f: np.nda
 
 def test_the_network_of_least_bending_is_found():
     mesh = flat_pad(1.0, (2.5, 2.5), seed=4)
-    surface = ContactSurface.from_mesh(mesh)
+    surface = ContactFaceMesh.from_mesh(mesh)
     # Millimetres, so that the optimiser sees numbers near one.
     points = mesh.nodes_m[surface.node_idx] * 1e3
     values = np.random.default_rng(0).normal(size=len(points))
@@ -60,7 +60,7 @@ def test_the_network_of_least_bending_is_found():
 
 def test_sweeps_divide_the_error_as_chebyshev_promises():
     mesh = flat_pad(0.5, (2.5, 2.5), seed=4)
-    surface = ContactSurface.from_mesh(mesh)
+    surface = ContactFaceMesh.from_mesh(mesh)
     points = wp.array(mesh.nodes_m[surface.node_idx][None], dtype=wp.vec3d, device="cpu")
     values = np.random.default_rng(0).normal(size=points.shape)
     field = wp.array(values, dtype=wp.float64, device="cpu")
@@ -180,7 +180,7 @@ HALF_MM = (4.2, 3.4)
 def _seen(face: DeformedFace, mesh: TetMesh, nodes_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Heights and slopes of the face with surface nodes at [m]."""
     positions = mesh.nodes_m.copy()
-    positions[ContactSurface.from_mesh(mesh).node_idx] = nodes_m
+    positions[ContactFaceMesh.from_mesh(mesh).node_idx] = nodes_m
     given = wp.array(positions[None], dtype=wp.vec3d, device="cpu")
     samples = face.sample(given).numpy()[0].astype(np.float64)
     return samples[..., 2], samples[..., :2]
@@ -203,7 +203,7 @@ def test_a_wall_does_not_swing():
     """Over the image its triangles are slivers, on which a height overshoots."""
     mesh = flat_pad(0.2, HALF_MM)
     face = DeformedFace(mesh, GRID)
-    nodes = mesh.nodes_m[ContactSurface.from_mesh(mesh).node_idx]
+    nodes = mesh.nodes_m[ContactFaceMesh.from_mesh(mesh).node_idx]
     height, slope = _seen(face, mesh, _wall(nodes))
     x, _ = pixel_xy(GRID)
     clear = np.abs(x) > 0.15e-3
@@ -211,7 +211,7 @@ def test_a_wall_does_not_swing():
     assert error.max() < 0.03 * HEIGHT_M
     assert np.degrees(np.arctan(np.abs(slope)))[clear].max() < 20
     positions = mesh.nodes_m.copy()
-    positions[ContactSurface.from_mesh(mesh).node_idx] = _wall(nodes)
+    positions[ContactFaceMesh.from_mesh(mesh).node_idx] = _wall(nodes)
     plain = SignalTactile(mesh, GRID, env_count=1)
     plain.update(wp.array(positions[None], dtype=wp.vec3d, device="cpu"))
     over_image = np.abs(plain.height_m.numpy()[0] - 0.5 * HEIGHT_M * np.sign(x))[clear]
@@ -222,7 +222,7 @@ def test_slopes_are_those_over_the_image():
     """Of a sheared and tilted face, whose slopes over the places at rest are others."""
     mesh = flat_pad(0.3, HALF_MM)
     face = DeformedFace(mesh, GRID)
-    rest = mesh.nodes_m[ContactSurface.from_mesh(mesh).node_idx]
+    rest = mesh.nodes_m[ContactFaceMesh.from_mesh(mesh).node_idx]
     x = 0.8 * rest[:, 0] + 0.3 * rest[:, 1]
     y = 1.1 * rest[:, 1] - 0.1 * rest[:, 0]
     height, slope = _seen(face, mesh, np.stack([x, y, 0.3 * x - 0.2 * y + 1e-4], axis=1))
@@ -237,7 +237,7 @@ def test_a_face_that_came_from_elsewhere_is_covered():
     """Slid by 1.5 mm: what the image shows lay beside it at rest."""
     mesh = flat_pad(0.3, (8.0, 8.0))
     face = DeformedFace(mesh, GRID)
-    rest = mesh.nodes_m[ContactSurface.from_mesh(mesh).node_idx]
+    rest = mesh.nodes_m[ContactFaceMesh.from_mesh(mesh).node_idx]
     assert np.isfinite(_seen(face, mesh, rest)[0]).all()
     height, _ = _seen(face, mesh, rest + [1.5e-3, -1.5e-3, 1e-4])
     assert np.allclose(height, 1e-4, rtol=0, atol=1e-9)

@@ -39,7 +39,7 @@ def grasp() -> Scene:
 
 
 def grasp_poses(step: int) -> np.ndarray:
-    return mount_poses(np.array([4.05e-3, 4.06e-3]) - 4e-5 * min(step, 6), 1e-4 * max(step - 6, 0))
+    return mount_poses(np.array([4.05e-3, 4.06e-3]) - 6e-5 * min(step, 4), 1e-4 * max(step - 4, 0))
 
 
 def pads() -> Scene:
@@ -75,7 +75,7 @@ def run(name: str, **options: Any) -> list[np.ndarray]:
     model = make().finalize("cpu")
     solver = SolverIPC(model, SolverConfig(dhat_m=1e-4, capture=False, **options))
     state = initial_state(model, poses(0))
-    for step in range(1, 9):
+    for step in range(1, 7):
         report = solver.step(state, poses(step))
         assert report.converged.all(), report.summary()
     assert solver.friction is not None

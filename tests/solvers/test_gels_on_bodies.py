@@ -42,6 +42,7 @@ from tests.solvers.driven_grasp import (
     time_of,
     toward,
 )
+from tests.support.variants import variants
 
 DHAT = 5e-5
 BOTH = (Element.LINEAR, Element.QUADRATIC)
@@ -120,7 +121,7 @@ def test_a_finger_converges_to_a_part_of_what_presses_on_its_gel() -> None:
     assert iterations(1e-9) == iterations(1e-5)
 
 
-@pytest.mark.parametrize("element", list(Element))
+@pytest.mark.parametrize("element", variants([Element.LINEAR], Element))
 def test_it_is_the_gel_on_a_frame_that_goes_where_the_finger_went(element: Element) -> None:
     """Nothing gives way between finger and gel: the error is the strain of the finger, an affine
     body of a modulus of its own, and falls with it: 1.4e-4 of the force with 1 GPa."""
@@ -194,8 +195,8 @@ def test_environments_are_as_if_alone_and_a_reset_starts_anew() -> None:
     alone = [Grasp(driven_grasp(1)) for _ in range(2)]
     wanted = np.array([[2e-3, 2e-3], [1e-3, 0.0], [2e-3, 2e-3]])
     first: State | None = None
-    for step in range(12):
-        if step == 4:
+    for step in range(8):
+        if step == 3:
             first = together.state.copy()
             together.solver.reset(together.state, np.array([False, False, True]))
         together.step(targets=wanted)
@@ -206,13 +207,13 @@ def test_environments_are_as_if_alone_and_a_reset_starts_anew() -> None:
         np.testing.assert_array_equal(x[env], one.state.positions.numpy()[0])
     assert first is not None
     again = Grasp(driven_grasp(1))
-    for _ in range(8):
+    for _ in range(5):
         again.step(targets=wanted[2:])
     np.testing.assert_array_equal(x[2], again.state.positions.numpy()[0])
     assert not np.array_equal(x[2], x[0])
 
 
-@pytest.mark.parametrize("scheme", list(TimeScheme))
+@pytest.mark.parametrize("scheme", variants([TimeScheme.BDF2], TimeScheme))
 def test_each_stays_within_the_tolerance(scheme: TimeScheme) -> None:
     grasp = Grasp(driven_grasp(scheme=scheme))
     for step in range(10):

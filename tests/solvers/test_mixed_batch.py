@@ -111,9 +111,17 @@ ON_A_GPU = [
 ]
 
 
-@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda:0", marks=ON_A_GPU)])
-def test_each_of_256_is_as_if_alone(device: str) -> None:
-    positions, forces = run_batch(256, device)
+@pytest.mark.parametrize(
+    ("env_count", "device"),
+    [
+        (20, "cpu"),
+        # More than a block of 64 threads has.
+        pytest.param(256, "cpu", marks=pytest.mark.slow),
+        pytest.param(256, "cuda:0", marks=ON_A_GPU),
+    ],
+)
+def test_each_is_as_if_alone(env_count: int, device: str) -> None:
+    positions, forces = run_batch(env_count, device)
     assert (forces > 0).all()
     assert len(np.unique(forces)) == len(forces), "no two do the same"
     for env in range(0, len(forces), 17):

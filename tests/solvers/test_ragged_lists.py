@@ -10,7 +10,7 @@ from taccel_lab.ipc.device import ragged_lists
 from taccel_lab.outputs import Outputs
 from taccel_lab.scene import KinematicBody, box_mesh
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC
-from taccel_lab.solvers.report import StepReport
+from taccel_lab.solvers.step_report import StepReport
 from taccel_lab.state import State, initial_state
 from tests.support.blocks import block_mesh, pose, scene
 

@@ -23,6 +23,7 @@ from taccel_lab.signals import SignalTactile
 from taccel_lab.solvers import Control, EnvStatus, ReadySteps, SolverIPC
 from taccel_lab.state import State, initial_state
 from tests.solvers.test_ready_steps import DT_S, ENVS, asked, finger, make, poses
+from tests.support.variants import variants
 
 STEPS = 4
 Made = tuple[SolverIPC, State]
@@ -89,7 +90,7 @@ def interrupted_at(count: int) -> Iterator[None]:
             signal.signal(signal.SIGINT, earlier)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", variants(range(2), range(6)))
 def test_an_interrupted_step_leaves_no_trace(case: Any, seed: int) -> None:
     """Wherever: while kernels are loaded, the graph is recorded or replayed, states are copied."""
     build, ask, expected = case
@@ -205,7 +206,7 @@ def test_forces_of_another_state_are_refused() -> None:
         lambda: outputs.contact_wrenches(),
         lambda: outputs.energies,
     ):
-        with pytest.raises(InputError, match="not one of this state"):
+        with pytest.raises(InputError, match="was of another state"):
             read()
     with interrupted_at(40):
         solver.step(state, poses([2] * ENVS))
@@ -256,7 +257,7 @@ def press(build: Callable[[], Made], ask: Any) -> list[list[np.ndarray]]:
 def test_threads_with_solvers_of_their_own_do_not_disturb_one_another(case: Any) -> None:
     build, ask, _ = case
     expected = press(build, ask)
-    for found in in_threads([lambda: press(build, ask)] * 3):
+    for found in in_threads([lambda: press(build, ask)] * 2):
         assert not isinstance(found, Exception), found
         for one, other in zip(found, expected, strict=True):
             assert_same(one, other)

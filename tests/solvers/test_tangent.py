@@ -8,7 +8,7 @@ import pytest
 
 from taccel_lab.errors import InputError
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.potentials.contact_derivatives import ContactSlopes
+from taccel_lab.ipc.potentials.contact_derivatives import ContactDerivatives
 from taccel_lab.scene import Ball, Element, KinematicBody, Material, Scene, SoftBody, TimeStepping
 from taccel_lab.solvers import SolverIPC
 from taccel_lab.solvers.tangent import INDEFINITE, Tangent, sparse_matrix
@@ -18,7 +18,7 @@ BAR = block_mesh((2, 1, 8), (1.6e-3, 1e-3, 9e-3))
 AWAY = np.array([[[0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]]])
 
 NO_CONTACT = {
-    0: ContactSlopes(
+    0: ContactDerivatives(
         nodes=np.zeros((0, 4), dtype=np.int32),
         kinds=np.zeros(0, dtype=np.int32),
         stiffnesses=np.zeros(0),

@@ -14,14 +14,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from taccel_lab.cad.mesh.mesh_pad import MeshPad
 from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
+from taccel_lab.geometry import Region
+from taccel_lab.geometry.block import block_mesh
+from taccel_lab.sensors.profile_family import imported_gel
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.studies import preview as previews
 from taccel_lab.studies.camera_view import photometry
 from taccel_lab.studies.describe import press_in_words, with_tables
 from taccel_lab.studies.design_files import write_design_files
-from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.design_point import DesignFigures, DesignPoint
 from taccel_lab.studies.design_task import design_task
 from taccel_lab.studies.evidence import Evidence
 from taccel_lab.studies.metrics import METRICS
@@ -29,10 +33,10 @@ from taccel_lab.studies.presses import STANDARD_PRESSES
 from taccel_lab.studies.preview import preview_design, write_preview
 from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.runner import run_study
-from taccel_lab.studies.spec import Output, StudySpec, spec_of
+from taccel_lab.studies.spec import StudyOutput, StudySpec, spec_of
 from taccel_lab.studies.study import default_kit, make_study
 from taccel_lab.studies.study_folder import StudyFolder
-from taccel_lab.tasks.result import TaskResult, Trial, success_interval
+from taccel_lab.tasks.result import TaskResult, TaskTrial, success_interval
 from taccel_lab.tasks.run import run_task
 from taccel_lab.tasks.touch_insertion import TouchInsertionParameters
 from tests.geometry.vtu_files import read_mesh_vtu
@@ -41,13 +45,13 @@ from tests.studies.coarse_presses import coarse
 # Files --------------------------------------------------------------------------------------------
 
 
-def files_of(folder: StudyFolder, output: Output, **parameters: float) -> tuple[dict, dict]:
+def files_of(folder: StudyFolder, output: StudyOutput, **parameters: float) -> tuple[dict, dict]:
     point = DesignPoint("x", "gelsight_r15", parameters)
-    return write_design_files(folder, DesignResult(point), output, "as it is")
+    return write_design_files(folder, DesignFigures(point), output, "as it is")
 
 
 def test_pads_that_are_the_same_share_their_files(tmp_path: Path) -> None:
-    folder, output = StudyFolder(tmp_path), Output(step=True)
+    folder, output = StudyFolder(tmp_path), StudyOutput(step=True)
     soft, causes = files_of(folder, output, young_modulus_mpa=0.1)
     assert set(soft) == {"mesh", "step"} and not causes
     written = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/*")}
@@ -66,7 +70,7 @@ def test_pads_that_are_the_same_share_their_files(tmp_path: Path) -> None:
 
 
 def test_only_what_is_asked_for_is_kept(tmp_path: Path) -> None:
-    files, causes = files_of(StudyFolder(tmp_path), Output(meshes=False, pictures=False))
+    files, causes = files_of(StudyFolder(tmp_path), StudyOutput(meshes=False, pictures=False))
     assert not files and not causes and not list(tmp_path.iterdir())
 
 
@@ -205,12 +209,42 @@ def test_softer_gels_push_less_hard() -> None:
 
 def test_metrics_are_the_rate_and_its_interval() -> None:
     evidence = Evidence(sensor_family("gelsight_mini").parameters(), {})
-    trials = [Trial(k, k < 12, "", 9, {}, {"jam_force_n": float(k)}) for k in range(16)]
+    trials = [TaskTrial(k, k < 12, "", 9, {}, {"jam_force_n": float(k)}) for k in range(16)]
     evidence.__dict__["insertion"] = TaskResult("touch-insertion", trials, 1.0, 16)
     names = ("insertion_success", "insertion_low", "insertion_high")
     rates = [METRICS[name].compute(evidence) for name in names]
     assert rates == pytest.approx([100 * rate for rate in success_interval(12, 16)])
     assert METRICS["insertion_force"].compute(evidence) == 7.5
+    evidence.__dict__["vitac"] = trials
+    pooled = [
+        METRICS[name].compute(evidence) for name in ("vitac_success", "vitac_low", "vitac_high")
+    ]
+    assert pooled == rates
+
+
+def test_the_task_has_the_shape_of_the_design() -> None:
+    """A Mini is highest in its middle, and its rim lies 1.25 mm lower."""
+    mini = sensor_family("gelsight_mini")
+    task = design_task(mini.parameters())
+    pad = mini.parameters().pad()
+    face_mm = 1e3 * task.gel.nodes_m[task.gel.region_nodes(Region.CONTACT)]
+    expected = pad.top_mm(face_mm[:, :2])
+    inside = np.isfinite(expected)
+    assert inside.sum() > 30
+    np.testing.assert_allclose(face_mm[inside, 2], expected[inside], atol=1e-9)
+    assert -1.3 < face_mm[:, 2].min() < -1.2 and face_mm[:, 2].max() > -0.05
+    model = task.begin([0], "cpu").model
+    nodes = model.bodies[model.body_id("left")].node_slice
+    assert nodes.stop - nodes.start == task.gel.node_count
+
+
+def test_an_imported_gel_keeps_its_mesh() -> None:
+    mesh = block_mesh((4, 4, 2), (20e-3, 16e-3, 4e-3))
+    pad = MeshPad(4.0, mesh=mesh)
+    task = design_task(imported_gel(sensor_family("gelsight_mini"), pad).parameters())
+    assert task.gel is mesh
+    assert isinstance(task.parameters, TouchInsertionParameters)
+    assert task.parameters.gel.size_mm == pytest.approx((20.0, 16.0, 4.0))
 
 
 # The page docs/studies.md -------------------------------------------------------------------------

@@ -16,7 +16,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.contacts.slope_law import hertz_slope
-from taccel_lab.calibration.surfaces.press_surface import PressSurface
+from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 
@@ -30,7 +30,7 @@ def analytic_surface(
     ball_radius_mm: float,
     *,
     decay_mm: float = math.inf,
-) -> PressSurface:
+) -> BallSurface:
     """Surface of a flat gel under a ball that touches it in ``circle``.
 
     ``decay_mm`` is the damping length of the Hertz skirt [mm]; infinite is the half-space.
@@ -56,7 +56,7 @@ def analytic_surface(
     )
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     shape = (grid.height_px, grid.width_px)
-    return PressSurface(
+    return BallSurface(
         height_m=np.interp(distance_mm, radii, height_mm) * 1e-3,
         rest_height_m=np.zeros(shape),
         normals=normals,

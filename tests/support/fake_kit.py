@@ -12,7 +12,7 @@ from typing import Any
 
 from taccel_lab.errors import InputError
 from taccel_lab.sensors.registry import sensor_family
-from taccel_lab.studies.design_point import DesignPoint, DesignResult
+from taccel_lab.studies.design_point import DesignFigures, DesignPoint
 from taccel_lab.studies.metrics.base import Metric
 from taccel_lab.studies.spec import spec_of
 from taccel_lab.studies.study import Kit, Study, make_study
@@ -85,7 +85,7 @@ def evaluate(
                 log.write(design.id + "\n")
         rim = design.parameters.get("rim")
         if rim == "fillet":
-            results.append(DesignResult(design, causes={"design": "the fillet does not fit"}))
+            results.append(DesignFigures(design, causes={"design": "the fillet does not fit"}))
             continue
         found = figures_of(design.parameters)
         figures: dict[str, float | None] = {m.name: found[m.name] for m in metrics}
@@ -96,7 +96,7 @@ def evaluate(
         force = [[0.0, 0.0, d * found["stiffness"]] for d in (0.5, 1.0)]
         curve = {"depth_mm": [0.5, 1.0], "force_n": force, "indenter": "ball", "place": [0, 0]}
         curves = {press.name: [curve] for press in presses}
-        results.append(DesignResult(design, figures, causes, 0.0, len(presses), curves))
+        results.append(DesignFigures(design, figures, causes, 0.0, len(presses), curves))
         if progress is not None:
             progress("pressing", number + 1, len(designs))
     return results
@@ -109,7 +109,7 @@ def evaluate_and_tear(designs, presses, metrics, **rest):
         thickness = result.point.parameters["thickness_mm"]
         if result.point.parameters["young_modulus_mpa"] == 0.4:
             if thickness == 3.0:
-                result = DesignResult(result.point, causes={"design": "the gel tears"})
+                result = DesignFigures(result.point, causes={"design": "the gel tears"})
             elif thickness == 4.5:
                 result.figures["blur"], result.causes["blur"] = None, "no edge was found"
         results.append(result)

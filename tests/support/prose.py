@@ -73,8 +73,9 @@ def sentences(paragraph: str) -> list[str]:
     return [sentence for sentence in _END.split(plain) if sentence.strip()]
 
 
-def faults(markdown: str, *more: str) -> list[str]:
-    """What is wrong: a line for each turn of ``BANNED`` or ``more`` and each long sentence."""
+def faults(markdown: str, *more: str, words: int = WORDS) -> list[str]:
+    """What is wrong: a line for each turn of ``BANNED`` or ``more`` and each sentence of more than
+    so many words."""
     found = []
     for paragraph in paragraphs(markdown):
         for turn in (*BANNED, *more):
@@ -83,9 +84,74 @@ def faults(markdown: str, *more: str) -> list[str]:
                 found.append(f"'{hit[0]}' in: {paragraph[:120]}")
         for sentence in sentences(paragraph):
             count = sum(bool(re.search(r"[A-Za-z]", word)) for word in sentence.split())
-            if count > WORDS:
+            if count > words:
                 found.append(f"{count} words: {sentence[:160]}")
     return found
+
+
+_MESSAGE = re.compile(
+    r'\b(?:InputError|SimulationError)\(\s*((?:f?r?"(?:[^"\\]|\\.)*"\s*)+)', flags=re.DOTALL
+)
+_LITERAL = re.compile(r'f?r?"((?:[^"\\]|\\.)*)"')
+_CELL = re.compile(r"^# %% \[markdown\]\n((?:#.*\n)+)", flags=re.MULTILINE)
+_NO_VERBS = frozenset(
+    "the a an of what where as that whether how one all each every at in no none two".split()
+)
+
+
+def messages(source: str) -> Iterator[str]:
+    """Messages of the errors that a file of Python raises; values count as one word."""
+    for found in _MESSAGE.finditer(source):
+        text = "".join(literal[1] for literal in _LITERAL.finditer(found[1]))
+        yield re.sub(r"\{[^{}]*\}", "VALUE", text)
+
+
+def notebook_markdown(source: str) -> str:
+    """The Markdown of a notebook that is kept as Python."""
+    cells = (re.sub(r"^# ?", "", cell[1], flags=re.MULTILINE) for cell in _CELL.finditer(source))
+    return "\n\n".join(cells)
+
+
+def public_docstrings(root: Path) -> Iterator[tuple[str, str, bool]]:
+    """Name, docstring and whether it is a function: of public names and their public members."""
+    for module, name in _imported(root / "__init__.pyi"):
+        node = _definition(root.parent, module, name)
+        yield name, ast.get_docstring(node) or "", isinstance(node, ast.FunctionDef)
+        for inner in node.body if isinstance(node, ast.ClassDef) else ():
+            if isinstance(inner, ast.FunctionDef) and not inner.name.startswith("_"):
+                marks = {ast.unparse(mark).split(".")[-1] for mark in inner.decorator_list}
+                is_value = bool(marks & {"property", "cached_property"})
+                yield f"{name}.{inner.name}", ast.get_docstring(inner) or "", not is_value
+
+
+def begins_with_a_verb(docstring: str) -> bool:
+    """Whether a docstring may begin with an imperative: no article, no plural, no participle."""
+    first = docstring.split(maxsplit=1)[0].strip(",.:;`").lower() if docstring else ""
+    return bool(first) and first not in _NO_VERBS and not re.search(r"(?<!s)s$|ed$", first)
+
+
+def _imported(path: Path) -> list[tuple[str, str]]:
+    """Module and name of each ``from module import name`` of a file."""
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return [
+        (node.module, one.name)
+        for node in nodes
+        if isinstance(node, ast.ImportFrom) and node.module
+        for one in node.names
+        if not one.name.startswith("_")
+    ]
+
+
+def _definition(root: Path, module: str, name: str) -> ast.ClassDef | ast.FunctionDef:
+    """The class or function that a module defines, or takes from another one."""
+    place = root / module.replace(".", "/")
+    files = (place.with_suffix(".py"), place / "__init__.pyi", place / "__init__.py")
+    path = next(path for path in files if path.is_file())
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and node.name == name:
+            return node
+    (found,) = {m for m, n in _imported(path) if n == name}
+    return _definition(root, found, name)
 
 
 def help_of(command: type) -> Iterator[str]:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.cli.app import main
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import (
@@ -37,7 +37,7 @@ CIRCLES = (
 )
 
 
-def color_change(surface: PressSurface) -> np.ndarray:
+def color_change(surface: BallSurface) -> np.ndarray:
     """Three lamps at 120 degrees, and some darkening with depth."""
     slope = surface.normals - surface.rest_normals
     angles = 2 * np.pi * np.arange(3) / 3

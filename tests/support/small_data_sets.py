@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.datasets import part
-from taccel_lab.datasets.plan import Plan
-from taccel_lab.datasets.runner import Outcome, make_dataset
+from taccel_lab.datasets.plan import DatasetPlan
+from taccel_lab.datasets.runner import DatasetOutcome, make_dataset
 from taccel_lab.datasets.spec import DatasetSpec
 from taccel_lab.geometry.press_mesh_options import OutlineMeshOptions
 from taccel_lab.presses import PHYSICS, Accuracy, PressMeshOptions
@@ -98,12 +98,14 @@ def table(profile: Path | str, **changes: Any) -> dict[str, Any]:
     return found
 
 
-def plan(profile: Path | str, base: Path | None = None, **changes: Any) -> Plan:
+def plan(profile: Path | str, base: Path | None = None, **changes: Any) -> DatasetPlan:
     spec = DatasetSpec.checked(table(profile, **changes), "small.toml")
-    return Plan(spec, base or Path(), QUICK)
+    return DatasetPlan(spec, base or Path(), QUICK)
 
 
-def make(profile: Path | str, out: Path, shard: tuple[int, int] = (1, 1), **more: Any) -> Outcome:
+def make(
+    profile: Path | str, out: Path, shard: tuple[int, int] = (1, 1), **more: Any
+) -> DatasetOutcome:
     """Make the small data set in this process."""
     given = {"processes": 0} | {key: more.pop(key) for key in ("processes", "say") if key in more}
     return make_dataset(plan(profile, **more), out, source="small", shard=shard, **given)

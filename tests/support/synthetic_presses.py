@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.geometry import PixelGrid, TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.profile import SensorProfile
@@ -28,7 +28,7 @@ GRID = PixelGrid(160, 120, 0.1, 0.1)
 BALL_RADIUS_MM = 2.0
 
 
-def known_change(surface: PressSurface) -> np.ndarray:
+def known_change(surface: BallSurface) -> np.ndarray:
     """Three lamps at 120 degrees whose strength falls over the image, plus a depth term."""
     slope = surface.normals - surface.rest_normals
     u = np.linspace(0.8, 1.2, GRID.width_px)[None, :]
@@ -50,7 +50,7 @@ def press_image(
     rng: np.random.Generator,
     noise: float = 1.0,
     ball_mm: float = BALL_RADIUS_MM,
-) -> tuple[np.ndarray, PressSurface]:
+) -> tuple[np.ndarray, BallSurface]:
     """A noisy capture of one press, RGB uint8, with the surface that made it."""
     surface = analytic_surface(circle, GRID, ball_mm, decay_mm=1.0)
     image = flat_background() + known_change(surface)
@@ -68,7 +68,7 @@ def memory_captures(
 ) -> CaptureSet:
     """A capture set of images in memory, levels of any type."""
     presses = tuple(
-        Press(f"p{i}", f"memory[{i}]", f"{i:064x}", circle, partial(np.copy, image))
+        CapturedPress(f"p{i}", f"memory[{i}]", f"{i:064x}", circle, partial(np.copy, image))
         for i, (circle, image) in enumerate(zip(circles, images, strict=True))
     )
     mask = np.ones(background.shape[:2], dtype=bool)
@@ -81,7 +81,7 @@ def synthetic_captures(
     noise: float = 1.0,
     radii_px: tuple[float, float] = (11, 16),
     ball_mm: float = BALL_RADIUS_MM,
-) -> tuple[CaptureSet, list[PressSurface]]:
+) -> tuple[CaptureSet, list[BallSurface]]:
     """A capture set in memory, and the true surface of each press."""
     rng = np.random.default_rng(seed)
     circles, images, surfaces = [], [], []
@@ -144,7 +144,7 @@ def write_captures(path: Path, captures: CaptureSet, unlabelled: Container[str] 
     return write_folder(path, captures.background, images, circles, captures.ball_radius_mm)
 
 
-def true_surfaces(captures: CaptureSet, circles: Sequence[ContactCircle]) -> list[PressSurface]:
+def true_surfaces(captures: CaptureSet, circles: Sequence[ContactCircle]) -> list[BallSurface]:
     """The surfaces that presses in these circles have."""
     return [
         analytic_surface(circle, captures.grid, captures.ball_radius_mm, decay_mm=1.0)
@@ -154,7 +154,7 @@ def true_surfaces(captures: CaptureSet, circles: Sequence[ContactCircle]) -> lis
 
 def calibrated(
     captures: CaptureSet,
-    surfaces: Sequence[PressSurface],
+    surfaces: Sequence[BallSurface],
     *,
     holdout_every: int = 4,
     heldout_names: tuple[str, ...] | None = None,

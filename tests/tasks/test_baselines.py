@@ -141,7 +141,7 @@ def test_round_pegs_that_fit_go_in(
 
 @pytest.mark.parametrize(
     ("name", "successes"),
-    [("peg-vitac-cuboid", 15), ("peg-vitac-trapezoid", 11), ("peg-vitac-concave", 10)],
+    [("peg-vitac-cuboid", 13), ("peg-vitac-trapezoid", 9), ("peg-vitac-concave", 4)],
 )
 def test_pegs_on_the_rim(name: str, successes: int) -> None:
     """None goes in at the first try: starts from which it would do not count. One that fails has

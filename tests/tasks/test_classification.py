@@ -16,7 +16,7 @@ from taccel_lab.tasks.classification import Classification, ClassificationParame
 from taccel_lab.tasks.depth_classifier import Learner, alike, folds, judge_by_folds, nearest
 from taccel_lab.tasks.grasp_lift import SoftGraspParameters, SoftShape
 from taccel_lab.tasks.parts import PARTS, SEGMENTS
-from taccel_lab.tasks.result import Trial
+from taccel_lab.tasks.result import TaskTrial
 
 ROUND = SEGMENTS / (2 * np.pi) * np.sin(2 * np.pi / SEGMENTS)
 """Area of what stands for a disc, of the disc's."""
@@ -97,15 +97,15 @@ def test_each_gel_closes_until_its_own_map_is_deep_enough() -> None:
     assert min(episode.forces().values()) > 0.05
 
 
-def conclude(trials: Sequence[Trial]) -> list[Trial]:
+def conclude(trials: Sequence[TaskTrial]) -> list[TaskTrial]:
     parameters = named("object-classification").parameters
     return Classification.conclude(parameters, list(trials), "cpu")
 
 
 def test_too_few_grasps_are_no_lesson() -> None:
     start = {"part": 0.0, "turn_deg": 10.0}
-    lost = Trial(1, False, "solver: OVERLAP in step 1", 0, start, {}, np.zeros((2, 40, 32)))
-    found = conclude([Trial(0, True, "", 5, start, {}, np.zeros((2, 40, 32))), lost])
+    lost = TaskTrial(1, False, "solver: OVERLAP in step 1", 0, start, {}, np.zeros((2, 40, 32)))
+    found = conclude([TaskTrial(0, True, "", 5, start, {}, np.zeros((2, 40, 32))), lost])
     assert not found[0].success and "too few grasps" in found[0].cause
     assert found[1].cause == lost.cause
 

@@ -12,7 +12,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.robots.transforms import matrix_of
 from taccel_lab.tasks.catalogue import Task, named
 from taccel_lab.tasks.grasp_matrix import GraspMatrix, GraspMatrixParameters
-from taccel_lab.tasks.hands import Finger, HandWithGels, Seat
+from taccel_lab.tasks.hands import Finger, HandWithGels, PadSeat
 from taccel_lab.tasks.run import run_task
 from tests.support.robot_files import REAL_NAMES, needs_real_robots
 
@@ -87,7 +87,7 @@ def test_wrong_fingers_are_refused_by_name() -> None:
     finger = described.fingers[0]
     for changed, message in (
         (finger.replace(joints=("slide",)), "no coordinate 'slide'; there are slide_left"),
-        (finger.replace(gels=(Seat(link="thumb"),)), "no link 'thumb'"),
+        (finger.replace(gels=(PadSeat(link="thumb"),)), "no link 'thumb'"),
         (finger.replace(links=("thumb",)), "no link 'thumb'"),
     ):
         with pytest.raises(InputError, match=message):

@@ -24,7 +24,7 @@ PEGS = {
     "round": ((8.0,), DISC * 4**2),
     "rectangle": ((20.0, 30.0), 600.0),
     "trapezoid": ((20.0, 24.0, 34.0), 580.0),
-    "notched": ((20.0, 30.0, 8.0, 6.0), 552.0),
+    "waisted": ((20.0, 30.0, 8.0, 22.0), 8 * 22.0 + 12 * 26.0),
 }
 """Sizes, and area [mm^2]."""
 HOLE = Hole(clearance_mm=1.5, wall_mm=8.0, depth_mm=20.0, friction=0.1)
@@ -95,7 +95,7 @@ def test_published_pegs_are_as_published() -> None:
 def test_sizes_that_make_no_peg_are_refused() -> None:
     for shape, size, message in (
         ("rectangle", (20.0,), "a rectangle has 2 sizes, got 1"),
-        ("notched", (20.0, 30.0, 22.0, 6.0), "narrower and less deep"),
+        ("waisted", (20.0, 30.0, 22.0, 6.0), "shorter and narrower"),
     ):
         with pytest.raises(ValueError, match=message):
             peg("round").replace(shape=shape, size_mm=size)

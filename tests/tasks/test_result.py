@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ from scipy.integrate import quad
 
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import to_jsonable
-from taccel_lab.tasks.result import TaskResult, Trial, success_interval
+from taccel_lab.tasks.catalogue import named
+from taccel_lab.tasks.page import task_page
+from taccel_lab.tasks.result import TaskResult, TaskTrial, success_interval
 from taccel_lab.tasks.torsion import Torsion, contact_radius
 
 Z = 1.959963984540054
@@ -37,10 +40,10 @@ def test_what_makes_no_rate_is_refused(successes: int, trials: int) -> None:
 
 def test_a_solver_failure_counts_as_failure_with_its_cause() -> None:
     trials = [
-        Trial(0, True, "", 9, {"x_mm": 1.0}, {"slip_mm": 0.1}),
-        Trial(1, False, "solver: NO_CONVERGENCE in step 4", 3, {"x_mm": 0.0}, {}),
-        Trial(2, False, "rose by 1.0 mm", 9, {"x_mm": 2.0}, {"slip_mm": 0.3}),
-        Trial(3, True, "", 9, {"x_mm": 2.0}, {"slip_mm": float("nan")}),
+        TaskTrial(0, True, "", 9, {"x_mm": 1.0}, {"slip_mm": 0.1}),
+        TaskTrial(1, False, "solver: NO_CONVERGENCE in step 4", 3, {"x_mm": 0.0}, {}),
+        TaskTrial(2, False, "rose by 1.0 mm", 9, {"x_mm": 2.0}, {"slip_mm": 0.3}),
+        TaskTrial(3, True, "", 9, {"x_mm": 2.0}, {"slip_mm": float("nan")}),
     ]
     table = TaskResult("lift", trials, 1.0, 6).table()
     assert (table["successes"], table["trials"], table["asked"]) == (2, 4, 6)
@@ -52,10 +55,10 @@ def test_a_solver_failure_counts_as_failure_with_its_cause() -> None:
 
 def test_cells_are_told_apart() -> None:
     trials = [
-        Trial(0, True, "", 9, {}, {}, cell=("hand", "nut")),
-        Trial(1, False, "slipped: rose by 1.0 mm", 9, {}, {}, cell=("hand", "nut")),
-        Trial(2, False, "solver: OVERLAP in step 1", 0, {}, {}, cell=("claw", "nut")),
-        Trial(3, False, "slipped: rose by 7.0 mm", 9, {}, {}, cell=("hand", "nut")),
+        TaskTrial(0, True, "", 9, {}, {}, cell=("hand", "nut")),
+        TaskTrial(1, False, "slipped: rose by 1.0 mm", 9, {}, {}, cell=("hand", "nut")),
+        TaskTrial(2, False, "solver: OVERLAP in step 1", 0, {}, {}, cell=("claw", "nut")),
+        TaskTrial(3, False, "slipped: rose by 7.0 mm", 9, {}, {}, cell=("hand", "nut")),
     ]
     table = to_jsonable(TaskResult("lift", trials, 1.0, 4).table())
     first, second = table["cells"]
@@ -64,13 +67,28 @@ def test_cells_are_told_apart() -> None:
     assert first["interval_95"] == list(success_interval(1, 3)[1:])
     assert second["success_rate"] == 0 and second["causes"] == {"solver": 1}
     assert [row["cell"][0] for row in table["per_seed"]] == ["hand", "hand", "claw", "hand"]
-    assert "cells" not in TaskResult("lift", [Trial(0, True, "", 9, {}, {})], 1.0, 1).table()
+    assert "cells" not in TaskResult("lift", [TaskTrial(0, True, "", 9, {}, {})], 1.0, 1).table()
 
 
 # Torsion ------------------------------------------------------------------------------------------
 
 
 SHEAR_PA, CONTACT_M, FORCE_N = 3.5e4, 2e-3, 0.15
+
+
+def test_causes_that_differ_in_a_number_are_one_and_figures_have_their_units(
+    tmp_path: Path,
+) -> None:
+    trials = [
+        TaskTrial(k, False, f"came {0.7 * k:.1f} mm deep", 3, {"x_mm": 0.1}, {"jam_force_n": 2.0})
+        for k in range(4)
+    ]
+    result = TaskResult("peg-insertion", trials, 1.0, 4)
+    page = task_page(named("peg-insertion"), result, {}, tmp_path)
+    tables = {table.title: table for table in page.tables}
+    assert tables["Why seeds failed"].rows == [("came … mm deep", 4)]
+    assert tables["Figures"].rows[0][0] == "jam force [N]"
+    assert "x [mm]" in tables["Seeds"].columns and page.summary[0].isupper()
 
 
 def torsion(friction: float, angle_rad: float) -> Torsion:

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -46,46 +46,54 @@ def codes(check: CaptureCheck) -> dict[str, str]:
     return {finding.code: finding.message for finding in check.findings}
 
 
+Imported = Callable[[str], list[CaptureFolder]]
+
+
+@pytest.fixture(scope="module")
+def imported(tmp_path_factory: pytest.TempPathFactory) -> Imported:
+    """The capture folders that are made of a set, once."""
+
+    @cache
+    def made(name: str) -> list[CaptureFolder]:
+        out = tmp_path_factory.mktemp("set") / "out"
+        folders = import_captures(real_data(name), out, options=OPTIONS.get(name))
+        return [load_capture_folder(folder) for folder in folders]
+
+    return made
+
+
 @pytest.mark.parametrize("name", sorted(LAYOUTS))
-def test_every_set_imports(name: str, tmp_path: Path) -> None:
-    folder = real_data(name)
-    assert detect_layout(folder).name == LAYOUTS[name]
-    for out in import_captures(folder, tmp_path / "out", options=OPTIONS.get(name)):
-        assert sum(load_capture_folder(out).contents().values()) > 0
+def test_every_set_imports(name: str, imported: Imported) -> None:
+    assert detect_layout(real_data(name)).name == LAYOUTS[name]
+    assert all(sum(folder.contents().values()) > 0 for folder in imported(name))
 
 
-def imported(name: str, tmp_path: Path, part: str = "") -> CaptureFolder:
-    import_captures(real_data(name), tmp_path / "out", options=OPTIONS.get(name))
-    return load_capture_folder(tmp_path / "out" / part)
-
-
-def test_background_that_is_a_crop_of_the_presses(tmp_path: Path) -> None:
-    folder = some_presses(imported("gsmini_ruihangao_calib", tmp_path), 10)
+def test_background_that_is_a_crop_of_the_presses(imported: Imported) -> None:
+    folder = some_presses(imported("gsmini_ruihangao_calib")[0], 7)
     check = check_captures(folder, fit_ball=False)
     (finding,) = [found for found in check.findings if found.code == "background_differs"]
     assert "--background median" in finding.message and not check.usable
 
 
-def test_automatic_white_balance(tmp_path: Path) -> None:
-    folder = some_presses(imported("fots_calib", tmp_path, "gelsight"), 8)
+def test_automatic_white_balance(imported: Imported) -> None:
+    folder = some_presses(imported("fots_calib")[0], 8)
     found = codes(check_captures(folder, fit_ball=False))
     assert {"light_drifts", "saturated"} <= set(found)
     assert {"coverage", "one_spot"} & set(found)
     assert not {"mixed_sensors", "channels_swapped", "lamps_reversed", "labels_off"} & set(found)
 
 
-def test_good_captures_are_usable(tmp_path: Path) -> None:
-    folder = some_presses(imported("gelsight_rvsathu_sim2real", tmp_path), 6)
+def test_good_captures_are_usable(imported: Imported) -> None:
+    folder = some_presses(imported("gelsight_rvsathu_sim2real")[0], 6)
     check = check_captures(folder)
     assert check.usable
     assert not {"light_drifts", "labels_off", "mixed_sensors", "blurred"} & set(codes(check))
     assert "wrong_ball_radius" not in codes(check)
 
 
-def test_frames_of_another_unit_and_swapped_channels(tmp_path: Path) -> None:
-    folder = some_presses(imported("gsmini_ruihangao_calib", tmp_path), 10)
-    other = load_capture_folder(import_captures(real_data("gsmini_gs_sdk"), tmp_path / "other")[0])
-    foreign = replace(other.presses[0], name="foreign")
+def test_frames_of_another_unit_and_swapped_channels(imported: Imported) -> None:
+    folder = some_presses(imported("gsmini_ruihangao_calib")[0], 7)
+    foreign = replace(imported("gsmini_gs_sdk")[0].presses[0], name="foreign")
     mixed = check_captures(replace(folder, presses=(*folder.presses, foreign)), fit_ball=False)
     finding = next(f for f in mixed.findings if f.code == "mixed_sensors")
     assert finding.frames == ("foreign",)
@@ -109,12 +117,12 @@ def test_mini_presses_of_taxim_are_refused_with_the_reasons() -> None:
         folder.ball_presses()
 
 
-def test_boards_edges_and_dots(tmp_path: Path) -> None:
-    unit = imported("9dtact_official", tmp_path, "sensor_1")
+def test_boards_edges_and_dots(imported: Imported) -> None:
+    unit = imported("9dtact_official")[0]
     check = check_captures(unit)
     assert check.usable and "board_not_found" not in codes(check)
     assert {b.command: str(b.readiness) for b in check.blocks}["depth"] in ("ready", "weak")
     assert {b.command: str(b.readiness) for b in check.blocks}["color"] == "absent"
-    dots = load_capture_folder(import_captures(real_data("fots_calib"), tmp_path / "fots")[2])
+    dots = imported("fots_calib")[2]
     (message,) = [f.message for f in check_captures(dots).findings if f.code == "no_rest_frame"]
     assert "no grid of dots" not in message

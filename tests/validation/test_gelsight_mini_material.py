@@ -74,7 +74,11 @@ def require_closed_loop(
     assert low < pressed_n(feats, depth, *options) < high
 
 
-def test_one_modulus_without_friction_within_three_per_cent(feats: Path) -> None:
+def test_one_modulus_without_friction_within_three_per_cent(
+    feats: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a table of four depths instead of seven."""
+    monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 4)
     fixed = {"nu": 0.46, "friction": 0.0}
     found = calibrated(feats, MaterialOptions(physics=PHYSICS[Accuracy.FAST], fixed=fixed))
     assert found.stiffness is not None and "young_modulus_pa" in found.estimates

@@ -26,8 +26,8 @@ from taccel_lab.scene import (
 )
 from taccel_lab.signals import SignalTactile
 from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.report import EnvStatus
 from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.solvers.step_report import EnvStatus
 from taccel_lab.state import initial_state
 from tests.support.blocks import block_mesh, everywhere, pose
 from tests.verification.curved_tets import CURVED, curved

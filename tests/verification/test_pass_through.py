@@ -33,8 +33,8 @@ from taccel_lab.scene import (
     sphere_mesh,
 )
 from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.report import StepReport
 from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.solvers.step_report import StepReport
 from taccel_lab.state import State, initial_state
 from tests.support.blocks import everywhere, pose
 from tests.support.variants import variants

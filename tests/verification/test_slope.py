@@ -29,7 +29,7 @@ from taccel_lab.scene import (
     box_mesh,
 )
 from taccel_lab.solvers import SolverConfig, SolverIPC
-from taccel_lab.solvers.report import EnvStatus, StepReport
+from taccel_lab.solvers.step_report import EnvStatus, StepReport
 from taccel_lab.state import initial_state
 from tests.support.blocks import block_mesh, everywhere, free_block, pose
 from tests.support.variants import variants

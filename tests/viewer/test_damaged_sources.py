@@ -158,14 +158,23 @@ def test_damaged_data_sets(tmp_path: Path, view: View) -> None:
         assert_refused(view(data), words)
 
 
-REPLAYED = {"task": "x", "bodies": [{"name": "b", "kind": "soft"}], "forces": ["f"]}
+REPLAYED = {
+    "task": "x",
+    "seed": 3,
+    "cause": "",
+    "bodies": [{"name": "b", "kind": "soft"}],
+    "forces": ["f"],
+}
 
 
 def sound_replay() -> Arrays:
     """What ``task record --states`` keeps, of four frames of two triangles."""
     return {
         "times_s": np.arange(4.0),
-        "rises_m": np.zeros((4, 5, 6)),
+        "depth_m": np.zeros((4, 5, 6)),
+        "pressure_pa": np.zeros((4, 5, 6)),
+        "markers_px": np.zeros((4, 2, 2)),
+        "rgb": np.zeros((4, 5, 6, 3), dtype=np.uint8),
         "forces_n": np.zeros((4, 1)),
         "vertices_m_0": np.random.default_rng(1).random((4, 4, 3)),
         "faces_0": np.array([[0, 1, 2], [0, 2, 3]]),
@@ -179,7 +188,11 @@ def sound_replay() -> Arrays:
         ({"bodies": [{"name": "b", "kind": "odd"}]}, {}),
         ({}, {"times_s": np.zeros(0)}),
         ({}, {"times_s": np.array(["a"] * 4)}),
-        ({}, {"rises_m": np.zeros((0, 5, 6))}),
+        ({"seed": "first"}, {}),
+        ({}, {"depth_m": np.zeros((0, 5, 6))}),
+        ({}, {"pressure_pa": np.zeros((4, 6, 5))}),
+        ({}, {"markers_px": np.zeros((4, 2))}),
+        ({}, {"rgb": np.zeros((4, 5, 6))}),
         ({}, {"forces_n": np.zeros((4, 1, 1))}),
         ({}, {"vertices_m_0": np.zeros((4, 0, 3))}),
         ({}, {"vertices_m_0": np.full((4, 4, 3), np.nan)}),

@@ -1,9 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Answers of the design page: pieces in order, scaled presses, refusals, exports."""
+"""The viewer's design page, and panes beside each other."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import io
+import os
+import signal
+import threading
+import time
+import zipfile
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,12 +17,22 @@ import numpy as np
 import pytest
 
 from taccel_lab.cli.app import main
-from taccel_lab.errors import InputError
+from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.sensors.registry import sensor_families, sensor_family
-from taccel_lab.viewer.design_answer import Answer, Choice, DesignAnswers
+from taccel_lab.viewer.background_press import BackgroundPress
+from taccel_lab.viewer.design_answer import Choice, DesignAnswer, DesignAnswers
 from taccel_lab.viewer.design_controls import slider_places
-from taccel_lab.viewer.design_export import TOML, command_line, export, read_design
-from taccel_lab.viewer.design_press import BallPress, SupersededError, formula_force_n, press_ball
+from taccel_lab.viewer.design_export import TOML, command_line, export, packed, read_design
+from taccel_lab.viewer.design_press import (
+    BallPress,
+    PressAnswer,
+    SupersededError,
+    formula_force_n,
+    press_ball,
+)
+from taccel_lab.viewer.design_words import heading, stiffness_words
+from taccel_lab.viewer.history import History
+from taccel_lab.viewer.newest_first import NewestFirst
 
 PRESS = BallPress(3.0, 0.4)
 
@@ -34,11 +50,13 @@ def answers_of(name: str) -> Iterator[DesignAnswers]:
         answers.close()
 
 
-def pieces_until(answers: DesignAnswers, choice: Choice, last: str) -> tuple[list[str], Answer]:
+def pieces_until(
+    answers: DesignAnswers, choice: Choice, last: str
+) -> tuple[list[str], DesignAnswer]:
     pieces: list[str] = []
-    found: list[Answer] = []
+    found: list[DesignAnswer] = []
 
-    def told(piece: str, answer: Answer) -> None:
+    def told(piece: str, answer: DesignAnswer) -> None:
         pieces.append(piece)
         found.append(answer)
         if piece == last:
@@ -110,14 +128,14 @@ def test_a_design_without_light_or_a_drawing_has_all_other_pieces(
         assert again.exact.force_n == pytest.approx(found.exact.force_n / 2, rel=1e-12)
 
 
-def _modulus(answer: Answer) -> float:
+def _modulus(answer: DesignAnswer) -> float:
     return float(answer.parameters.values()["young_modulus_mpa"])
 
 
 def test_what_is_worked_on_is_said_with_the_steps_of_the_press() -> None:
     from taccel_lab.viewer.design_words import force_table, stage_words
 
-    answer = Answer(sensor_family("flat_pad").parameters(), PRESS, formula_n=1.0)
+    answer = DesignAnswer(sensor_family("flat_pad").parameters(), PRESS, formula_n=1.0)
     answer.seconds = {"formula": 0.04, "solid": 0.2}
     answer.exact_steps = (1, 2)
     assert answer.missing == ["quick", "quality", "rest", "pressed", "drawing", "exact"]
@@ -174,6 +192,60 @@ def test_parameters_are_written_below_out_and_read_again(tmp_path: Path) -> None
     )
 
 
+def test_what_is_downloaded_is_the_file_or_a_zip_of_several(tmp_path: Path) -> None:
+    (tmp_path / "pad").mkdir()
+    files = [tmp_path / "pad" / name for name in ("pad.step", "pad.stl")]
+    for file in files:
+        file.write_text(file.name)
+    assert packed(files[:1], tmp_path) == ("pad.step", b"pad.step")
+    name, content = packed(files, tmp_path)
+    assert name == "pad.zip"
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        assert archive.namelist() == ["pad/pad.step", "pad/pad.stl"]
+
+
+def test_undo_and_redo_take_a_dragged_slider_as_one_step() -> None:
+    now = [0.0]
+    history = History(0, clock=lambda: now[0])
+    for value in (1, 2, 3):
+        history.add(value, "thickness")
+        now[0] += 0.1
+    history.add(4, "width")
+    assert [history.step(-1), history.step(-1), history.step(-1)] == [3, 0, None]
+    assert [history.step(1), history.step(1), history.step(1)] == [3, 4, None]
+    history.step(-1)
+    history.add(5, "width")
+    assert history.step(1) is None and history.step(-1) == 3
+    # A pause between two changes of one control makes two steps of them.
+    now[0] += 5
+    history.add(6, "width")
+    now[0] += 5
+    history.add(7, "width")
+    assert [history.step(-1), history.step(-1)] == [6, 3]
+
+
+def test_labels_units_and_heading_follow_the_values() -> None:
+    known = sensor_family("gelsight_mini").parameters_type.parameters()
+    labels = {
+        "mm_per_px": "scale [mm/px]",
+        "mm_per_px_y": "scale y [mm/px]",
+        "gel_scattering_per_mm": "gel scattering [1/mm]",
+        "density_kg_m3": "density [kg/m3]",
+        "young_modulus_mpa": "Young's modulus [MPa]",
+        "shore_00": "Shore 00",
+        "rim_mm": "rim [mm]",
+        "width_px": "width [px]",
+        "led_lobe": "LED lobe",
+    }
+    assert {name: known[name].label for name in labels} == labels
+    family = sensor_family("flat_pad")
+    words = heading(family.label, family.parameters({"thickness_mm": 3.5, "width_px": 200}))
+    assert "3.5 mm thick" in words and "image 200 x" in words
+    assert stiffness_words(family.parameters()) == ""
+    soft = stiffness_words(family.parameters({"shore_00": 45.0}))
+    assert soft.startswith("Overridden by Shore 00 45: 0.") and " MPa (0." in soft
+
+
 def test_files_of_others_stay(tmp_path: Path) -> None:
     (tmp_path / "parameters").mkdir()
     (tmp_path / "parameters" / "notes.txt").write_text("mine")
@@ -208,3 +280,118 @@ def test_the_quick_press_is_as_near_as_the_page_says(name: str) -> None:
         press_ball(parameters, press, quick=one, superseded=lambda: False) for one in (True, False)
     )
     assert quick.force_n == pytest.approx(exact.force_n, rel=QUICK_PERCENT / 100)
+
+
+def test_wishes_between_are_left_out_and_the_work_at_hand_hears_of_it() -> None:
+    began, go_on = threading.Event(), threading.Event()
+    done: list[tuple[int, bool]] = []
+
+    def work(wish: int, superseded: Callable[[], bool]) -> None:
+        if wish == 0:
+            began.set()
+            assert go_on.wait(10)
+        done.append((wish, superseded()))
+
+    queue = NewestFirst(work)
+    queue.ask(0)
+    assert began.wait(10)
+    assert not queue.wait(0.01)
+    for wish in range(1, 50):
+        queue.ask(wish)
+    go_on.set()
+    assert queue.wait(10)
+    assert done == [(0, True), (49, False)]
+    queue.close()
+
+
+def test_closing_tells_the_work_at_hand_and_drops_what_waits() -> None:
+    began, heard, wishes = threading.Event(), threading.Event(), []
+
+    def work(wish: int, superseded: Callable[[], bool]) -> None:
+        wishes.append(wish)
+        began.set()
+        while not superseded():
+            pass
+        heard.set()
+
+    queue = NewestFirst(work)
+    queue.ask(1)
+    assert began.wait(10)
+    queue.close()
+    assert heard.is_set()
+    queue.ask(2)
+    assert wishes == [1]
+
+
+FLAT = sensor_family("flat_pad").parameters()
+SHORT = BallPress(3.0, 0.2)
+
+
+def answer_of(beside: BackgroundPress, seconds: float = 120.0) -> PressAnswer:
+    limit = time.monotonic() + seconds
+    while time.monotonic() < limit:
+        found = beside.poll(0.1)
+        if found is not None:
+            return found
+    raise AssertionError(f"no answer within {seconds:g} s")
+
+
+def process_of(beside: BackgroundPress) -> int:
+    assert beside._child is not None
+    return beside._child._process.pid
+
+
+def is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_the_newest_press_is_the_one_of_this_process_to_the_bit_and_a_dead_process_is_told() -> (
+    None
+):
+    beside = BackgroundPress()
+    try:
+        # Older wishes never come, also those whose press is under way.
+        beside.begin(FLAT, BallPress(3.0, 0.6))
+        while beside.steps == (0, 0):
+            assert beside.poll(0.1) is None
+        assert beside.steps == (0, 3)
+        for depth in (0.3, 0.4, 0.5):
+            beside.begin(FLAT, BallPress(3.0, depth))
+        beside.begin(FLAT, SHORT)
+        found = answer_of(beside)
+        assert beside.steps == (0, 1)
+        told: list[tuple[int, int]] = []
+        here = press_ball(
+            FLAT, SHORT, quick=False, superseded=lambda: False, step=lambda *at: told.append(at)
+        )
+        assert told == [(0, 1)]
+        assert (found.force_n, found.error_n) == (here.force_n, here.error_n)
+        np.testing.assert_array_equal(found.positions_m, here.positions_m)
+        assert beside.poll() is None
+
+        # What kills the process costs its press alone.
+        beside.begin(FLAT, BallPress(3.0, 0.6))
+        first = process_of(beside)
+        os.kill(first, signal.SIGKILL)
+        with pytest.raises(SimulationError, match="ended by signal 9"):
+            answer_of(beside)
+        beside.begin(FLAT, SHORT)
+        assert answer_of(beside).force_n == here.force_n
+        assert process_of(beside) != first
+    finally:
+        beside.close()
+
+
+def test_closing_ends_a_press_under_way() -> None:
+    beside = BackgroundPress()
+    beside.begin(FLAT, BallPress(3.0, 0.6))
+    process = process_of(beside)
+    assert is_alive(process)
+    beside.close()
+    assert not is_alive(process)
+    assert beside.poll() is None
+    beside.close()

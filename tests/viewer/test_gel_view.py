@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A gel's view: sections, arrows that add up, colours with their unit, and how often it draws."""
+"""The gel's view, and texts of others that it shows."""
 
 from __future__ import annotations
 
 import itertools
+import json
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,13 +18,28 @@ from hypothesis import strategies as st
 from taccel_lab.geometry import QuadraticMesh, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.geometry.tet_mesh import tet_volumes
-from taccel_lab.report.live_page import PageOptions, live_page
+from taccel_lab.profile import save_profile
+from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from taccel_lab.scene import Element, Material, SoftBody
+from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.studies.design_row import DesignRow
+from taccel_lab.studies.study_folder import StudyFolder
 from taccel_lab.viewer.arrows import Forces, arrow_lines, patch_forces, round_length
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 from taccel_lab.viewer.gel_view import GelView
+from taccel_lab.viewer.pages import source_page
 from taccel_lab.viewer.painting import bar_html, map_rgb, painted, shares
-from taccel_lab.viewer.section import Surface, clip_faces, cut_tets, linear_tets
+from taccel_lab.viewer.probe import probe
+from taccel_lab.viewer.section import SectionSurface, clip_faces, cut_tets, linear_tets
+from taccel_lab.viewer.sources import find_source
+from tests.viewer.browser import chromium_page, shared_browser, wait_for  # noqa: F401
+from tests.viewer.test_damaged_sources import (
+    ABOUT,
+    REPLAYED,
+    press_arrays,
+    sound_replay,
+    write_press,
+)
 
 pytest.importorskip("viser", reason="the extra view is not installed")
 
@@ -81,12 +100,61 @@ def test_forces_of_patches_add_up_to_those_of_the_nodes(seed: int, patches: int)
     rng = np.random.default_rng(seed)
     at, forces = rng.uniform(-10, 10, (60, 3)), rng.normal(size=(60, 3))
     forces[rng.random(60) < 0.5] = 0.0
-    found = patch_forces(at, forces, patches)
-    np.testing.assert_allclose(found.forces_n.sum(axis=0), forces.sum(axis=0), atol=1e-12)
-    assert len(found.at_mm) <= patches**2 + 2 * patches + 1
-    if patches == 1 and len(found.at_mm) == 1:
-        weights = np.linalg.norm(forces, axis=1)
-        np.testing.assert_allclose(found.at_mm[0], weights @ at / weights.sum(), atol=1e-9)
+    # Some nodes are of no face.
+    faces = rng.integers(0, 50, (80, 3))
+    found = patch_forces(at, faces, forces, patches)
+    np.testing.assert_allclose(found.forces_n.sum(axis=0), forces.sum(axis=0), atol=1e-11)
+    assert len(found.at_mm) <= patches**2
+
+
+def flat_face(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes [mm] and triangles of a square of 10 mm, at random places."""
+    from scipy.spatial import Delaunay
+
+    edge = np.linspace(-5, 5, 11)
+    frame = [np.stack([edge, np.full(11, y)], axis=1) for y in (-5.0, 5.0)]
+    inside = rng.uniform(-5, 5, (count, 2))
+    plane = np.unique(np.concatenate([*frame, *(f[:, ::-1] for f in frame), inside]), axis=0)
+    return np.column_stack([plane, np.zeros(len(plane))]), Delaunay(plane).simplices
+
+
+def test_arrows_of_one_pressure_are_the_same_on_every_mesh() -> None:
+    rng = np.random.default_rng(5)
+    found = []
+    for count in (1500, 2500, 4000):
+        at, faces = flat_face(rng, count)
+        corners = at[faces]
+        area = np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2])
+        around = np.zeros(len(at))
+        np.add.at(around, faces.ravel(), np.repeat(area / 6, 3))
+        # Hertz: an ellipsoid of pressure, 2 mm in radius.
+        pressure = np.sqrt(np.maximum(1 - (at[:, :2] ** 2).sum(axis=1) / 4, 0))
+        forces = np.zeros_like(at)
+        forces[:, 2] = -pressure * around
+        arrows = patch_forces(at, faces, forces, 12)
+        grid = {tuple(np.round(place[:2], 3)): force[2] for place, force in
+                zip(arrows.at_mm, arrows.forces_n, strict=True)}  # fmt: skip
+        found.append(grid)
+    first, *others = found
+    largest = max(map(abs, first.values()))
+    for other in others:
+        for place in {*first, *other}:
+            gap = abs(first.get(place, 0.0) - other.get(place, 0.0))
+            assert gap < 0.1 * largest, (place, gap / largest)
+
+
+def test_a_probe_reads_the_value_that_lies_in_front() -> None:
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    near = SectionSurface(square + [0, 0, 1], faces, square[:, 0] * 4)
+    far = SectionSurface(square, faces, np.full(4, 9.0))
+    down = np.array([0.0, 0.0, -2.0])
+    hit = probe([far, near], np.array([0.75, 0.5, 5.0]), down)
+    assert hit is not None and hit.value == pytest.approx(3.0)
+    np.testing.assert_allclose(hit.point, [0.75, 0.5, 1.0])
+    assert probe([far, near], np.array([2.0, 0.5, 5.0]), down) is None
+    # Nothing behind the eye is hit.
+    assert probe([far], np.array([0.5, 0.5, -1.0]), down) is None
 
 
 def test_arrows_end_where_a_tool_pushes() -> None:
@@ -110,7 +178,7 @@ def test_values_meet_the_ends_of_the_colour_map() -> None:
     np.testing.assert_allclose(
         shares(np.array([-1.0, 0, 1, 2, 9, np.nan]), (0, 2)), [0, 0, 0.5, 1, 1, 0]
     )
-    surface = Surface(np.eye(3), np.array([[0, 1, 2]]), np.array([0.0, 1.0, 2.0]))
+    surface = SectionSurface(np.eye(3), np.array([[0, 1, 2]]), np.array([0.0, 1.0, 2.0]))
     mesh = painted(surface, (0, 2), map_rgb("viridis"))
     np.testing.assert_allclose(mesh.visual.uv[:, 0], [0.5 / 256, 0.5, 255.5 / 256])
 
@@ -145,7 +213,7 @@ def section_area(normal: np.ndarray, offset: float, size: np.ndarray) -> float:
     return float(np.linalg.norm(n) * total / (2 * n.prod()))
 
 
-def vector_area(surface: Surface) -> np.ndarray:
+def vector_area(surface: SectionSurface) -> np.ndarray:
     a, b, c = (surface.points[surface.faces[:, i]] for i in range(3))
     return np.cross(b - a, c - a).sum(axis=0) / 2
 
@@ -197,3 +265,128 @@ def test_ten_node_tets_fall_into_eight_of_the_same_volume() -> None:
     assert len(parts) == 8 * len(whole.tets)
     assert (volumes > 0).all()
     assert volumes.sum() == pytest.approx(0.5, rel=1e-12)
+
+
+HERE = PageOptions(port=0, browser=False)
+ELSEWHERE = "http://0.0.0.0:1"
+ATTACK = (
+    "<img src='//0.0.0.0:1/a' onerror='hacked=1' class='f'><b onclick='hacked=2' class='f'>x</b>"
+    "[x](javascript:hacked=3)|![x](http://0.0.0.0:1/b'<iframe srcdoc='<script>top.hacked=4"
+    "</script>'>www.a/'<b"
+)
+"""At most 200 characters, as names of profiles."""
+
+
+def hostile_profile(folder: Path) -> None:
+    profile = catalogue_profile("flat_pad")
+    named = profile.sensor.model_copy(update={"name": ATTACK, "family": ATTACK})
+    save_profile(profile.with_block(named), folder)
+
+
+def hostile_press(folder: Path) -> None:
+    write_press(folder, press_arrays(), {**ABOUT, "sensor": ATTACK, "indenter": ATTACK})
+
+
+def hostile_replay(folder: Path) -> None:
+    np.savez(folder / "replay.npz", **sound_replay())
+    about = {**REPLAYED, "task": ATTACK, "forces": [ATTACK]}
+    (folder / "replay.json").write_text(json.dumps(about))
+
+
+def hostile_study(folder: Path) -> None:
+    StudyFolder(folder).add_row(
+        DesignRow(id="one", family="flat_pad", parameters={}, status="done", figures={ATTACK: 1.0})
+    )
+
+
+def hostile_dataset(folder: Path) -> None:
+    from tests.support.small_data_sets import make, saved_profile
+
+    profile = saved_profile(folder.with_name("profile"))
+    make(profile, folder, dataset={"episodes": 2}, output={"channels": ["depth_mm"]})
+    about = json.loads((folder / "dataset.json").read_text())
+    (folder / "dataset.json").write_text(json.dumps({**about, "name": ATTACK}))
+
+
+def seen(page: Any) -> int:
+    """How often the attack can be read on the page, letter by letter."""
+    return page.locator("body").inner_text().count(ATTACK)
+
+
+def assert_inert(page: Any, asked: list[str]) -> None:
+    """The attack stands on the page as it is written, and nothing came of it."""
+    wait_for(page, lambda: seen(page) > 0)
+    page.wait_for_timeout(300)
+    assert page.evaluate("window.hacked") is None
+    assert page.locator(".f").count() == 0 == page.locator("iframe").count()
+    assert [one for one in asked if one.startswith(ELSEWHERE)] == []
+
+
+@pytest.mark.usefixtures("shared_browser")
+@pytest.mark.parametrize(
+    "write",
+    [
+        hostile_profile,
+        hostile_press,
+        hostile_replay,
+        hostile_study,
+        pytest.param(hostile_dataset, marks=pytest.mark.slow),
+    ],
+)
+def test_texts_of_sources_are_shown_as_they_are_written(
+    write: Callable[[Path], None], tmp_path: Path
+) -> None:
+    folder = tmp_path / "source"
+    folder.mkdir()
+    write(folder)
+    asked: list[str] = []
+    # Without the second line, which forbids the browser scripts and what lies elsewhere.
+    with (
+        source_page(find_source(str(folder)), HERE) as server,
+        chromium_page("about:blank", bypass_csp=True) as page,
+    ):
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(page_address(server))
+        assert_inert(page, asked)
+
+
+@pytest.mark.usefixtures("shared_browser")
+def test_texts_of_sessions_and_designs_are_shown_as_they_are_written(tmp_path: Path) -> None:
+    from types import SimpleNamespace
+
+    from taccel_lab.calibration.live.page import LivePage, LiveSheet
+    from taccel_lab.calibration.record.lamps import Lamp
+    from taccel_lab.calibration.record.page import RecordPage
+    from taccel_lab.sensors.registry import sensor_family
+    from taccel_lab.viewer.design_controls import DesignControls
+
+    status: Any = SimpleNamespace(
+        image=None, taken=0, wanted=5, prompt=ATTACK, messages=(ATTACK,), finished=True,
+        lamps=(Lamp(ATTACK, "bad", ATTACK),), circles=(), advice=None,
+    )  # fmt: skip
+    asked: list[str] = []
+    with live_page(ATTACK, HERE) as server, chromium_page("about:blank", bypass_csp=True) as page:
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(page_address(server))
+        record = RecordPage(server)
+        record._taken = hash((status.circles, status.advice, status.finished))
+        record.show(status)
+        LivePage(LiveSheet(server), 10.0, Path()).tell(ATTACK)
+        controls = DesignControls(server, sensor_family("flat_pad"), {}, lambda _: None)
+        controls.refuse(f"thickness_mm: {ATTACK}", "")
+        times = 1 + 1 + 2 + 1 + 1 + 1  # Title, prompt, lamp, message, live, refusal.
+        wait_for(page, lambda: seen(page) >= times)
+        assert_inert(page, asked)
+
+
+@pytest.mark.usefixtures("shared_browser")
+def test_the_browser_itself_refuses_scripts_and_what_lies_elsewhere() -> None:
+    """The second line, where markup would get into a page after all."""
+    with live_page("A page", HERE) as server, chromium_page(page_address(server)) as page:
+        refused: list[str] = []
+        page.on("console", lambda message: refused.append(message.text))
+        server.gui.add_html(ATTACK.partition("<iframe")[0])
+        page.locator("b.f").click()
+        wait_for(page, lambda: any("Loading the image" in text for text in refused))
+        wait_for(page, lambda: any("inline event handler" in text for text in refused))
+        assert page.evaluate("window.hacked") is None

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -21,12 +22,20 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.viewer.camera_place import look_at
+from taccel_lab.viewer.design_answer import Choice, DesignAnswer, DesignAnswers
 from taccel_lab.viewer.design_page import DesignPage
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 from taccel_lab.viewer.gel_view import GelView
-from tests.viewer.browser import chromium_page, middle, picture, wait_for
+from tests.viewer.browser import (
+    chromium_page,
+    middle,
+    picture,
+    shared_browser,  # noqa: F401
+    wait_for,
+)
 
 pytest.importorskip("viser", reason="the extra view is not installed")
+pytestmark = pytest.mark.usefixtures("shared_browser")
 HERE = PageOptions(port=0, browser=False)
 
 
@@ -70,6 +79,19 @@ def test_a_gel_is_seen_with_section_arrows_and_states() -> None:
             assert view.time.state == 0
             page.get_by_text("An arrow of").wait_for()
             page.get_by_text("[kPa]").wait_for()
+            # A click on the gel reads the field there: the section lies at y = 0, in the middle.
+            box = page.locator("canvas").first.bounding_box()
+            note = page.get_by_text(re.compile(r"kPa at \(.*\) mm"))
+            place = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+            def clicked() -> bool:
+                page.mouse.click(*place)
+                page.wait_for_timeout(500)
+                return note.count() > 0
+
+            wait_for(page, clicked)
+            x, y, z = map(float, re.findall(r"-?\d+\.\d+", note.inner_text().split("at (")[1]))
+            assert max(abs(x), abs(y)) < 2 and -6.1 < z < 0.1
 
 
 @contextmanager
@@ -83,20 +105,33 @@ def design_page(out: Path, options: PageOptions = HERE) -> Iterator[tuple[Any, D
             page.close()
 
 
+@pytest.fixture
+def formulas_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Designs are answered by what needs neither solid, press nor drawing."""
+    answer = DesignAnswers.answer
+    monkeypatch.setattr(DesignAnswers, "_begin_exact", lambda *_: None)
+
+    def begun(self: DesignAnswers, choice: Choice, told: Any, superseded: Any) -> DesignAnswer:
+        return answer(self, choice, told, lambda: True)
+
+    monkeypatch.setattr(DesignAnswers, "answer", begun)
+
+
+@pytest.mark.usefixtures("formulas_alone")
 def test_sliders_of_the_design_page_change_its_numbers(tmp_path: Path) -> None:
     with design_page(tmp_path / "out") as (server, page_of):
         with chromium_page(page_address(server)) as page:
             row = page.get_by_role("row").filter(has_text="formula")
-            row.wait_for(timeout=30_000)
+            row.wait_for()
             before = row.inner_text()
-            label = page.get_by_text("young modulus [MPa]", exact=True).first
+            label = page.get_by_text("Young's modulus [MPa]", exact=True).first
             box = label.locator("xpath=ancestor::div[.//input][1]//input[@type='text']").first
             box.fill("1.0")
             box.press("Enter")
             wait_for(page, lambda: row.inner_text() != before)
             assert page_of.controls.overrides() == {"young_modulus_mpa": 1.0}
             # What the family refuses stands beside the slider, in its words: two stiffnesses.
-            box = page.get_by_text("shore a", exact=True).first.locator(
+            box = page.get_by_text("Shore A", exact=True).first.locator(
                 "xpath=ancestor::div[.//input][1]//input[@type='text']"
             ).first  # fmt: skip
             box.fill("20")
@@ -105,6 +140,13 @@ def test_sliders_of_the_design_page_change_its_numbers(tmp_path: Path) -> None:
             page.get_by_text("Reset", exact=True).click()
             wait_for(page, lambda: page_of.controls.overrides() == {})
             wait_for(page, lambda: row.inner_text().split()[1] == before.split()[1])
+            # Undo brings the two stiffnesses back, then the one alone; redo goes forth again.
+            page.get_by_text("Undo", exact=True).click()
+            wait_for(page, lambda: len(page_of.controls.overrides()) == 2)
+            page.get_by_text("Undo", exact=True).click()
+            wait_for(page, lambda: page_of.controls.overrides() == {"young_modulus_mpa": 1.0})
+            page.get_by_text("Redo", exact=True).click()
+            wait_for(page, lambda: len(page_of.controls.overrides()) == 2)
     assert not (tmp_path / "out").exists()
 
 
@@ -133,7 +175,7 @@ def test_of_many_changes_the_last_is_shown_while_files_are_written_and_closing_e
         page.controls.set("shore_00", 20.0)
         assert page.work.wait(60)
         assert "**Rejected:**" in page._status.content
-        page.controls.reset()
+        page.go("Reset")
         page.controls.set("thickness_mm", 4.5)
         limit = time.monotonic() + 60
         while page.shown is None or page.shown is shown or "solid" in page.shown.missing:
@@ -192,6 +234,11 @@ def test_a_dark_design_page_enlarges_its_drawing_and_writes_files(tmp_path: Path
                 page.get_by_role("button", name=kind, exact=True).click()
                 page.get_by_text(file, exact=True).wait_for(timeout=60_000)
                 assert (out / file).stat().st_size > 0
+            with page.expect_download(timeout=60_000) as sent:
+                page.get_by_role("button", name="Download what was written").click()
+            assert sent.value.suggested_filename == "design.toml"
+            content = Path(sent.value.path()).read_bytes()
+            assert content == (out / "parameters" / "design.toml").read_bytes()
             assert np.median(picture(page)) < 64
 
 

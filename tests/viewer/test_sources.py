@@ -178,15 +178,25 @@ def test_presses_of_studies_start_untouched(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_recorded_task_is_read_as_it_was(tmp_path: Path) -> None:
+    from taccel_lab.learning.gel_colors import default_colors
     from taccel_lab.tasks.catalogue import named
     from taccel_lab.tasks.film import film_seed
     from taccel_lab.tasks.replay import read_replay, write_replay
     from taccel_lab.tasks.scene_picture import surfaces
 
-    film, _ = film_seed(named("ball-rolling"), 0, "cpu")
-    write_replay(film, tmp_path)
+    film, trial = film_seed(named("ball-rolling"), 0, "cpu", colors=default_colors(None))
+    write_replay(film, trial, tmp_path)
     replay = read_replay(tmp_path)
-    assert replay.task == "ball-rolling"
+    assert (replay.task, replay.seed) == ("ball-rolling", 0)
+    assert (replay.outcome == "success") == trial.success
+    # The ball presses somewhere in between, deepest where it touches, and is seen there.
+    pressed = replay.pressure_pa.max(axis=(1, 2)).argmax()
+    assert replay.pressure_pa[0].max() == 0 < replay.pressure_pa[pressed].max()
+    deepest = np.nanargmax(replay.depth_m[pressed])
+    assert replay.pressure_pa[pressed].ravel()[deepest] > 0
+    change = np.abs(replay.rgb[pressed].astype(int) - replay.rgb[0]).max(axis=2)
+    assert change[replay.pressure_pa[pressed] > 0].mean() > 2 * change.mean()
+    assert np.abs(replay.markers_px[pressed] - replay.markers_px[0]).max() > 0.5
     np.testing.assert_array_equal(replay.times_s, film.times_s)
     last = surfaces(film.episode.scene, film.episode.model, film.positions_m[-1])
     for body, (kind, vertices, faces) in zip(replay.bodies, last, strict=True):

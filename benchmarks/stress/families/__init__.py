@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.case import StressCase
 from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.families import (
     close_calls,
@@ -17,7 +17,7 @@ from taccel_lab.benchmarks.stress.families import (
     strains,
 )
 
-FAMILIES: dict[str, Callable[[Draw], Case]] = {
+FAMILIES: dict[str, Callable[[Draw], StressCase]] = {
     make.__name__: make
     for make in (
         close_calls.thin_gap,
@@ -49,7 +49,7 @@ FAMILIES: dict[str, Callable[[Draw], Case]] = {
 }
 
 
-def make_case(name: str, seed: int) -> tuple[Case, dict[str, Any]]:
+def make_case(name: str, seed: int) -> tuple[StressCase, dict[str, Any]]:
     """The case of a family and seed, and the parameters that were drawn; KeyError names all."""
     if name not in FAMILIES:
         raise KeyError(f"no family {name!r}; there are {', '.join(FAMILIES)}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.case import StressCase
 from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
@@ -22,7 +22,7 @@ from taccel_lab.scene import AffineBody, Element, KinematicBody, Plane, Scene, S
 SMALLEST_GAP = 1e-9
 
 
-def thin_gap(draw: Draw) -> Case:
+def thin_gap(draw: Draw) -> StressCase:
     """A body starts a nanometre and more over a gel, a plate or the floor, face to face."""
     config, stepping = settings(draw), in_time(draw)
     gap = draw.decades("gap", SMALLEST_GAP, 1e-6)
@@ -75,10 +75,10 @@ def thin_gap(draw: Draw) -> Case:
             )
         )
     scene = Scene(soft, kinematic, affine_bodies=stiff, planes=planes, time=stepping)
-    return Case(scene, config, 4, start, closed=True)
+    return StressCase(scene, config, 4, start, closed=True)
 
 
-def parallel_edges(draw: Draw) -> Case:
+def parallel_edges(draw: Draw) -> StressCase:
     """A ridge falls on a ridge, down to a nanoradian from parallel, exactly above it or beside."""
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-4, 1e-2))
     angle = 0.0 if draw.chance("exactly parallel", 0.15) else draw.decades("angle", 1e-9, 1e-1)
@@ -103,10 +103,10 @@ def parallel_edges(draw: Draw) -> Case:
     rest = KinematicBody(lower, 0.5, name="lower")
     start = pose((0, 0, 0), over)[None, None]
     scene = Scene((), rest, affine_bodies=body, time=stepping)
-    return Case(scene, config, 6, start, closed=True)
+    return StressCase(scene, config, 6, start, closed=True)
 
 
-def soft_edges(draw: Draw) -> Case:
+def soft_edges(draw: Draw) -> StressCase:
     """A soft roof falls on another one, their ridges nearly parallel."""
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-4, 2e-2))
     angle = 0.0 if draw.chance("exactly parallel", 0.15) else draw.decades("angle", 1e-9, 1.0)
@@ -132,4 +132,4 @@ def soft_edges(draw: Draw) -> Case:
             )
         )
     scene = Scene(bodies, time=stepping)
-    return Case(scene, config, 5, closed=True)
+    return StressCase(scene, config, 5, closed=True)

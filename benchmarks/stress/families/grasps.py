@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.case import StressCase
 from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
@@ -60,7 +60,7 @@ def _half_width(shape_nodes: np.ndarray, turn: np.ndarray) -> float:
     return float(np.abs(rotate(turn, shape_nodes)[:, 0]).max())
 
 
-def throw_and_catch(draw: Draw) -> Case:
+def throw_and_catch(draw: Draw) -> StressCase:
     """A stiff body is thrown between two gels, which close on it, lift and shake it, and let go."""
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-3, 5e-2))
     shape = stiff_shape(draw.choose("shape", STIFF_SHAPES), draw.between("size", 2e-3, 4e-3))
@@ -94,10 +94,10 @@ def throw_and_catch(draw: Draw) -> Case:
         _jaws(opened + 1e-3, 0.5 * lift, 0.0),
     ]
     scene = Scene(fingers, jaws, affine_bodies=body, time=stepping)
-    return Case.along(path, scene, config)
+    return StressCase.along(path, scene, config)
 
 
-def ratios(draw: Draw) -> Case:
+def ratios(draw: Draw) -> StressCase:
     """A heavy body rests on foam, or a flake on steel: density and stiffness far apart."""
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-3, 5e-2))
     soft = draw.chance("foam below", 0.6)
@@ -121,10 +121,10 @@ def ratios(draw: Draw) -> Case:
         initial_pose=pose((0, 0, draw.decades("gap", 1e-7, 1e-4) - low), turn),
     )
     scene = Scene(gel, affine_bodies=body, time=stepping)
-    return Case(scene, config, 8, closed=True)
+    return StressCase(scene, config, 8, closed=True)
 
 
-def pile(draw: Draw) -> Case:
+def pile(draw: Draw) -> StressCase:
     """Several stiff bodies fall on one another, on the floor, and maybe with a soft floor."""
     config, stepping = settings(draw, (2e-5, 2e-4)), in_time(draw, dt_s=(1e-3, 3e-2))
     count = draw.whole("bodies", 2, 5)
@@ -160,4 +160,4 @@ def pile(draw: Draw) -> Case:
         ]
         floor = replace(floor, point_m=(0.0, 0.0, -2.5e-3))
     scene = Scene(gels, affine_bodies=bodies, planes=floor, time=stepping)
-    return Case(scene, config, 8, closed=True)
+    return StressCase(scene, config, 8, closed=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.case import StressCase
 from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
@@ -63,7 +63,7 @@ def _steps(draw: Draw, gap: float, speed: float, dt: float) -> int:
     return min(int(np.ceil(gap / (speed * dt))) + 5, 12)
 
 
-def soft_impact(draw: Draw) -> Case:
+def soft_impact(draw: Draw) -> StressCase:
     """A soft body is thrown at the floor, at a ridge or at a point, with up to 10 m/s."""
     config = settings(draw)
     stepping = in_time(draw)
@@ -86,13 +86,13 @@ def soft_impact(draw: Draw) -> Case:
     steps = _steps(draw, gap, -velocity[2], stepping.dt_s)
     if onto == "floor":
         scene = Scene(body, planes=Plane(), time=stepping)
-        return Case(scene, config, steps, closed=True)
+        return StressCase(scene, config, steps, closed=True)
     shape = wedge(2e-3, 4e-3, 8e-3) if onto == "ridge" else stiff_shape("needle", 4e-3)
     upside = after(about((1, 0, 0), np.pi), about((0, 0, 1), draw.between("heading", 0, np.pi)))
     _, high = reach(shape, upside)
     rest = KinematicBody(shape, 0.5, name="rest")
     start = pose((0, 0, -high), upside)[None, None]
-    return Case(Scene(body, rest, time=stepping), config, steps, start, closed=True)
+    return StressCase(Scene(body, rest, time=stepping), config, steps, start, closed=True)
 
 
 def _stiff(draw: Draw, size: float, low_density: float = 100.0) -> AffineBody:
@@ -113,17 +113,17 @@ def _placed(body: AffineBody, gap: float, turn: np.ndarray) -> AffineBody:
     return replace(body, initial_pose=pose((0, 0, gap - low), turn))
 
 
-def stiff_on_plane(draw: Draw) -> Case:
+def stiff_on_plane(draw: Draw) -> StressCase:
     """A stiff body of any shape is thrown at the floor and spins."""
     config, stepping = settings(draw), in_time(draw)
     gap = draw.decades("gap", 1e-6, 2e-3)
     body = _placed(_stiff(draw, 4e-3), gap, draw.rotation("turn"))
     steps = _steps(draw, gap, -body.initial_velocity_m_s[2], stepping.dt_s)
     scene = Scene(affine_bodies=body, planes=Plane(friction_coefficient=0.5), time=stepping)
-    return Case(scene, config, steps, closed=True)
+    return StressCase(scene, config, steps, closed=True)
 
 
-def stiff_on_gel(draw: Draw) -> Case:
+def stiff_on_gel(draw: Draw) -> StressCase:
     """A stiff body is thrown into a gel: tips and edges first, up to 10 m/s and ten times heavier
     or a hundred times lighter than what it meets."""
     config, stepping = settings(draw), in_time(draw)
@@ -137,10 +137,10 @@ def stiff_on_gel(draw: Draw) -> Case:
     body = _placed(_stiff(draw, 3e-3, 10.0), gap, draw.rotation("turn"))
     steps = _steps(draw, gap, -body.initial_velocity_m_s[2], stepping.dt_s)
     scene = Scene(gel, affine_bodies=body, time=stepping)
-    return Case(scene, config, steps, closed=True)
+    return StressCase(scene, config, steps, closed=True)
 
 
-def soft_on_soft(draw: Draw) -> Case:
+def soft_on_soft(draw: Draw) -> StressCase:
     """Two free bodies collide in the air, a million times unlike in stiffness and a hundred times
     in density."""
     config, stepping = settings(draw), in_time(draw, gravity=0.0)
@@ -165,10 +165,10 @@ def soft_on_soft(draw: Draw) -> Case:
         )
     steps = _steps(draw, gap, speed, stepping.dt_s)
     scene = Scene(bodies, time=stepping)
-    return Case(scene, config, steps, closed=True)
+    return StressCase(scene, config, steps, closed=True)
 
 
-def bullet_at_sheet(draw: Draw) -> Case:
+def bullet_at_sheet(draw: Draw) -> StressCase:
     """A small body flies many times its own size a step at a sheet without volume, or at a thin
     gel: it must not be beyond."""
     config = settings(draw)
@@ -188,4 +188,4 @@ def bullet_at_sheet(draw: Draw) -> Case:
         return None if z > 0 else f"it is {-z:.3g} m beyond the sheet after step {step}"
 
     start = WORLD[None, None]
-    return Case(scene, config, 4, start, expect=expect, closed=True)
+    return StressCase(scene, config, 4, start, expect=expect, closed=True)

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.case import StressCase
 from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
@@ -70,7 +70,7 @@ def _drive(draw: Draw, name: str, turning: bool) -> PositionDrive | VelocityDriv
     return PositionDrive(stiffness, 1e-3 * stiffness, target, effort)
 
 
-def mechanism(draw: Draw) -> Case:
+def mechanism(draw: Draw) -> StressCase:
     """A chain of links on hinges, sliders and welds; drives push it into limits and the floor."""
     config, stepping = settings(draw, (2e-5, 2e-4)), in_time(draw, dt_s=(1e-4, 5e-2))
     count = draw.whole("links", 1, 4)
@@ -129,7 +129,7 @@ def mechanism(draw: Draw) -> Case:
     def expect(model: Model, state: State, step: int) -> str | None:
         return _open_anchor(model, state, joints, [body.name for body in bodies])
 
-    return Case(scene, config, 8, prepare=prepare, expect=expect)
+    return StressCase(scene, config, 8, prepare=prepare, expect=expect)
 
 
 def _open_anchor(model: Model, state: State, joints: list[Joint], names: list[str]) -> str | None:
@@ -156,7 +156,7 @@ def _open_anchor(model: Model, state: State, joints: list[Joint], names: list[st
     return None
 
 
-def jump(draw: Draw) -> Case:
+def jump(draw: Draw) -> StressCase:
     """A gel on a mount that jumps and turns at random, by up to its own size, onto what rests."""
     config, stepping = settings(draw), maybe_in_time(draw)
     gel = SoftBody(
@@ -188,10 +188,10 @@ def jump(draw: Draw) -> Case:
             hand[2] = z - low
         path.append(np.stack([hand, fixed])[None])
     scene = Scene(gel, [KinematicBody(None, name="hand"), rest], time=stepping)
-    return Case.along(path, scene, config)
+    return StressCase.along(path, scene, config)
 
 
-def no_way(draw: Draw) -> Case:
+def no_way(draw: Draw) -> StressCase:
     """Targets beyond a gel's glued back, or a body between a pusher and the floor: no answer."""
     config = settings(draw)
     kind = draw.choose("kind", ("through the gel", "against the floor"))
@@ -211,10 +211,10 @@ def no_way(draw: Draw) -> Case:
         scene = Scene((), pusher, affine_bodies=cube, planes=Plane(), time=time)
         # The pusher itself passes the plane: both are prescribed.
         path = [pose((0, 0, z), turn)[None, None] for z in (1.3e-3 - low, -5e-3 - high)]
-    return Case.along(path, scene, config, possible=False)
+    return StressCase.along(path, scene, config, possible=False)
 
 
-def batch(draw: Draw) -> Case:
+def batch(draw: Draw) -> StressCase:
     """Four environments with one scene: one is pressed, one hardly, one is asked for what cannot
     be, one rests; a stiff body is present in half of them."""
     config, stepping = settings(draw), in_time(draw, dt_s=(1e-3, 2e-2))
@@ -243,10 +243,10 @@ def batch(draw: Draw) -> Case:
         return np.stack([pose((-5e-4, 0, top + part * (end - top)), turn)[None] for end in ends])
 
     scene = Scene(gel, KinematicBody(shape, 0.5), 4, stepping, affine_bodies=cube)
-    return Case(scene, config, 4, poses(-1), poses, possible=False)
+    return StressCase(scene, config, 4, poses(-1), poses, possible=False)
 
 
-def resting(draw: Draw) -> Case:
+def resting(draw: Draw) -> StressCase:
     """A gel as soft as pudding, with slivers, sags under its own weight for some large steps."""
     config = settings(draw)
     stepping = in_time(draw, dt_s=(1e-2, 1e-1), damped=True)
@@ -256,4 +256,4 @@ def resting(draw: Draw) -> Case:
         element=draw.choose("element", ELEMENTS),
     )
     plane = Plane((0.0, 0.0, -1.2e-2))
-    return Case(Scene(gel, planes=plane, time=stepping), config, 6, closed=True)
+    return StressCase(Scene(gel, planes=plane, time=stepping), config, 6, closed=True)

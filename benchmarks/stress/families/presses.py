@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bodies that are told where to go meet gels that are glued below."""
+"""Bodies on prescribed paths meet gels that are glued below."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.case import StressCase
 from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
@@ -46,7 +46,7 @@ def _path(places: np.ndarray, turns: list[np.ndarray]) -> list[np.ndarray]:
     return [pose(place, turn)[None, None] for place, turn in zip(places, turns, strict=True)]
 
 
-def press(draw: Draw) -> Case:
+def press(draw: Draw) -> StressCase:
     """A stiff shape of any kind goes into a gel, deep and in few steps."""
     name = draw.choose("shape", ("ball", *STIFF_SHAPES))
     size = draw.between("size", 1e-3, 4e-3)
@@ -72,7 +72,7 @@ def press(draw: Draw) -> Case:
         [turn] * (steps + 1),
     )
     scene = Scene(_gel(draw), KinematicBody(shape, friction(draw)), time=time)
-    return Case.along(path, scene, config)
+    return StressCase.along(path, scene, config)
 
 
 def _sharp(draw: Draw) -> TriangleMesh:
@@ -87,7 +87,7 @@ def _sharp(draw: Draw) -> TriangleMesh:
     return wedge(half * height, height, draw.between("length", 1e-3, 9e-3))
 
 
-def stab(draw: Draw) -> Case:
+def stab(draw: Draw) -> StressCase:
     """A tip or a blade is pressed into a gel, dragged and turned in it, and drawn out."""
     shape, config, mu = _sharp(draw), settings(draw), friction(draw)
     depth = draw.between("depth", 0.02, 0.3) * SIZE[2]
@@ -107,10 +107,10 @@ def stab(draw: Draw) -> Case:
         for z, part in zip(heights, parts, strict=True)
     ]
     scene = Scene(_gel(draw), KinematicBody(shape, mu), time=maybe_in_time(draw))
-    return Case.along(path, scene, config)
+    return StressCase.along(path, scene, config)
 
 
-def gel_on_gel(draw: Draw) -> Case:
+def gel_on_gel(draw: Draw) -> StressCase:
     """A gel on a mount is pressed on another one that is up to a million times stiffer, dragged
     and turned; meshes and elements do not match."""
     lower = _gel(draw, "lower")
@@ -131,4 +131,4 @@ def gel_on_gel(draw: Draw) -> Case:
     ]
     hand = KinematicBody(None, name="hand")
     scene = Scene([lower, upper], hand, time=maybe_in_time(draw))
-    return Case.along(path, scene, config)
+    return StressCase.along(path, scene, config)

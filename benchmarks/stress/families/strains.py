@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.case import StressCase
 from taccel_lab.benchmarks.stress.draw import Draw
 from taccel_lab.benchmarks.stress.families.common import (
     ELEMENTS,
@@ -25,7 +25,7 @@ from taccel_lab.state import State
 TWIST_DEG = 720.0
 
 
-def twist(draw: Draw) -> Case:
+def twist(draw: Draw) -> StressCase:
     """A strip held at one end, gripped between two jaws at the other, is twisted by 720 degrees."""
     config = settings(draw, (1e-5, 4e-5))
     long, wide, high = 8e-3, draw.between("width", 1.5e-3, 4e-3), 0.4e-3
@@ -52,10 +52,10 @@ def twist(draw: Draw) -> Case:
     path = [gripped(1.5 * config.dhat_m, 0), gripped(grip / 2, 0), gripped(grip, 0)]
     path += [gripped(grip, deg) for deg in np.arange(turns, TWIST_DEG + 1e-6, turns)]
     scene = Scene(strip, jaws, time=maybe_in_time(draw))
-    return Case.along(path, scene, config)
+    return StressCase.along(path, scene, config)
 
 
-def swing(draw: Draw) -> Case:
+def swing(draw: Draw) -> StressCase:
     """A bar on a mount that turns by 720 degrees in a few steps, so that its free end whips, while
     the mount also jumps."""
     config = settings(draw)
@@ -79,10 +79,10 @@ def swing(draw: Draw) -> Case:
         for part in np.linspace(0, 1, steps + 1)
     ]
     scene = Scene(bar, KinematicBody(None, name="mount"), time=stepping)
-    return Case.along(path, scene, config)
+    return StressCase.along(path, scene, config)
 
 
-def squeeze(draw: Draw) -> Case:
+def squeeze(draw: Draw) -> StressCase:
     """A free block with self-contact is flattened between a plate and the floor, and let go."""
     config = settings(draw, (1e-5, 5e-5))
     side = 2e-3
@@ -104,10 +104,10 @@ def squeeze(draw: Draw) -> Case:
     heights += [heights[-1], top, top]
     path = [pose((0, 0, z))[None, None] for z in heights]
     scene = Scene(block, plate, planes=Plane(friction_coefficient=0.5), time=stepping)
-    return Case.along(path, scene, config)
+    return StressCase.along(path, scene, config)
 
 
-def fold(draw: Draw) -> Case:
+def fold(draw: Draw) -> StressCase:
     """A thin strip, glued by half, is folded over itself by a bar that sweeps its other end."""
     config = settings(draw, (1e-5, 5e-5))
     long, high = 8e-3, 0.4e-3
@@ -133,10 +133,10 @@ def fold(draw: Draw) -> Case:
         place = hinge + np.array([c * arm - s * down, 0, s * arm + c * down])
         path.append(pose(place, turn)[None, None])
     scene = Scene(strip, bar, time=maybe_in_time(draw))
-    return Case.along(path, scene, config)
+    return StressCase.along(path, scene, config)
 
 
-def pull(draw: Draw) -> Case:
+def pull(draw: Draw) -> StressCase:
     """Forces of up to many times what a bar bears pull, shear and crush its free end."""
     config = settings(draw)
     mesh = soft_box((5, 2, 2), (6e-3, 1.5e-3, 1.5e-3), 0.15, draw.seed("seed"))
@@ -155,10 +155,10 @@ def pull(draw: Draw) -> Case:
         state.load(solver.model, forces)
 
     scene = Scene(body, planes=Plane(point_m=(0, 0, -2e-3)), time=stepping)
-    return Case(scene, config, 5, prepare=prepare)
+    return StressCase(scene, config, 5, prepare=prepare)
 
 
-def roll_over(draw: Draw) -> Case:
+def roll_over(draw: Draw) -> StressCase:
     """A soft block is rubbed and rolled between two plates that slide against each other."""
     config = settings(draw, (1e-5, 1e-4))
     side = 3e-3
@@ -187,4 +187,4 @@ def roll_over(draw: Draw) -> Case:
     ]
     floor = Plane(friction_coefficient=draw.between("friction of floor", 0, 2))
     scene = Scene(block, plate, planes=floor, time=in_time(draw))
-    return Case.along(path, scene, config)
+    return StressCase.along(path, scene, config)

@@ -12,19 +12,19 @@ from taccel_lab.calibration.capture.camera.camera import (
 from taccel_lab.calibration.capture.camera.devices import Device, list_devices
 from taccel_lab.calibration.capture.camera.framing import Framing
 from taccel_lab.calibration.capture.camera.open_camera import open_camera
-from taccel_lab.calibration.capture.camera.replay import Replay, ReplayCamera
+from taccel_lab.calibration.capture.camera.replay import CameraReplay, ReplayCamera
 from taccel_lab.calibration.capture.camera.shots import Gap, shots
 
 __all__ = [
     "Camera",
     "CameraInfo",
     "CameraLostError",
+    "CameraReplay",
     "ControlLock",
     "ControlValues",
     "Device",
     "Framing",
     "Gap",
-    "Replay",
     "ReplayCamera",
     "Shot",
     "list_devices",

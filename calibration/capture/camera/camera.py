@@ -31,11 +31,11 @@ class ControlLock:
     """``exposure``, ``gain`` or ``white balance``."""
     held: bool | None
     """Whether the camera says that it holds it; None where it has no such control to be asked."""
-    told: str
+    text: str
     """Value, or why not, in words."""
 
     def __str__(self) -> str:
-        return f"{self.name}: {self.told}"
+        return f"{self.name}: {self.text}"
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Camera(Protocol):
     def info(self) -> CameraInfo: ...
 
     def lock(self, values: ControlValues) -> list[ControlLock]:
-        """Switch what adapts by itself off, and say for each control whether that held."""
+        """Switch automatic settings off, and say for each control whether that held."""
         ...
 
     def read(self) -> Shot | None:

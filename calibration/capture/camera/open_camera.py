@@ -7,19 +7,21 @@ from pathlib import Path
 
 from taccel_lab.calibration.capture.camera.camera import Camera
 from taccel_lab.calibration.capture.camera.devices import find_device
-from taccel_lab.calibration.capture.camera.replay import Replay, open_replay
+from taccel_lab.calibration.capture.camera.replay import CameraReplay, open_replay
 from taccel_lab.calibration.capture.camera.uvc import UvcCamera
+from taccel_lab.files.hdf5_images import is_hdf5
+from taccel_lab.files.lerobot_images import is_lerobot
 
 
 def open_camera(
-    wanted: str, size_px: tuple[int, int] | None = None, replay: Replay | None = None
+    wanted: str, size_px: tuple[int, int] | None = None, replay: CameraReplay | None = None
 ) -> Camera:
     """The camera that ``wanted`` names.
 
     Args:
-        wanted: Id or serial number (``find_device``), or the path of a video, of a folder of images
-            or of a capture folder.
-        size_px: Width and height that a device is asked for.
+        wanted: Id or serial number (``find_device``), or the path of a recording or of a capture
+            folder. The path of a data set may go on with the name of its camera.
+        size_px: Width and height that a device is asked to give.
         replay: How stills are shown.
 
     Raises:
@@ -27,6 +29,10 @@ def open_camera(
         CameraLostError: It does not open.
     """
     path = Path(wanted)
-    if path.is_dir() or (path.is_file() and not wanted.startswith("/dev/")):
-        return open_replay(path, replay)
+    if not wanted.startswith("/dev/"):
+        if path.exists():
+            return open_replay(path, replay)
+        for folder in path.parents:
+            if is_hdf5(folder) or is_lerobot(folder):
+                return open_replay(folder, replay, path.relative_to(folder).as_posix())
     return UvcCamera(find_device(wanted), size_px)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A virtual camera: images, a video or a capture folder, as a camera would show them.
+"""A virtual camera: a recording or a capture folder, as a camera would show it.
 
 A capture folder is replayed as a person records it: the untouched gel, then each press comes,
 stays and goes. In between the picture is a blend of both, which no press looks like: what is
@@ -8,7 +8,6 @@ taken meanwhile was taken too early.
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,19 +21,15 @@ from taccel_lab.calibration.capture.camera.camera import (
     ControlValues,
     Shot,
 )
-from taccel_lab.calibration.capture.captures import Press
+from taccel_lab.calibration.capture.camera.recording import Frame, Recording
+from taccel_lab.calibration.capture.captures import CapturedPress
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.errors import InputError
-from taccel_lab.files.images import read_image
-from taccel_lab.files.videos import read_frames
-
-IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
-VIDEOS = (".avi", ".mp4", ".mov", ".mkv", ".webm")
 
 
 @dataclass(frozen=True)
-class Replay:
+class CameraReplay:
     """How stills become a stream."""
 
     fps: float = 25.0
@@ -53,7 +48,9 @@ class Replay:
 class ReplayCamera:
     """Frames from files; the same every time."""
 
-    def __init__(self, path: Path, frames: Callable[[], Iterator[np.ndarray]], how: Replay) -> None:
+    def __init__(
+        self, path: Path, frames: Callable[[], Iterator[np.ndarray]], how: CameraReplay
+    ) -> None:
         self.info = CameraInfo(str(path), f"replay of {path.name}", replayed=True)
         self._frames, self._how = frames(), how
         self._rng = np.random.default_rng(0)
@@ -86,20 +83,15 @@ class ReplayCamera:
         self._frames = iter(())
 
 
-def open_replay(path: Path, how: Replay | None = None) -> ReplayCamera:
-    """A camera that replays a video, a capture folder, or the images of a folder in order.
+def open_replay(
+    path: Path, how: CameraReplay | None = None, camera: str | None = None
+) -> ReplayCamera:
+    """A camera that replays a capture folder, or a recording (``camera``: which one of it).
 
     Raises:
         InputError: Nothing in ``path`` can be shown.
     """
-    how = how or Replay()
-    if path.is_file():
-        if path.suffix.lower() not in VIDEOS:
-            raise InputError(
-                f"--camera is {path}; a video ({', '.join(VIDEOS)}), a folder of images or a "
-                "capture folder can be replayed"
-            )
-        return ReplayCamera(path, lambda: read_frames(path), how)
+    how = how or CameraReplay()
     if (path / MANIFEST_NAME).is_file():
         folder = load_capture_folder(path)
         rest, presses = folder.background, folder.presses
@@ -108,13 +100,20 @@ def open_replay(path: Path, how: Replay | None = None) -> ReplayCamera:
                 f"{path}: a capture folder is replayed from its background and its presses"
             )
         return ReplayCamera(path, lambda: pressing(rest.image(), presses, how), how)
-    images = sorted((p for p in path.iterdir() if p.suffix.lower() in IMAGES), key=natural_order)
-    if not images:
-        raise InputError(f"{path} holds no images to replay")
-    return ReplayCamera(path, lambda: (read_image(image) for image in images), how)
+    recording = Recording.of(path, camera)
+    return ReplayCamera(path, lambda: map(_levels, recording.frames()), how)
 
 
-def pressing(rest: np.ndarray, presses: Sequence[Press], how: Replay) -> Iterator[np.ndarray]:
+def _levels(frame: Frame) -> np.ndarray:
+    """What a camera would have shown; a frame that cannot be read ends the replay."""
+    if isinstance(frame[1], InputError):
+        raise frame[1]
+    return frame[1]
+
+
+def pressing(
+    rest: np.ndarray, presses: Sequence[CapturedPress], how: CameraReplay
+) -> Iterator[np.ndarray]:
     """Frames of a session in which ``presses`` are made again on a gel that looks like ``rest``."""
     for _ in range(round(how.rest_s * how.fps)):
         yield rest
@@ -133,9 +132,3 @@ def pressing(rest: np.ndarray, presses: Sequence[Press], how: Replay) -> Iterato
 def _blend(one: np.ndarray, other: np.ndarray, share: float) -> np.ndarray:
     mixed = (1 - share) * one.astype(np.float32) + share * other
     return np.rint(mixed).astype(np.uint8)
-
-
-def natural_order(path: Path) -> list[tuple[int, str]]:
-    """frame_2 before frame_10."""
-    parts = re.split(r"(\d+)", path.name)
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]

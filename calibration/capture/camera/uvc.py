@@ -28,7 +28,7 @@ MANUAL_EXPOSURE = 1.0 if sys.platform == "linux" else 0.25
 OLDEST_S = 5.0
 """A time stamp of the driver that is farther back is of another clock."""
 NEAR = 0.02
-"""Part of a value within which it counts as held: drivers round to steps of their own."""
+"""Part of a value within which it counts as held: drivers round to their own steps."""
 
 
 def _open_capture(node: str | int) -> Any:
@@ -50,7 +50,7 @@ class UvcCamera:
 
         Args:
             device: From ``find_device``.
-            size_px: Width and height that the camera is asked for; its own choice when None.
+            size_px: Width and height that the camera is asked to give; its own choice when None.
             open_capture: Makes a ``cv2.VideoCapture`` of a node.
 
         Raises:
@@ -100,10 +100,10 @@ class UvcCamera:
             self._capture.set(*automatic)
             mode = self._capture.get(automatic[0])
             if mode != automatic[1]:
-                told = (
+                text = (
                     "the camera does not say" if mode < 0 else f"the camera stays at mode {mode:g}"
                 )
-                return ControlLock(name, False, f"cannot be locked: {told}")
+                return ControlLock(name, False, f"cannot be locked: {text}")
         value = self._capture.get(key) if wanted is None else wanted
         if wanted is None and value < 0 and automatic is None:
             return ControlLock(name, None, "the camera has no such control")

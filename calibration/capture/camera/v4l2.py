@@ -17,7 +17,7 @@ _ENUM_FORMAT, _ENUM_SIZE = 0xC0405602, 0xC02C564A
 _FORMAT, _SIZE = "=III32sIIIII", "=IIIIIIIIIII"
 _CAPTURE, _DISCRETE = 1, 1
 _MOST = 64
-"""Formats, and sizes of each, that are asked for."""
+"""Formats, and sizes of each, that are requested."""
 
 SizedFormat = tuple[str, int, int]
 """FourCC, width and height [px]."""

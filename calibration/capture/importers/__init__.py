@@ -9,7 +9,7 @@ from pathlib import Path
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.capture.importers import markers, ninedtact, plain, taxim
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
-from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.layout import CaptureLayout
 from taccel_lab.calibration.capture.importers.left_out import capture_folders, files_of
 from taccel_lab.calibration.capture.importers.origin import UNKNOWN, read_origin
 from taccel_lab.calibration.capture.importers.recipe_layout import RECIPES, recipe_layout
@@ -21,7 +21,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import inner_path, real_path
 from taccel_lab.files.output_folder import atomic_directory
 
-LAYOUTS: dict[str, Layout] = {
+LAYOUTS: dict[str, CaptureLayout] = {
     layout.name: layout
     # The most telling first: any folder of images is a plain one.
     for layout in (
@@ -36,10 +36,10 @@ RECIPE_SUFFIX = ".toml"
 __all__ = [
     "AUTO",
     "LAYOUTS",
+    "CaptureLayout",
     "Draft",
     "ImportOptions",
     "Imported",
-    "Layout",
     "detect_layout",
     "import_captures",
     "import_folders",
@@ -48,7 +48,7 @@ __all__ = [
 ]
 
 
-def detect_layout(source: Path | str) -> Layout:
+def detect_layout(source: Path | str) -> CaptureLayout:
     """The layout that ``source`` follows.
 
     Raises:
@@ -64,7 +64,7 @@ def detect_layout(source: Path | str) -> Layout:
     raise InputError(f"{source} follows none of the layouts known: {known}")
 
 
-def named_layout(name: str) -> Layout:
+def named_layout(name: str) -> CaptureLayout:
     """The layout of that name, or that of a recipe's file, ``mine.toml``.
 
     Raises InputError for another name, and for a recipe with a fault.
@@ -81,7 +81,7 @@ def named_layout(name: str) -> Layout:
 
 def read_drafts(
     source: Path | str, layout: str = AUTO, options: ImportOptions | None = None
-) -> tuple[Layout, list[Draft]]:
+) -> tuple[CaptureLayout, list[Draft]]:
     """What ``source`` holds, one draft for each sensor or set, with the options applied.
 
     Raises:
@@ -201,8 +201,8 @@ def import_folders(
             lines = (folder / MANIFEST_NAME).read_text(encoding="utf-8").splitlines()
             notes = tuple(line[2:] for line in lines if line.startswith("# "))
             # Nothing may fail of the folder once it stands: what is said of it is read before.
-            told = captures.contents(), captures.assumed, captures.provenance, notes
-            written.append(Imported(out / draft.part, *told))
+            written_facts = captures.contents(), captures.assumed, captures.provenance, notes
+            written.append(Imported(out / draft.part, *written_facts))
     return written
 
 

@@ -33,7 +33,7 @@ _TUPLE_LINE = re.compile(
     rf"(\S{{1,255}}\.\w{{1,16}}(?=[\s(])|[^\s(]{{1,255}}(?=\s*\())\s*\(?\s*{_NUMBER}\s*,\s*{_NUMBER}[\s,)]+{_NUMBER}\s*"
 )
 """``name.png (204, 98) 31``, as some labelling scripts print it; names without an ending need the
-bracket to be told from numbers."""
+bracket to be distinguished from numbers."""
 NAMES = (
     "images are named by their file name or their path below the folder, with or without the ending"
 )

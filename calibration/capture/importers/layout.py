@@ -14,7 +14,7 @@ FALLBACK_SENSOR = "flat_pad"
 
 
 @dataclass(frozen=True)
-class Layout:
+class CaptureLayout:
     """One way in which people store captures."""
 
     name: str

@@ -10,7 +10,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import images_in
-from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.layout import CaptureLayout
 from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
@@ -93,6 +93,6 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
     return [draft]
 
 
-LAYOUT = Layout(
+LAYOUT = CaptureLayout(
     "markers", "a video, or numbered frames, of a gel with dots", _recognises, _read, False
 )

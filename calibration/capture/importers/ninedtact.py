@@ -15,7 +15,7 @@ from typing import Any
 from taccel_lab.calibration.capture.importers.board_text import board_entry
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import first_existing, images_in
-from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.layout import CaptureLayout
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import real_path
 from taccel_lab.files.plain_values import number_at
@@ -153,6 +153,6 @@ def _unit(
     return draft
 
 
-LAYOUT = Layout(
+LAYOUT = CaptureLayout(
     "9dtact", "9DTact: camera_calibration and depth_calibration of each unit", _recognises, _read
 )

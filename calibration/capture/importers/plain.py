@@ -18,7 +18,7 @@ from taccel_lab.calibration.capture.importers.label_tables import (
     read_label_tables,
     without_path,
 )
-from taccel_lab.calibration.capture.importers.layout import FALLBACK_SENSOR, Layout
+from taccel_lab.calibration.capture.importers.layout import FALLBACK_SENSOR, CaptureLayout
 from taccel_lab.calibration.capture.importers.left_out import capture_folders
 from taccel_lab.calibration.capture.importers.markers import VIDEO_SUFFIXES
 from taccel_lab.calibration.capture.records import kind_of_record
@@ -196,4 +196,4 @@ def _take_videos(path: Path, draft: Draft) -> None:
         draft.assume("markers", "the videos are of dots on the gel, at rest in the background")
 
 
-LAYOUT = Layout("plain", "any folder of images", _recognises, _read, False)
+LAYOUT = CaptureLayout("plain", "any folder of images", _recognises, _read, False)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recipe: how a project stores captures, as data. ``docs/capture_import.md`` explains its keys.
 
-Paths are patterns with named fields (``path_pattern.py``). What a recipe states in numbers is told
-as assumed, with the reason: no file of the source says so.
+Paths are patterns with named fields (``path_pattern.py``). What a recipe states in numbers is
+marked as assumed, with the reason: no file of the source says so.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Radius = Annotated[Number, Field(gt=MIN_RADIUS_MM, le=MAX_RADIUS_MM)]
 Scale = Annotated[Number, Field(gt=0.0, le=1e4)]
 
 
-class Images(StrictModel):
+class ImageRecipe(StrictModel):
     """Files; or rows of a table with the names of images; or an archive beside each image."""
 
     files: Patterns | None = None
@@ -58,17 +58,17 @@ class Images(StrictModel):
     """Names in the capture folder, of fields and the image's ``{stem}``."""
 
     @model_validator(mode="after")
-    def _one_way(self) -> Images:
+    def _one_way(self) -> ImageRecipe:
         if (self.files is None) == (self.table is None):
             raise ValueError("files or a table are needed, not both")
         if (self.table is None) != (self.image is None):
             raise ValueError("a table and image, its column with their names, go together")
         if self.table is not None and self.arrays is not None:
-            raise ValueError("arrays go with files; there is a table")
+            raise ValueError("arrays belong to files; there is a table")
         return self
 
 
-class Presses(Images):
+class Presses(ImageRecipe):
     """Presses of a ball, and where what is known of each stands."""
 
     circle: Words | None = None
@@ -76,12 +76,14 @@ class Presses(Images):
     depth_mm: Words | None = None
     """Travel past first touch: the first of these words that there is."""
     force_n: Words | None = None
+    stage_mm: Words | None = None
+    """Where a stage pressed, two numbers in all, in its own axes."""
     radius_mm: Words | None = None
     """The ball's, press by press."""
     diameter_mm: Words | None = None
 
 
-class Edges(Images):
+class Edges(ImageRecipe):
     """Presses of a straight edge."""
 
     length_mm: Number
@@ -111,7 +113,7 @@ class Record(StrictModel):
     """Dotted keys of the settings, by the column that each becomes."""
 
 
-class Markers(StrictModel):
+class MarkerRecipe(StrictModel):
     """Frames of dots on the gel."""
 
     frames: Patterns
@@ -155,7 +157,7 @@ class Set(StrictModel):
     edges: Edges | None = None
     boards: Boards | None = None
     record: Record | None = None
-    markers: Markers | None = None
+    markers: MarkerRecipe | None = None
     channels: Literal["rgb", "bgr"] = "rgb"
     """``bgr``: red and blue of the image files stand in each other's place."""
     crop: Text | None = None

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from taccel_lab.calibration.capture.importers.draft import is_picture
 from taccel_lab.calibration.capture.importers.path_pattern import Match, filled, find
-from taccel_lab.calibration.capture.importers.recipe import Images
+from taccel_lab.calibration.capture.importers.recipe import ImageRecipe
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import finite_numbers, read_npz
 from taccel_lab.files.cell_number import number
@@ -18,7 +18,7 @@ from taccel_lab.files.table_file import read_table
 
 
 @dataclass(frozen=True)
-class Place:
+class ImagePlace:
     """A folder in which patterns begin, and the fields that are known there."""
 
     folder: Path
@@ -88,7 +88,7 @@ class Found:
         return dict(zip(keys, numbers, strict=True))
 
 
-def any_images(place: Place, images: Images, words: Sequence[str] | None) -> bool:
+def any_images(place: ImagePlace, images: ImageRecipe, words: Sequence[str] | None) -> bool:
     """Whether there is something to look at: an archive, with arrays of these words, or a file."""
     if images.table is not None:
         return _folder(place, images).is_dir() and bool(place.files(images.table))
@@ -98,12 +98,12 @@ def any_images(place: Place, images: Images, words: Sequence[str] | None) -> boo
     return bool(archives) and set(words or ()) <= read_npz(archives[0]).keys()
 
 
-def _folder(place: Place, images: Images) -> Path:
+def _folder(place: ImagePlace, images: ImageRecipe) -> Path:
     """Where a table's images lie."""
     return inner_path(place.folder, filled(images.folder, place.fields))
 
 
-def images_of(place: Place, images: Images) -> Iterator[Found]:
+def images_of(place: ImagePlace, images: ImageRecipe) -> Iterator[Found]:
     """All of them, in natural order or that of the table.
 
     Raises InputError for an image that a table names, or that belongs to an archive, and that is
@@ -135,7 +135,7 @@ def _by_name(match: Match) -> Callable[[str], list[float] | None]:
     return numbers
 
 
-def _of_archive(place: Place, images: Images, match: Match) -> Found:
+def _of_archive(place: ImagePlace, images: ImageRecipe, match: Match) -> Found:
     wanted = [place.folder / filled(pattern, match.fields) for pattern in images.files or ()]
     image = next((path for path in wanted if path.is_file()), None)
     if image is None:
@@ -152,7 +152,7 @@ def _of_archive(place: Place, images: Images, match: Match) -> Found:
     return Found(image, named(images.name, match.fields, image), numbers, path, whole=True)
 
 
-def _of_table(place: Place, images: Images) -> Iterator[Found]:
+def _of_table(place: ImagePlace, images: ImageRecipe) -> Iterator[Found]:
     path = place.files(images.table)[0]
     table = read_table(path)
     column = table.require_column((images.image or "").lower())

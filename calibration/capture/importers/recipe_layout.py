@@ -14,19 +14,19 @@ from taccel_lab.calibration.capture.importers.crop import change_pictures
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import images_in
 from taccel_lab.calibration.capture.importers.label_tables import LabelTables, read_label_tables
-from taccel_lab.calibration.capture.importers.layout import FALLBACK_SENSOR, Layout
+from taccel_lab.calibration.capture.importers.layout import FALLBACK_SENSOR, CaptureLayout
 from taccel_lab.calibration.capture.importers.left_out import capture_folders
 from taccel_lab.calibration.capture.importers.path_pattern import filled, find
 from taccel_lab.calibration.capture.importers.recipe import ANY_FOLDER, Recipe, Set
 from taccel_lab.calibration.capture.importers.recipe_images import (
     Found,
-    Place,
+    ImagePlace,
     any_images,
     images_of,
     named,
 )
 from taccel_lab.calibration.capture.importers.recipe_values import (
-    Settings,
+    RecipeSettings,
     renamed_table,
     set_values,
 )
@@ -42,7 +42,7 @@ _CIRCLE = ("u_px", "v_px", "radius_px")
 _LINE = ("u_px", "v_px", "length_px", "angle_deg")
 
 
-def recipe_layout(path: Path) -> Layout:
+def recipe_layout(path: Path) -> CaptureLayout:
     """The layout of a recipe's file; InputError names the file and each wrong key."""
     recipe = Recipe.read(path)
 
@@ -52,13 +52,13 @@ def recipe_layout(path: Path) -> Layout:
                 raise InputError(f"{path}: no sensor {name!r}; taccel-lab sensors list has those")
         return _read(recipe, path.stem, source, options)
 
-    return Layout(
+    return CaptureLayout(
         path.stem, recipe.title, lambda source: bool(_places(recipe, source)), read, False
     )
 
 
 @dataclass(frozen=True)
-class _SetAt(Place):
+class _SetAt(ImagePlace):
     """A set of the recipe, looked for in a folder."""
 
     of: Set
@@ -156,7 +156,7 @@ def _fill(
         draft.manifest["unit"] = filled(of.unit, place.fields)
     _take_boards(draft, place, options, why)
     background = _take_background(draft, place, options)
-    settings = Settings(place, of, draft)
+    settings = RecipeSettings(place, of, draft)
     radius = set_values(draft, place, of, settings, options, why)
     draft.notes += of.notes
     _take_presses(draft, place, [p for p in presses if p.image != background], circles)
@@ -229,17 +229,19 @@ def _take_presses(
         return
     for press in presses:
         diameter = press.first(of.diameter_mm)
+        stage = press.together(of.stage_mm, ("x", "y"))
         draft.add_press(
             press.image,
             press.name,
             contact=press.together(of.circle, _CIRCLE) or circles.get(press.image),
             depth_mm=press.first(of.depth_mm),
             force_n=press.first(of.force_n),
+            stage_mm=None if stage is None else list(stage.values()),
             radius_mm=press.first(of.radius_mm) if diameter is None else diameter / 2,
         )
         if press.said_by != press.image:
             draft.used.add(press.said_by)
-    for key in ("circle", "depth_mm", "force_n", "radius_mm", "diameter_mm"):
+    for key in ("circle", "depth_mm", "force_n", "stage_mm", "radius_mm", "diameter_mm"):
         words = getattr(of, key)
         if words and presses and not any(p.numbers(w) for p in presses for w in words):
             draft.notes.append(f"no press has its {key}: nothing is called {' or '.join(words)}")
@@ -300,7 +302,7 @@ def _take_markers(draft: Draft, place: _SetAt, why: str) -> None:
         # The table has the dots of the first frame: places without load, and the way from there.
         markers["labels_image"] = draft.add_image(frames[0], "labelled")
         stem = {**place.fields, "stem": frames[0].stem}
-        for table in Place(place.folder, stem).files([of.labels])[:1]:
+        for table in ImagePlace(place.folder, stem).files([of.labels])[:1]:
             draft.files["marker_labels.csv"] = renamed_table(table, of.columns)
             markers["labels"] = "marker_labels.csv"
             draft.used.add(table)
@@ -320,7 +322,9 @@ def _take_markers(draft: Draft, place: _SetAt, why: str) -> None:
         )
 
 
-def _take_record(draft: Draft, place: _SetAt, settings: Settings, radius: float | None) -> None:
+def _take_record(
+    draft: Draft, place: _SetAt, settings: RecipeSettings, radius: float | None
+) -> None:
     of = place.of.record
     if of is None:
         return

@@ -12,7 +12,7 @@ import numpy as np
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.path_pattern import regex_of
 from taccel_lab.calibration.capture.importers.recipe import Set, Setting
-from taccel_lab.calibration.capture.importers.recipe_images import Place
+from taccel_lab.calibration.capture.importers.recipe_images import ImagePlace
 from taccel_lab.calibration.capture.schema import MAX_MM_PER_PX, MIN_MM_PER_PX
 from taccel_lab.errors import InputError
 from taccel_lab.files.arrays import finite_numbers, read_npy
@@ -27,10 +27,10 @@ _SHOWN_TEXT = 500
 """Characters of a text in which a number is looked for."""
 
 
-class Settings:
-    """The set's file of numbers, read when the first of them is asked for."""
+class RecipeSettings:
+    """The set's file of numbers, read when the first of them is needed."""
 
-    def __init__(self, place: Place, of: Set, draft: Draft) -> None:
+    def __init__(self, place: ImagePlace, of: Set, draft: Draft) -> None:
         self._draft = draft
         self.path = next(iter(place.files(of.settings)), None)
         self.name = (of.settings or [""])[0]
@@ -92,7 +92,12 @@ def _at(values: Any, key: str) -> Any:
 
 
 def set_values(
-    draft: Draft, place: Place, of: Set, settings: Settings, options: ImportOptions, why: str
+    draft: Draft,
+    place: ImagePlace,
+    of: Set,
+    settings: RecipeSettings,
+    options: ImportOptions,
+    why: str,
 ) -> float | None:
     """State scale and ball where options do not; returns the ball's radius [mm], if it is known.
 

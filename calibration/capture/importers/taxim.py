@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
-from taccel_lab.calibration.capture.importers.layout import Layout
+from taccel_lab.calibration.capture.importers.layout import CaptureLayout
 from taccel_lab.calibration.capture.importers.origin import UNKNOWN
 from taccel_lab.calibration.capture.taxim_pack import (
     PACK_NAME,
@@ -50,4 +50,4 @@ def _read(path: Path, options: ImportOptions) -> list[Draft]:
     return [draft]
 
 
-LAYOUT = Layout("taxim", "Taxim: dataPack.npz and params.json", _recognises, _read)
+LAYOUT = CaptureLayout("taxim", "Taxim: dataPack.npz and params.json", _recognises, _read)

@@ -395,7 +395,7 @@ def node_plane_kernel(
     surface: ContactSurface,
     lists: CollisionLists,
 ):
-    """Nodes near planes; a plane has no nodes of its own, so the whole area of the node counts."""
+    """Nodes near planes; a plane has no nodes, so the whole area of the node counts."""
     env, i = wp.tid()
     if active[env] == 0:
         return

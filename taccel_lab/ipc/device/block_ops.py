@@ -6,7 +6,7 @@ block waits for little else. These cost one each. A team is what works on one en
 block, or several that wait for each other at a counter in memory.
 
 Blocks that wait for each other must all be resident on the GPU, and nobody else can know that they
-are: another solver, in a stream of its own, may hold the multiprocessors that the last ones need.
+are: another solver, in its own stream, may hold the multiprocessors that the last ones need.
 So a team is made by the blocks themselves: those that run join it, until all are there or a short
 time is over, and the work is shared among them. Blocks that come too late find the team closed, and
 end. This needs neither cooperative launches nor clusters of blocks, and no particular chip.

@@ -8,7 +8,7 @@ looked at by the host in between.
 
 The entries of an environment follow those of the one before it. An environment that needs more room
 gets it alone: the memory of a list is the sum of what each environment has needed, not the largest
-need times their number. The memory left on the device is asked for first: where it does not
+need times their number. The memory left on the device is queried first: where it does not
 suffice, that environment is given up, and the others go on.
 """
 
@@ -276,7 +276,7 @@ class GrowingList:
         if (rooms > self.rooms).any():
             self._allocate(rooms)
         refused = peaks > rooms
-        # Who was refused has to ask again.
+        # Who was rejected has to ask again.
         self.peaks.assign(np.minimum(peaks, rooms).astype(np.int32))
         return refused
 

@@ -19,8 +19,7 @@ near one.
 
 The squared distance of two segments is a convex quadratic of the two segment parameters on the unit
 square: its minimum is the interior stationary point or lies on the boundary, which is four point-
-segment queries. Parallel segments have a minimum on the boundary, so they need no case of their
-own.
+segment queries. Parallel segments have a minimum on the boundary, so they need no case.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What keeps a curved tet from turning inside out: bounds of J, a guard at corners.
+"""What keeps a curved tet from turning inside out: bounds of J, and a guard on them.
 
 Does a curved tet turn inside out anywhere? Bounds of the volume ratio J over a ten-node tet.
 
@@ -7,30 +7,32 @@ Its deformation gradient is linear, F = sum_c l_c F_c in barycentric coordinates
 F_c, so that J = det F is a homogeneous cubic polynomial. In Bernstein form J = sum B_a(l) b_a its
 coefficients are (polarisation of the determinant)
 
-    b_iii = det F_i,   b_iij = cof(F_i) : F_j / 3,   b_ijk = cof(F_i, F_j) : F_k / 6
+    b_ijk = cof(F_i, F_j) : F_k / 6,   cof(A, B) = cof(A + B) - cof A - cof B
 
-with cof(A, B) = cof(A + B) - cof A - cof B. The smallest coefficient bounds J from below, as the
-B_a are positive and sum to one [Farouki 2012, The Bernstein polynomial basis]; J itself at any
-corner bounds it from above. Between the two the tet is bisected [Maubach 1995], which only takes
-means of corner values, until every part has a positive bound or some corner has J <= 0; for the
-smallest J itself, until no part can have a smaller one than was found. The gap of the bounds falls
-with the square of the size of a part [Johnen, Remacle and Geuzaine 2013, Geometrical validity of
-curvilinear finite elements].
+with b_iii = det F_i and b_iij = cof(F_i) : F_j / 3. The smallest coefficient bounds J from below,
+as the B_a are positive and sum to one [Farouki 2012, The Bernstein polynomial basis]; J itself at
+any corner bounds it from above.
 
-What keeps a corner of a quadratic tet from turning inside out.
+The guard of an energy that does not bear inversion is a barrier in the coefficients [Toulorge et
+al. 2013, Robust untangling of curvilinear meshes],
 
-    g(J) = -(1 - y)^2 ln y,  y = J / J0, for J < J0 = 0.2, else 0
+    mu V / 20 sum_a g(b_a),   g(b) = -(1 - y)^2 ln y,  y = b / J0, for b < J0 = 0.1, else 0,
 
-the barrier of [Li et al. 2020, eq. 6] in the volume ratio J instead of a distance: twice
-differentiable at J0, infinite at J = 0.
+that of [Li et al. 2020, eq. 6] in place of a distance: twice differentiable at J0, infinite at
+b = 0. Finite energies thus have J > 0 everywhere. A tet with straight edges has b_a = J.
+
+Energies that bear inversion have no guard. Between the two bounds a tet is bisected [Maubach 1995],
+which only takes means of corner values, until every part has a positive bound or some corner has
+J <= 0; for the smallest J itself, until no part can have a smaller one than was found. The gap of
+the bounds falls with the square of the size of a part [Johnen, Remacle and Geuzaine 2013,
+Geometrical validity of curvilinear finite elements].
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.device.matrices import signed_svd_3x3
-from taccel_lab.ipc.elasticity.principal import PrincipalHessian, cofactor, hessian_of_slopes
+from taccel_lab.ipc.elasticity.principal import cofactor
 
 wp.set_module_options({"enable_backward": False})
 
@@ -59,6 +61,32 @@ def mixed_cofactor(a: wp.mat33d, b: wp.mat33d) -> wp.mat33d:
         wp.cross(a2, b0) + wp.cross(b2, a0),
         wp.cross(a0, b1) + wp.cross(b0, a1),
     )
+
+
+COEFFICIENTS = wp.constant(20)
+"""Coefficients of a cubic polynomial on a tet."""
+
+
+@wp.func
+def coefficient_corners(q: int) -> wp.vec3i:
+    """Corners i <= j <= k whose values coefficient q of twenty is made of."""
+    i = int(0)
+    rest = int(q)
+    # Pairs j <= k of corners from i on: (4 - i) (5 - i) / 2.
+    while rest >= (4 - i) * (5 - i) / 2:
+        rest -= (4 - i) * (5 - i) / 2
+        i += 1
+    j = int(i)
+    while rest >= 4 - j:
+        rest -= 4 - j
+        j += 1
+    return wp.vec3i(i, j, j + rest)
+
+
+@wp.func
+def coefficient(a: wp.mat33d, b: wp.mat33d, c: wp.mat33d) -> wp.float64:
+    """b_ijk of corner values i, j and k, equal ones included."""
+    return wp.ddot(mixed_cofactor(a, b), c) / wp.float64(6.0)
 
 
 @wp.func
@@ -194,12 +222,12 @@ def smallest_ratio(
     return lowest_found(f0, f1, f2, f3, known, wp.float64(-wp.inf), RATIO_SLACK)
 
 
-GUARDED_RATIO = wp.constant(wp.float64(0.2))
-"""J0: a corner of a gel under a sharp edge gets there, one under a finger tip does not."""
+GUARDED_RATIO = wp.constant(wp.float64(0.1))
+"""J0: a gel under a sharp edge gets there, one under a finger tip does not."""
 
 
 @wp.func
-def corner_guard(j: wp.float64) -> wp.vec3d:
+def ratio_barrier(j: wp.float64) -> wp.vec3d:
     """g and its first two derivatives; +inf where J <= 0."""
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -216,15 +244,3 @@ def corner_guard(j: wp.float64) -> wp.vec3d:
         (two * rest * log_y - rest * rest / y) / GUARDED_RATIO,
         (rest * (two + two + rest / y) / y - two * log_y) / (GUARDED_RATIO * GUARDED_RATIO),
     )
-
-
-@wp.func
-def volume_hessian(
-    f: wp.mat33d, slope: wp.float64, curvature: wp.float64, mode: int
-) -> PrincipalHessian:
-    """Hessian of a function of J with these derivatives; negative eigenvalues treated as ``mode``
-    says (PSD_*)."""
-    u, s, v = signed_svd_3x3(f)
-    zero = wp.float64(0.0)
-    slopes = wp.vec3d(zero, zero, slope)
-    return hessian_of_slopes(u, s, v, slopes, wp.vec3d(zero, zero, curvature), mode)

@@ -82,7 +82,7 @@ class LinearSystem(LinearProblem):
 
 
 _LONG = 2**31 - 1
-"""Clock cycles, about a second, for which all of a team are waited for where bits count: fewer
+"""Clock cycles, about a second, for which a team waits for all its members where bits count: fewer
 thread blocks add up in another order."""
 METHODS: dict[str, Callable[[LinearSystem], Solver]] = {
     "ssor": SsorCG,

@@ -15,6 +15,23 @@ from taccel_lab.model.embedding import Embedded, embedded, embedded_count, embed
 wp.set_module_options({"enable_backward": False})
 
 
+@wp.func
+def nodal_sum(
+    env: int,
+    node: int,
+    a: wp.array2d(dtype=wp.vec3d),
+    b: wp.array2d(dtype=wp.vec3d),
+    c: wp.array2d(dtype=wp.vec3d),
+) -> wp.vec3d:
+    """Sum of nodal vectors, of which the second and third may be missing."""
+    total = a[env, node]
+    if b:
+        total += b[env, node]
+    if c:
+        total += c[env, node]
+    return total
+
+
 @wp.kernel
 def _pull_back_kernel(
     mask: wp.array(dtype=wp.int32),
@@ -34,20 +51,22 @@ def _pull_back_kernel(
     total = wp.vec3d()
     for place in range(lane, embedded_count(body, e), wp.block_dim()):
         node = embedded_node(body, place, e)
-        all_three = gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node]
-        total += e.weights[node][i % 4] * all_three
+        force = nodal_sum(env, node, gradient_a, gradient_b, gradient_c)
+        total += e.weights[node][i % 4] * force
     x = block_total(total[0])
     y = block_total(total[1])
     z = block_total(total[2])
     if lane == 0:
         node = first_control + i
-        own = gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node]
+        own = nodal_sum(env, node, gradient_a, gradient_b, gradient_c)
         reduced[env, free_index[node]] = own + wp.vec3d(x, y, z)
 
 
-def pull_back(model: Model, mask: wp.array, gradients: list[wp.array], reduced: wp.array) -> None:
-    """Rows of the control nodes of ``reduced`` [N]: the sum of three nodal gradients of their own,
-    and of what acts on what the bodies carry, with its weights."""
+def pull_back(
+    model: Model, mask: wp.array, gradients: list[wp.array | None], reduced: wp.array
+) -> None:
+    """Rows of the control nodes of ``reduced`` [N]: the sum of three gradients, of which two may be
+    None, at these nodes, and of what acts on what the bodies carry, with its weights."""
     affine = model.affine
     if affine.count == 0:
         return

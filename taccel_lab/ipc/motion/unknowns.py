@@ -11,7 +11,7 @@ from taccel_lab.ipc.device.launches import launch, side_by_side
 from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_total
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.linear.system import LinearSystem
-from taccel_lab.ipc.motion.pull_back import pull_back
+from taccel_lab.ipc.motion.pull_back import nodal_sum, pull_back
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import listed_node, vertex_range
 
@@ -30,8 +30,7 @@ def _reduce_kernel(
     env, row = wp.tid()
     if active[env] == 0:
         return
-    node = free_nodes[row]
-    reduced[env, row] = gradient_a[env, node] + gradient_b[env, node] + gradient_c[env, node]
+    reduced[env, row] = nodal_sum(env, free_nodes[row], gradient_a, gradient_b, gradient_c)
 
 
 @wp.kernel
@@ -195,13 +194,14 @@ def newton_systems(
 
 
 def reduce_gradient(
-    model: Model, active: wp.array, gradients: list[wp.array], reduced: wp.array
+    model: Model, active: wp.array, gradients: list[wp.array | None], reduced: wp.array
 ) -> None:
-    """Sum of three nodal gradients by the unknowns [N], shape [env_count, free_count].
+    """Sum of up to three nodal gradients by the unknowns [N], shape [env_count, free_count].
 
     What acts on a node that an affine body carries along counts with its weights on the control
     nodes.
     """
+    gradients = gradients + [None] * (3 - len(gradients))
     soft_rows = model.free_count - 4 * model.affine.count
 
     def of_soft_bodies() -> None:

@@ -340,7 +340,7 @@ def _slopes_kernel(
 
 
 @dataclass(frozen=True)
-class ContactSlopes:
+class ContactDerivatives:
     """Collisions of one environment; forces are gradients, what acts on a node is the negative."""
 
     nodes: np.ndarray
@@ -358,18 +358,18 @@ class ContactSlopes:
     columns: np.ndarray
     """Their changes, shape [collision, 33, 4, 3]: see ``NOW`` to ``RANGE``."""
     kinks: np.ndarray
-    """Whether friction has one slope on each side: the step began with a node right over the border
-    of the face that it touches where it ends, bool, shape [collision]."""
+    """Whether friction has one derivative on each side: the step began with a node right over the
+    border of the face that it touches where it ends, bool, shape [collision]."""
 
 
-def contact_slopes(
+def contact_derivatives(
     model: Model,
     collisions: Collisions,
     motion: StepMotion,
     eps_u_m: wp.array | None,
     env: int,
     by_all: bool = True,
-) -> ContactSlopes:
+) -> ContactDerivatives:
     """Slopes of the forces of one environment's ``collisions``, which are those at the end of
     ``motion``. ``eps_u_m``: as ``FrictionPotential`` has it, None without friction. ``by_all``:
     all columns; otherwise none, for the forces alone."""
@@ -392,7 +392,7 @@ def contact_slopes(
             device=model.device,
         )
     nodes = found["stencils"].reshape(-1, 4)
-    return ContactSlopes(
+    return ContactDerivatives(
         nodes=nodes,
         kinds=found["kinds"],
         stiffnesses=found["stiffnesses"],

@@ -148,9 +148,9 @@ def _lag_kernel(
 
 
 @wp.func
-def sliding(env: int, at: int, frozen: FrozenContacts, motion: StepMotion) -> wp.vec3d:
-    """Tangential displacement of the two closest points against each other since they touched, in
-    this step [m]."""
+def relative_motion(env: int, at: int, frozen: FrozenContacts, motion: StepMotion) -> wp.vec3d:
+    """Displacement of the two closest points against each other since they touched, in this step
+    [m], of which the tangential part is sliding."""
     nodes = frozen.stencils[at]
     normal = frozen.normals[at]
     now = motion.positions
@@ -172,7 +172,13 @@ def sliding(env: int, at: int, frozen: FrozenContacts, motion: StepMotion) -> wp
         )
         arm = -radius * normal
         u += arm - wp.quat_rotate_inv(turn, arm)
-    return tangential(normal, u)
+    return u
+
+
+@wp.func
+def sliding(env: int, at: int, frozen: FrozenContacts, motion: StepMotion) -> wp.vec3d:
+    """Tangential part of ``relative_motion`` [m]."""
+    return tangential(frozen.normals[at], relative_motion(env, at, frozen, motion))
 
 
 @wp.kernel
@@ -289,7 +295,8 @@ class FrictionPotential(EnergyTerm):
         ``in_any_order``: see ``ContactPotential``."""
         self.model = model
         shape = (model.env_count, model.node_count)
-        self._sums = ReproducibleSums(shape, model.device, in_any_order)
+        self.sums = ReproducibleSums(shape, model.device, in_any_order)
+        """How forces are added."""
         self.collisions = collisions
         self._static_range_m = static_range_m
         self.eps_u_m = wp.full(
@@ -369,7 +376,7 @@ class FrictionPotential(EnergyTerm):
 
     def add_gradient(self, active: wp.array, motion: StepMotion, gradient: wp.array) -> None:
         """Add d energy / dx [N] of all nodes."""
-        for stage in self._sums.stages():
+        for stage in self.sums.stages():
             inputs = [self.frozen, motion, self.eps_u_m, gradient, stage]
             self._launch(_friction_gradient_kernel, active, inputs)
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from taccel_lab.benchmarks.stress.balance import Snapshot
-from taccel_lab.benchmarks.stress.case import Case
+from taccel_lab.benchmarks.stress.case import StressCase
 from taccel_lab.benchmarks.stress.crossings import pierces
-from taccel_lab.benchmarks.stress.referees import Finding, Referees, Taken, take
+from taccel_lab.benchmarks.stress.referees import Referees, StressFinding, Taken, take
 from taccel_lab.benchmarks.stress.shapes import pose
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.outputs import Outputs
@@ -27,7 +27,7 @@ from taccel_lab.scene import (
     box_mesh,
 )
 from taccel_lab.solvers import SolverConfig, SolverIPC
-from taccel_lab.solvers.report import EnvStatus
+from taccel_lab.solvers.step_report import EnvStatus
 from taccel_lab.state import State, initial_state
 
 DHAT = 5e-5
@@ -49,7 +49,7 @@ class Step:
         body = KinematicBody(tool, friction_coefficient=friction)  # type: ignore[arg-type]
         time = TimeStepping(quasi_static=False, dt_s=1e-2)
         config = SolverConfig(dhat_m=DHAT)
-        self.case = Case(
+        self.case = StressCase(
             Scene(gel, body, time=time), config, 1, pose((0, 0, 6e-4))[None, None], closed=True
         )
         self.case = replace(self.case, expect=expect)
@@ -70,7 +70,7 @@ class Step:
     def judged(self) -> set[str]:
         return {finding.referee for finding in self.findings()}
 
-    def findings(self) -> list[Finding]:
+    def findings(self) -> list[StressFinding]:
         return self.referees.judge(self.taken, self.state, 1)
 
     def move(self, change: Callable[[np.ndarray], None]) -> None:

@@ -22,6 +22,7 @@ from taccel_lab.calibration.camera.plane_fit import correct_plane, fit_planes
 from taccel_lab.calibration.camera.plane_models import BentHomography, CameraPose
 from taccel_lab.calibration.camera.rectification import RectificationMaps, gel_maps
 from taccel_lab.calibration.camera.robust import huber_weights
+from taccel_lab.calibration.dots.marker_picture import find_markers
 from taccel_lab.camera.refraction import FlatMedia
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
@@ -204,8 +205,9 @@ def test_scale_of_pressed_boards_of_9dtact(unit: int, removed: int) -> None:
     row, column, stored = np.load(folder / "position_scale.npy")
     image, reference = read_image(folder / "sample.png"), read_image(folder / "ref.png")
     if removed:
-        whole = detect_dots(image, 9, 7, reference=reference)
-        for u, v in whole.uv_px[np.random.default_rng(unit).permutation(63)[:removed]]:
+        change = np.asarray(image, dtype=np.float32) - reference
+        dents = find_markers(128 + change.mean(axis=2)).dots.uv_px
+        for u, v in np.random.default_rng(unit).permutation(dents)[:removed]:
             at = (slice(max(int(v) - 26, 0), int(v) + 27), slice(max(int(u) - 26, 0), int(u) + 27))
             image[at] = reference[at]
     view = detect_dots(image, 9, 7, reference=reference)
@@ -275,6 +277,28 @@ def test_the_held_out_error_is_that_of_another_picture_of_the_board(
     assert len(stated) >= 1
     # Points of the picture that is fitted are nearer to it than those of another one.
     assert 0.97 < np.sqrt(np.mean(stated) / np.mean(found)) < 1.15
+
+
+@pytest.mark.parametrize("terms", [(0, False), (1, False), (2, True), "k1", "fisheye", "media"])
+def test_slopes_of_a_plane_model_are_those_of_its_projection(terms: tuple[int, bool] | str) -> None:
+    if isinstance(terms, str):
+        name, media = ("k1", MEDIA) if terms == "media" else (terms, None)
+        lens = TRUTHS[name]
+        model = CameraPose(LENSES[name], lens, np.eye(len(lens)), SIZE, media)
+        theta = np.r_[0.1, -0.2, 0.05, 0.3, -0.2, 25.0, lens]
+    else:
+        model = BentHomography(SIZE, 20.0, *terms)
+        theta = np.r_[0.8, 0.1, 0.02, -0.1, 0.75, -0.03, 0.05, -0.04, -0.1, 0.03, 0.05, -0.02]
+        theta = theta[: model.count] if terms[0] < 2 else theta
+    xy = np.random.default_rng(0).uniform(-9, 9, (20, 2))
+    by_theta, by_xy = model.slopes(theta, xy)
+    steps = 1e-6 * np.diag(np.maximum(1.0, np.abs(theta)))
+    for step, slope in zip(steps, np.moveaxis(by_theta, 2, 0), strict=True):
+        change = model.project(theta + step, xy) - model.project(theta - step, xy)
+        np.testing.assert_allclose(slope, change / (2 * step.max()), rtol=1e-5, atol=1e-3)
+    for step, slope in zip(1e-6 * np.eye(2), np.moveaxis(by_xy, 2, 0), strict=True):
+        change = model.project(theta, xy + step) - model.project(theta, xy - step)
+        np.testing.assert_allclose(slope, change / 2e-6, rtol=1e-5, atol=1e-3)
 
 
 def test_efficiency_on_normal_noise_is_the_stated_one() -> None:

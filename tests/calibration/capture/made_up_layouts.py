@@ -131,6 +131,14 @@ def py3dcal(folder: Path) -> None:
     )
 
 
+def printer(folder: Path) -> None:
+    for name in ("background", "press_000", "press_001"):
+        picture(folder / f"{name}.png")
+    (folder / "printer_presses.csv").write_text(
+        "image,x_mm,y_mm,depth_mm,radius_mm\npress_000.png,-3,2,0.4,2\npress_001.png,3,2,0.8,2\n"
+    )
+
+
 def dots_at(shift_px: float) -> np.ndarray:
     image = np.full((120, 160, 3), 170, np.uint8)
     for row in range(5):
@@ -156,7 +164,8 @@ def plain(folder: Path) -> None:
 MAKERS: dict[str, Callable[[Path], None]] = {
     "taxim": taxim, "fots": fots, "9dtact": ninedtact, "feats": feats, "py3dcal": py3dcal,
     "gs-sdk": gs_sdk, "cube-edges": cube_edges, "rvsathu": rvsathu, "ruihangao": ruihangao,
-    "osaka": osaka, "gelslim": gelslim, "markers": markers, "plain": plain,
+    "osaka": osaka, "gelslim": gelslim, "printer": printer,
+    "markers": markers, "plain": plain,
 }  # fmt: skip
 
 

@@ -14,11 +14,11 @@ import pytest
 
 from taccel_lab.calibration.capture.camera import (
     CameraLostError,
+    CameraReplay,
     ControlValues,
     Device,
     Framing,
     Gap,
-    Replay,
     Shot,
     list_devices,
     open_camera,
@@ -128,9 +128,9 @@ def test_controls_are_locked_and_read_back() -> None:
     camera = UvcCamera(DEVICE, open_capture=lambda _: capture)
     exposure, gain, balance = camera.lock(ControlValues())
     assert capture.values[cv2.CAP_PROP_AUTO_EXPOSURE] == MANUAL_EXPOSURE
-    assert exposure.held and "156" in exposure.told
-    assert gain.held is None and "no such control" in gain.told
-    assert balance.held and "4600" in balance.told
+    assert exposure.held and "156" in exposure.text
+    assert gain.held is None and "no such control" in gain.text
+    assert balance.held and "4600" in balance.text
     assert camera.lock(ControlValues(exposure=201.0))[0].held  # 200: a step of the driver's
     assert not camera.lock(ControlValues(exposure=1.0))[0].held
 
@@ -138,7 +138,7 @@ def test_controls_are_locked_and_read_back() -> None:
 def test_a_control_that_does_not_hold_is_told() -> None:
     camera = UvcCamera(DEVICE, open_capture=lambda _: FakeCapture(keeps_auto=True))
     balance = camera.lock(ControlValues())[2]
-    assert balance.held is False and "cannot be locked" in balance.told
+    assert balance.held is False and "cannot be locked" in balance.text
 
 
 def test_frames_are_rgb_with_the_drivers_time() -> None:
@@ -181,7 +181,9 @@ def test_files_are_replayed(tmp_path: Path) -> None:
 
 def test_a_capture_folder_is_pressed_again(tmp_path: Path) -> None:
     folder = CaptureMaker(circles=spread_circles(2)).write(tmp_path / "set")
-    camera = open_camera(str(folder), None, Replay(fps=10, rest_s=1.0, hold_s=0.5, blend_s=0.2))
+    camera = open_camera(
+        str(folder), None, CameraReplay(fps=10, rest_s=1.0, hold_s=0.5, blend_s=0.2)
+    )
     frames = []
     while (shot := camera.read()) is not None:
         frames.append(shot)

@@ -18,14 +18,7 @@ from taccel_lab.calibration.check.balls import check_balls
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.report.remark import Remark, Severity
 from tests.calibration.drawn.faults import blur, drift
-from tests.support.capture_sets import (
-    HEIGHT,
-    WIDTH,
-    CaptureMaker,
-    gel,
-    press,
-    spread_circles,
-)
+from tests.support.capture_sets import HEIGHT, WIDTH, CaptureMaker, gel, press, spread_circles
 from tests.support.synthetic_presses import GRID
 
 

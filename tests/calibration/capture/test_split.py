@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
 from taccel_lab.calibration.capture import (
+    CapturedPress,
     CaptureSet,
     ContactCircle,
     ImportOptions,
-    Press,
     import_captures,
     load_capture_folder,
 )
@@ -34,11 +34,11 @@ def unread() -> NoReturn:
     raise AssertionError("a split has looked at an image")
 
 
-def press(name: str, circle: ContactCircle | None = None) -> Press:
-    return Press(name, f"{name}.png", "0" * 64, circle, unread)
+def press(name: str, circle: ContactCircle | None = None) -> CapturedPress:
+    return CapturedPress(name, f"{name}.png", "0" * 64, circle, unread)
 
 
-def presses(centers: np.ndarray, radius_px: float = 20.0) -> list[Press]:
+def presses(centers: np.ndarray, radius_px: float = 20.0) -> list[CapturedPress]:
     return [
         press(f"p{i}", ContactCircle(float(u), float(v), radius_px))
         for i, (u, v) in enumerate(centers)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Colour calibration: synthetic round trips, masks, drift, determinism, blocks, the loss."""
+"""The colour model, its fit, and what its evaluation says."""
 
 from __future__ import annotations
 
@@ -9,23 +9,34 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-from taccel_lab.calibration.capture import CaptureSet
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.color.evaluate import crop_slices, psnr_db, score_image, ssim
 from taccel_lab.calibration.color.fit import fit_color
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.frames import ColorFrame, Samples
+from taccel_lab.calibration.color.frames import ColorFrame, ColorSamples
 from taccel_lab.calibration.color.heldout import HeldoutSet
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.color.training import train
-from taccel_lab.calibration.light.average import average_background
-from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.calibration.color.untouched_light import (
+    drift_by_halves,
+    far_pixels,
+    fit_untouched_light,
+    noise_floor_l1,
+    too_little_left,
+)
+from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.signals.color_model import ColorModel, ColorModelConfig
 from taccel_lab.signals.tactile_image import tactile_image
 from tests.calibration.drawn.faults import poison, quantise
+from tests.support.analytic_surface import analytic_surface
 from tests.support.synthetic_presses import (
     GRID,
     calibrated,
@@ -47,7 +58,7 @@ def one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def frames_of(captures: CaptureSet, surfaces: list[PressSurface]) -> list[ColorFrame]:
+def frames_of(captures: CaptureSet, surfaces: list[BallSurface]) -> list[ColorFrame]:
     return [
         ColorFrame(press.name, press.image(), press.circle, surface, press.sha256)
         for press, surface in zip(captures.presses, surfaces, strict=True)
@@ -60,48 +71,19 @@ def test_round_trip_recovers_the_colour_law() -> None:
     result = calibrated(captures, surfaces, options=QUICK)
     assert result.split == captures.split(4)
     assert tuple(item.name for item in result.heldout) == captures.split(4).heldout_names
-    assert result.placement == "label" and result.placements == ("label", "tiles", "self")
+    assert result.placement == "label"
     for item in result.heldout:
         surface = surfaces[int(item.name[1:])]
         truth = flat_background() + known_change(surface)
         disc = item.circle.distance_px(GRID) <= item.circle.radius_px
-        for placed in item.placed.values():
-            # The captures' noise has a mean absolute value of 0.8 levels, the law spans +-60.
-            assert np.abs(placed.rendered - truth)[disc].mean() < 1.5
-            assert placed.score.crop_psnr_db > item.background_only.crop_psnr_db + 12
-            assert placed.score.crop_ssim > item.background_only.crop_ssim
+        # The captures' noise has a mean absolute value of 0.8 levels, the law spans +-60.
+        assert np.abs(item.rendered - truth)[disc].mean() < 1.5
+        assert item.score.crop_psnr_db > item.background_only.crop_psnr_db + 12
+        assert item.score.crop_ssim > item.background_only.crop_ssim
     figures = result.figures()
-    assert figures["heldout"] == figures["heldout_by"]["label"]
     assert figures["heldout"]["disc_l1"] < 1.6
     psnr = [row["crop_psnr_db"] for row in figures["presses"]]
     assert psnr == sorted(psnr)
-
-
-def test_undeformed_gel_renders_as_the_background() -> None:
-    captures, surfaces = synthetic_captures(4)
-    fit = fit_color_model(
-        frames_of(captures, surfaces), captures.background, GRID,
-        dataclasses.replace(QUICK, steps=30),
-    )  # fmt: skip
-    first = surfaces[0]
-    untouched = dataclasses.replace(first, height_m=first.rest_height_m, normals=first.rest_normals)
-    rendered = tactile_image(fit.model, fit.background, untouched)
-    assert np.array_equal(rendered, fit.background)
-
-
-def test_fit_is_deterministic_and_seeds_differ() -> None:
-    captures, surfaces = synthetic_captures(4)
-    frames = frames_of(captures, surfaces)
-    options = dataclasses.replace(QUICK, steps=40)
-    first = fit_color_model(frames, captures.background, GRID, options)
-    again = fit_color_model(frames, captures.background, GRID, options)
-    other = fit_color_model(frames, captures.background, GRID, dataclasses.replace(options, seed=1))
-    for name, weight in first.model.weights.items():
-        assert np.array_equal(weight, again.model.weights[name])
-    assert first.loss_curve == again.loss_curve
-    assert not np.array_equal(
-        first.model.weights["layer0.weight"], other.model.weights["layer0.weight"]
-    )
 
 
 def test_poisoned_masked_pixels_have_no_effect() -> None:
@@ -119,9 +101,11 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
     assert np.array_equal(clean.background, dirty.background)
     assert clean.disc_l1_train == dirty.disc_l1_train
     unmasked = fit_color_model(spoilt, captures.background, GRID, options)
-    assert not np.array_equal(
-        unmasked.model.weights["layer0.weight"], clean.model.weights["layer0.weight"]
-    )
+    other = fit_color_model(frames, captures.background, GRID, dataclasses.replace(options, seed=1))
+    for fit in (unmasked, other):
+        assert not np.array_equal(
+            fit.model.weights["layer0.weight"], clean.model.weights["layer0.weight"]
+        )
 
 
 def test_the_steepest_ball_bounds_what_slopes_may_do() -> None:
@@ -130,22 +114,6 @@ def test_the_steepest_ball_bounds_what_slopes_may_do() -> None:
     steepest = max(np.arccos(surface.normals[..., 2].min()) for surface in surfaces)
     assert fit.model.cone_deg == pytest.approx(np.degrees(steepest), abs=2.0)
     assert fit.model.cone_deg <= np.degrees(steepest) + 1e-9
-
-
-def test_averaged_background_is_quieter_and_free_of_contacts() -> None:
-    captures, surfaces = synthetic_captures(16, noise=2.0)
-    rng = np.random.default_rng(5)
-    truth = flat_background()
-    noisy = truth + rng.normal(0, 2.0, truth.shape)
-    frames = frames_of(captures, surfaces)
-    still = Light(np.ones(3), np.zeros(3))
-    averaged = average_background(
-        noisy,
-        [f.image for f in frames],
-        [f.circle.untouched(GRID) for f in frames],
-        [still] * len(frames),
-    )
-    assert np.std(averaged - truth) < 0.5 * np.std(noisy - truth)
 
 
 @pytest.mark.parametrize("steps", [1, 9])
@@ -180,21 +148,20 @@ def test_bad_fits_are_refused() -> None:
 def test_blocks_go_through_a_profile(tmp_path: Path) -> None:
     captures, surfaces = synthetic_captures(12)
     options = dataclasses.replace(QUICK, steps=60)
-    result = calibrated(captures, surfaces, options=options, register=True)
+    result = calibrated(captures, surfaces, options=options)
     save_profile(result.apply_to(tiny_profile(GRID)), tmp_path / "profile")
     loaded = load_profile(tmp_path / "profile")
     assert loaded.color is not None and loaded.color_weights is not None
     model = ColorModel(ColorModelConfig.from_dict(loaded.color.architecture), loaded.color_weights)
     item = result.heldout[0]
-    (surface,) = true_surfaces(captures, [item.placed["label"].circle])
+    (surface,) = true_surfaces(captures, [item.placed])
     assert loaded.background_rgb is not None
     rendered = tactile_image(model, loaded.background_rgb, surface)
-    assert np.array_equal(rendered, item.placed["label"].rendered)
+    assert np.array_equal(rendered, item.rendered)
     residuals = loaded.color.provenance.residuals
     assert residuals["heldout_disc_l1"] == pytest.approx(
-        np.mean([held.placed["label"].score.disc_l1 for held in result.heldout])
+        np.mean([held.score.disc_l1 for held in result.heldout])
     )
-    assert "left_out_disc_l1_levels" in loaded.color.provenance.spread
     assert result.split is not None
     fitted = {press.name for press in captures.presses} - set(result.split.heldout_names)
     assert set(loaded.color.provenance.inputs) == {"background", *fitted}
@@ -231,14 +198,14 @@ SHARE, LEVELS, FAR = 0.3, 10.0, 100.0
 """Of the pixels, a share is off by so much: a hair, a glint."""
 
 
-def pixels(count: int = 4000) -> Samples:
+def pixels(count: int = 4000) -> ColorSamples:
     rng = np.random.default_rng(3)
     slope = rng.uniform(0.2, 0.5, (count, 2)) * rng.choice([-1, 1], (count, 2))
     normals = np.concatenate([-slope, np.ones((count, 1))], axis=1)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     change = np.full((count, 3), LEVELS)
     change[rng.uniform(size=count) < SHARE] += FAR
-    return Samples(
+    return ColorSamples(
         uv=rng.uniform(-1, 1, (count, 2)),
         normals=normals,
         rest_normals=np.tile([0.0, 0.0, 1.0], (count, 1)),
@@ -266,3 +233,138 @@ def test_the_width_says_how_far_pixels_that_are_far_off_draw(width: float) -> No
     near, far = drawn**2 / 2, width * (FAR - drawn - width / 2)
     loss = np.mean([loss for step, loss in trained.curve if step > 300])
     assert loss == pytest.approx(((1 - share) * near + share * far) / width, rel=0.1)
+
+
+@given(
+    height=st.integers(11, 40), width=st.integers(11, 40), seed=st.integers(0, 99),
+    noise=st.floats(0.5, 60),
+)  # fmt: skip
+def test_ssim_and_psnr_agree_with_scikit_image(
+    height: int, width: int, seed: int, noise: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    a = rng.uniform(0, 255, (height, width, 3))
+    b = np.clip(a + rng.normal(0, noise, a.shape), 0, 255)
+    reference = structural_similarity(
+        a, b, channel_axis=2, data_range=255, gaussian_weights=True, sigma=1.5,
+        use_sample_covariance=False,
+    )  # fmt: skip
+    assert ssim(a, b) == pytest.approx(reference, abs=1e-9)
+    assert psnr_db(a, b) == pytest.approx(peak_signal_noise_ratio(a, b, data_range=255))
+    assert ssim(a, a) == pytest.approx(1.0) and psnr_db(a, a) == float("inf")
+
+
+def test_score_separates_disc_crop_and_image() -> None:
+    grid = PixelGrid(200, 150, 0.1, 0.1)
+    circle = ContactCircle(100.0, 70.0, 20.0)
+    captured = np.full((150, 200, 3), 100.0)
+    rendered = captured.copy()
+    disc = circle.distance_px(grid) <= 20.0
+    rendered[disc] += 6.0
+    rendered[0, 0] += 30.0  # outside the crop
+    score = score_image(rendered, captured, circle, grid)
+    crop = crop_slices(circle, grid)
+    assert (crop[0].start, crop[0].stop) == (38, 103)
+    assert (crop[1].start, crop[1].stop) == (68, 133)
+    assert score.disc_l1 == pytest.approx(6.0)
+    assert score.crop_l1 == pytest.approx(6.0 * disc.sum() / 65**2)
+    assert score.full_l1 == pytest.approx((6.0 * disc.sum() + 30.0) / disc.size)
+    assert score.crop_psnr_db == pytest.approx(10 * np.log10(255**2 / (36.0 * disc.sum() / 65**2)))
+
+
+def test_crop_of_oblong_pixels_is_square_in_millimetres() -> None:
+    grid = PixelGrid(200, 200, 0.1, 0.05)
+    rows, columns = crop_slices(ContactCircle(100.0, 100.0, 20.0), grid)
+    assert columns.stop - columns.start == 65
+    assert rows.stop - rows.start == 129
+
+
+def test_shapes_are_checked() -> None:
+    grid = PixelGrid(60, 50, 0.1, 0.1)
+    with pytest.raises(InputError, match="differ in shape"):
+        score_image(np.zeros((50, 60, 3)), np.zeros((50, 61, 3)), ContactCircle(30, 25, 10), grid)
+    with pytest.raises(InputError, match="at least 11x11"):
+        ssim(np.zeros((8, 20, 3)), np.zeros((8, 20, 3)))
+
+
+DRIFT = LightDrift(np.array([1.05, 0.97, 1.0]), np.array([2.0, -3.0, 5.0]))
+CONTACTS = [
+    ContactCircle(70.0, 60.0, 13.0),
+    ContactCircle(80.0, 59.5, 30.0),
+    ContactCircle(70.0, 66.0, 40.0),
+]
+"""A tenth, a quarter and a third of the picture's height."""
+
+
+def background() -> np.ndarray:
+    """With a gradient wide enough to tell gain from offset."""
+    return flat_background() * np.linspace(0.5, 1.5, GRID.width_px)[None, :, None]
+
+
+def pressed(circle: ContactCircle) -> np.ndarray:
+    """A press of a ball of 1.25 times the contact's radius, before any noise and drift."""
+    ball_mm = 1.25 * circle.radius_px * GRID.mm_per_px_x
+    decay_mm = 0.5 * circle.radius_px * GRID.mm_per_px_x
+    return background() + known_change(analytic_surface(circle, GRID, ball_mm, decay_mm=decay_mm))
+
+
+@pytest.mark.parametrize(("circle", "left"), list(zip(CONTACTS, (0.05, 0.1, 0.25), strict=True)))
+def test_drift_is_recovered_beside_a_contact(circle: ContactCircle, left: float) -> None:
+    rng = np.random.default_rng(0)
+    still = background()
+    frame = DRIFT.apply(pressed(circle)) + rng.normal(0, 0.5, still.shape)
+    found = fit_untouched_light(frame, still, circle, GRID).apply(still)
+    wanted = DRIFT.apply(still)
+    # The gel sinks as far as two radii, which a large contact leaves little beyond.
+    assert np.abs(found - wanted).mean() < left * np.abs(wanted - still).mean()
+    assert DRIFT.remove(DRIFT.apply(frame)) == pytest.approx(frame)
+
+
+@pytest.mark.parametrize("size", [(80, 60), (160, 120), (320, 240), (640, 480), (1280, 960)])
+@pytest.mark.parametrize("share", [0.1, 0.25, 0.33])
+def test_the_same_contact_leaves_enough_at_every_size(size: tuple[int, int], share: float) -> None:
+    grid = PixelGrid(*size, 16.0 / size[0], 16.0 / size[0])
+    circle = ContactCircle(0.45 * size[0], 0.52 * size[1], share * size[1])
+    assert not too_little_left(circle, grid)
+    frame = np.full((size[1], size[0], 3), 100.0)
+    assert fit_untouched_light(frame, frame, circle, grid).gain == pytest.approx(1.0)
+
+
+def test_no_crop_is_reached() -> None:
+    for circle in CONTACTS:
+        far = far_pixels(circle, GRID)
+        v, u = np.nonzero(far)
+        beside = np.maximum(np.abs(u - circle.u_px), np.abs(v - circle.v_px))
+        assert beside.min() > 1.6 * circle.radius_px
+        assert circle.distance_px(GRID)[far].min() > 2 * circle.radius_px
+
+
+def test_a_contact_that_fills_the_picture_is_refused() -> None:
+    circle = ContactCircle(80.0, 59.5, 55.0)
+    frame = background()
+    for call in (fit_untouched_light, drift_by_halves):
+        with pytest.raises(InputError, match="too few to tell the light"):
+            call(frame, frame, circle, GRID)
+    with pytest.raises(InputError, match="0 usable pixels"):
+        noise_floor_l1(frame, frame, circle, GRID)
+
+
+@pytest.mark.parametrize("circle", CONTACTS[:2])
+def test_drift_is_told_from_a_shade(circle: ContactCircle) -> None:
+    """A light by all of the gel takes a shade on one of its sides off in part; it is none."""
+    drifted = DRIFT.apply(pressed(circle))
+    before, after = drift_by_halves(drifted, background(), circle, GRID)
+    assert after < 0.3 * before
+    u = np.linspace(-1, 1, GRID.width_px)[None, :, None]
+    shaded = background() + 4.0 * np.sin(2.5 * u)
+    before, after = drift_by_halves(shaded, background(), circle, GRID)
+    assert after > 0.9 * before
+
+
+def test_noise_floor_ignores_the_contact() -> None:
+    grid = PixelGrid(200, 150, 0.1, 0.1)
+    circle = ContactCircle(100.0, 70.0, 20.0)
+    still = np.full((150, 200, 3), 100, dtype=np.uint8)
+    captured = still + np.uint8(2)
+    captured[circle.distance_px(grid) < 50] = 255
+    assert noise_floor_l1(captured, still, circle, grid) == pytest.approx(2.0)

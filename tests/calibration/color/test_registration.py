@@ -15,11 +15,10 @@ from hypothesis import strategies as st
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.color import registration
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
-from taccel_lab.calibration.color.frames import NO_DRIFT, ColorFrame, Samples
-from taccel_lab.calibration.color.network_fit import fit_color_model
-from taccel_lab.calibration.color.registration import place_press, register_presses
-from taccel_lab.calibration.surfaces import PressSurface
-from taccel_lab.calibration.surfaces.moved_press import MovedPress, moved_surfaces
+from taccel_lab.calibration.color.frames import ColorFrame, ColorSamples
+from taccel_lab.calibration.color.registration import register_presses
+from taccel_lab.calibration.surfaces import BallSurface
+from taccel_lab.calibration.surfaces.moved_press import MovedPress
 from taccel_lab.calibration.surfaces.radial import MARGIN, RadialSurfaces
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -55,7 +54,7 @@ def clicked_frames(
     return frames
 
 
-def simulated(circle: ContactCircle) -> PressSurface:
+def simulated(circle: ContactCircle) -> BallSurface:
     return analytic_surface(circle, GRID, BALL_RADIUS_MM, decay_mm=1.0)
 
 
@@ -83,9 +82,6 @@ def test_circles_that_are_off_come_back(captures: CaptureSet) -> None:
     assert np.hypot(*after[:, :2].T).mean() < 0.65 * np.hypot(*before[:, :2].T).mean()
     assert 0.85 < found.scale < 0.96
     assert np.abs(after[:, 2]).mean() < 0.5 * np.abs(before[:, 2]).mean()
-    assert (found.sigma_px > 0).all() and (found.sigma_px < 1).all()
-    losses = dict(found.scale_losses)
-    assert losses[found.scale] == min(losses.values()) < losses[1.0]
 
 
 def test_circles_that_are_right_stay(captures: CaptureSet) -> None:
@@ -95,28 +91,6 @@ def test_circles_that_are_right_stay(captures: CaptureSet) -> None:
     assert abs(found.scale - 1) < 0.04
     assert np.hypot(*after[:, :2].T).mean() < 0.3
     assert np.abs(after[:, 2]).mean() < 0.4
-
-
-def test_a_press_the_model_never_saw_is_placed(captures: CaptureSet) -> None:
-    right = clicked_frames(captures, np.random.default_rng(3), off_px=0.0, scale=1.0)
-    training, held = right[:-2], right[-2:]
-    fit = fit_color_model(training, captures.background, GRID, QUICK)
-    library = RadialSurfaces.of([f.surface for f in training], [f.circle for f in training], GRID)
-    off = []
-    for frame in held:
-        circle = replace(frame.circle, u_px=frame.circle.u_px + 2, v_px=frame.circle.v_px - 1.5)
-        off.append(replace(frame, circle=circle, surface=simulated(circle)))
-    found = [place_press(fit.model, fit.background, f, library, GRID, NO_DRIFT) for f in off]
-    for circle, frame in zip(found, held, strict=True):
-        assert np.hypot(circle.u_px - frame.circle.u_px, circle.v_px - frame.circle.v_px) < 0.5
-    # Pixels that are not given have no part in it.
-    even = (np.indices((GRID.height_px, GRID.width_px)) // 8).sum(axis=0) % 2 == 0
-    image = quantise(poison(off[0].image, even, np.random.default_rng(0)))
-    clean, spoilt = (
-        place_press(fit.model, fit.background, f, library, GRID, NO_DRIFT, mask=even)
-        for f in (off[0], replace(off[0], image=image))
-    )
-    assert clean == spoilt
 
 
 def test_masked_pixels_have_no_effect_and_runs_agree(
@@ -144,7 +118,9 @@ def test_fits_go_on_from_the_first_of_their_fold(
     started: list[tuple[int, bool, int]] = []
     real = registration.train
 
-    def counted(samples: Samples, grid: PixelGrid, options: ColorFitOptions, **more: Any) -> Any:
+    def counted(
+        samples: ColorSamples, grid: PixelGrid, options: ColorFitOptions, **more: Any
+    ) -> Any:
         started.append((options.steps, more.get("start") is None, len(samples.change)))
         return real(samples, grid, options, **more)
 
@@ -173,11 +149,11 @@ CIRCLES = [
 ]
 
 
-def press(circle: ContactCircle) -> PressSurface:
+def press(circle: ContactCircle) -> BallSurface:
     return analytic_surface(circle, FINE_GRID, BALL_MM, decay_mm=1.0)
 
 
-def leaning(surface: PressSurface) -> PressSurface:
+def leaning(surface: BallSurface) -> BallSurface:
     """The same dent in a gel that leans at rest."""
     slope = np.array([0.08, -0.05])
     v, u = np.mgrid[: FINE_GRID.height_px, : FINE_GRID.width_px]
@@ -203,7 +179,7 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 @cache
-def simulated_presses(lean: bool) -> tuple[list[PressSurface], RadialSurfaces]:
+def simulated_presses(lean: bool) -> tuple[list[BallSurface], RadialSurfaces]:
     surfaces = [press(circle) for circle in CIRCLES]
     if lean:
         surfaces = [leaning(surface) for surface in surfaces]
@@ -235,30 +211,6 @@ def test_a_moved_press_is_the_press_that_was_asked_for(
     assert apart.mean() < 0.6
     assert apart.mean() < 0.02 + still.mean()
     assert np.abs(sunk - truth.displacement_mm().reshape(-1)[near]).mean() < 0.012
-
-
-def test_unmoved_presses_stay_as_they_are() -> None:
-    surfaces, library = simulated_presses(False)
-    for before, after in zip(
-        surfaces, moved_surfaces(surfaces, CIRCLES, CIRCLES, library), strict=True
-    ):
-        assert angle_deg(before.normals, after.normals).max() < 1e-5
-        assert after.height_m == pytest.approx(before.height_m, abs=1e-12)
-        assert np.array_equal(before.rest_normals, after.rest_normals)
-
-
-def test_the_depth_of_a_moved_press_goes_with_what_it_sinks() -> None:
-    surfaces, library = simulated_presses(False)
-    stated = [replace(surface, depth_mm=0.3 + 0.1 * i) for i, surface in enumerate(surfaces)]
-    wanted = replace(CIRCLES[2], u_px=CIRCLES[2].u_px + 1.5, radius_px=CIRCLES[2].radius_px * 1.05)
-    (moved,) = moved_surfaces([stated[2]], [CIRCLES[2]], [wanted], library)
-    truth, before = press(wanted), surfaces[2]
-    deeper = before.displacement_mm().min() - truth.displacement_mm().min()
-    assert deeper > 0.01
-    assert moved.depth_mm - stated[2].depth_mm == pytest.approx(deeper, rel=0.15)
-    assert moved.provider != stated[2].provider
-    (still,) = moved_surfaces([stated[2]], [CIRCLES[2]], [CIRCLES[2]], library)
-    assert still.depth_mm == stated[2].depth_mm
 
 
 def test_radii_stay_near_those_simulated() -> None:

@@ -15,7 +15,7 @@ from taccel_lab.calibration.color.taxim_table import (
     nearest_filled,
     render_taxim_table,
 )
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable, bin_indices
 from taccel_lab.geometry import PixelGrid
@@ -27,7 +27,7 @@ GRID = PixelGrid(120, 90, 0.1, 0.1)
 BINS = 12
 PLACES = [(u, v, r) for u in (25.0, 45.0, 60.0, 80.0, 95.0) for v in (25.0, 45.0, 65.0)
           for r in (14.0, 17.0)]  # fmt: skip
-STILL = Light(np.ones(3), np.zeros(3))
+STILL = LightDrift(np.ones(3), np.zeros(3))
 BACKGROUND = np.full((GRID.height_px, GRID.width_px, 3), 120.0, dtype=np.float32)
 
 
@@ -40,7 +40,7 @@ def true_table(rng: np.random.Generator) -> TaximTable:
     return TaximTable(BINS, grad)
 
 
-def frames_of(table: TaximTable, drift: Light = STILL) -> list[ColorFrame]:
+def frames_of(table: TaximTable, drift: LightDrift = STILL) -> list[ColorFrame]:
     frames = []
     for i, (u, v, r) in enumerate(PLACES):
         circle = ContactCircle(u, v, r)
@@ -50,7 +50,7 @@ def frames_of(table: TaximTable, drift: Light = STILL) -> list[ColorFrame]:
     return frames
 
 
-def lights(frames: list[ColorFrame], drift: Light = STILL) -> dict[str, Light]:
+def lights(frames: list[ColorFrame], drift: LightDrift = STILL) -> dict[str, LightDrift]:
     return {frame.name: drift for frame in frames}
 
 
@@ -82,7 +82,7 @@ def test_the_pull_keeps_the_images_near_and_the_far_side_tame() -> None:
 
 def test_drift_is_taken_off_and_masked_pixels_have_no_effect() -> None:
     truth = true_table(np.random.default_rng(3))
-    drift = Light(np.array([1.1, 0.9, 1.0]), np.array([5.0, -5.0, 3.0]))
+    drift = LightDrift(np.array([1.1, 0.9, 1.0]), np.array([5.0, -5.0, 3.0]))
     plain, drifted = frames_of(truth), frames_of(truth, drift)
     one = fit_taxim_table(plain, BACKGROUND, lights(plain), GRID, bins=BINS)
     two = fit_taxim_table(drifted, BACKGROUND, lights(drifted, drift), GRID, bins=BINS)

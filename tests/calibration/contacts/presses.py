@@ -7,7 +7,7 @@ import numpy as np
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts.result import DetectedContact
-from taccel_lab.calibration.contacts.slope_law import SKIRT, slope_law
+from taccel_lab.calibration.contacts.slope_law import SINK_IN_SCALE, slope_law
 from taccel_lab.calibration.contacts.usable import usable_presses
 from taccel_lab.geometry import PixelGrid
 from tests.support.synthetic_presses import memory_captures
@@ -30,14 +30,14 @@ def pressed(
     ball_px: float = BALL_PX,
     blur_px: float = 1.0,
     falloff: float = 0.3,
-    skirt: float = SKIRT,
+    sink_in: float = SINK_IN_SCALE,
 ) -> np.ndarray:
     """Levels of a press without noise: three lamps, falling off over the image."""
     ratio = grid.mm_per_px_y / grid.mm_per_px_x
     du = np.arange(grid.width_px)[None, :] - circle.u_px
     dv = (np.arange(grid.height_px)[:, None] - circle.v_px) * ratio
     distance = np.hypot(du, dv) + 1e-12
-    law = slope_law(circle.radius_px, ball_px, blur_px, float(distance.max()) + 1, skirt)
+    law = slope_law(circle.radius_px, ball_px, blur_px, float(distance.max()) + 1, sink_in)
     normal, drop = law.at(distance)
     up = np.sqrt(1 - normal**2)
     light = np.linspace(1 - falloff, 1 + falloff, grid.width_px)[None, :]

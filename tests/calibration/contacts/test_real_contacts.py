@@ -9,15 +9,13 @@ Grubbs, J. Am. Stat. Assoc. 43, 1948).
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts.circle_arrays import circle_array
 from taccel_lab.calibration.contacts.color_change import color_change
 from taccel_lab.calibration.contacts.fit import find_contacts
@@ -25,32 +23,9 @@ from taccel_lab.calibration.contacts.fusion import fuse_circles
 from taccel_lab.calibration.contacts.labels import LabelAgreement, agreement
 from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.calibration.contacts.rim import fit_rim
-from taccel_lab.files.images import read_image
-from taccel_lab.geometry import PixelGrid
 from tests.calibration.contacts.presses import contacts_of, press_set, pressed, scattered
 from tests.calibration.drawn.faults import add_noise, quantise
-from tests.support.real_data import real_data
-
-
-def labelled(
-    folder: str, labels: str, background: str, mm_per_px: float, ball_mm: float, every: int
-) -> CaptureSet:
-    root = real_data(folder)
-    image = read_image(root / background)
-    with (root / labels).open(encoding="utf-8", newline="") as stream:
-        rows = list(csv.DictReader(stream))[::every]
-    keys = ("cx_px", "cy_px", "contact_r_px")
-    presses = tuple(
-        Press(
-            row["file"], row["file"], "0" * 64,
-            ContactCircle(*(float(row[key]) for key in keys)),
-            partial(read_image, root / row["file"]),
-        )
-        for row in rows
-    )  # fmt: skip
-    grid = PixelGrid(image.shape[1], image.shape[0], mm_per_px, mm_per_px)
-    usable = np.ones(image.shape[:2], dtype=bool)
-    return CaptureSet(folder, "gelsight", image, "0" * 64, usable, ball_mm, grid, presses, {})
+from tests.support.real_data import labelled_presses
 
 
 @dataclass(frozen=True)
@@ -130,9 +105,9 @@ def test_three_measurements_tell_whose_scatter_it_is() -> None:
 
 def test_gelsight_like_sensor() -> None:
     result, scatter = measured(
-        labelled(
+        labelled_presses(
             "gelsight_rvsathu_sim2real", "labels/calib_labels.csv", "background_real.png",
-            0.05926, 2.92, 1,
+            2.92, 0.05926,
         )
     )  # fmt: skip
     # The labels run outside the steepest drop of colour; their radius is off by a constant.
@@ -144,7 +119,7 @@ def test_gelsight_like_sensor() -> None:
 
 def test_gelsight_mini_with_white_balance_on() -> None:
     result, scatter = measured(
-        labelled("fots_calib", "labels_gelsight.csv", "mlp_calib/0000.png", 0.0511, 2.35, 1)
+        labelled_presses("fots_calib", "labels_gelsight.csv", "mlp_calib/0000.png", 2.35, 0.0511)
     )
     # The labels all lie to one side of where the colours turn.
     assert result.center_median_shifted_px < 3.0 and result.center_median_px < 4.7

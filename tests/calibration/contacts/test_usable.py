@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Presses without a contact are left out and named, many stop the fit; what was found is kept."""
+"""Which contacts count: found ones fused with labels, reviewed by a person, usable."""
 
 from __future__ import annotations
 
@@ -9,15 +9,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.contacts import cache, fit
 from taccel_lab.calibration.contacts.cache import cached_contacts, kept_contacts
+from taccel_lab.calibration.contacts.circle_arrays import circle_array
+from taccel_lab.calibration.contacts.fusion import LABEL_SHIFT_PX, choose_circles, fuse_circles
+from taccel_lab.calibration.contacts.labels import LabelPlacement
+from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.calibration.contacts.usable import too_many_lost, usable_circles, usable_presses
 from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import CACHE_VARIABLE
+from tests.calibration.contacts.presses import (
+    contacts_of,
+)
+from tests.support.synthetic_presses import GRID as DRAWN_GRID
 from tests.support.synthetic_presses import (
-    GRID,
     press_image,
     synthetic_captures,
     with_circles,
@@ -30,9 +39,9 @@ def with_empty_frames(captures: CaptureSet, which: set[int]) -> CaptureSet:
 
 
 def test_sound_presses_stay_as_they_are() -> None:
-    captures, _ = synthetic_captures(10)
+    captures, _ = synthetic_captures(4)
     kept, contacts, remarks = usable_presses(captures)
-    assert kept is captures and len(contacts) == 10 and remarks == []
+    assert kept is captures and len(contacts) == 4 and remarks == []
 
 
 def test_one_empty_frame_in_ten_is_left_out() -> None:
@@ -84,7 +93,7 @@ def test_labelled_contacts_that_the_border_cuts_are_found_by_their_part_inside()
     assert len(usable.circles) == 10 and usable.remarks == []
     for i, circle in CUT.items():
         found, sigma_px = usable.contacts[i].circle, usable.contacts[i].center_sigma_px
-        assert found.center_gap_px(circle, GRID) < 1.0 + 3 * sigma_px
+        assert found.center_gap_px(circle, DRAWN_GRID) < 1.0 + 3 * sigma_px
         assert found.radius_px == pytest.approx(circle.radius_px, abs=2.0)
     # Without a label nothing says that what is left of it is a contact's.
     _, _, (remark,) = usable_presses(with_circles(captures, [None] * 10))
@@ -127,6 +136,7 @@ def test_cached_contacts_are_those_that_were_found(
 
 
 def test_nothing_is_kept_unless_asked(captures: CaptureSet) -> None:
+    captures = replace(captures, presses=captures.presses[:3])
     usable_presses(captures)
     assert not kept_contacts(captures).path.exists()
 
@@ -179,3 +189,155 @@ def test_a_cache_that_cannot_be_written_is_named(
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "file"))
     with pytest.raises(InputError, match=CACHE_VARIABLE):
         cached_contacts(replace(captures, presses=captures.presses[:3]))
+
+
+def circles(values: np.ndarray) -> list[ContactCircle]:
+    return [ContactCircle(*(float(x) for x in row)) for row in values]
+
+
+def contacts(values: np.ndarray, center: float, radius: float) -> list[DetectedContact]:
+    """Detected circles of these stated standard deviations."""
+    return [
+        DetectedContact(circle, radius, 1.0, 0.0, 50.0, center_sigma_px=center)
+        for circle in circles(values)
+    ]
+
+
+def presses(count: int, spread: float, rng: np.random.Generator) -> np.ndarray:
+    return np.column_stack([np.full((count, 2), 100.0), rng.normal(60, spread, count)])
+
+
+@pytest.mark.parametrize("true_spread", [0.0, 1.0, 5.0])
+def test_fusion_beats_both(true_spread: float) -> None:
+    rng = np.random.default_rng(0)
+    truth = presses(400, true_spread, rng)
+    label = truth + rng.normal(0, 2.0, truth.shape)
+    found = truth + rng.normal(0, 2.0, truth.shape)
+    fused = circle_array(fuse_circles(circles(label), contacts(found, 2.0, 2.0)).circles)
+    error = fused[:, 2] - truth[:, 2]
+    # Best possible: the posterior spread of two measurements with noise 2 and prior true_spread.
+    best = (1 / (2 / 4.0 + 1 / true_spread**2)) ** 0.5 if true_spread else 0.0
+    assert error.std() < best * 1.1 + 0.25
+    assert np.std(fused[:, 0] - 100) == pytest.approx(2 / np.sqrt(2), rel=0.1)
+
+
+def test_a_shift_that_all_labels_share_is_told_and_taken_off() -> None:
+    """Labels 3 px below and 2 px too wide, as on a set of real presses."""
+    rng, shift = np.random.default_rng(1), np.array([0.5, -3.0, 2.0])
+    errors, offs = [], []
+    for _ in range(40):
+        truth = presses(25, 4.0, rng)
+        label = truth + shift + rng.normal(0, 1.5, truth.shape)
+        found = truth + rng.normal(0, 0.7, truth.shape)
+        fused = fuse_circles(circles(label), contacts(found, 0.7, 0.7))
+        errors.append(circle_array(fused.circles) - truth)
+        offs.append((fused.shift_px - shift) / fused.shift_sigma_px)
+        assert fused.label_sigma_px == pytest.approx((1.5, 1.5), rel=0.5)
+    error = np.array(errors)
+    # Less than a twelfth of the shift is left; the plain mean of both left a half.
+    assert np.abs(error.mean(axis=(0, 1))).max() < 0.25
+    assert np.sqrt((error**2).mean()) < 0.7
+    # The stated uncertainty also holds what the detection may be off by in common.
+    assert np.sqrt(np.mean(np.square(offs))) < 1.1
+
+
+def test_a_press_that_its_label_places_is_off_by_what_is_stated() -> None:
+    rng, shift, scores = np.random.default_rng(5), np.array([1.0, -2.0, 1.5]), []
+    for _ in range(60):
+        truth = presses(24, 4.0, rng)
+        label = truth + shift + rng.normal(0, 1.5, truth.shape)
+        found = truth + rng.normal(0, 0.8, truth.shape)
+        placed = fuse_circles(circles(label[4:]), contacts(found[4:], 0.8, 0.8)).circles
+        known = [CapturedPress("p", "", "", c, lambda: np.zeros(0)) for c in circles(label[4:])]
+        labels = LabelPlacement.of(known, placed)
+        center, radius = labels.sigma_px((0.8, 0.8))
+        held = circle_array([labels.applied(c, 200.0) for c in circles(label[:4])])
+        scores.append((held - truth[:4]) / (center, center, radius))
+    spread = np.sqrt(np.mean(np.square(scores), axis=(0, 1)))
+    assert ((spread > 0.75) & (spread < 1.15)).all()
+
+
+def test_a_common_error_within_the_stated_one_is_not_blamed_on_the_labels() -> None:
+    """Radii that a poor detection finds 6 px too small, and says so: labels are to be believed."""
+    rng = np.random.default_rng(2)
+    truth = presses(30, 4.0, rng)
+    label = truth + rng.normal(0, 1.0, truth.shape)
+    found = truth - (0.0, 0.0, 6.0) + rng.normal(0, 0.5, truth.shape)
+    fused = fuse_circles(circles(label), contacts(found, 0.5, 6.0))
+    off = circle_array(fused.circles)[:, 2] - truth[:, 2]
+    # A fifth of it, as 3^2 / (3^2 + 6^2), may still be the labels'.
+    assert off.mean() == pytest.approx(-1.2, abs=0.4)
+    assert abs(fused.shift_px[2]) < 1.5 * fused.shift_sigma_px[2]
+
+
+def test_the_shift_comes_from_training_presses_alone() -> None:
+    rng = np.random.default_rng(3)
+    truth = presses(24, 4.0, rng)
+    label = truth + (0.0, 2.0, 1.0) + rng.normal(0, 1.0, truth.shape)
+    found = truth + rng.normal(0, 0.5, truth.shape)
+    training = [i % 4 != 0 for i in range(len(truth))]
+    clean = fuse_circles(circles(label), contacts(found, 0.5, 0.5), training)
+    spoilt_label, spoilt_found = label.copy(), found.copy()
+    spoilt_label[::4] = rng.uniform(10, 90, label[::4].shape)
+    spoilt_found[::4] = rng.uniform(10, 90, label[::4].shape)
+    spoilt = fuse_circles(circles(spoilt_label), contacts(spoilt_found, 0.5, 0.5), training)
+    assert np.array_equal(spoilt.shift_px, clean.shift_px)
+    assert [c for c, known in zip(spoilt.circles, training, strict=True) if known] == [
+        c for c, known in zip(clean.circles, training, strict=True) if known
+    ]
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(20, 200), st.floats(20, 200), st.floats(5, 60), st.floats(5, 60)),
+        min_size=1,
+        max_size=20,
+    ),
+    st.floats(-5, 5),
+)
+def test_labels_that_all_move_take_circles_along_by_their_doubt_alone(
+    rows: list[tuple[float, float, float, float]], move: float
+) -> None:
+    label = np.array([(u, v, a) for u, v, a, _ in rows])
+    found = contacts(np.array([(u, v, b) for u, v, _, b in rows]), 0.4, 0.4)
+    first = circle_array(fuse_circles(circles(label), found).circles)
+    second = circle_array(fuse_circles(circles(label + (move, 0, 0)), found).circles)
+    moved = second[:, 0] - first[:, 0]
+    assert np.abs(moved).max() <= abs(move) * 2 * 0.4**2 / LABEL_SHIFT_PX**2 + 1e-9
+
+
+def test_two_presses_lie_where_they_are_found_and_apart_as_both_say() -> None:
+    label = [ContactCircle(50, 50, r) for r in (20.0, 30.0)]
+    found = contacts(np.array([(52, 50, 24), (52, 50, 28)]), 1.0, 1.0)
+    fused = circle_array(fuse_circles(label, found).circles)
+    # Both scatters are 1 px, and the mean difference is little beside the shift's 3 px.
+    assert fused[1, 2] - fused[0, 2] == pytest.approx((10 + 4) / 2)
+    assert fused[:, 2].mean() == pytest.approx(26 - 1.0 * (1 + 0.5) / (9 + 2), abs=0.15)
+    assert fused[:, 0] == pytest.approx([52, 52], abs=0.5)
+
+
+def test_choice_of_circles() -> None:
+    captures, _ = synthetic_captures(3)
+    object.__setattr__(captures.presses[1], "circle", None)
+    found = contacts_of(captures)
+    for which in ("fused", "labels", "detected"):
+        chosen = choose_circles(captures, found, which)
+        assert chosen[1] == found[1].circle
+    given = captures.presses[0].circle
+    assert given is not None
+    assert choose_circles(captures, found, "labels")[0] == given
+    assert choose_circles(captures, found, "detected")[0] == found[0].circle
+    labels = [press.circle for press in captures.presses if press.circle is not None]
+    fused = fuse_circles(labels, [found[0], found[2]]).circles
+    assert choose_circles(captures, found, "fused")[::2] == fused
+    alone = choose_circles(captures, found, "fused", training={captures.presses[0].name})
+    assert alone[::2] == fuse_circles(labels, [found[0], found[2]], [True, False]).circles
+    nobody = choose_circles(captures, found, "fused", training=())
+    assert nobody == [contact.circle for contact in found]
+
+
+def test_counts_have_to_match() -> None:
+    with pytest.raises(InputError, match="1 labels do not match 0"):
+        fuse_circles([ContactCircle(5, 5, 5)], [])
+    with pytest.raises(InputError, match="at least one"):
+        fuse_circles([], [])

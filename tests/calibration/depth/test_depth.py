@@ -10,24 +10,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
+from taccel_lab.calibration.contacts.grey import find_grey_contact
 from taccel_lab.calibration.depth.curve import (
     SECTOR_COUNT,
     fit_response,
     left_out_errors,
     reading_sigma_mm,
 )
+from taccel_lab.calibration.depth.depth_page import depth_page
 from taccel_lab.calibration.depth.fit import fit_depth
-from taccel_lab.calibration.depth.grey_contact import find_grey_contact
 from taccel_lab.calibration.depth.options import DepthOptions
-from taccel_lab.calibration.depth.report import depth_page
 from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.errors import InputError
 from taccel_lab.files.images import read_image
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile import load_profile, save_profile
+from taccel_lab.profile import SensorProfile, load_profile, save_profile
 from taccel_lab.report.page import write_page
 from taccel_lab.signals.depth_response import DepthResponse
 from tests.support.analytic_surface import analytic_surface
@@ -63,6 +63,13 @@ CIRCLES = [
     ContactCircle(125.7, 85.2, 29.0),
     ContactCircle(95.0, 75.0, 31.5),
 ]
+
+
+def grey_unit() -> tuple[CaptureSet, SensorProfile]:
+    """Noisy presses before a background in whole levels, and the profile that they give."""
+    captures = captures_of(CIRCLES, noise=1.0)
+    captures = replace(captures, background=captures.background.astype(np.uint8))
+    return captures, fit_depth(captures, DepthOptions(zero="rim")).apply_to(flat_profile(GRID))
 
 
 def test_perfect_presses_give_the_curve() -> None:
@@ -235,7 +242,12 @@ def real_press(unit: int, mm_per_px: float) -> DepthCalibration:
             str(folder), "9dtact", untouched, file_sha256(background),
             np.ones(untouched.shape[:2], dtype=bool), 4.0,
             PixelGrid(untouched.shape[1], untouched.shape[0], mm_per_px, mm_per_px),
-            (Press("ball", str(image), file_sha256(image), None, partial(read_image, image)),), {},
+            (
+                CapturedPress(
+                    "ball", str(image), file_sha256(image), None, partial(read_image, image)
+                ),
+            ),
+            {},
         )
     )  # fmt: skip
 

@@ -35,7 +35,7 @@ def one_shift(found: np.ndarray, true: np.ndarray) -> bool:
     return len(np.unique(found - true)) == 1
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     rows=st.integers(5, 12),
     columns=st.integers(5, 14),
@@ -80,7 +80,7 @@ def test_rectangular_lattices_are_numbered(
     assert one_shift(column[numbered], true_column[numbered])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     turn=st.floats(-0.4, 0.4),
     barrel=st.floats(-0.05, 0.08),
@@ -107,10 +107,10 @@ def test_hexagonal_lattices_are_numbered(
 
 
 def test_scattered_points_are_no_lattice() -> None:
-    """Chance lines up half of a few points now and then: in 15 of 4,000 sets, so 2 of 50 are
+    """Chance lines up half of a few points now and then: in 15 of 4,000 sets, so 2 of 25 are
     already many."""
     taken = 0
-    for seed in range(50):
+    for seed in range(25):
         rng = np.random.default_rng(seed)
         points = rng.uniform(0, 300, (int(rng.integers(0, 150)), 2))
         lattice = lattice_index(points)
@@ -132,7 +132,7 @@ def test_rows_run_right_and_down_from_zero() -> None:
 def test_a_stray_point_amid_four_makes_no_finer_lattice(where: tuple[float, float]) -> None:
     """Once in ten draws the lattice through the cells' centres explained more points."""
     stray = grid_points(1, 1) + 30.0 * np.array(where)
-    for seed in range(40):
+    for seed in range(15):
         rng = np.random.default_rng(seed)
         points = grid_points(5, 5, (30.0, 30.0))
         points += rng.normal(0, 0.5, points.shape)
@@ -169,7 +169,7 @@ def test_bad_points_are_refused() -> None:
         lattice_index(np.full((9, 2), np.nan))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     turn=st.floats(-0.7, 0.7),
     stagger=st.sampled_from([0.0, 0.5]),

@@ -13,16 +13,11 @@ from taccel_lab.calibration.capture import ContactCircle
 from taccel_lab.calibration.light.average import average_background
 from taccel_lab.calibration.light.drift import drift_remarks, drift_spread
 from taccel_lab.calibration.light.fit import PRIOR_SIGMA, fit_light
-from taccel_lab.calibration.light.light import Light
-from taccel_lab.calibration.light.likeness import unlike
+from taccel_lab.calibration.light.image_match import unlike
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError
 from tests.calibration.contacts.presses import GRID, gel, pressed, scattered
-from tests.calibration.drawn.faults import (
-    add_gradient,
-    add_noise,
-    drift,
-    quantise,
-)
+from tests.calibration.drawn.faults import add_gradient, add_noise, drift, quantise
 
 
 def textured(rng: np.random.Generator) -> np.ndarray:
@@ -77,7 +72,7 @@ def test_a_wider_prior_makes_no_gain_of_noise(
 
 
 def test_a_gradient_needs_a_whole_image() -> None:
-    tilted = Light(np.ones(3), np.zeros(3), np.ones((3, 2)))
+    tilted = LightDrift(np.ones(3), np.zeros(3), np.ones((3, 2)))
     with pytest.raises(InputError, match="whole image"):
         tilted.remove(np.zeros((10, 3)))
 
@@ -85,9 +80,9 @@ def test_a_gradient_needs_a_whole_image() -> None:
 def test_auto_white_balance_is_told_from_lamps_that_warm_up() -> None:
     rng = np.random.default_rng(8)
     zero = np.zeros(3)
-    balance = [Light(1 + rng.normal(0, 0.05, 3), zero) for _ in range(20)]
-    warming = [Light(np.full(3, 1 + 0.1 * k / 20), zero) for k in range(20)]
-    steady = [Light(1 + rng.normal(0, 0.002, 3), zero) for _ in range(20)]
+    balance = [LightDrift(1 + rng.normal(0, 0.05, 3), zero) for _ in range(20)]
+    warming = [LightDrift(np.full(3, 1 + 0.1 * k / 20), zero) for k in range(20)]
+    steady = [LightDrift(1 + rng.normal(0, 0.002, 3), zero) for _ in range(20)]
     assert drift_spread(balance, gel()).auto_white_balance
     assert not drift_spread(warming, gel()).auto_white_balance
     (apart,), (warmed,) = drift_remarks(balance, gel()), drift_remarks(warming, gel())
@@ -95,7 +90,7 @@ def test_auto_white_balance_is_told_from_lamps_that_warm_up() -> None:
     assert drift_remarks(steady, gel()) == []
 
 
-STILL = Light(np.ones(3), np.zeros(3))
+STILL = LightDrift(np.ones(3), np.zeros(3))
 CONTACT = ContactCircle(45.0, 75.0, 18.0)
 OBJECT = ContactCircle(150.0, 60.0, 20.0)
 

@@ -1,36 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames are read by the blocks that a profile has, what they cannot tell is said, and timed."""
+"""Readings of a camera while it runs, and their page."""
 
 from __future__ import annotations
 
+import re
+import threading
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture.camera import Replay, open_camera
+from taccel_lab.calibration.capture.camera import CameraReplay, open_camera
 from taccel_lab.calibration.depth.captures import CaptureSet
-from taccel_lab.calibration.depth.fit import fit_depth
-from taccel_lab.calibration.depth.options import DepthOptions
-from taccel_lab.calibration.live.page import figures_text, latency_text
+from taccel_lab.calibration.live.page import LivePage, LiveSheet, figures_text, latency_text
 from taccel_lab.calibration.live.pictures import BEYOND, pictures
 from taccel_lab.calibration.live.reader import LiveReader
-from taccel_lab.calibration.live.run import LiveResult, run_live
+from taccel_lab.calibration.live.run import LiveResult, live_session, run_live, run_together
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
+from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from taccel_lab.sensors.profile import catalogue_profile
-from tests.calibration.depth.test_depth import BALL_MM, CIRCLES, GRID, captures_of
+from tests.calibration.depth.test_depth import BALL_MM, CIRCLES, GRID, grey_unit
+from tests.calibration.record.sessions import SteeredCamera
 from tests.support.capture_sets import write_image
 from tests.support.real_data import real_data
 from tests.support.synthetic_presses import flat_profile
+from tests.viewer.browser import chromium_page, picture, wait_for
 
 
 @pytest.fixture(scope="module")
 def grey() -> tuple[CaptureSet, SensorProfile]:
-    captures = captures_of(CIRCLES, noise=1.0)
-    captures = replace(captures, background=captures.background.astype(np.uint8))
-    return captures, fit_depth(captures, DepthOptions(zero="rim")).apply_to(flat_profile(GRID))
+    return grey_unit()
 
 
 class Watching:
@@ -66,7 +68,7 @@ def session(
             write_image(folder / f"{k:03d}.png", noisy.astype(np.uint8))
     return run_live(
         lambda background: LiveReader(profile, background, detail=1),
-        lambda: open_camera(str(folder), None, Replay(fps=25.0)),
+        lambda: open_camera(str(folder), None, CameraReplay(fps=25.0)),
         [watching],
         **how,
     )
@@ -105,6 +107,47 @@ def test_a_session_ends_at_a_number_of_frames_or_by_a_watcher(
     result = session(folder, *grey, watching, background=rest)
     assert watching.told.count("Touch nothing: the untouched gel is being measured.") == 1
     assert result.reader is not None and len(watching.readings) > 2
+
+
+def test_several_sensors_go_on_in_turn_until_each_is_over(
+    grey: tuple[CaptureSet, SensorProfile], tmp_path: Path
+) -> None:
+    captures, profile = grey
+    rest = np.asarray(captures.background)
+    seen: list[str] = []
+
+    class Named(Watching):
+        def __init__(self, name: str) -> None:
+            super().__init__()
+            self.name = name
+
+        def show(self, reading, reader, latency) -> None:
+            super().show(reading, reader, latency)
+            seen.append(self.name)
+
+    watchers = {"left": Named("left"), "right": Named("right")}
+    for name, count in (("left", 2), ("right", 4)):
+        (tmp_path / name).mkdir()
+        for k in range(count):
+            image = rest if name == "left" else captures.presses[2].image()
+            write_image(
+                tmp_path / name / f"{k}.png", np.clip(np.rint(image), 0, 255).astype(np.uint8)
+            )
+    left, right = run_together(
+        [
+            live_session(
+                lambda background: LiveReader(profile, background, detail=1),
+                lambda name=name: open_camera(str(tmp_path / name), None, CameraReplay()),
+                [watching],
+                background=rest.astype(np.float32),
+            )
+            for name, watching in watchers.items()
+        ]
+    )
+    assert seen == ["left", "right", "left", "right", "right", "right"]
+    assert left.latency.figures()["frames"] == 2 and right.latency.figures()["frames"] == 4
+    assert left.last is not None and right.last is not None
+    assert left.last.figures["touched_mm2"] < 1 < right.last.figures["touched_mm2"]
 
 
 def test_what_lies_beyond_the_calibration_is_marked(
@@ -196,3 +239,81 @@ def test_markers_of_a_real_video_are_followed() -> None:
         assert reading.seen.mean() > 0.5
         moved.append(np.linalg.norm(reading.markers_px - reading.rest_px, axis=1).max())
     assert moved[0] < 1.0 and max(moved) > 3.0
+
+
+SLOW_MS = 60_000
+
+
+def yellow_share(page: Any) -> float:
+    """Share of the pictures that is as yellow as the deepest places of a depth map."""
+    seen = picture(page)[:, :950].astype(int)
+    return float(((seen[..., :2].min(axis=-1) > 170) & (seen[..., 2] < 110)).mean())
+
+
+def test_depth_force_and_latency_follow_the_gel_until_it_is_stopped(
+    grey: tuple[CaptureSet, SensorProfile], tmp_path: Path
+) -> None:
+    pytest.importorskip("viser", reason="the extra view is not installed")
+    captures, profile = grey
+    rest, pressed = np.asarray(captures.background), captures.presses[2].image()
+    pressed = np.clip(np.rint(pressed), 0, 255).astype(np.uint8)
+    camera = SteeredCamera(tmp_path, rest, noise=0.5)
+    results: list[LiveResult] = []
+
+    def force(image: np.ndarray, background: np.ndarray) -> dict[str, float]:
+        drop = float((background.astype(float) - image).mean())
+        return {"Fz [N]": drop, "Fz +- [N]": 0.25}
+
+    def run(page_of: LivePage) -> None:
+        reader = lambda untouched: LiveReader(profile, untouched, detail=1, force=force)  # noqa: E731
+        results.append(run_live(reader, lambda: camera, [page_of]))
+
+    with live_page("Live", PageOptions(port=0, browser=False)) as server:
+        shown = LivePage(LiveSheet(server), 15.0, tmp_path / "kept")
+        session = threading.Thread(target=run, args=[shown], daemon=True)
+        with chromium_page(page_address(server), (1360, 800)) as page:
+
+            def heading() -> float:
+                found = re.match(r"(\d\.\d+) ± \d\.\d+ mm deep", page.locator("h2").inner_text())
+                return float(found[1]) if found else float("nan")
+
+            def told_force() -> float:
+                return float(page.locator("p:has-text('Fz:') strong").inner_text().split()[0])
+
+            page.wait_for_selector("text=Stop", timeout=SLOW_MS)
+            camera.time_stands = True
+            session.start()
+            page.wait_for_selector("text=Touch nothing", timeout=SLOW_MS)
+            camera.time_stands = False
+            page.wait_for_selector("text=mm deep", timeout=SLOW_MS)
+            wait_for(page, lambda: page.get_by_text("Touch nothing").count() == 0)
+            wait_for(page, lambda: heading() < 0.1, 60)
+            untouched = yellow_share(page)
+            camera.image = pressed
+            rim = CIRCLES[2].radius_px * GRID.mm_per_px_x
+            deepest = BALL_MM - np.sqrt(BALL_MM**2 - rim**2)
+            wait_for(page, lambda: abs(heading() - deepest) < 0.15, 60)
+            wait_for(page, lambda: yellow_share(page) > untouched + 0.002, 60)
+            wait_for(page, lambda: told_force() > 2, 60)
+            page.get_by_text("± 0.25").wait_for(timeout=SLOW_MS)
+            rate = re.compile(r"(?!0\.0 )\d+\.\d frames a second")
+            wait_for(page, lambda: rate.search(page.inner_text("body")))
+            page.get_by_text("by the contact of an elastic layer").wait_for(timeout=SLOW_MS)
+            assert page.locator(".uplot canvas").count() == 3
+            for stage in ("all work", "depth", "pressure", "force", "taken to shown"):
+                told = re.compile(rf"^{stage}\s*\d")  # Not the legends of the curves.
+                row = page.get_by_role("row").filter(has_text=told)
+                assert float(row.get_by_role("cell").nth(1).inner_text()) > 0
+            page.get_by_text("Snapshot", exact=True).click()
+            page.get_by_text("snapshot_000_image.png").wait_for(timeout=SLOW_MS)
+            assert (tmp_path / "kept" / "snapshot_000.json").is_file()
+            # A new untouched gel, of the ball as it lies: nothing is pressed in then.
+            camera.time_stands = True
+            page.get_by_text("Take the untouched gel again").click()
+            page.wait_for_selector("text=Touch nothing", timeout=SLOW_MS)
+            camera.time_stands = False
+            wait_for(page, lambda: heading() < 0.1, 60)
+            page.get_by_text("Stop", exact=True).click()
+            session.join(timeout=60)
+            assert not session.is_alive()
+    assert results[0].last is not None and results[0].latency.figures()["frames"] > 5

@@ -4,27 +4,22 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.depth.fit import fit_depth
-from taccel_lab.calibration.depth.options import DepthOptions
+from taccel_lab.calibration.capture.camera.recording import Recording
 from taccel_lab.calibration.live.reader import LiveReader
-from taccel_lab.calibration.live.recorded import Recorded, read_recorded
+from taccel_lab.calibration.live.recorded import read_recorded
 from taccel_lab.errors import InputError
-from tests.calibration.depth.test_depth import CIRCLES, GRID, captures_of
-from tests.support.synthetic_presses import flat_profile
+from tests.calibration.depth.test_depth import grey_unit
 
 
 def folder_and_reader(folder: Path) -> LiveReader:
     """Images of untouched gel, a press, a torn file and untouched gel again."""
-    captures = captures_of(CIRCLES, noise=1.0)
-    captures = replace(captures, background=captures.background.astype(np.uint8))
-    profile = fit_depth(captures, DepthOptions(zero="rim")).apply_to(flat_profile(GRID))
+    captures, profile = grey_unit()
     rest = np.asarray(captures.background)
     folder.mkdir()
     for number, image in ((0, rest), (2, captures.presses[2].image()), (10, rest)):
@@ -38,7 +33,7 @@ def test_a_folder_becomes_a_table_and_goes_on_after_a_kill(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reader = folder_and_reader(tmp_path / "frames")
-    recorded, out = Recorded.of(tmp_path / "frames"), tmp_path / "out"
+    recorded, out = Recording.of(tmp_path / "frames"), tmp_path / "out"
 
     def stop(task: str, done: int, total: int) -> None:
         if done == 2:
@@ -53,6 +48,7 @@ def test_a_folder_becomes_a_table_and_goes_on_after_a_kill(
     assert [row["name"] for row in rows] == [f"frame_{n}.png" for n in (0, 2, 3, 10)]
     with (out / "readings.csv").open(encoding="utf-8") as file:
         table = list(csv.DictReader(file))
+    assert [row["refused"] for row in table[:2] + table[3:]] == ["", "", ""]
     forces = [float(row["force_n"] or "nan") for row in table]
     assert forces[1] > 10 * max(forces[0], forces[3])
     assert float(table[1]["force_low_n"]) < forces[1] < float(table[1]["force_high_n"])
@@ -64,12 +60,12 @@ def test_a_folder_becomes_a_table_and_goes_on_after_a_kill(
 def test_what_holds_no_frames_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="no images"):
-        Recorded.of(tmp_path / "empty")
+        Recording.of(tmp_path / "empty")
     (tmp_path / "words.txt").write_text("none")
-    with pytest.raises(InputError, match=r"words\.txt is no video"):
-        Recorded.of(tmp_path / "words.txt")
+    with pytest.raises(InputError, match=r"words\.txt is none of these: a video"):
+        Recording.of(tmp_path / "words.txt")
     reader = folder_and_reader(tmp_path / "frames")
-    torn = Recorded.of(tmp_path / "frames" / "frame_3.png")
+    torn = Recording.of(tmp_path / "frames" / "frame_3.png")
     with pytest.raises(InputError, match="no frame of"):
         read_recorded(torn, reader, tmp_path / "out", {})
     assert not (tmp_path / "out").exists()

@@ -8,9 +8,9 @@ import numpy as np
 from taccel_lab.calibration.capture import ForceRecord
 from taccel_lab.calibration.capture.schema import RecordEntry, ToolEntry
 from taccel_lab.calibration.material.force_table import NU_RANGE, ForceTable, TableError
-from taccel_lab.calibration.material.gel import Tool
+from taccel_lab.calibration.material.gel import CurveTool
 from taccel_lab.calibration.material.indentation_points import IndentationPoints
-from taccel_lab.calibration.material.interpolation import Axis, ResponseTable
+from taccel_lab.calibration.material.interpolation import ParameterAxis, ResponseTable
 from taccel_lab.presses.bonded_layer import ToolKind, layer_force_n
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
 
@@ -20,7 +20,7 @@ COARSE = PressPhysics(mesh=_MESH)
 """Tables take the error of their mesh from presses of ``FAST``."""
 COARSER = PressPhysics(mesh=PressMeshOptions(elements_per_radius=1.5, core=4, rings=4))
 """Where only the way matters, not the force."""
-COARSE_FAST = PressPhysics(Accuracy.FAST, mesh=_MESH)
+COARSE_FAST = PressPhysics(Accuracy.FAST, mesh=COARSER.mesh)
 """The same under the name of the fast physics."""
 FAST = PHYSICS[Accuracy.FAST]
 DEFAULT = PHYSICS[Accuracy.DEFAULT]
@@ -45,7 +45,7 @@ THICKNESS_MM = 4.0
 
 def layer_table(kind: ToolKind, radius_mm: float, deepest_mm: float = 1.6) -> ForceTable:
     """Of a ball or punch on a layer that is bonded to its base, of any Poisson's ratio."""
-    axis = Axis(*NU_RANGE, "compressibility")
+    axis = ParameterAxis(*NU_RANGE, "compressibility")
     exponent = 1.5 if kind == "sphere" else 1.0
     depths = 0.1 + (deepest_mm - 0.1) * np.linspace(0, 1, 7) ** 1.4
     log = [
@@ -53,12 +53,14 @@ def layer_table(kind: ToolKind, radius_mm: float, deepest_mm: float = 1.6) -> Fo
         - exponent * np.log(depths)
         for nu in axis.nodes(5)
     ]
-    responses = ResponseTable.through(Axis(0.0, 0.0), axis, np.log(depths), np.array(log)[None])
+    responses = ResponseTable.through(
+        ParameterAxis(0.0, 0.0), axis, np.log(depths), np.array(log)[None]
+    )
     return ForceTable(exponent, responses, TableError(0.0, np.full(7, 0.003)))
 
 
 def points(
-    tool: Tool, depth: np.ndarray, force: np.ndarray, sigma: np.ndarray | None = None
+    tool: CurveTool, depth: np.ndarray, force: np.ndarray, sigma: np.ndarray | None = None
 ) -> IndentationPoints:
     """Readings of one press."""
     return IndentationPoints("press", "press.csv", "0" * 64, tool, depth, force, sigma)

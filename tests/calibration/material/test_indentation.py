@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Round trips of E and nu: presses simulated on one mesh, fitted with tables of a coarser one."""
+"""Moduli from force against depth, and the points that are taken of a record."""
 
 from __future__ import annotations
 
@@ -19,22 +19,35 @@ from taccel_lab.calibration.material.force_table import (
     force_table,
     press_plan,
 )
-from taccel_lab.calibration.material.gel import Gel, Tool
+from taccel_lab.calibration.material.gel import CurveTool, Gel
 from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
-from taccel_lab.calibration.material.indentation_points import IndentationPoints
-from taccel_lab.calibration.material.press_plans import GelBench, PressPlan, simulate
+from taccel_lab.calibration.material.indentation_points import (
+    IndentationPoints,
+    points_of_record,
+    require_plausible,
+)
+from taccel_lab.calibration.material.press_plans import CurvePlan, GelBench, simulate
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
+from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.presses.physics import PressPhysics
 from taccel_lab.profile import SensorProfile
-from tests.calibration.material.made_up import COARSE, COARSER, DEFAULT, FAST, layer_table, points
+from tests.calibration.material.made_up import (
+    COARSE,
+    COARSER,
+    DEFAULT,
+    FAST,
+    layer_table,
+    points,
+    record,
+)
 
 DEPTH = np.linspace(0.15, 1.4, 12)
 MODULUS, POISSON = 2.4e5, 0.47
 
 
 @pytest.fixture(scope="module")
-def tool(gel: Gel) -> Tool:
+def tool(gel: Gel) -> CurveTool:
     return gel.tool(ToolEntry(kind="sphere", radius_mm=7.5))
 
 
@@ -45,7 +58,7 @@ def table() -> ForceTable:
 
 
 @pytest.fixture(scope="module")
-def simulated(gel: Gel, tool: Tool, press_cache: Path) -> ForceTable:
+def simulated(gel: Gel, tool: CurveTool, press_cache: Path) -> ForceTable:
     """Of four depths instead of seven."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 4)
@@ -58,7 +71,7 @@ def truth(table: ForceTable) -> np.ndarray:
 
 
 def pressed_n(
-    gel: Gel, tool: Tool, depths_mm: np.ndarray, nu: float, ratio: float, physics: PressPhysics
+    gel: Gel, tool: CurveTool, depths_mm: np.ndarray, nu: float, ratio: float, physics: PressPhysics
 ) -> np.ndarray:
     """Forces [N] of presses of 1 MPa to each depth."""
     own = gel.with_law(nu, ratio).with_physics(physics)
@@ -67,7 +80,7 @@ def pressed_n(
 
 
 def test_an_uncertain_zero_of_the_load_cell_widens_the_interval(
-    table: ForceTable, tool: Tool, truth: np.ndarray
+    table: ForceTable, tool: CurveTool, truth: np.ndarray
 ) -> None:
     left = 0.04 * truth.max()
 
@@ -86,13 +99,13 @@ def test_an_uncertain_zero_of_the_load_cell_widens_the_interval(
 
 
 def test_tables_interpolate_and_differentiate(
-    gel: Gel, tool: Tool, press_cache: Path, monkeypatch: pytest.MonkeyPatch
+    gel: Gel, tool: CurveTool, press_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 4)
-    table = force_table(gel.with_physics(COARSER), tool, (0.2, 1.2))
+    monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 3)
+    table = force_table(gel.with_physics(COARSER), tool, (0.2, 0.6))
     assert table.press_count == 5 * len(table.responses.way)
     assert table.error.interpolation < 2e-3
-    depth = np.array([0.05, 0.3, 1.0])
+    depth = np.array([0.05, 0.3, 0.5])
     value, by_depth, by_nu, _ = table.log_force(depth, 0.47)
     h = 1e-6
     up, down = (table.log_force(depth + s * h, 0.47)[0] for s in (1, -1))
@@ -104,13 +117,13 @@ def test_tables_interpolate_and_differentiate(
 
 
 def test_both_parameters_of_mooney_and_rivlin(
-    mini: SensorProfile, tool: Tool, press_cache: Path, monkeypatch: pytest.MonkeyPatch
+    mini: SensorProfile, tool: CurveTool, press_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Twelve presses at each of three depths, against presses elsewhere."""
-    monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 3)
+    """Twelve presses at each of two depths, against presses elsewhere."""
+    monkeypatch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 2)
     gel = Gel.of_profile(mini, "mooney_rivlin", physics=COARSER)
-    table = force_table(gel, tool, (0.2, 0.6))
-    assert table.press_count == 13 * 3
+    table = force_table(gel, tool, (0.1, 0.3))
+    assert table.press_count == 13 * 2
     assert table.error.interpolation < 2e-3
     assert table.nu_range[0] > 1 / 3  # softer volumes do not go with a ratio of 1
     for nu, ratio in ((0.485, 0.7), (0.36, 0.15)):
@@ -119,10 +132,10 @@ def test_both_parameters_of_mooney_and_rivlin(
         found = table.force_n(depths, 1e6, nu, ratio)
         np.testing.assert_allclose(found, force, rtol=3e-3)
     h = 1e-5
-    _, _, by_nu, by_ratio = table.log_force(DEPTH[:4], 0.45, 0.5)
+    _, _, by_nu, by_ratio = table.log_force(DEPTH[:2], 0.45, 0.5)
     for i, slope in enumerate((by_nu, by_ratio)):
         up, down = (
-            table.log_force(DEPTH[:4], 0.45 + s * h * (i == 0), 0.5 + s * h * (i == 1))[0]
+            table.log_force(DEPTH[:2], 0.45 + s * h * (i == 0), 0.5 + s * h * (i == 1))[0]
             for s in (1, -1)
         )
         np.testing.assert_allclose((up - down) / (2 * h), slope, rtol=1e-5)
@@ -132,27 +145,26 @@ def test_both_parameters_of_mooney_and_rivlin(
     ("kind", "friction"), [("sphere", 0.0), ("sphere", 0.3), ("cylinder", 0.0)]
 )
 def test_four_presses_and_one_between_make_a_row_of_a_table(
-    gel: Gel,
-    monkeypatch: pytest.MonkeyPatch,
-    kind: Literal["sphere", "cylinder"],
-    friction: float,
+    gel: Gel, monkeypatch: pytest.MonkeyPatch, kind: Literal["sphere", "cylinder"], friction: float
 ) -> None:
     tool = gel.tool(ToolEntry(kind=kind, radius_mm=2.0))
     exponent = 1.5 if kind == "sphere" else 1.0
 
-    def made_up(bench: GelBench, plan: PressPlan) -> dict[str, np.ndarray]:
+    def made_up(bench: GelBench, plan: CurvePlan) -> dict[str, np.ndarray]:
         nu, depth = plan.poisson_ratio, np.array([plan.stops[-1].depth_mm])
         s = np.sqrt(1 - 2 * nu)
         force = 1e6 * depth**exponent * np.exp(1.3 - 2 * s + 0.7 * s**3 * depth)
-        return {"force_n": force, "error_n": 0.01645 * force, "seconds": np.array(0.5)}
+        return {"force_n": force, "seconds": np.array(0.5)}
 
     monkeypatch.setattr("taccel_lab.calibration.material.press_plans.simulate", made_up)
     table = force_table(gel, tool, (0.2, 1.0), friction=friction)
     count = 5 * len(table.responses.way)
     assert (table.press_count, table.seconds) == (count, 0.5 * count)
     assert table.error.interpolation < 1e-9
-    np.testing.assert_allclose(table.error.mesh, 0.01)
     depth = np.exp(table.responses.way)
+    assert ((table.error.mesh > 0.004) & (table.error.mesh < 0.05)).all()
+    if kind == "sphere":
+        assert (np.diff(table.error.mesh) < 0).all() or friction, "dhat counts more when shallow"
     for nu in (0.31, 0.45, 0.498):
         s = np.sqrt(1 - 2 * nu)
         value, _, by_nu, _ = table.log_force(depth, nu)
@@ -161,19 +173,19 @@ def test_four_presses_and_one_between_make_a_row_of_a_table(
         np.testing.assert_allclose(by_nu, (2 - 2.1 * s**2 * depth) / s, rtol=1e-8)
 
 
-def test_forces_scale_with_the_modulus(gel: Gel, tool: Tool) -> None:
+def test_forces_scale_with_the_modulus(gel: Gel, tool: CurveTool) -> None:
     """What spares simulations of other moduli: it holds to the solver's tolerance."""
     from taccel_lab.presses import PressEnv, profile_material
 
-    mesh = gel.with_physics(COARSE).mesh(tool, 1.4)
+    mesh = gel.with_physics(COARSER).mesh(tool, 0.8)
     forces = []
     for modulus in (1e6, 5e4):
         block = gel.unit_material().replace(young_modulus_pa=modulus)
         env = PressEnv(
             mesh, profile_material(block, mesh), tool.indenter(), np.zeros((1, 2)),
-            physics=COARSE,
+            physics=COARSER,
         )  # fmt: skip
-        env.move_to(0.8)
+        env.move_to(0.4)
         forces.append(env.press_force[0, 2] / modulus)
     assert forces[1] == pytest.approx(forces[0], rel=2e-4)
 
@@ -188,7 +200,9 @@ def fitted(
 KNOWN = {"poisson_ratio": POISSON, "free_nu": False}
 
 
-def test_perfect_data_come_back_exactly(tool: Tool, table: ForceTable, truth: np.ndarray) -> None:
+def test_perfect_data_come_back_exactly(
+    tool: CurveTool, table: ForceTable, truth: np.ndarray
+) -> None:
     fit = fitted([points(tool, DEPTH, truth)], [table])
     assert fit.young_modulus_pa == pytest.approx(MODULUS, rel=1e-4)
     assert fit.poisson_ratio == pytest.approx(POISSON, abs=1e-4)
@@ -199,7 +213,7 @@ def test_perfect_data_come_back_exactly(tool: Tool, table: ForceTable, truth: np
     assert np.abs(fit.relative_residuals(0)).max() < 1e-6
 
 
-def test_a_late_zero_is_found(tool: Tool, table: ForceTable) -> None:
+def test_a_late_zero_is_found(tool: CurveTool, table: ForceTable) -> None:
     """But for what 0.15 mm are unlikely: 0.75 of a standard deviation of the zero, against points
     that usually scatter."""
     force = table.force_n(DEPTH + 0.15, MODULUS, POISSON)
@@ -212,7 +226,7 @@ def test_a_late_zero_is_found(tool: Tool, table: ForceTable) -> None:
 
 @pytest.mark.slow
 def test_the_modulus_of_a_finer_simulation_within_its_interval(
-    gel: Gel, tool: Tool, simulated: ForceTable, press_cache: Path
+    gel: Gel, tool: CurveTool, simulated: ForceTable, press_cache: Path
 ) -> None:
     """100 records with 1 % noise and touch points that are off by 0.02 mm."""
     rng = np.random.default_rng(11)
@@ -256,7 +270,7 @@ def test_errors_of_two_tables_that_differ_widen_poisson_ratio(gel: Gel) -> None:
 
 @pytest.mark.slow
 def test_two_balls_tell_poisson_ratio(
-    gel: Gel, tool: Tool, simulated: ForceTable, press_cache: Path
+    gel: Gel, tool: CurveTool, simulated: ForceTable, press_cache: Path
 ) -> None:
     small = gel.tool(ToolEntry(kind="sphere", radius_mm=2.0))
     depth = np.linspace(0.15, 0.9, 8)
@@ -310,7 +324,7 @@ def test_a_narrow_and_a_wide_ball_tell_the_modulus_without_poisson_ratio(
 
 
 def test_few_points_do_not_tell_poisson_ratio(
-    tool: Tool, table: ForceTable, truth: np.ndarray
+    tool: CurveTool, table: ForceTable, truth: np.ndarray
 ) -> None:
     some = points(tool, DEPTH[[3, 7, 11]], truth[[3, 7, 11]] * [1.01, 0.99, 1.005])
     profile = fitted([some], [table]).solution.profiles["nu"]
@@ -318,7 +332,7 @@ def test_few_points_do_not_tell_poisson_ratio(
 
 
 def test_stated_noise_that_is_too_small_is_noticed(
-    tool: Tool, table: ForceTable, truth: np.ndarray
+    tool: CurveTool, table: ForceTable, truth: np.ndarray
 ) -> None:
     rng = np.random.default_rng(1)
     force = truth * (1 + 0.05 * rng.standard_normal(12))
@@ -328,6 +342,68 @@ def test_stated_noise_that_is_too_small_is_noticed(
     assert low < MODULUS < high
 
 
-def test_a_press_past_the_gel_is_refused(gel: Gel, tool: Tool) -> None:
+def test_a_press_past_the_gel_is_refused(gel: Gel, tool: CurveTool) -> None:
     with pytest.raises(InputError, match="4 mm thick"):
         force_table(gel, tool, (0.5, 3.5))
+
+
+TRAVEL = np.linspace(0.1, 1.0, 10)
+PUSH = layer_force_n("sphere", TRAVEL, 4.0, 4.0, 0.48, 3e5)
+
+
+def read(gel: Gel, depth: np.ndarray, force: np.ndarray) -> IndentationPoints:
+    return points_of_record(record("indentation", depth_mm=depth, force_n=force), gel, None)
+
+
+def test_the_closed_form_starts_at_the_modulus(gel: Gel) -> None:
+    modulus, remarks = require_plausible([read(gel, TRAVEL, PUSH)], 4.0, 0.48)
+    assert modulus == pytest.approx(3e5, rel=1e-6)
+    assert not remarks
+
+
+@pytest.mark.parametrize(
+    ("force", "depth", "unit"),
+    [
+        (1 / 9.80665e-3, 1.0, "force in grams"),
+        (1e3, 1.0, "force in mN"),
+        (1.0, 1e-3, "depth in m "),
+        (1.5, 0.1, "depth in cm"),
+        (1e-3, 1.0, "force in kN"),
+    ],
+)
+def test_a_wrong_unit_is_named(gel: Gel, force: float, depth: float, unit: str) -> None:
+    points = read(gel, TRAVEL * depth, PUSH * force)
+    with pytest.raises(InputError, match=unit.strip()) as error:
+        require_plausible([points], 4.0, 0.48)
+    assert "1e+07" in str(error.value)
+
+
+def test_soft_gels_in_grams_are_doubted(gel: Gel) -> None:
+    _, remarks = require_plausible([read(gel, TRAVEL, PUSH / 6 / 9.80665e-3)], 4.0, 0.48)
+    assert [remark.code for remark in remarks] == ["unusual_modulus"]
+    assert "grams" in remarks[0].message
+
+
+@pytest.mark.parametrize(
+    ("depth", "force", "words"),
+    [
+        (-TRAVEL, PUSH, "no row lies below first touch"),
+        (TRAVEL, np.where(TRAVEL < 0.75, 0.0, PUSH), "counted from first touch"),
+    ],
+)
+def test_depths_that_are_not_from_first_touch_are_refused(gel: Gel, depth, force, words) -> None:
+    with pytest.raises(InputError, match=words):
+        read(gel, depth, force)
+
+
+def test_tools_are_checked(gel: Gel) -> None:
+    from taccel_lab.calibration.capture.schema import ToolEntry
+
+    with pytest.raises(InputError, match="radius of the cylinder is missing"):
+        gel.tool(ToolEntry(kind="cylinder"))
+    with pytest.raises(InputError, match="beside the pad"):
+        gel.tool(ToolEntry(kind="sphere", radius_mm=4.0, center_mm=(30.0, 0.0)))
+    with pytest.raises(InputError, match="at most 100 mm"):
+        gel.tool(ToolEntry(kind="sphere", radius_mm=400.0))
+    assert gel.tool(ToolEntry(kind="sphere"), 3.0).radius_mm == 3.0
+    assert gel.tool(ToolEntry(kind="flat")).description.startswith("box:")

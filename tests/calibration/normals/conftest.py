@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -11,27 +12,34 @@ import pytest
 import torch
 
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
+from taccel_lab.calibration.color.fit_options import SHORT_FIT
 from taccel_lab.calibration.normals.fit import fit_normals
 from taccel_lab.calibration.normals.network_fit import InverseFitOptions
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import SampleOptions
-from taccel_lab.calibration.surfaces import PressSurface
-from taccel_lab.calibration.surfaces.ball_in_layer import layer_skirts
+from taccel_lab.calibration.surfaces import BallSurface
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_surfaces
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.signals.rest_surface import flat_rest
-from tests.support.synthetic_presses import (
-    GRID,
-    flat_background,
-    known_change,
-    synthetic_captures,
-)
+from tests.support.synthetic_presses import GRID, flat_background, known_change, synthetic_captures
 
 QUICK = InverseFitOptions(
-    samples=SampleOptions(disc_pixels=600, skirt_pixels=600, flat_pixels=200, zooms=2),
+    samples=SampleOptions(disc_pixels=600, sink_in_pixels=600, flat_pixels=200, zooms=2),
     members=3, hidden=(24, 24), steps=350, batch_pixels=384,
 )  # fmt: skip
 PAD = BondedLayer(4.0, 0.48)
-Clean = tuple[CaptureSet, list[PressSurface], NormalCalibration]
+Clean = tuple[CaptureSet, list[BallSurface], NormalCalibration]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _colors_of_synthetic_presses_are_fitted_shortly() -> Iterator[None]:
+    """What presses of other tools are drawn with takes ten times as long as the networks here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "taccel_lab.calibration.normals.fit.ColorFitOptions",
+            lambda seed: replace(SHORT_FIT, seed=seed),
+        )
+        yield
 
 
 @pytest.fixture
@@ -45,7 +53,7 @@ def circles_of(captures: CaptureSet) -> list[ContactCircle]:
 
 
 def calibrated(
-    captures: CaptureSet, surfaces: list[PressSurface] | None, **changes: object
+    captures: CaptureSet, surfaces: list[BallSurface] | None, **changes: object
 ) -> NormalCalibration:
     settings = {"options": QUICK} | changes
     split = captures.split(4)
@@ -76,18 +84,28 @@ def clean() -> Clean:
     return captures, surfaces, calibrated(captures, surfaces)
 
 
-def sunk_captures() -> tuple[CaptureSet, list[PressSurface]]:
+def sunk_captures() -> tuple[CaptureSet, list[BallSurface]]:
     """Balls whose gel sinks around them as a bonded layer does."""
     captures, _ = synthetic_captures(16, noise=0.0)
-    surfaces = layer_skirts(captures, circles_of(captures), PAD, flat_rest(GRID))
+    surfaces = layer_surfaces(captures, circles_of(captures), PAD, flat_rest(GRID))
     images = [np.clip(flat_background() + known_change(s), 0, 255) for s in surfaces]
     return with_images(captures, lambda _, i: images[i]), surfaces
 
 
 @pytest.fixture(scope="session")
-def practised() -> NormalCalibration:
-    """Networks that practised on other tools."""
+def stages() -> dict[str, tuple[int, int]]:
+    """What the fit of ``synthetic`` said last of each of its stages, in order: done, in all."""
+    return {}
+
+
+@pytest.fixture(scope="session")
+def synthetic(stages: dict[str, tuple[int, int]]) -> NormalCalibration:
+    """Networks trained on other tools."""
     torch.set_num_threads(1)
     captures, surfaces = sunk_captures()
-    options = replace(QUICK, steps=800, practice=24)
-    return calibrated(captures, surfaces, options=options, pad=PAD)
+    options = replace(QUICK, steps=800, synthetic_presses=24)
+
+    def progress(task: str, done: int, total: int) -> None:
+        stages[task] = done, total
+
+    return calibrated(captures, surfaces, options=options, pad=PAD, progress=progress)

@@ -1,46 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Radii are those of the reading, without label errors; the +- of heights holds all of it."""
+"""How far read normals and depths are off, and what their sigma says."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.network_fit import fit_color_model
-from taccel_lab.calibration.normals.practice import ImageNoise
-from taccel_lab.calibration.normals.reading_error import (
-    KnownPress,
-    widened,
-    with_reading_errors,
-)
+from taccel_lab.calibration.normals.read_surface import SurfaceReader
+from taccel_lab.calibration.normals.reading_error import KnownPress, widened, with_reading_errors
+from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import (
+    CaptureScene,
     InverseFrame,
-    Scene,
     circle_angle_rad,
     true_normals,
 )
-from taccel_lab.calibration.surfaces.ball_in_layer import ball_surface, depth_share
+from taccel_lab.calibration.normals.synthetic_presses import ImageNoise
+from taccel_lab.calibration.surfaces import BallSurface
+from taccel_lab.calibration.surfaces.ball_in_layer import ball_surface, depth_share, layer_surfaces
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.normal_model import NormalModel, expected_shapes
 from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import normals_from_slopes, slopes_from_height
+from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights
 from taccel_lab.signals.rest_surface import flat_rest
-from tests.support.synthetic_presses import synthetic_captures
+from tests.calibration.normals.conftest import (
+    PAD,
+    QUICK,
+    Clean,
+    calibrated,
+    circles_of,
+    sunk_captures,
+)
+from tests.support.synthetic_presses import GRID, flat_profile, synthetic_captures
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-GRID = PixelGrid(60, 56, 0.1, 0.1)
-BALL_MM, PAD = 3.0, BondedLayer(4.0, 0.46)
+AREA = PixelGrid(60, 56, 0.1, 0.1)
+BALL_MM, LAYER = 3.0, BondedLayer(4.0, 0.46)
 SLOPE_PER_LEVEL = 0.02
 """Of the sensor drawn here: red tells the slope along x, green that along y."""
-SCENE = Scene(np.full((56, 60, 3), 120.0, dtype=np.float32), GRID, BALL_MM)
+SCENE = CaptureScene(np.full((56, 60, 3), 120.0, dtype=np.float32), AREA, BALL_MM)
 
 
 def reader(members: int = 2, wrong: float = 0.0) -> NormalModel:
@@ -58,7 +66,7 @@ def reader(members: int = 2, wrong: float = 0.0) -> NormalModel:
 
 def drawn(rise_m: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Image of a surface with noise, and its normals as the linear networks read slopes."""
-    slope = slopes_from_height(rise_m, GRID)
+    slope = slopes_from_height(rise_m, AREA)
     image = SCENE.background.copy()
     image[..., :2] += slope / SLOPE_PER_LEVEL
     tilt = np.linalg.norm(slope, axis=-1, keepdims=True)
@@ -66,55 +74,62 @@ def drawn(rise_m: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.
     return image + rng.normal(0, 0.4, image.shape).astype(np.float32), normals
 
 
-def presses(label_px: float, stated_px: float, count: int = 8) -> Iterator[KnownPress]:
+@cache
+def ball(circle: ContactCircle) -> BallSurface:
+    """The layer under a ball, which one contact is enough to solve."""
+    return ball_surface(circle, BALL_MM, AREA, LAYER, flat_rest(AREA))
+
+
+def presses(label_px: float, stated_px: float) -> Iterator[KnownPress]:
     """Balls whose labels are off by ``label_px`` to all sides and stated to be by ``stated_px``."""
     rng = np.random.default_rng(1)
-    for k in range(count):
+    for k in range(8):
         u_px, v_px, radius_px = rng.uniform((26, 24, 7), (34, 32, 9)).tolist()
         true = ContactCircle(u_px, v_px, radius_px)
         off = label_px * (-1.0) ** (k // np.array([1, 2, 4]))
         label = ContactCircle(true.u_px + off[0], true.v_px + off[1], true.radius_px + off[2])
-        rest = flat_rest(GRID)
-        image, _ = drawn(1e-3 * ball_surface(true, BALL_MM, GRID, PAD, rest).displacement_mm(), rng)
-        known = ball_surface(label, BALL_MM, GRID, PAD, rest)
+        image, _ = drawn(1e-3 * ball(true).displacement_mm(), rng)
+        known = ball(label)
         frame = InverseFrame("p", image, label, "", known, (stated_px, stated_px))
         normals = true_normals(frame, SCENE)
         yield KnownPress(
             image,
             normals,
             1e-3 * known.displacement_mm(),
-            label.distance_px(GRID) <= 0.9 * label.radius_px,
+            label.distance_px(AREA) <= 0.9 * label.radius_px,
             normals_sigma_deg=np.degrees(circle_angle_rad(frame, SCENE, normals)),
         )
 
 
 @cache
-def calibrated(label_px: float, stated_px: float) -> NormalModelConfig:
-    """Practice is read without error of labels, balls with."""
-    practice = [replace(press, normals_sigma_deg=None) for press in presses(0.0, 0.0)]
+def noted(label_px: float, stated_px: float) -> NormalModelConfig:
+    """Synthetic presses are read without error of labels, balls with."""
+    synthetic_presses = [replace(press, normals_sigma_deg=None) for press in presses(0.0, 0.0)]
     balls = presses(label_px, stated_px)
-    model, score = with_reading_errors(reader(), practice, balls, SCENE, depth_share=0.03)
+    model, score = with_reading_errors(reader(), synthetic_presses, balls, SCENE, depth_share=0.03)
     assert score is not None and score.count == 8
     return model.config
 
 
 def test_errors_of_labels_that_are_stated_widen_no_radius() -> None:
-    exact, stated, denied = calibrated(0.0, 0.0), calibrated(0.4, 0.4), calibrated(0.4, 0.0)
+    exact, stated, denied = noted(0.0, 0.0), noted(0.4, 0.4), noted(0.4, 0.0)
     assert denied.radius95_sigmas > 1.4 * exact.radius95_sigmas
     assert stated.radius95_sigmas < 1.15 * exact.radius95_sigmas
 
 
 def test_what_balls_are_off_by_is_in_the_absolute_depth_and_not_in_the_reading() -> None:
     """Labels or reading, nobody can tell; what is stated of labels makes no depth better known."""
-    exact, stated, denied = calibrated(0.0, 0.0), calibrated(0.4, 0.4), calibrated(0.4, 0.0)
+    exact, stated, denied = noted(0.0, 0.0), noted(0.4, 0.4), noted(0.4, 0.0)
     assert exact.height_factor == stated.height_factor == denied.height_factor > 0
     assert stated.along_factor == denied.along_factor > 2 * exact.along_factor
     assert exact.depth_share == 0.03
 
 
 def test_presses_that_nothing_had_seen_widen_the_bands_and_never_narrow_them() -> None:
-    practice = [replace(press, normals_sigma_deg=None) for press in presses(0.0, 0.0)]
-    model, _ = with_reading_errors(reader(), practice, presses(0.0, 0.0), SCENE, depth_share=0.03)
+    synthetic_presses = [replace(press, normals_sigma_deg=None) for press in presses(0.0, 0.0)]
+    model, _ = with_reading_errors(
+        reader(), synthetic_presses, presses(0.0, 0.0), SCENE, depth_share=0.03
+    )
     before = model.config
     same = widened(model, presses(0.0, 0.0), SCENE).config
     assert same.radius95_sigmas == pytest.approx(before.radius95_sigmas)
@@ -135,8 +150,7 @@ def test_the_network_that_reads_a_left_out_press_does_not_tell_itself_that_it_er
     """On a new press nothing does: a member's distance from the others is known only where these
     saw the press."""
     rng = np.random.default_rng(2)
-    surface = ball_surface(ContactCircle(30, 28, 9), BALL_MM, GRID, PAD, flat_rest(GRID))
-    image, _ = drawn(1e-3 * surface.displacement_mm(), rng)
+    image, _ = drawn(1e-3 * ball(ContactCircle(30, 28, 9)).displacement_mm(), rng)
     model = reader(members=4, wrong=0.5)
     alone = model.predict(image, SCENE.background, left_out=0)
     together = model.predict(image, SCENE.background)
@@ -147,15 +161,12 @@ def test_the_network_that_reads_a_left_out_press_does_not_tell_itself_that_it_er
 
 
 def test_a_stated_pixel_of_all_radii_moves_depths_as_it_does() -> None:
-    rest, circle = flat_rest(GRID), ContactCircle(30.0, 28.0, 18.0)
-    here, there = (
-        ball_surface(replace(circle, radius_px=radius), BALL_MM, GRID, PAD, rest)
-        for radius in (18.0, 19.0)
-    )
-    without, with_it = (depth_share([(here, circle)], px, BALL_MM, GRID) for px in (0.0, 1.0))
+    circle = ContactCircle(30.0, 28.0, 18.0)
+    here, there = ball(circle), ball(replace(circle, radius_px=19.0))
+    without, with_it = (depth_share([(here, circle)], px, BALL_MM, AREA) for px in (0.0, 1.0))
     found = there.depth_mm / here.depth_mm - 1
     assert np.sqrt(with_it**2 - without**2) == pytest.approx(found, rel=0.1)
-    assert depth_share([(here, circle)], 0.0, BALL_MM, GRID, scale_share=0.05) == pytest.approx(
+    assert depth_share([(here, circle)], 0.0, BALL_MM, AREA, scale_share=0.05) == pytest.approx(
         np.hypot(without, 0.1)
     )
 
@@ -169,7 +180,7 @@ def test_noise_is_that_of_the_captures_where_contacts_fill_the_picture() -> None
         if p.circle is not None and not p.circle.untouched(captures.grid).any()
     ]
     assert len(frames) > 1
-    scene = Scene(captures.background.astype(np.float32), captures.grid, 6.0, None, None)
+    scene = CaptureScene(captures.background.astype(np.float32), captures.grid, 6.0, None, None)
     shown = [
         ColorFrame(f.name, f.image, f.circle, f.surface, f.sha256) for f in frames if f.surface
     ]
@@ -177,3 +188,95 @@ def test_noise_is_that_of_the_captures_where_contacts_fill_the_picture() -> None
     colors = fit_color_model(shown, scene.background, scene.grid, options).model
     noise = ImageNoise.of(frames, scene, colors)
     assert noise.white_levels == pytest.approx(3.0, rel=0.15)
+
+
+Known = tuple[CaptureSet, list[BallSurface]]
+
+
+def told(known: Known, radius_px: float, scale_share: float) -> NormalCalibration:
+    """A calibration whose circles and scale are too large by their stated errors."""
+    mm_per_px = (1 + scale_share) * GRID.mm_per_px_x
+    captures = replace(
+        known[0], grid=PixelGrid(GRID.width_px, GRID.height_px, mm_per_px, mm_per_px)
+    )
+    presses = tuple(
+        replace(press, circle=replace(circle, radius_px=circle.radius_px + radius_px))
+        for press, circle in zip(captures.presses, circles_of(captures), strict=True)
+    )
+    captures = replace(captures, presses=presses)
+    surfaces = layer_surfaces(captures, circles_of(captures), PAD, flat_rest(captures.grid))
+    count = len(captures.split(4).train)
+    return calibrated(
+        captures, surfaces, options=replace(QUICK, synthetic_presses=24), pad=PAD,
+        circle_sigmas_px=[(0.0, radius_px)] * count, scale_share=scale_share,
+    )  # fmt: skip
+
+
+def readings(result: NormalCalibration, known: Known) -> list[tuple[ReadHeights, np.ndarray]]:
+    """Held-out presses as they are read, and their true rise [m]."""
+    captures, surfaces = known
+    found = []
+    for i in captures.split(4).heldout:
+        image = captures.presses[i].image().astype(np.float32)
+        read = read_heights(result.fit.model, image, captures.background, result.scene.grid)
+        found.append((read, 1e-3 * surfaces[i].displacement_mm()))
+    return found
+
+
+def held(found: Sequence[tuple[ReadHeights, np.ndarray]], *, alone: bool = False) -> float:
+    """Share of the dents within two standard deviations."""
+    shares = []
+    for read, rise_m in found:
+        sigma_m = read.reading_sigma_m if alone else read.sigma_m
+        assert sigma_m is not None
+        dent = rise_m < 0.3 * rise_m.min()
+        shares.append(np.mean(np.abs(read.rise_m - rise_m)[dent] <= BAND_SIGMAS * sigma_m[dent]))
+    return float(np.mean(shares))
+
+
+def share_of_depth(found: Sequence[tuple[ReadHeights, np.ndarray]]) -> float:
+    """Mean standard deviation of the deepest points over their depth."""
+    shares = []
+    for read, _ in found:
+        assert read.sigma_m is not None
+        deepest = np.unravel_index(int(np.argmin(read.rise_m)), read.rise_m.shape)
+        shares.append(-read.sigma_m[deepest] / read.rise_m[deepest])
+    return float(np.mean(shares))
+
+
+@pytest.fixture(scope="module")
+def known() -> Known:
+    return sunk_captures()
+
+
+@pytest.mark.parametrize(
+    ("radius_px", "scale_share"),
+    [
+        pytest.param(1.2, 0.0, id="circles"),
+        pytest.param(0.0, 0.05, id="scale", marks=pytest.mark.slow),
+    ],
+)
+def test_what_is_wrong_as_stated_is_held(
+    known: Known, radius_px: float, scale_share: float
+) -> None:
+    found = readings(told(known, radius_px, scale_share), known)
+    assert held(found, alone=True) < 0.5
+    assert held(found) > 0.93
+    # Wide enough, and not silly.
+    off = np.mean([np.abs(read.rise_m.min() / rise_m.min() - 1) for read, rise_m in found])
+    assert off < 2 * share_of_depth(found) < 5 * off
+
+
+def test_a_smaller_image_gives_the_same_depth_at_the_same_place(clean: Clean) -> None:
+    captures, _, result = clean
+    profile = result.apply_to(flat_profile(GRID))
+    image = captures.presses[captures.split(4).heldout[0]].image()
+    whole, half = SurfaceReader(profile), SurfaceReader(profile, shrink=2)
+    assert half.grid.width_px == pytest.approx(GRID.width_px / 2, abs=2)
+    fine, coarse = whole.read(image), half.read(image)
+    assert coarse.rise_m.shape == (half.grid.height_px, half.grid.width_px)
+    assert coarse.rise_m.min() == pytest.approx(fine.rise_m.min(), rel=0.03)
+    a, b = fine.figures(whole.grid), coarse.figures(half.grid)
+    assert b["deepest_gel_mm"] == pytest.approx(a["deepest_gel_mm"], abs=0.25)
+    quick = half.read_levels(half.in_own_light(image), uncertainty=False)
+    assert quick.height_sigma_m is None and (quick.rise_m == coarse.rise_m).all()

@@ -8,57 +8,27 @@ held-out presses is 1.2 px too large, as the image tells, and a pixel is 0.055 m
 
 from __future__ import annotations
 
-import csv
-from functools import partial
-
-import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture import CaptureSet
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.normals.fit import fit_normals
-from taccel_lab.calibration.surfaces.ball_in_layer import layer_skirts
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_surfaces
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
-from taccel_lab.files.images import read_image
-from taccel_lab.files.regular_file import file_sha256
-from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.rest_surface import flat_rest
-from tests.support.real_data import real_data
+from tests.support.real_data import labelled_presses
 
 PAD = BondedLayer(4.0, 0.48)
 """As no set states its gel."""
-
-
-def labelled(
-    folder: str, labels: str, background: str, images: str, ball_mm: float, mm_per_px: float
-) -> CaptureSet:
-    root = real_data(folder)
-    with (root / labels).open() as stream:
-        rows = sorted(csv.DictReader(stream), key=lambda row: row["file"])
-    presses = []
-    most_px = 0.99 * ball_mm / mm_per_px  # a label of ours reaches a hundredth over the equator
-    for row in rows:
-        path = root / images / row["file"]
-        circle = ContactCircle(
-            float(row["cx_px"]), float(row["cy_px"]), min(float(row["contact_r_px"]), most_px)
-        )
-        presses.append(
-            Press(path.stem, str(path), file_sha256(path), circle, partial(read_image, path))
-        )
-    image = read_image(root / background)
-    height, width = image.shape[:2]
-    return CaptureSet(
-        folder, "gelsight", image, file_sha256(root / background),
-        np.ones((height, width), dtype=bool), ball_mm,
-        PixelGrid(width, height, mm_per_px, mm_per_px), tuple(presses), {},
-    )  # fmt: skip
+LARGEST_RADII = 0.99
+"""A label of ours reaches a hundredth over the equator."""
 
 
 def heldout(captures: CaptureSet) -> tuple[dict[str, float], float]:
     split = captures.split(4)
     training = captures.only(split.train)
     usable = usable_circles(training, cache=False)
-    surfaces = layer_skirts(usable.captures, usable.circles, PAD, flat_rest(training.grid))
+    surfaces = layer_surfaces(usable.captures, usable.circles, PAD, flat_rest(training.grid))
     result = fit_normals(
         usable.captures, usable.circles, surfaces, captures.only(split.heldout),
         split=split, circle_source="fused", circle_sigmas_px=usable.sigmas_px,
@@ -70,7 +40,7 @@ def heldout(captures: CaptureSet) -> tuple[dict[str, float], float]:
     # Errors of the labels count against the +-: nobody tells them apart.
     assert held["absolute_depth"]["within_68"] > 0.6
     assert held["absolute_depth"]["within_95"] > 0.92
-    assert result.practised is not None and result.practised.median_press_mm < 0.04
+    assert result.synthetic is not None and result.synthetic.median_press_mm < 0.04
     scores = held["in_used_circles"] | {"absolute": held["absolute_depth"]["mae_mm"]}
     return scores, result.reliability.ratio()
 
@@ -78,9 +48,9 @@ def heldout(captures: CaptureSet) -> tuple[dict[str, float], float]:
 @pytest.mark.slow
 def test_rvsathu() -> None:
     scores, ratio = heldout(
-        labelled(
-            "gelsight_rvsathu_sim2real", "labels/calib_labels.csv", "background_real.png", "",
-            2.92, 0.05926,
+        labelled_presses(
+            "gelsight_rvsathu_sim2real", "labels/calib_labels.csv", "background_real.png",
+            2.92, 0.05926, LARGEST_RADII,
         )
     )  # fmt: skip
     assert scores["mean_deg"] < 3.2
@@ -92,8 +62,8 @@ def test_rvsathu() -> None:
 @pytest.mark.slow
 def test_fots_gelsight_mini_with_its_drifting_light() -> None:
     scores, ratio = heldout(
-        labelled(
-            "fots_calib", "labels_gelsight.csv", "mlp_calib/0000.png", "", 2.35, 0.0511,
+        labelled_presses(
+            "fots_calib", "labels_gelsight.csv", "mlp_calib/0000.png", 2.35, 0.0511, LARGEST_RADII
         )
     )  # fmt: skip
     assert scores["mean_deg"] < 6.0

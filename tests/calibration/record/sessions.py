@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from taccel_lab.calibration.capture.camera import Camera, CameraLostError, Replay, Shot
+from taccel_lab.calibration.capture.camera import Camera, CameraLostError, CameraReplay, Shot
 from taccel_lab.calibration.capture.camera.camera import CameraInfo, ControlLock, ControlValues
 from taccel_lab.calibration.capture.camera.replay import ReplayCamera, open_replay
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.calibration.record.run import Order
-from taccel_lab.calibration.record.session import Status
+from taccel_lab.calibration.record.session import SessionStatus
 from tests.support.capture_sets import BALL_MM, CaptureMaker, spread_circles
 from tests.support.synthetic_presses import GRID
 
-NOISY = Replay(noise_levels=1.0, hold_s=0.8, rest_s=1.8)
+NOISY = CameraReplay(noise_levels=1.0, hold_s=0.8, rest_s=1.8)
 FACTS = RecordFacts("flat_pad", radius_mm=BALL_MM, mm_per_px=(GRID.mm_per_px_x, GRID.mm_per_px_y))
 
 
@@ -31,10 +31,10 @@ class Watching:
     """A watcher that keeps what it is shown, and gives orders at some frames."""
 
     def __init__(self, orders: dict[int, Order] | None = None) -> None:
-        self.seen: list[Status] = []
+        self.seen: list[SessionStatus] = []
         self._orders = orders or {}
 
-    def show(self, status: Status) -> None:
+    def show(self, status: SessionStatus) -> None:
         self.seen.append(status)
 
     def orders(self) -> list[Order]:
@@ -56,7 +56,8 @@ class SteeredCamera(ReplayCamera):
             while True:
                 yield self.image
 
-        super().__init__(path, frames, Replay(paced=True, noise_levels=noise))
+        # As few frames a second as tell a rest: each is looked at, sent and drawn by a browser.
+        super().__init__(path, frames, CameraReplay(fps=12.0, paced=True, noise_levels=noise))
 
     def read(self) -> Shot | None:
         shot = super().read()
@@ -103,6 +104,6 @@ class UnpluggedCamera:
     def close(self) -> None: ...
 
 
-def replaying(path: Path, how: Replay = NOISY) -> Callable[[], Camera]:
+def replaying(path: Path, how: CameraReplay = NOISY) -> Callable[[], Camera]:
     """Opens a replay of a capture folder."""
     return lambda: open_replay(path, how)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page in a browser: it shows the change, takes when asked to, and ends."""
+"""A recording: its page, its trigger and cameras that fail."""
 
 from __future__ import annotations
 
@@ -10,18 +10,28 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from taccel_lab.calibration.capture import load_capture_folder
+from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
+from taccel_lab.calibration.capture.camera import CameraReplay, Shot, open_camera
+from taccel_lab.calibration.capture.camera.camera import CameraInfo
 from taccel_lab.calibration.capture.coverage import CELLS, cell_name, cell_of
+from taccel_lab.calibration.record.advice import SHARES, contact_radius_mm, next_press
+from taccel_lab.calibration.record.camera_faults import FROZEN_S
 from taccel_lab.calibration.record.folder import open_record
 from taccel_lab.calibration.record.page import LAMP_COLORS, RecordPage
 from taccel_lab.calibration.record.pictures import BLUE
 from taccel_lab.calibration.record.run import run_session
-from taccel_lab.calibration.record.session import Recorder
+from taccel_lab.calibration.record.session import Recorder, SessionStatus
 from taccel_lab.calibration.record.tiles import tiled
+from taccel_lab.calibration.record.trigger import HOLD_S, Phase, Seen, Trigger, UntouchedGel
+from taccel_lab.errors import InputError
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
-from tests.calibration.record.sessions import FACTS, SteeredCamera, source
-from tests.support.capture_sets import spread_circles
+from tests.calibration.drawn.faults import quantise
+from tests.calibration.record.sessions import FACTS, SteeredCamera, Watching, source
+from tests.support.capture_sets import gel, press, spread_circles, write_image
+from tests.support.real_data import real_data
 from tests.support.synthetic_presses import GRID
 from tests.viewer.browser import chromium_page, picture, wait_for
 
@@ -170,3 +180,203 @@ def test_tiles_show_every_picture_whole(aspect: float) -> None:
         wide, high = np.ptp(columns) + 1, np.ptp(rows) + 1
         assert wide / high == pytest.approx(shape[1] / shape[0], rel=0.03) and wide > 60
         assert len(rows) == wide * high
+
+
+FPS = 20.0
+
+
+def watched(path: Path, how: CameraReplay) -> tuple[list[tuple[float, Seen]], Trigger]:
+    camera, trigger = open_camera(str(path), None, how), Trigger()
+    seen = []
+    while (shot := camera.read()) is not None:
+        seen.append((shot.time_s, trigger.see(shot.image, shot.time_s)))
+    return seen, trigger
+
+
+@pytest.mark.parametrize("noise", [0.0, 4.0])
+def test_every_press_is_taken_once_when_it_stands_still(tmp_path: Path, noise: float) -> None:
+    how = CameraReplay(noise_levels=noise, hold_s=0.9)
+    seen, _ = watched(source(tmp_path / "set", 2), how)
+    takes = [time for time, frame in seen if frame.take]
+    assert len(takes) == 2
+    # Each comes after rest and way in, and after it stood still for as long as it has to.
+    period = how.hold_s + 0.5 * how.rest_s + 2 * (how.blend_s - 1 / how.fps)
+    for k, time in enumerate(takes):
+        arrived = how.rest_s + k * period + how.blend_s - 2 / how.fps
+        assert arrived + HOLD_S < time < arrived + how.hold_s + 0.05
+
+
+def test_limits_follow_the_cameras_own_noise() -> None:
+    rng = np.random.default_rng(3)
+
+    def rest_at(noise: float) -> UntouchedGel:
+        trigger, k = Trigger(), 0
+        while trigger.rest is None and k < 200:
+            trigger.see(quantise(gel() + rng.normal(0, noise, gel().shape)), k / FPS)
+            k += 1
+        assert trigger.rest is not None
+        return trigger.rest
+
+    assert rest_at(4.0).change_levels > 3 * rest_at(0.5).change_levels
+
+
+def test_a_moving_contact_is_not_taken() -> None:
+    rng, trigger = np.random.default_rng(0), Trigger()
+
+    def see(image: np.ndarray, k: int) -> Seen:
+        noisy = image + rng.normal(0, 1.0, image.shape)
+        return trigger.see(quantise(noisy), k / FPS)
+
+    for k in range(50):
+        see(gel(), k)
+    phases = [
+        see(press(ContactCircle(40.0 + 1.5 * k, 60.0, 15.0)), 50 + k).phase for k in range(40)
+    ]
+    assert Phase.TAKEN not in phases and Phase.APPROACHING in phases[3:]
+
+
+def test_what_moves_at_the_start_is_not_taken_for_rest() -> None:
+    trigger = Trigger()
+    rng = np.random.default_rng(1)
+    for k in range(40):  # Two seconds of a ball that is pulled away.
+        image = press(ContactCircle(80.0, 60.0, 18.0 - 0.3 * k))
+        trigger.see(quantise(image + rng.normal(0, 1.0, image.shape)), k / FPS)
+    assert trigger.rest is None
+    for k in range(40, 120):
+        trigger.see(quantise(gel() + rng.normal(0, 1.0, gel().shape)), k / FPS)
+    assert trigger.rest is not None
+    assert np.abs(trigger.rest.image.mean() - gel().mean()) < 1.0
+
+
+def test_a_mark_that_stays_renews_the_untouched_picture() -> None:
+    rng, trigger = np.random.default_rng(2), Trigger()
+    contact = press(ContactCircle(80.0, 60.0, 16.0))
+    marked = gel() + 0.1 * (contact - gel())
+    frames = [gel()] * 40 + [contact] * 20 + [marked] * 60 + [contact] * 20
+    seen = [
+        trigger.see(quantise(f + rng.normal(0, 0.5, f.shape)), k / FPS)
+        for k, f in enumerate(frames)
+    ]
+    assert sum(frame.renewed for frame in seen) == 1
+    assert sum(frame.take for frame in seen) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "count"), [("gelsight_rvsathu_sim2real", 22), ("gsmini_ruihangao_calib", 49)]
+)
+def test_real_presses_are_taken(tmp_path: Path, name: str, count: int) -> None:
+    from taccel_lab.calibration.capture import import_captures
+
+    (folder,) = import_captures(real_data(name), tmp_path / "set")
+    seen, _ = watched(folder, CameraReplay(noise_levels=1.0))
+    assert sum(frame.take for _, frame in seen) == count
+
+
+def test_a_finger_that_never_rests_is_not_taken() -> None:
+    """A real video: a finger presses, shears and leaves, without ever standing still."""
+    seen, trigger = watched(real_data("gsmini_markers_video"), CameraReplay(fps=25.0))
+    assert trigger.rest is not None
+    assert not any(frame.take for _, frame in seen)
+    assert any(frame.phase == Phase.APPROACHING for _, frame in seen)
+
+
+SIZE = (320, 240)
+
+
+@given(st.integers(0, 47))
+def test_whoever_follows_it_covers_all_cells_at_all_depths(count: int) -> None:
+    circles = []
+    for _ in range(count):
+        advice = next_press(circles, SIZE, 40.0)
+        u, v = ((advice.cell[k] + 0.5) * SIZE[k] / CELLS[k] for k in (0, 1))
+        assert advice.radius_px is not None
+        circles.append(ContactCircle(u, v, advice.radius_px))
+    cells = [cell_of(circle, *SIZE) for circle in circles]
+    each = [cells.count(cell) for cell in {(c, r) for c in range(4) for r in range(3)}]
+    assert max(each) - min(each) <= 1
+    if count >= 36:
+        here = {circle.radius_px for circle in circles if cell_of(circle, *SIZE) == (0, 0)}
+        assert here == {share * 40.0 for share in SHARES}
+
+
+def test_without_a_scale_the_depth_is_told_by_the_contacts_so_far() -> None:
+    assert next_press([], SIZE, None).radius_px is None
+    assert "px wide" in str(next_press([ContactCircle(30, 30, 20)], SIZE, None))
+
+
+def test_a_balls_contact_is_never_wider_than_the_ball() -> None:
+    assert contact_radius_mm(2.0, 5.0) == 2.0 and contact_radius_mm(2.0, 0.5) < 2.0
+
+
+FRAMES = 50
+
+
+def shown(folder: Path, frames: list[np.ndarray], out: Path) -> list[SessionStatus]:
+    """What a session says of a folder of frames."""
+    folder.mkdir()
+    for k, frame in enumerate(frames):
+        write_image(folder / f"{k:03d}.png", frame)
+    watching = Watching()
+    with open_record(out, FACTS) as record:
+        recorder = Recorder(record, FACTS, 1)
+        run_session(recorder, lambda: open_camera(str(folder), None, CameraReplay()), [watching])
+    return watching.seen
+
+
+def noisy(count: int = FRAMES, gains: tuple[float, ...] = (1.0,)) -> list[np.ndarray]:
+    rng = np.random.default_rng(0)
+    return [
+        np.clip(gel() * gains[k % len(gains)] + rng.normal(0, 1, gel().shape), 0, 255)
+        .round()
+        .astype(np.uint8)
+        for k in range(count)
+    ]
+
+
+@pytest.mark.parametrize(("level", "said"), [(0, "black"), (255, "white")])
+def test_the_untouched_gel_waits_until_one_is_seen(tmp_path: Path, level: int, said: str) -> None:
+    blank = [np.full(gel().shape, level, np.uint8)] * FRAMES
+    seen = shown(tmp_path / "blank", blank, tmp_path / "none")
+    assert said in seen[-1].prompt and said in seen[-1].unseen
+    assert not (tmp_path / "none").exists()
+    seen = shown(tmp_path / "later", [*blank, *noisy()], tmp_path / "out")
+    assert seen[-1].prompt.startswith("Press next") and seen[-1].unseen == ""
+    background = load_capture_folder(tmp_path / "out").background
+    assert background is not None
+    assert np.abs(background.image().astype(float) - gel()).mean() < 2.0
+
+
+def test_light_that_flickers_lights_its_lamp(tmp_path: Path) -> None:
+    def state(name: str, gains: tuple[float, ...]) -> tuple[str, str]:
+        seen = shown(tmp_path / name, noisy(gains=gains), tmp_path / f"out_{name}")
+        lamp = next(lamp for lamp in seen[-1].lamps if lamp.name == "flicker")
+        return lamp.state, lamp.text
+
+    assert state("steady", (1.0,))[0] == "ok"
+    flickers, told = state("flickers", (0.9, 1.1))
+    assert flickers == "bad" and "10 ms" in told
+
+
+@pytest.mark.parametrize("replayed", [False, True])
+def test_a_camera_that_hangs_is_told_a_replay_is_not(tmp_path: Path, replayed: bool) -> None:
+    with open_record(tmp_path / "out", FACTS) as folder:
+        recorder = Recorder(folder, FACTS, 1)
+        recorder.opened(CameraInfo("usb-1", "mine", replayed=replayed), [])
+        for k, image in enumerate(noisy()):
+            status = recorder.see(Shot(image, k / 25))
+        start = FRAMES / 25
+        for k in range(int(25 * (FROZEN_S + 1))):
+            status = recorder.see(Shot(image, start + k / 25))
+        lamp = next(lamp for lamp in status.lamps if lamp.name == "camera")
+        assert ("hangs" in status.prompt) is not replayed
+        assert ("hangs" in lamp.text and lamp.state == "bad") is not replayed
+        status = recorder.see(Shot(noisy(1)[0], start + FROZEN_S + 1.1))
+        assert "hangs" not in status.prompt
+
+
+def test_images_too_small_to_calibrate_leave_nothing(tmp_path: Path) -> None:
+    small = [np.full((12, 16, 3), 90, np.uint8)] * 5
+    with pytest.raises(InputError, match="16x12 px; at least 32x32"):
+        shown(tmp_path / "small", small, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

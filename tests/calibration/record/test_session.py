@@ -17,7 +17,7 @@ from taccel_lab.calibration.check import check_captures
 from taccel_lab.calibration.record.facts import RecordFacts
 from taccel_lab.calibration.record.folder import open_record
 from taccel_lab.calibration.record.run import run_session
-from taccel_lab.calibration.record.session import Recorder, Status
+from taccel_lab.calibration.record.session import Recorder, SessionStatus
 from taccel_lab.errors import InputError
 from tests.calibration.record.sessions import (
     FACTS,
@@ -30,7 +30,7 @@ from tests.calibration.record.sessions import (
 from tests.support.capture_sets import write_image
 
 
-def recorded(path: Path, out: Path, wanted: int = 3, facts: RecordFacts = FACTS) -> Status:
+def recorded(path: Path, out: Path, wanted: int = 3, facts: RecordFacts = FACTS) -> SessionStatus:
     with open_record(out, facts) as folder:
         return run_session(Recorder(folder, facts, wanted), replaying(path), [])
 
@@ -78,11 +78,7 @@ def test_a_kill_at_any_moment_leaves_a_whole_folder(tmp_path: Path) -> None:
     assert written >= 2 and there >= written - 1  # At most the frame in hand is lost.
     assert recorded(path, out).finished
     names = sorted(p.name for p in out.iterdir() if not p.name.startswith("untouched"))
-    assert names == [
-        "background.png",
-        "captures.toml",
-        *(f"press_{k:03d}.png" for k in range(3)),
-    ]
+    assert names == ["background.png", "captures.toml", *(f"press_{k:03d}.png" for k in range(3))]
 
 
 def test_a_camera_may_go_and_come_back(tmp_path: Path) -> None:
@@ -181,8 +177,5 @@ def test_other_sizes_are_refused(tmp_path: Path) -> None:
     wide.mkdir()
     for k in range(20):
         write_image(wide / f"{k}.png", np.full((100, 200, 3), 90, np.uint8))
-    with (
-        pytest.raises(InputError, match="200x100"),
-        open_record(tmp_path / "out", FACTS) as folder,
-    ):
+    with pytest.raises(InputError, match="200x100"), open_record(tmp_path / "out", FACTS) as folder:
         run_session(Recorder(folder, FACTS, 2), replaying(wide), [])

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle, Press
+from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.refit.fit import calibrate_refit, refit_profile
 from taccel_lab.calibration.refit.frames import NewFrames, refit_frames
 from taccel_lab.calibration.refit.light_change import RefitFrame, fit_light_change
-from taccel_lab.calibration.refit.report import refit_page
+from taccel_lab.calibration.refit.refit_page import refit_page
 from taccel_lab.calibration.refit.result import RefitCalibration
 from taccel_lab.errors import InputError
 from taccel_lab.profile import BackgroundBlock, ColorBlock, Provenance, SensorProfile
@@ -189,7 +189,7 @@ def test_what_five_frames_cannot_tell_is_refused() -> None:
     profile = old_profile()
     same = new_frames(profile, gain=np.ones(3), offset=np.zeros(3), noise=1.0)
     flat = [dataclasses.replace(f, image=add_gradient(f.image, -2.0, 1.0)) for f in same]
-    with pytest.raises(InputError, match="The old profile stays"):
+    with pytest.raises(InputError, match="the old profile stays"):
         refit(profile, flat)
     with pytest.raises(InputError, match="at least 3, better 5"):
         refit(profile, same[:2])
@@ -256,7 +256,7 @@ def names(frames: NewFrames) -> tuple[set[str], set[str]]:
     return {f.name for f in frames.fitted}, {f.name for f in frames.heldout}
 
 
-def spoilt(press: Press) -> Press:
+def spoilt(press: CapturedPress) -> CapturedPress:
     """The press seen elsewhere, with another radius."""
     image = np.roll(press.image(), (7, -9), axis=(0, 1))
     return replace(press, read=partial(np.copy, image))

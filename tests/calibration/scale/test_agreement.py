@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.calibration.capture.captures import ContactCircle, Press
+from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
 from taccel_lab.calibration.capture.folder import EdgeCapture, Frame
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import EdgeEntry, LineEntry
@@ -206,8 +206,10 @@ def test_false_alarms_are_rare_and_real_ones_are_not() -> None:
 
 def contact(radius_px: float, ball_mm: float, depth_mm: float | None = None) -> BallContact:
     circle = ContactCircle(100.0, 100.0, radius_px)
-    press = Press(f"p{radius_px}", "p.png", "0" * 64, circle, lambda: BACKGROUND, depth_mm=depth_mm)
-    return BallContact(press, ball_mm, radius_px, 1.0, True)
+    press = CapturedPress(
+        f"p{radius_px}", "p.png", "0" * 64, circle, lambda: BACKGROUND, depth_mm=depth_mm
+    )
+    return BallContact(press, ball_mm, (0.0, 0.0), radius_px, 1.0, True)
 
 
 def test_balls_without_depths_give_a_limit_only() -> None:

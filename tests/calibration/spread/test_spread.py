@@ -9,17 +9,13 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.light import Light
+from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.spread.result import SpreadCalibration
 from taccel_lab.calibration.spread.units import UnitSpread, spread_of_units
 from taccel_lab.errors import InputError
-from taccel_lab.profile import (
-    BackgroundBlock,
-    PerturbationBlock,
-    Provenance,
-    SensorProfile,
-)
+from taccel_lab.profile import BackgroundBlock, PerturbationBlock, Provenance, SensorProfile
 from taccel_lab.signals.perturbation import draw_perturbation
+from taccel_lab.signals.perturbed_sensors import PerturbedSensors
 from tests.calibration.drawn.faults import add_noise, quantise
 from tests.support.synthetic_presses import GRID, flat_background, tiny_profile
 
@@ -43,7 +39,7 @@ def textured_background() -> np.ndarray:
 
 
 def spread(
-    drifts: Sequence[Light], units: UnitSpread | None = None, noise_levels: float | None = None
+    drifts: Sequence[LightDrift], units: UnitSpread | None = None, noise_levels: float | None = None
 ) -> SpreadCalibration:
     pivot = textured_background().mean(axis=(0, 1))
     return SpreadCalibration(tuple(drifts), noise_levels, units, pivot, {"a": "0" * 64}, "test")
@@ -52,7 +48,7 @@ def spread(
 def drawn_frames(count: int, noise: float, background: np.ndarray, seed: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     draw = draw_perturbation(TRUTH, count, rng)
-    frames = draw.apply(np.repeat(background[None], count, axis=0))
+    frames = PerturbedSensors(draw).apply(np.repeat(background[None], count, axis=0))
     return quantise(add_noise(frames, noise, rng))
 
 
@@ -78,7 +74,7 @@ def test_the_block_draws_images_like_the_measured_ones() -> None:
     block = result.apply_to(tiny_profile(GRID)).perturbation
     assert block is not None and block.provenance.verdict == "good"
     draw = draw_perturbation(block, 400, np.random.default_rng(1))
-    again = draw.apply(np.repeat(background[None], 400, axis=0))
+    again = PerturbedSensors(draw).apply(np.repeat(background[None], 400, axis=0))
     # The spread of a pixel between frames is what randomisation is about.
     first, second = frames.astype(float).std(axis=0), again.std(axis=0)
     assert second.mean() == pytest.approx(first.mean(), rel=0.1)

@@ -1,27 +1,62 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Surfaces of presses: closed forms, and read off those of a few others."""
+"""Surfaces of pressed gels: a bonded layer's, and how a camera sees them."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from taccel_lab.calibration.capture import ContactCircle
-from taccel_lab.calibration.surfaces import PressSurface
+from taccel_lab.calibration import ball_presses
+from taccel_lab.calibration.base_profile import base_profile, captures_on_pad
+from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
+from taccel_lab.calibration.color.fit import calibrate_color
+from taccel_lab.calibration.depth import fit as depth_fit
+from taccel_lab.calibration.normals.fit import calibrate_normals
+from taccel_lab.calibration.surfaces import BallSurface
+from taccel_lab.calibration.surfaces import ball_in_layer as sink_in
+from taccel_lab.calibration.surfaces.ball_in_layer import ball_in_layer, layer_of
+from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, press_layer
+from taccel_lab.calibration.surfaces.design import (
+    MARGIN_MM,
+    design_remarks,
+    fitted_design,
+    fitted_parameters,
+)
+from taccel_lab.calibration.surfaces.random_tools import draw_tool
+from taccel_lab.calibration.surfaces.view import (
+    EDGE_MM,
+    OVERHANG_SHARE,
+    inside_mm,
+    looks_past_pad,
+    pixels_on_pad,
+    view_remarks,
+)
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile import SensorProfile
+from taccel_lab.report.remark import Severity
+from taccel_lab.sensors.profile import catalogue_profile
+from taccel_lab.sensors.registry import profile_parameters, sensor_families, sensor_family
 from taccel_lab.signals.normals import normals_from_height
 from tests.support.analytic_surface import analytic_surface
+from tests.support.finite_element_press import simulated_press
+from tests.support.synthetic_presses import GRID, flat_background, synthetic_captures, write_folder
 
-GRID = PixelGrid(200, 160, 0.05, 0.05)
+FINE = PixelGrid(200, 160, 0.05, 0.05)
 CIRCLE = ContactCircle(100.0, 80.0, 20.0)
 
 
 def test_in_contact_it_is_the_sphere_and_beyond_the_skirt_flat() -> None:
-    surface = analytic_surface(CIRCLE, GRID, 2.0, decay_mm=1e-4)
+    surface = analytic_surface(CIRCLE, FINE, 2.0, decay_mm=1e-4)
     x = np.arange(200) - 100.0
     inside = np.abs(x) < 19
     expected = 2.0 - np.sqrt(4.0 - (0.05 * x[inside]) ** 2)
@@ -34,14 +69,14 @@ def test_in_contact_it_is_the_sphere_and_beyond_the_skirt_flat() -> None:
 
 @pytest.mark.parametrize("decay_mm", [math.inf, 1.0])
 def test_normals_belong_to_the_heights(decay_mm: float) -> None:
-    surface = analytic_surface(CIRCLE, GRID, 2.0, decay_mm=decay_mm)
-    numeric = normals_from_height(surface.height_m, GRID)
-    ring = np.abs(CIRCLE.distance_px(GRID) - 20) > 2  # the slope has a kink at the rim
+    surface = analytic_surface(CIRCLE, FINE, 2.0, decay_mm=decay_mm)
+    numeric = normals_from_height(surface.height_m, FINE)
+    ring = np.abs(CIRCLE.distance_px(FINE) - 20) > 2  # the slope has a kink at the rim
     assert np.abs(numeric - surface.normals)[ring].max() < 5e-3
 
 
 def test_skirt_follows_johnson() -> None:
-    surface = analytic_surface(CIRCLE, GRID, 2.0)
+    surface = analytic_surface(CIRCLE, FINE, 2.0)
     r = 0.05 * np.arange(22, 90)
     rim = 1.0
     johnson = (2 * rim**2 - r**2) * np.arcsin(rim / r) + rim * np.sqrt(r**2 - rim**2)
@@ -52,7 +87,7 @@ def test_skirt_follows_johnson() -> None:
 
 def test_refuses_a_rim_beyond_the_ball() -> None:
     with pytest.raises(InputError, match="not below the ball's radius"):
-        analytic_surface(ContactCircle(100.0, 80.0, 41.0), GRID, 2.0)
+        analytic_surface(ContactCircle(100.0, 80.0, 41.0), FINE, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -64,6 +99,286 @@ def test_refuses_a_rim_beyond_the_ball() -> None:
     ],
 )
 def test_surface_checks_itself(change: dict[str, object], message: str) -> None:
-    surface: PressSurface = analytic_surface(CIRCLE, GRID, 2.0)
+    surface: BallSurface = analytic_surface(CIRCLE, FINE, 2.0)
     with pytest.raises(InputError, match=message):
         dataclasses.replace(surface, **change)  # type: ignore[arg-type]
+
+
+def compliance_by_equations(k: float, thickness: float, nu: float) -> float:
+    """Sinking over pressure of one wave, from Navier's equations in plane strain.
+
+    Displacements ``(i U(z), W(z)) e^(ikx)`` with U, W of the general solution (a + b z) e^(+-kz);
+    four conditions: none at the base z = -t, no shear and unit pressure at the face z = 0.
+    """
+    mu = 1.0
+    modulus = 2 * mu * (1 + nu)
+    kappa = 3 - 4 * nu
+
+    def rows(z: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        # Columns: U = W = e^kz; U = z e^kz, W = (z - kappa / k) e^kz; the same for -k.
+        up, down = np.exp(k * z), np.exp(-k * z)
+        u = np.array([up, z * up, down, z * down])
+        w = np.array([-up, -(z - kappa / k) * up, down, (z + kappa / k) * down])
+        du = np.array([k * up, (1 + k * z) * up, -k * down, (1 - k * z) * down])
+        dw = np.array([-k * up, -(1 + k * z - kappa) * up, -k * down, (1 - k * z - kappa) * down])
+        return u, w, du, dw
+
+    # u_x = U sin(kx), u_z = W cos(kx).
+    ub, wb, _, _ = rows(-thickness)
+    u, w, du, dw = rows(0.0)
+    lame = 2 * mu * nu / (1 - 2 * nu)
+    shear = mu * (du - k * w)
+    normal = (lame + 2 * mu) * dw + lame * k * u
+    solved = np.linalg.solve(np.stack([ub, wb, shear, normal]), [0.0, 0.0, 0.0, -1.0])
+    return float(-(w @ solved) * modulus / (2 * (1 - nu**2)))
+
+
+@given(st.floats(0.05, 8.0), st.floats(0.5, 6.0), st.floats(0.0, 0.49))
+def test_waves_sink_as_the_equations_of_elasticity_say(k: float, t: float, nu: float) -> None:
+    found = BondedLayer(t, nu).compliance_mm(np.array([k]))[0]
+    assert found == pytest.approx(compliance_by_equations(k, t, nu), rel=1e-5)
+
+
+def test_limits_are_the_half_space_and_the_thin_layer() -> None:
+    layer = BondedLayer(3.0, 0.4)
+    k = np.array([0.0, 1e-4, 50.0])
+    found = layer.compliance_mm(k)
+    # A thin bonded layer sinks by p t (1 - 2 nu) (1 + nu) / (E (1 - nu)).
+    thin = 3.0 * (1 - 0.8) * 1.4 / 0.6 / (2 * (1 - 0.16))
+    assert found[:2] == pytest.approx(thin, rel=1e-3)
+    assert found[2] == pytest.approx(1 / 50.0)
+
+
+def grid_of(step: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    values = (np.arange(count) - (count - 1) / 2) * step
+    x, y = np.meshgrid(values, values)
+    return x, y
+
+
+def test_a_ball_in_a_thick_layer_is_hertz() -> None:
+    x, y = grid_of(0.02, 128)
+    ball = 5.0 - np.sqrt(25.0 - np.minimum(x**2 + y**2, 24.0))
+    found = press_layer(ball, 0.05, (0.02, 0.02), BondedLayer(20.0, 0.3))  # 40 contact radii
+    radius = np.sqrt(found.contact.sum() * 0.02**2 / np.pi)
+    assert radius == pytest.approx(np.sqrt(5.0 * 0.05), rel=0.04)
+    assert found.rise_mm.min() == pytest.approx(-0.05, abs=2e-4)
+
+
+@given(st.integers(0, 200), st.floats(0.03, 0.3))
+def test_the_gel_never_stands_in_the_tool_and_is_pressed_only_where_they_touch(
+    seed: int, share: float
+) -> None:
+    x, y = grid_of(0.2, 60)
+    tool = draw_tool(np.random.default_rng(seed), x, y)
+    assert tool.min() == 0 and np.isfinite(tool).all()
+    layer = BondedLayer(4.0, 0.47)
+    found = press_layer(tool, 4.0 * share, (0.2, 0.2), layer)
+    gap = tool - 4.0 * share - found.rise_mm
+    assert gap.min() > -2e-3 * 4.0 * share
+    assert (found.pressure >= 0).all()
+    assert np.abs(gap[found.contact]).max() < 2e-3 * 4.0 * share
+    # Far from the tool it is nearly at rest.
+    assert found.rise_mm.max() < 0.2 * 4.0 * share
+
+
+def test_two_grids_agree() -> None:
+    coarse, fine = grid_of(0.2, 100), grid_of(0.1, 200)
+    rises = [
+        press_layer(np.where(np.abs(y) < 3, np.abs(x), FAR_MM), 0.6, (s, s), BondedLayer(4.0, 0.48))
+        for (x, y), s in ((coarse, 0.2), (fine, 0.1))
+    ]
+    means = rises[1].rise_mm.reshape(100, 2, 100, 2).mean(axis=(1, 3))
+    assert np.sqrt(np.mean((means - rises[0].rise_mm) ** 2)) < 4e-3
+
+
+def test_the_depth_of_a_contact_does_not_hang_on_the_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A coarse grid's contact is wider than it should be by a part of a step, and the ball would
+    come out 2 % too shallow."""
+    grid, layer, depths = PixelGrid(90, 90, 0.1, 0.1), BondedLayer(4.0, 0.46), []
+    for points in (8, 32):
+        monkeypatch.setattr(sink_in, "POINTS_PER_RADIUS", points)
+        circles = [ContactCircle(44.7, 45.2, radius) for radius in (9.0, 12.3, 16.0, 20.4)]
+        depths.append([sink_in.ball_in_layer(c, 3.0, grid, layer)[0] for c in circles])
+    assert np.mean(np.divide(*depths)) == pytest.approx(1.0, abs=0.007)
+
+
+@pytest.mark.slow
+def test_skirts_are_those_of_finite_elements() -> None:
+    profile = catalogue_profile("flat_pad")
+    grid = PixelGrid(160, 120, 0.1, 0.1)
+    circle = ContactCircle(79.5, 59.5, 15.0)
+    depth_mm, rise_mm = ball_in_layer(circle, 3.0, grid, layer_of(profile))
+    radius_mm, simulated_mm = simulated_press(profile, grid, (0.0, 0.0), 3.0, depth_mm, 1.5)
+    # Nodes touch up to 0.02 mm inside the contact's edge, a layer's points up to its edge.
+    assert radius_mm == pytest.approx(1.5, rel=0.03)
+    off = np.abs(rise_mm - simulated_mm)
+    inside = circle.distance_px(grid) < 15.0
+    assert off[inside].mean() < 0.06 * depth_mm
+    assert off[~inside].mean() < 0.01
+
+
+def test_bad_layers_and_depths_are_refused() -> None:
+    with pytest.raises(InputError, match="thickness above 0 mm"):
+        BondedLayer(0.0, 0.4)
+    with pytest.raises(InputError, match=r"Poisson's ratio in 0\.\.0\.5"):
+        BondedLayer(1.0, 0.5)
+    layer = BondedLayer(2.0, 0.4)
+    with pytest.raises(InputError, match="depth 2 mm must lie between 0 and the layer's 2 mm"):
+        press_layer(np.zeros((8, 8)), 2.0, (0.1, 0.1), layer)
+    with pytest.raises(InputError, match="does not reach the face"):
+        press_layer(np.full((8, 8), 1.0), 0.5, (0.1, 0.1), layer)
+
+
+def pad_size(profile: SensorProfile) -> np.ndarray:
+    family = sensor_family(profile.sensor.family)
+    pad = family.parameters(profile.sensor.parameters).pad()
+    return np.ptp(pad.bounds_mm(), axis=0)[:2]
+
+
+def test_upright_images_turn_the_pad() -> None:
+    lying = fitted_design("gelsight_mini", PixelGrid(320, 240, 0.0511, 0.0511))
+    upright = fitted_design("gelsight_mini", PixelGrid(240, 320, 0.0511, 0.0511))
+    assert design_remarks("gelsight_mini", lying.camera.grid(), {}) == []
+    (remark,) = design_remarks("gelsight_mini", PixelGrid(240, 320, 0.0511, 0.0511), {})
+    assert remark.code == "pad_turned"
+    assert pad_size(upright) == pytest.approx(pad_size(lying)[::-1])
+    before, after = lying.sensor.parameters, upright.sensor.parameters
+    assert after["crown_radius_x_mm"] == before["crown_radius_y_mm"]
+    assert after["marker_pitch_mm"] == before["marker_pitch_mm"]
+
+
+@pytest.mark.parametrize("sensor", ["gelsight", "gelsight_mini", "9dtact"])
+def test_the_whole_sensor_is_turned(sensor: str) -> None:
+    """Pads meshed across the catalogue's way were unfit to be simulated."""
+    lying = fitted_design(sensor, PixelGrid(320, 240, 0.05, 0.05))
+    upright = fitted_design(sensor, PixelGrid(240, 320, 0.05, 0.05))
+    size = np.ptp(upright.mesh.nodes_m[:, :2], axis=0) * 1e3
+    assert size == pytest.approx(pad_size(upright))
+    assert upright.gel == lying.gel.replace(provenance=upright.gel.provenance)
+    assert lying.optics is not None and upright.optics is not None
+    assert upright.optics.width_px == lying.optics.height_px
+    assert upright.camera.width_px == lying.camera.height_px
+
+
+def test_a_pad_that_cannot_be_turned_is_told() -> None:
+    """A DIGIT's gel is curved along one axis; its parameters have no x and y to exchange."""
+    lying, upright = PixelGrid(320, 240, 0.05, 0.05), PixelGrid(240, 320, 0.05, 0.05)
+    assert design_remarks("digit", upright, {}) == []
+    (remark,) = design_remarks("digit", lying, {})
+    assert remark.code == "images_across" and remark.severity is Severity.WARNING
+
+
+def test_flat_pads_are_made_to_measure() -> None:
+    grid = PixelGrid(400, 300, 0.07, 0.08)
+    found = fitted_design("flat_pad", grid)
+    assert found.sensor.family == "flat_pad"
+    assert pad_size(found) == pytest.approx(
+        [400 * 0.07 + 2 * MARGIN_MM, 300 * 0.08 + 2 * MARGIN_MM], abs=1e-3
+    )
+    assert found.camera.grid() == grid
+    (remark,) = design_remarks("flat_pad", grid, {})
+    assert remark.severity is Severity.WARNING and "4 mm where nothing tells it" in remark.message
+    known = {"thickness_mm": 2.5}
+    assert fitted_design("flat_pad", grid, known).gel.thickness_mm == 2.5
+    assert design_remarks("flat_pad", grid, known) == []
+
+
+def test_a_view_larger_than_any_pad_is_refused() -> None:
+    with pytest.raises(InputError, match="length_x_mm"):
+        fitted_design("flat_pad", PixelGrid(640, 480, 0.2, 0.2))
+
+
+def test_dimensions_given_win_over_the_turn() -> None:
+    grid = PixelGrid(240, 320, 0.0511, 0.0511)
+    found = fitted_design("gelsight_mini", grid, {"length_x_mm": 21.5})
+    assert pad_size(found) == pytest.approx([21.5, 25.25])
+    assert found.sensor.parameters["length_x_mm"] == 21.5
+
+
+def test_an_unknown_sensor_is_refused_with_what_may_stand_for_it() -> None:
+    with pytest.raises(InputError, match=r"no sensor 'gelsite'.*flat_pad stands for any flat gel"):
+        fitted_design("gelsite", PixelGrid(320, 240, 0.05, 0.05))
+
+
+MINI = sensor_family("gelsight_mini").parameters()
+
+
+@settings(max_examples=30)
+@given(scale=st.floats(0.05, 0.1), v_px=st.floats(100, 140))
+def test_what_is_left_out_lies_beside_the_pad_or_at_its_edge(scale: float, v_px: float) -> None:
+    """For a lens whose middle is not over the pad's, too."""
+    grid = PixelGrid(320, 240, scale, scale, center_v_px=v_px)
+    x, y = np.meshgrid(grid.x_mm(), grid.y_mm())
+    exact = MINI.pad().inside_distance_mm(np.stack([x, y], axis=-1))
+    assert np.abs(inside_mm(MINI, grid) - exact)[exact < 1].max(initial=0) < 0.1
+    codes = {remark.code: remark.severity for remark in view_remarks(MINI, grid)}
+    least = exact.min()
+    near = [0.0, EDGE_MM, -OVERHANG_SHARE * 25.25]
+    if min(abs(least - limit) for limit in near) > 0.1:
+        expected = (
+            {"scale_past_pad": Severity.ERROR}
+            if least < near[2]
+            else {"pad_edge": Severity.WARNING}
+            if least < 0
+            else {"pad_edge": Severity.INFO}
+            if least < EDGE_MM
+            else {}
+        )
+        assert codes == expected
+
+
+def test_what_is_masked_does_not_count() -> None:
+    grid = PixelGrid(320, 240, 0.09, 0.09)
+    (past,) = view_remarks(MINI, grid)
+    assert past.severity == Severity.ERROR and "28.8 x 21.6 mm, more than" in past.message
+    assert view_remarks(MINI, grid, inside_mm(MINI, grid) > 1.0) == []
+
+
+@pytest.mark.parametrize("name", sensor_families())
+def test_cameras_of_the_catalogue_show_their_pads(name: str) -> None:
+    parameters = sensor_family(name).parameters()
+    found = view_remarks(parameters, parameters.grid())
+    # Domes are read beside their plan, but no layer stands for them there.
+    assert [remark.blocks for remark in found] == [("color",)] * looks_past_pad(parameters)
+
+
+@pytest.mark.parametrize("size", [(320, 240), (240, 320)])
+@pytest.mark.parametrize("sensor", ["gelsight_mini", "digit", "flat_pad"])
+def test_the_check_looks_at_the_pad_that_is_designed(sensor: str, size: tuple[int, int]) -> None:
+    grid = PixelGrid(*size, 0.05, 0.05)
+    profile = fitted_design(sensor, grid, {})
+    assert fitted_parameters(sensor, grid, {}).pad() == profile_parameters(profile).pad()
+    mask = np.ones(size[::-1], dtype=bool)
+    assert pixels_on_pad(profile, grid, mask) is mask
+
+
+@pytest.mark.parametrize("fault", ["view", "label"])
+@pytest.mark.parametrize(
+    "calibrate", [calibrate_color, calibrate_normals, depth_fit.calibrate_depth]
+)
+def test_calibrations_refuse_before_they_look_at_a_press(
+    calibrate: Callable[..., Any], fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image = flat_background().round().astype(np.uint8)
+    circle = ContactCircle(170.0, 60.0, 15.0) if fault == "label" else ContactCircle(80, 60, 15)
+    path = write_folder(tmp_path / "c", image, {"p": image}, {"p": circle})
+    manifest = path / "captures.toml"
+    if fault == "view":
+        stated = f"= {GRID.mm_per_px_x}"
+        manifest.write_text(manifest.read_text().replace(stated, "= 0.2"))
+    folder = load_capture_folder(path)
+    looked: list[object] = []
+    for module in (ball_presses, depth_fit):
+        monkeypatch.setattr(module, "capture_findings", lambda *_: looked.append(1) or [])
+    words = {"view": "32.0 x 24.0 mm, more than the pad", "label": "its centre has to be inside"}
+    with pytest.raises(InputError, match=words[fault]):
+        calibrate(folder, base_profile(None, folder))
+    assert not looked
+
+
+def test_an_image_up_to_the_edge_is_used_without_it() -> None:
+    base = catalogue_profile("gelsight")
+    wide = replace(synthetic_captures(1)[0], grid=PixelGrid(160, 120, 0.15, 0.15))
+    kept = captures_on_pad(wide, base).mask
+    inside = inside_mm(profile_parameters(base), wide.grid)
+    assert not kept[inside < 0].any() and kept[inside > 1].all() and not kept.all()

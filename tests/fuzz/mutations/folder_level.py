@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tests.fuzz.mutations.draw import Draw, Surroundings
 
-ENORMOUS = 3 << 30
+ENORMOUS = 5 << 28
 _NAMES = (
     b"\xff\xfe.png", b"a\nb.png", b"-rf.csv", b"[red]x[bold].png", b"z" * 250 + b".csv", b".png",
     b"\xf0\x9f\x98\x80.png", b" .png", b"a\x1b[2J.csv", b"mask.png", b"bg.png",
@@ -49,7 +49,7 @@ def pipe(path: Path, draw: Draw, around: Surroundings) -> None:
 
 
 def enormous(path: Path, draw: Draw, around: Surroundings) -> None:
-    """Three gibibytes more than there were, all zero."""
+    """More than an example may take into memory, all zero."""
     os.truncate(path, ENORMOUS)
 
 

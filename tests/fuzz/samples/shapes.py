@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A box as STEP, and as the meshes that indenters may be."""
+"""A box as STEP and as tets, and as the meshes that indenters and gels may be."""
 
 from __future__ import annotations
 
@@ -25,6 +25,17 @@ def step(given: Path) -> None:
     (given / "faces.toml").write_text(
         'contact = ["plane:+z"]\nbond = ["plane:-z"]\nwindow = ["rect:10x8"]\nnormal = "+z"\n'
         'right = "+x"\norigin = "center"\nbody = ""\nunit = "mm"\n'
+    )
+
+
+def tets(given: Path) -> None:
+    """A gel of 24 x 18 x 12 mm as five tets, in Gmsh's words."""
+    nodes = "\n".join("{:g} {:g} {:g}".format(*corner) for corner in 6 * _CORNERS)
+    five = [[1, 2, 3, 5], [2, 4, 3, 8], [2, 6, 5, 8], [3, 5, 7, 8], [2, 3, 5, 8]]
+    cells = "\n".join(f"{k} {a} {b} {c} {d}" for k, (a, b, c, d) in enumerate(five, 1))
+    (given / "gel.msh").write_text(
+        "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n1 8 1 8\n3 1 0 8\n1\n2\n3\n4\n5\n6\n7\n8\n"
+        f"{nodes}\n$EndNodes\n$Elements\n1 5 1 5\n3 1 4 5\n{cells}\n$EndElements\n"
     )
 
 

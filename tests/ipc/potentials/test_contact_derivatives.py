@@ -19,8 +19,8 @@ from taccel_lab.ipc.potentials.contact_derivatives import (
     THRESHOLD,
     TURN_BEFORE,
     TURN_NOW,
-    ContactSlopes,
-    contact_slopes,
+    ContactDerivatives,
+    contact_derivatives,
 )
 from taccel_lab.ipc.potentials.friction import step_motion
 from taccel_lab.scene import Ball, Element, box_mesh
@@ -57,7 +57,7 @@ class LastStep:
         values = thresholds.numpy()
         thresholds.assign(np.where(values > 0, 900 * values, values))
 
-    def slopes(self, **changed: Array) -> ContactSlopes:
+    def slopes(self, **changed: Array) -> ContactDerivatives:
         model, solver = self.motion.model, self.motion.solver
         assert solver.friction is not None
         given = {name: changed.get(name, value) for name, value in vars(self).items()}
@@ -68,10 +68,10 @@ class LastStep:
             wp.array(given["poses"], dtype=wp.transformd),
             wp.array(given["poses_before"], dtype=wp.transformd),
         )
-        return contact_slopes(model, solver.collisions, motion, solver.friction.eps_u_m, 0)
+        return contact_derivatives(model, solver.collisions, motion, solver.friction.eps_u_m, 0)
 
 
-def close(found: Array, low: ContactSlopes, high: ContactSlopes, step: float) -> None:
+def close(found: Array, low: ContactDerivatives, high: ContactDerivatives, step: float) -> None:
     expected = (high.forces - low.forces) / (2 * step)
     assert np.abs(expected).max() > 0
     np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())

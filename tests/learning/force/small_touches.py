@@ -16,7 +16,7 @@ import numpy as np
 from taccel_lab.datasets.channels import channels_of
 from taccel_lab.datasets.folder import DatasetFolder
 from taccel_lab.datasets.part import part_data, write_part
-from taccel_lab.datasets.plan import Plan
+from taccel_lab.datasets.plan import DatasetPlan
 from taccel_lab.datasets.touch import TouchRecord
 from tests.support.small_data_sets import plan
 
@@ -32,7 +32,7 @@ def planned(
     held_out: bool = True,
     depth_mm: tuple[float, float] = (0.2, 0.8),
     **output: Any,
-) -> Plan:
+) -> DatasetPlan:
     """Touches of five balls by four units; a ball and a unit are for tests, where wanted."""
     channels = output.pop("channels", ["rgb", "patch_forces_n", "markers_px"])
     return plan(
@@ -51,7 +51,7 @@ def planned(
     )
 
 
-def write_touches(planned: Plan, root: Path) -> Path:
+def write_touches(planned: DatasetPlan, root: Path) -> Path:
     """Write all touches of a plan; returns the folder."""
     folder = DatasetFolder(root)
     folder.begin(planned, "made up")
@@ -63,7 +63,7 @@ def write_touches(planned: Plan, root: Path) -> Path:
     return root
 
 
-def drawn(planned: Plan, number: int, markers_mm: np.ndarray) -> TouchRecord:
+def drawn(planned: DatasetPlan, number: int, markers_mm: np.ndarray) -> TouchRecord:
     """One touch by the formula."""
     episode, sensor = planned.episodes[number], planned.sensors[0]
     grid = sensor.grid
@@ -112,7 +112,9 @@ def drawn(planned: Plan, number: int, markers_mm: np.ndarray) -> TouchRecord:
     return TouchRecord(number, rows, count - 1, "", np.array([0, 0, 0, 0, 0, 0, 1.0]), *face)
 
 
-def _markers(planned: Plan, rest: np.ndarray, commands: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _markers(
+    planned: DatasetPlan, rest: np.ndarray, commands: np.ndarray, at: np.ndarray
+) -> np.ndarray:
     """Markers that follow the ball's shear nearby."""
     sensor = planned.sensors[0]
     near = np.exp(-0.5 * ((rest - at) ** 2).sum(axis=1) / 4.0)

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from taccel_lab.datasets.reading import Dataset
 from taccel_lab.errors import InputError
 from taccel_lab.learning.force.fit import calibrate_force
+from taccel_lab.learning.force.force_page import force_page
 from taccel_lab.learning.force.options import ForceOptions
 from taccel_lab.learning.force.read_force import ForceReader
-from taccel_lab.learning.force.report import force_page
 from taccel_lab.learning.force.result import ForceCalibration
 from taccel_lab.learning.force.samples import read_samples, split_touches
 from taccel_lab.learning.force.score import outside_rows
@@ -61,15 +61,17 @@ def test_touches_deeper_than_the_trainings_are_noticed(
     config, grid = trained.config, load_profile(sensor).grid()
     samples = read_samples(data, np.arange(len(data.episodes)), config)
     centers = patch_centers_mm(config, grid)
-    told = tell(samples, config, trained.trained.weights, centers, LightSpread(), QUICK, seed=1)
+    predicted = tell(
+        samples, config, trained.trained.weights, centers, LightSpread(), QUICK, seed=1
+    )
     beyond = samples.about["depth_mm"] > 1.2
     assert beyond.sum() > 20
-    assert outside_rows(told, config)[beyond].mean() > 0.7
+    assert outside_rows(predicted, config)[beyond].mean() > 0.7
     # Not by the force and the area alone, which flatter tools may have reached.
     for changes in ({"most": (math.inf,) * 4}, {"distance_limits": (math.inf,) * 3}):
         limits = {"most": (*[math.inf] * 3, config.most[3]), **changes}
         limits = {"distance_limits": (*[math.inf] * 2, config.distance_limits[2]), **limits}
-        assert outside_rows(told, dataclasses.replace(config, **limits))[beyond].mean() > 0.7
+        assert outside_rows(predicted, dataclasses.replace(config, **limits))[beyond].mean() > 0.7
 
 
 def test_labels_are_nominal_and_patches_add_up(touches: Path, trained: ForceCalibration) -> None:
@@ -83,12 +85,6 @@ def test_labels_are_nominal_and_patches_add_up(touches: Path, trained: ForceCali
     np.testing.assert_allclose(samples.targets[:, 3] * factor, 1e3 * wrench[:, 3], rtol=1e-4)
     at_rest = data.steps["step"] == 0
     assert not samples.change[at_rest].any() and np.ptp(factor) > 0.3
-
-
-def test_training_repeats_to_the_bit(touches: Path) -> None:
-    first, second = (calibrate_force(touches, options=BRIEF).trained for _ in range(2))
-    assert first.curve == second.curve
-    assert all(np.array_equal(first.weights[n], second.weights[n]) for n in first.weights)
 
 
 def test_a_profile_keeps_it_and_scales_with_its_modulus(
@@ -183,7 +179,9 @@ def test_unusable_data_sets_and_options_are_refused(
     touches: Path, sensor: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match="no channel rgb, patch_forces_n"):
-        bare = write_touches(planned(sensor, channels=["markers_px"]), tmp_path / "bare")
+        bare = write_touches(
+            planned(sensor, episodes=8, channels=["markers_px"]), tmp_path / "bare"
+        )
         calibrate_force(bare, options=BRIEF)
     profile = load_profile(sensor)
     wide = profile.without("background", "color").with_block(

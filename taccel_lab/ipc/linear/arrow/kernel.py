@@ -70,7 +70,7 @@ def _address_of_inner_words(memory: wp.uint64, first: int) -> wp.uint64: ...
 
 @cache
 def solve_kernel(room: int, words_inside: bool) -> Any:
-    """The kernel for a ``Placement``; a module of its own, so that none is compiled that no scene
+    """The kernel for a ``Placement``; in its own module, so that none is compiled that no scene
     needs."""
     address = address_of_tile(max(room, 1))
 

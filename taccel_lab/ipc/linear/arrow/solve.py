@@ -55,7 +55,7 @@ _SOLVE_SNIPPET = (
                 #pragma unroll 1
                 for (int i = lane; i < width; i += lanes) {
                     double total = z[3 * n + i], more = 0.0;
-                    // Lanes begin at banks of their own.
+                    // Lanes begin at their own banks.
                     #pragma unroll 4
                     for (int k = 0; k < @BORDER_CHUNKS@; k += 2) {
                         total -= sums[i * @BORDER_CHUNKS@ + (k + i) % @BORDER_CHUNKS@];

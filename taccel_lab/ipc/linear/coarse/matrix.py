@@ -64,7 +64,7 @@ def coarse_parts(
     without the shared memory.
 
     A small gel has no need: parts of all 17 gels of the hand saved no iteration. ``bodies``: rows
-    that have blocks of their own and are in no part.
+    that have their own blocks and are in no part.
     """
     rows = np.setdiff1d(np.arange(problem.pattern.free_count), np.concatenate([[], *bodies]))
     if problem.positions_m is None or not has_room(problem.device) or len(rows) <= 2 * part_rows:

@@ -69,7 +69,7 @@ def row_slices(problem: LinearProblem, plan: RowPlan, length: int = SEGMENT_LENG
     sizes = segments[:, 2] - segments[:, 1]
     owner = np.searchsorted(plan.block_starts[1:-1], segments[:, 0], side="right")
     by_length = np.lexsort((-sizes, owner))
-    # Three slices hold 32 segments: every block starts at a slice of its own.
+    # Three slices hold 32 segments: every block starts at its own slice.
     counts = np.bincount(owner, minlength=len(plan.block_starts) - 1)
     rooms = WIDTH * -(-counts // WIDTH)
     sliced = np.full(rooms.sum(), -1, dtype=np.int64)

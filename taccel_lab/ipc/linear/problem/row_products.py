@@ -96,7 +96,7 @@ def multiply_extra(
     extra_values: wp.array(dtype=wp.float64),
     x: wp.array(dtype=wp.float64),
 ) -> wp.float64:
-    """The same for the segments of extra blocks, which have parts of their own."""
+    """The same for the segments of extra blocks, which have their own parts."""
     share = wp.float64(0.0)
     blocks = extra.starts[env][0]
     segments = extra.starts[env][1]

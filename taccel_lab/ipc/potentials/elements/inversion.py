@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Elements that are inside out where their energy does not tell.
 
-Some materials bear inversion: they may start inverted and come right. Quadratic tets may be inside
-out between their corners and quadrature points, where the energies of the others are infinite. A
-step that turns an element inside out is no result. How close a state came to that is said by its
-smallest volume ratio.
+Some materials bear inversion: they may start inverted and come right, but a step that turns an
+element inside out is no result. The energies of the others are infinite there, of quadratic tets
+by their guard. How close a state came to that is said by its smallest volume ratio.
 """
 
 from __future__ import annotations
@@ -57,11 +56,6 @@ def _quadratic_kernel(
     f_3 = corner_deformation(env, tet, 3, positions, d)
     if is_inside_out(f_0, f_1, f_2, f_3):
         inverted[env] = 1
-
-
-def may_hide_inversion(part: ElementSum) -> bool:
-    """Whether elements may be inside out while their energy is finite."""
-    return part.group.law in BEARS_INVERSION or part.group.element is Element.QUADRATIC
 
 
 def find_inversions(

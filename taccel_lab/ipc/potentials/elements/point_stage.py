@@ -92,7 +92,7 @@ def exact_point_hessian(f: wp.mat33d, curvatures: wp.vec3d) -> PointHessian:
 POINT_LANES = 4
 """Lanes of an element, one a quadrature point."""
 
-# Odd strides, so that the lanes of a warp write to banks of their own.
+# Odd strides, so that the lanes of a warp write to their own banks.
 _SIZES = """
     const int point_stride = 85;
     const int element_stride = 33;

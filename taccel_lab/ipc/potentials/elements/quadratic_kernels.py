@@ -8,6 +8,7 @@ Four points take the 24 strains of the element without spurious modes (30 - 6); 
 of them it would still lock mildly (Cook's membrane at nu = 0.499: 6 % instead of 0.7 %).
 
 In materials that do not bear inversion a guard on the volume ratio is added (quadratic_shape.py).
+Of its second derivatives a projected matrix takes g'' grad b grad b^T, which is positive.
 
 Negative eigenvalues of the matrix are lifted at each point, for the shape energy plus the pressure
 times the dilatation (of which only a bounded part counts, see quadratic_points.py); what the mean
@@ -21,14 +22,16 @@ from typing import Any
 
 import warp as wp
 
-from taccel_lab.ipc.elasticity.principal import cofactor, lifted
-from taccel_lab.ipc.elasticity.volume_bounds import corner_guard, volume_hessian
+from taccel_lab.ipc.elasticity.principal import PSD_NONE, lifted
+from taccel_lab.ipc.elasticity.volume_bounds import (
+    COEFFICIENTS,
+    coefficient_corners,
+    ratio_barrier,
+)
 from taccel_lab.ipc.potentials.elements.chunk_stage import STAGED_THREADS
 from taccel_lab.ipc.potentials.elements.data import ElementData, ElementKernels, modulus_index
 from taccel_lab.ipc.potentials.elements.point_stage import (
     POINT_LANES,
-    PointHessian,
-    point_hessian,
     put_element,
     put_point,
     stage_points,
@@ -37,12 +40,13 @@ from taccel_lab.ipc.potentials.elements.point_stage import (
 )
 from taccel_lab.ipc.potentials.elements.quadratic_shape import (
     GUARD_WEIGHT,
-    GUARDED,
     OTHER,
     OWN_LESS_OTHER,
     common_deformation,
-    guarded_deformation,
-    guarded_gradients,
+    corner_deformation,
+    corner_gradients,
+    guard_coefficient,
+    guard_gradient,
     mat103d,
     point_deformation,
     row_of,
@@ -78,33 +82,6 @@ class PointLaw:
     dilatation."""
     guarded: Any
     """``(env, tet, positions, d)``: whether the element needs its guard."""
-
-
-@wp.func
-def add_point_blocks(
-    env: int,
-    tet: int,
-    weight: wp.float64,
-    h: PointHessian,
-    shapes: mat103d,
-    node_count: int,
-    blocks: wp.array3d(dtype=wp.mat33d),
-):
-    """Add the blocks of one quadrature point, pairs (a, b) with a <= b in rows."""
-    pair = int(0)
-    for a in range(node_count):
-        g = weight * row_of(shapes, a)
-        left_0 = g[0] * h.k_00 + g[1] * wp.transpose(h.k_01) + g[2] * wp.transpose(h.k_02)
-        left_1 = g[0] * h.k_01 + g[1] * h.k_11 + g[2] * wp.transpose(h.k_12)
-        left_2 = g[0] * h.k_02 + g[1] * h.k_12 + g[2] * h.k_22
-        for b in range(a, node_count):
-            blocks[env, tet, pair] = (
-                blocks[env, tet, pair]
-                + shapes[b, 0] * left_0
-                + shapes[b, 1] * left_1
-                + shapes[b, 2] * left_2
-            )
-            pair += 1
 
 
 def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
@@ -147,10 +124,8 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         kept = wp.float64(0.0)
         if guarded(env, tet, positions, d):
             q = int(0)
-            while q < GUARDED:
-                kept += corner_guard(
-                    wp.determinant(guarded_deformation(env, tet, q, positions, d))
-                )[0]
+            while q < COEFFICIENTS:
+                kept += ratio_barrier(guard_coefficient(env, tet, q, positions, d))[0]
                 q += 1
         bulk = volumetric_modulus(d.moduli, i) * volumetric(mean)[0]
         energies[env, tet] = (
@@ -199,6 +174,42 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         return d.volumes[env % d.volumes.shape[0], tet] * scale(env, tet, d)
 
     @wp.func
+    def _add_guard_bends(
+        env: int,
+        tet: int,
+        q: int,
+        slope: wp.float64,
+        positions: wp.array2d(dtype=wp.vec3d),
+        d: ElementData,
+        blocks: wp.array3d(dtype=wp.mat33d),
+    ):
+        """Add the second derivatives of a coefficient times ``slope``."""
+        c = coefficient_corners(q)
+        sixth = slope / wp.float64(6.0)
+        f_0 = sixth * corner_deformation(env, tet, c[0], positions, d)
+        f_1 = sixth * corner_deformation(env, tet, c[1], positions, d)
+        f_2 = sixth * corner_deformation(env, tet, c[2], positions, d)
+        one = wp.identity(n=3, dtype=wp.float64)
+        rows_0 = corner_gradients(env, tet, c[0], one, d)
+        rows_1 = corner_gradients(env, tet, c[1], one, d)
+        rows_2 = corner_gradients(env, tet, c[2], one, d)
+        node_count = d.nodes.shape[1]
+        pair = int(0)
+        for a in range(node_count):
+            a_0 = row_of(rows_0, a)
+            a_1 = row_of(rows_1, a)
+            a_2 = row_of(rows_2, a)
+            for b in range(a, node_count):
+                b_0 = row_of(rows_0, b)
+                b_1 = row_of(rows_1, b)
+                b_2 = row_of(rows_2, b)
+                w = f_0 * (wp.cross(a_1, b_2) + wp.cross(a_2, b_1))
+                w += f_1 * (wp.cross(a_0, b_2) + wp.cross(a_2, b_0))
+                w += f_2 * (wp.cross(a_0, b_1) + wp.cross(a_1, b_0))
+                blocks[env, tet, pair] = blocks[env, tet, pair] - wp.skew(w)
+                pair += 1
+
+    @wp.func
     def _add_guards(
         env: int,
         tet: int,
@@ -211,13 +222,20 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         # Held in a variable so that Warp keeps the loops rolled.
         node_count = d.nodes.shape[1]
         q = int(0)
-        while q < GUARDED:
-            f = guarded_deformation(env, tet, q, positions, d)
-            barrier = corner_guard(wp.determinant(f))
+        while q < COEFFICIENTS:
+            barrier = ratio_barrier(guard_coefficient(env, tet, q, positions, d))
             if barrier[1] != wp.float64(0.0):
-                h = point_hessian(volume_hessian(f, barrier[1], barrier[2], psd_mode))
-                shapes = guarded_gradients(env, tet, q, wp.transpose(h.frame), d)
-                add_point_blocks(env, tet, weight, h, shapes, node_count, blocks)
+                rows = guard_gradient(env, tet, q, positions, d)
+                pair = int(0)
+                for a in range(node_count):
+                    g = (weight * barrier[2]) * row_of(rows, a)
+                    for b in range(a, node_count):
+                        blocks[env, tet, pair] = blocks[env, tet, pair] + wp.outer(
+                            g, row_of(rows, b)
+                        )
+                        pair += 1
+                if psd_mode == PSD_NONE:
+                    _add_guard_bends(env, tet, q, weight * barrier[1], positions, d, blocks)
             q += 1
 
     @wp.kernel(module=module)
@@ -279,12 +297,11 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         if not guarded(env, tet, positions, d):
             return
         q = int(0)
-        while q < GUARDED:
-            f = guarded_deformation(env, tet, q, positions, d)
-            push = corner_guard(wp.determinant(f))[1]
+        while q < COEFFICIENTS:
+            push = ratio_barrier(guard_coefficient(env, tet, q, positions, d))[1]
             if push != wp.float64(0.0):
-                stress = (factor * GUARD_WEIGHT * d.moduli.mu[i] * push) * cofactor(f)
-                rows = guarded_gradients(env, tet, q, stress, d)
+                push *= factor * GUARD_WEIGHT * d.moduli.mu[i]
+                rows = push * guard_gradient(env, tet, q, positions, d)
                 for a in range(d.nodes.shape[1]):
                     local_gradients[env, tet, a] = local_gradients[env, tet, a] + row_of(rows, a)
             q += 1

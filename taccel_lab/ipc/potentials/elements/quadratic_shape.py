@@ -5,17 +5,22 @@ F is linear in the element: with F_c the gradient at corner c and barycentric co
 point, F = sum_c l_c F_c, and grad N of corner i is (4 l_i - 1) b_i, of the middle of edge ij
 4 (l_j b_i + l_i b_j), where b_i are the gradients of the barycentric coordinates.
 
-A tet may turn inside out near a corner or along an edge while all its quadrature points are in
-order. A guard on the volume ratio (``elasticity.volume_bounds``) stands at the corners and at
-points of the edges. It is zero above a ratio that few elements come below. A bound of J over the
-element (in the same place) finds these; the others pay for the bound alone.
+A tet may turn inside out between its quadrature points. A guard (``elasticity.volume_bounds``) acts
+on the Bernstein coefficients of J, whose smallest one bounds J. It is silent in most tets, which
+pay for the bound alone.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from taccel_lab.ipc.elasticity.volume_bounds import GUARDED_RATIO, least_coefficient
+from taccel_lab.ipc.elasticity.volume_bounds import (
+    GUARDED_RATIO,
+    coefficient,
+    coefficient_corners,
+    least_coefficient,
+    mixed_cofactor,
+)
 from taccel_lab.ipc.potentials.elements.data import ElementData
 
 wp.set_module_options({"enable_backward": False})
@@ -129,18 +134,13 @@ def row_of(m: mat103d, i: int) -> wp.vec3d:
     return wp.vec3d(m[i, 0], m[i, 1], m[i, 2])
 
 
-GUARD_WEIGHT = wp.constant(wp.float64(1.0 / 40.0))
-"""Part of the volume that a guarded point stands for: as in the cubic rule with corners [ibid.]."""
-GUARDED = wp.constant(28)
-"""Guarded points: the corners, and four of each edge. Sharp tools turn edges inside out beside a
-corner or further along: J is cubic there."""
-GUARDED_PARTS = wp.constant(wp.vec2d(1.0 / 6.0, 2.0 / 5.0))
-"""Where they lie from either end, as parts of the edge: closer towards corners, where J falls."""
+GUARD_WEIGHT = wp.constant(wp.float64(1.0 / 20.0))
+"""Part of the volume that a coefficient stands for: the integral of its Bernstein polynomial."""
 
 
 @wp.func
 def needs_guard(env: int, tet: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData) -> bool:
-    """Whether J may be below the guarded ratio anywhere; what is not a number needs it, too."""
+    """Whether a Bernstein coefficient of J is below the guarded ratio, or not a number."""
     least = least_coefficient(
         corner_deformation(env, tet, 0, positions, d),
         corner_deformation(env, tet, 1, positions, d),
@@ -157,37 +157,36 @@ def needs_none(env: int, tet: int, positions: wp.array2d(dtype=wp.vec3d), d: Ele
 
 
 @wp.func
-def guarded_ends(point: int):
-    """Corners that a guarded point lies between, and how far it is from the first to the second as
-    a part of the edge; a corner is both."""
-    if point < 4:
-        return point, point, wp.float64(0.0)
-    edge = (point - 4) / 4
-    part = GUARDED_PARTS[point % 2]
-    if point % 4 < 2:
-        return EDGE_STARTS[edge], EDGE_ENDS[edge], part
-    return EDGE_ENDS[edge], EDGE_STARTS[edge], part
+def corner_gradients(env: int, tet: int, corner: int, turn: wp.mat33d, d: ElementData) -> mat103d:
+    """As ``shape_gradients``, at a corner."""
+    return shape_gradients(env, tet, corner, wp.float64(0.0), wp.float64(1.0), turn, d)
 
 
 @wp.func
-def guarded_deformation(
-    env: int, tet: int, point: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData
-) -> wp.mat33d:
-    """F at a guarded point: F is linear."""
-    near, far, part = guarded_ends(point)
-    f = corner_deformation(env, tet, near, positions, d)
-    if far != near:
-        f += part * (corner_deformation(env, tet, far, positions, d) - f)
-    return f
+def guard_coefficient(
+    env: int, tet: int, q: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData
+) -> wp.float64:
+    """One of the twenty Bernstein coefficients of J."""
+    c = coefficient_corners(q)
+    return coefficient(
+        corner_deformation(env, tet, c[0], positions, d),
+        corner_deformation(env, tet, c[1], positions, d),
+        corner_deformation(env, tet, c[2], positions, d),
+    )
 
 
 @wp.func
-def guarded_gradients(env: int, tet: int, point: int, turn: wp.mat33d, d: ElementData) -> mat103d:
-    """As ``shape_gradients``, at a guarded point."""
-    none = wp.float64(0.0)
-    one = wp.float64(1.0)
-    near, far, part = guarded_ends(point)
-    rows = shape_gradients(env, tet, near, none, one, turn, d)
-    if far != near:
-        rows += part * (shape_gradients(env, tet, far, none, one, turn, d) - rows)
-    return rows
+def guard_gradient(
+    env: int, tet: int, q: int, positions: wp.array2d(dtype=wp.vec3d), d: ElementData
+) -> mat103d:
+    """Derivative of ``guard_coefficient`` by the nodes [1/m]."""
+    c = coefficient_corners(q)
+    f_0 = corner_deformation(env, tet, c[0], positions, d)
+    f_1 = corner_deformation(env, tet, c[1], positions, d)
+    f_2 = corner_deformation(env, tet, c[2], positions, d)
+    sixth = wp.float64(1.0) / wp.float64(6.0)
+    return (
+        corner_gradients(env, tet, c[0], sixth * mixed_cofactor(f_1, f_2), d)
+        + corner_gradients(env, tet, c[1], sixth * mixed_cofactor(f_0, f_2), d)
+        + corner_gradients(env, tet, c[2], sixth * mixed_cofactor(f_0, f_1), d)
+    )

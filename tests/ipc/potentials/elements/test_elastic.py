@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import warp as wp
 
 from taccel_lab.geometry import TetMesh
 from taccel_lab.ipc.potentials.elements.elastic import PSD_CLAMP, PSD_NONE
+from taccel_lab.ipc.potentials.elements.inversion import smallest_ratios
 from taccel_lab.scene import (
     Element,
     KinematicBody,
@@ -236,7 +238,7 @@ def squeezed_corner(law: MaterialModel, ratio: float, count: int = 1) -> tuple:
     return made, x
 
 
-def test_guard_of_the_corners_and_its_derivatives() -> None:
+def test_guard_and_its_derivatives() -> None:
     law = MaterialModel.NEO_HOOKEAN
     energies = []
     for ratio in (0.5, 0.1, 1e-3, 1e-6):
@@ -256,3 +258,21 @@ def test_guard_of_the_corners_and_its_derivatives() -> None:
     assert_derivatives(x, made.free, STEP, made.energy, made.gradient, hessian, within=off)
     lifted = made.hessian(same, PSD_CLAMP)[0]
     assert np.linalg.eigvalsh(lifted)[0] > -1e-12 * np.abs(lifted).max()
+
+
+def test_energy_is_infinite_wherever_a_tet_is_inside_out() -> None:
+    """Not only at the points where an energy is summed; where J is large it is finite."""
+    body = gel(TET, Element.QUADRATIC, MaterialModel.NEO_HOOKEAN, bonded=np.zeros(0, dtype=int))
+    count = 300
+    made = ElementForces(Scene(body, (), count, TimeStepping(quasi_static=False)).finalize())
+    rest = rest_of(made)
+    side = np.ptp(rest, axis=0).max()
+    x = np.repeat(rest[None], count, axis=0)
+    middles = body.nodal_mesh.tets[0, 4:]
+    x[:, middles] += np.random.default_rng(3).normal(0, 0.11 * side, size=(count, 6, 3))
+    smallest = smallest_ratios(made.parts, wp.array(x, dtype=wp.vec3d))
+    infinite = np.isposinf(made.energy(x))
+    inside_out = smallest <= 0
+    assert 30 < inside_out.sum() < count - 30
+    assert infinite[inside_out].all()
+    assert not infinite[smallest > 0.5].any()

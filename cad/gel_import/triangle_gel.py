@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gels from triangles and tets: one body, closed, clean, labelled and moved to the gel frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from taccel_lab.bodies.mesh_checks import check_surface
+from taccel_lab.cad.gel_import.faces import PartFaces
+from taccel_lab.cad.gel_import.gel_checks import check_gel
+from taccel_lab.cad.gel_import.importer import FaceSelection, ImportedGel
+from taccel_lab.cad.gel_import.labelling import Labelling, center_shift, label_faces
+from taccel_lab.cad.gel_import.patches import faces_of_triangles
+from taccel_lab.cad.gel_import.units import check_units
+from taccel_lab.cad.gel_import.window_cut import with_window
+from taccel_lab.cad.mesh.repair import repair_surface
+from taccel_lab.cad.mesh.surface import LabelledSurface, enclosed_volume
+from taccel_lab.errors import InputError
+from taccel_lab.files.apart import read_apart
+from taccel_lab.files.tet_file import read_tet_file
+from taccel_lab.files.triangle_file import read_triangle_file
+from taccel_lab.geometry import Region, TetMesh
+from taccel_lab.geometry.connectivity import compacted, piece_of_cells
+from taccel_lab.geometry.tet_mesh import boundary_faces, tet_volumes
+
+MAX_TRIANGLES = 50_000
+"""Of a gel's surface; fTetWild takes minutes for it."""
+_DEBRIS_SHARE = 0.01
+"""Pieces with less than this share of the area are no bodies; repair cuts them out."""
+_MOST_PIECES = 1000
+"""Loose pieces that are measured."""
+
+
+@dataclass(frozen=True)
+class _Body:
+    """One body of a file, in millimetres, outward."""
+
+    points: np.ndarray
+    triangles: np.ndarray
+    scale: float
+    """Millimetres of a unit of the file."""
+    tets: np.ndarray | None = None
+    notes: dict[str, str] = field(default_factory=dict)
+    """What was done to it."""
+
+
+def faces_of_triangle_file(path: Path, body: str, unit: str) -> PartFaces:
+    """Numbered faces of the body of an STL, OBJ, PLY or 3MF file [mm]."""
+    found = _clean(path, *read_triangle_file(path), body, unit)
+    return faces_of_triangles(found.points, found.triangles)
+
+
+def faces_of_tet_file(path: Path, body: str, unit: str) -> PartFaces:
+    """Numbered faces of the tets of a file [mm]."""
+    found = _of_tets(path, *read_tet_file(path), body, unit)
+    return faces_of_triangles(found.points, found.triangles)
+
+
+def gel_of_triangle_file(path: Path, selection: FaceSelection) -> ImportedGel:
+    """See ``import_gel``."""
+    points, triangles = read_triangle_file(path)
+    return _gel(path, _clean(path, points, triangles, selection.body, selection.unit), selection)
+
+
+def gel_of_tet_file(path: Path, selection: FaceSelection) -> ImportedGel:
+    """See ``import_gel``."""
+    nodes, tets = read_tet_file(path)
+    return _gel(path, _of_tets(path, nodes, tets, selection.body, selection.unit), selection)
+
+
+def _gel(path: Path, body: _Body, selection: FaceSelection) -> ImportedGel:
+    faces = faces_of_triangles(body.points, body.triangles)
+    labels = label_faces(faces, selection, path)
+    regions = np.array([int(r) for r in labels.regions], dtype=np.int32)[faces.face_of]
+    points = body.points @ labels.rotation.T
+    shift = np.zeros(3)
+    if selection.origin == "center":
+        shift = center_shift(points, body.triangles, regions == int(Region.CONTACT))
+    whole = LabelledSurface(points + shift, body.triangles, regions)
+    surface = whole
+    if labels.rectangle is not None:
+        surface = with_window(whole, labels.rectangle, path)
+    assumed = {**labels.assumed, **body.notes}
+    if "unit" in assumed:
+        assumed["unit"] = "the numbers are millimetres"
+    return ImportedGel(
+        surface=surface,
+        faces=faces,
+        face_regions=labels.regions,
+        window_outline=labels.outline,
+        min_thickness_mm=check_gel(surface, path),
+        name=path.stem,
+        selection=labels.selection,
+        assumed=assumed,
+        rotation=body.scale * labels.rotation,
+        shift_mm=shift,
+        mesh=None if body.tets is None else _mesh(whole, body.tets, labels),
+    )
+
+
+def _mesh(surface: LabelledSurface, tets: np.ndarray, labels: Labelling) -> TetMesh | None:
+    """The file's own tets; a rectangle takes the triangles whose middles lie in it."""
+    regions = surface.regions.copy()
+    if labels.rectangle is not None:
+        middles = surface.vertices_mm[surface.triangles].mean(axis=1)
+        inside = (np.abs(middles[:, :2]) < np.array(labels.rectangle) / 2).all(axis=1)
+        regions[inside & (regions == int(Region.BOND))] = int(Region.WINDOW)
+    try:
+        return TetMesh(1e-3 * surface.vertices_mm, tets, surface.triangles, regions)
+    except InputError:  # Flat tets: they are made anew.
+        return None
+
+
+def _of_tets(path: Path, nodes: np.ndarray, tets: np.ndarray, body: str, unit: str) -> _Body:
+    scale = _scale(path, nodes, unit)
+    tets = _piece(path, tets, body, lambda part: np.abs(tet_volumes(scale * nodes, part)).sum())
+    used, tets = compacted(tets)
+    points = scale * nodes[used]
+    try:
+        triangles = boundary_faces(tets)
+        used, packed = compacted(triangles)
+        check_surface(points[used], packed, f"the surface of {path}", closed=True)
+    except InputError as error:
+        raise InputError(f"{path}: {error}; mesh the part again") from None
+    return _Body(points, triangles, scale, tets.astype(np.int32))
+
+
+def _clean(path: Path, points: np.ndarray, triangles: np.ndarray, body: str, unit: str) -> _Body:
+    """One closed, outward body; what pymeshlab can mend is mended, and noted."""
+    scale = _scale(path, points, unit)
+    points = scale * points
+
+    def volume(part: np.ndarray) -> float:
+        corners = points[part]
+        return abs(enclosed_volume(corners - corners.mean(axis=(0, 1))))
+
+    triangles = _piece(path, triangles, body, volume)
+    if len(triangles) > MAX_TRIANGLES:
+        raise InputError(
+            f"{path}: the body has {len(triangles):,} triangles; a gel may have up to "
+            f"{MAX_TRIANGLES:,}: simplify it"
+        )
+    used, triangles = compacted(triangles)
+    points, triangles = points[used], triangles.astype(np.int32)
+    notes: dict[str, str] = {}
+    try:
+        check_surface(points, triangles, str(path), closed=True)
+    except InputError as fault:
+        try:
+            mended = read_apart(str(path), repair_surface, points, triangles, by="pymeshlab")
+        except InputError as error:
+            raise InputError(f"{fault}. Mending it fails: {error}") from None
+        points, triangles = mended.vertices, mended.triangles
+        notes["repair"] = "; ".join(mended.actions)
+    if enclosed_volume(points[triangles]) < 0:
+        triangles = np.ascontiguousarray(triangles[:, ::-1])
+        notes["inside out"] = "all triangles faced inward and were turned"
+    return _Body(points, triangles, scale, notes=notes)
+
+
+def _scale(path: Path, points: np.ndarray, unit: str) -> float:
+    bounds = np.stack([points.min(axis=0), points.max(axis=0)])
+    return check_units(bounds, unit or None, what=f"{path}: the part")
+
+
+def _piece(
+    path: Path, cells: np.ndarray, body: str, volume: Callable[[np.ndarray], float]
+) -> np.ndarray:
+    """The cells of the only connected piece of size, or of the one of a number, from 1."""
+    piece = piece_of_cells(cells)
+    if piece.max() == 0 and not body:
+        return cells
+    measured = range(min(piece.max() + 1, _MOST_PIECES))
+    volumes = np.array([volume(cells[piece == k]) for k in measured])
+    large = np.flatnonzero(volumes >= _DEBRIS_SHARE * volumes.max())
+    order = large[np.argsort(-volumes[large], kind="stable")]
+    if body.isdecimal() and 1 <= int(body) <= len(order):
+        return cells[piece == order[int(body) - 1]]
+    if len(order) == 1 and not body:
+        return cells[piece == order[0]]
+    words = ", ".join(f"{n} ({volumes[k]:.1f} mm^3)" for n, k in enumerate(order[:20], 1))
+    raise InputError(
+        f"{path} holds {len(order)} bodies{f', none of the number {body!r}' if body else ''}; one "
+        f"is needed. There are: {words}. Say which one with --body, or export the gel alone"
+    )

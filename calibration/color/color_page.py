@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report of a colour calibration: figures, presses worst first, and where the errors are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.color.evaluate import ImageScore, crop_slices
+from taccel_lab.calibration.color.heldout import HeldoutPress, mean_bare
+from taccel_lab.calibration.color.result import ColorCalibration
+from taccel_lab.calibration.result import mean_figures
+from taccel_lab.exporters.taxim_table_file import TABLE_FILE, TableFile, write_table
+from taccel_lab.report.page import Page, Picture, Table
+from taccel_lab.report.style import INK, in_report_style, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FIGURES = (
+    ("crop_psnr_db", "PSNR in the 1.6 r crop [dB]"),
+    ("crop_ssim", "SSIM in the crop"),
+    ("disc_l1", "L1 in the contact disc [levels]"),
+    ("crop_l1", "L1 in the crop [levels]"),
+    ("full_l1", "L1 over the image [levels]"),
+)
+SHOWN = 5
+"""Held-out presses in the picture, from the worst to the best."""
+ERROR_LEVELS = 24.0
+"""Mean error over the channels that is drawn darkest [levels]."""
+
+
+def color_page(result: ColorCalibration) -> Page:
+    """The page of a colour calibration."""
+    pictures = []
+    if result.heldout:
+        pictures.append(
+            Picture(
+                "heldout",
+                partial(draw_heldout, result),
+                "Held-out presses from the worst to the best, placed as the quoted figures have "
+                "them: capture, render, mean absolute error over the channels. The circle is the "
+                "one in which figures are taken.",
+            )
+        )
+    pictures += [
+        Picture(
+            "coverage",
+            partial(draw_coverage, result),
+            "Contacts on the background, by their error: colours are only known where balls were.",
+        ),
+    ]
+    return Page(
+        title="Colour calibration",
+        summary=_summary(result),
+        remarks=result.remarks,
+        tables=_tables(result),
+        pictures=pictures,
+        figures={"color": result.figures()},
+        files=_files(result),
+    )
+
+
+def _files(result: ColorCalibration) -> dict[str, Callable[[Path], None]]:
+    """The table beside the report, for ``taccel-lab export --table``."""
+    if result.table is None:
+        return {}
+    figures: dict[str, float] = {}
+    if result.table_scores:
+        scores = mean_figures([item.score for item in result.table_scores])
+        figures = {f"heldout_{key}": scores[key] for key, _ in FIGURES}
+        figures["heldout_presses"] = float(len(result.table_scores))
+    size = (result.captures.grid.width_px, result.captures.grid.height_px)
+    return {TABLE_FILE: partial(write_table, TableFile(result.table, size, figures))}
+
+
+PLACED_BY = {"label": "placed by label", "found": "placed where they are found"}
+"""Columns of the held-out presses by how they were placed."""
+
+
+def figure_columns(result: ColorCalibration) -> dict[str, dict[str, float]]:
+    """Mean figures by what was rendered, for tables; those that are quoted first."""
+    columns: dict[str, dict[str, float]] = {}
+    if result.has_scores:
+        columns[PLACED_BY[result.placement]] = result.heldout_means()
+        columns["background only"] = mean_bare(result.heldout, result.failures)
+    if result.table_scores:
+        columns["Taxim's table"] = mean_figures([item.score for item in result.table_scores])
+    return columns
+
+
+def _summary(result: ColorCalibration) -> str:
+    options = result.fit.options
+    network = "-".join(str(width) for width in options.hidden)
+    parts = [
+        f"A network of {network} units was fitted to {len(result.train_names)} presses in "
+        f"{result.fit.seconds:.0f} s; surfaces: {result.surface_provider}."
+    ]
+    if result.gel is not None:
+        parts.append(result.gel.sentence())
+    if result.has_scores:
+        score = result.heldout_means()
+        light = " in the light of each capture" if result.drift_corrected else ""
+        failed = f" ({len(result.failures)} of them failed)" if result.failures else ""
+        parts.append(
+            f"{len(result.heldout) + len(result.failures)} presses that nothing had seen before "
+            f"the model was frozen{failed} are rendered{light}, {PLACED_BY[result.placement]}, at "
+            f"{score['crop_psnr_db']:.1f} dB in the crop around the contact and "
+            f"{score['disc_l1']:.2f} levels of error inside it."
+        )
+    else:
+        parts.append("No press was held out, so there are no figures of presses it never saw.")
+    return " ".join(parts)
+
+
+def _tables(result: ColorCalibration) -> list[Table]:
+    tables = []
+    columns = figure_columns(result)
+    if columns:
+        tables.append(
+            Table(
+                "Figures",
+                ("figure", *columns),
+                [(label, *(column[key] for column in columns.values())) for key, label in FIGURES],
+                "Held-out presses; quote the first column. By label: where the label puts the "
+                "ball, plus the mean shift of the training labels. Failures count as the bare "
+                "background."
+                + (" Renders are in the capture's own light, fitted beyond 3 contact radii."
+                   if result.drift_corrected else ""),
+            )
+        )  # fmt: skip
+    tables.append(_press_table(result))
+    region = [(name, *bounds) for name, bounds in result.valid_region.items()]
+    tables.append(Table("Valid region", ("quantity", "from", "to"), region))
+    return tables
+
+
+def _press_table(result: ColorCalibration) -> Table:
+    rows: list[tuple[str, str, ContactCircle, float, ImageScore | None]] = []
+    for item in result.heldout:
+        rows.append((item.name, "held out", item.placed, item.score.disc_l1, item.score))
+    for name, circle in zip(result.train_names, result.circles, strict=True):
+        rows.append((name, "fitted", circle, result.fit.disc_l1_train[name], None))
+    rows.sort(key=lambda row: -row[3])
+    return Table(
+        "Presses, worst first",
+        ("press", "", "u [px]", "v [px]", "radius [px]", "L1 disc", "PSNR crop [dB]", "SSIM crop",
+         "L1 crop"),
+        [
+            (
+                name, kind, circle.u_px, circle.v_px, circle.radius_px, disc_l1,
+                *((None,) * 3 if score is None else
+                  (score.crop_psnr_db, score.crop_ssim, score.crop_l1)),
+            )
+            for name, kind, circle, disc_l1, score in rows
+        ],
+        "Fitted presses tell which capture is off; only held-out ones are scores.",
+    )  # fmt: skip
+
+
+@in_report_style
+def draw_heldout(result: ColorCalibration) -> Figure:
+    """Capture, render and error of held-out presses, one a column."""
+    from matplotlib.patches import Circle
+
+    items = _chosen(result)
+    figure, axes = new_figure(1.9 * len(items) + 1.2, 6.4, 3, len(items), squeeze=False)
+    shown = None
+    for column, (item, score) in enumerate(items):
+        rows, columns = crop_slices(item.circle, result.captures.grid)
+        render = item.shown
+        error = np.abs(item.captured.astype(float) - render).mean(axis=-1)
+        for axis, image in zip(axes[:2, column], (item.captured, render), strict=True):
+            axis.imshow(np.clip(image[rows, columns] / 255.0, 0, 1))
+        shown = axes[2, column].imshow(
+            error[rows, columns], cmap="magma_r", vmin=0, vmax=ERROR_LEVELS
+        )
+        center = (item.circle.u_px - columns.start, item.circle.v_px - rows.start)
+        for axis in axes[:, column]:
+            axis.add_patch(
+                Circle(center, item.circle.radius_px, fill=False, edgecolor=INK, linewidth=0.8)
+            )
+            axis.set_xticks([])
+            axis.set_yticks([])
+        axes[0, column].set_title(
+            f"{_short(item.name)}\n{score.crop_psnr_db:.1f} dB, L1 {score.disc_l1:.1f}", fontsize=9
+        )
+    for axis, label in zip(axes[:, 0], ("capture", "render", "error"), strict=True):
+        axis.set_ylabel(label)
+    if shown is not None:
+        figure.colorbar(shown, ax=list(axes[2]), label="error [levels]", shrink=0.9)
+    return figure
+
+
+def _chosen(result: ColorCalibration) -> list[tuple[HeldoutPress, ImageScore]]:
+    pairs = [(item, item.score) for item in result.heldout]
+    pairs.sort(key=lambda pair: pair[1].crop_psnr_db)
+    places = np.unique(np.linspace(0, len(pairs) - 1, min(SHOWN, len(pairs))).round().astype(int))
+    return [pairs[i] for i in places]
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 18 else "..." + name[-15:]
+
+
+@in_report_style
+def draw_coverage(result: ColorCalibration) -> Figure:
+    """All contacts on the background, those with figures by their error."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+    from matplotlib.patches import Ellipse
+
+    grid = result.captures.grid
+    errors = {**result.fit.disc_l1_train, **result.heldout_l1()}
+    contacts = dict(zip(result.train_names, result.circles, strict=True))
+    contacts |= {item.name: item.placed for item in result.heldout}
+    height = 6.4 * min(1.25, grid.height_px / grid.width_px)
+    figure, axis = new_figure(7.6, height + 0.5)
+    axis.imshow(np.clip(result.fit.background / 255.0, 0, 1))
+    limits = (min(errors.values()), max(errors.values()))
+    scale = ScalarMappable(Normalize(*limits), "plasma")
+    ratio = grid.mm_per_px_x / grid.mm_per_px_y
+    for name, circle in contacts.items():
+        color: Any = scale.to_rgba(np.array(errors[name]))
+        size = 2 * circle.radius_px
+        axis.add_patch(
+            Ellipse(
+                (circle.u_px, circle.v_px), size, size * ratio, fill=False, edgecolor=color,
+                linewidth=1.6,
+            )
+        )  # fmt: skip
+    axis.set(xlabel="column [px]", ylabel="row [px]")
+    figure.colorbar(scale, ax=axis, label="L1 in the contact [levels]", shrink=0.9)
+    return figure

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one set of circles of a capture folder that colours and normals are fitted in.
+
+Circles are found in the images and fused with labels (``contacts``); the colours of the other
+presses then place each of them anew (``registration``), which also tells circles that are all too
+large. It is done once for all blocks of a folder.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from taccel_lab.calibration.ball_presses import BallPresses, ball_presses
+from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, ContactCircle
+from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.color.frames import ColorFrame
+from taccel_lab.calibration.color.registration import MIN_PRESSES, register_presses
+from taccel_lab.calibration.color.untouched_light import choose_drift, too_little_left
+from taccel_lab.calibration.contacts.labels import LabelPlacement
+from taccel_lab.calibration.light.drift_choice import DriftMode
+from taccel_lab.calibration.press_options import BallPressOptions
+from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_surfaces
+from taccel_lab.profile import SensorProfile
+from taccel_lab.progress import Progress, silent
+from taccel_lab.signals.rest_surface import rest_surface
+
+REGISTERING = "reading the circles again with the colours"
+
+
+def placed_presses(
+    folder: CaptureFolder,
+    base: SensorProfile,
+    block: str,
+    options: BallPressOptions,
+    drift: DriftMode,
+    progress: Progress = silent,
+    *,
+    cache: bool = True,
+) -> BallPresses:
+    """``ball_presses`` in the circles that the colours of the other presses give; with fewer than
+    8 of them as they are found. Errors of ``ball_presses``."""
+    presses = ball_presses(folder, base, block, options, progress, cache=cache)
+    if len(presses.circles) < MIN_PRESSES:
+        return presses
+    key = (
+        "placed",
+        presses.captures.grid,
+        presses.split,
+        options.circles,
+        drift,
+        presses.profile.gel.thickness_mm,
+    )
+    circles = folder.once.of(key, lambda: _registered(presses, drift, progress))
+    labels = LabelPlacement.of(presses.training.presses, circles)
+    return replace(presses, circles=circles, labels=labels)
+
+
+def _registered(presses: BallPresses, drift: DriftMode, progress: Progress) -> list[ContactCircle]:
+    training, grid, mask = presses.training, presses.training.grid, presses.training.mask
+    surfaces = layer_surfaces(
+        training,
+        presses.circles,
+        layer_of(presses.profile),
+        rest_surface(presses.profile.mesh, grid),
+    )
+    frames = [
+        ColorFrame(press.name, press.image(), circle, surface, press.sha256)
+        for press, circle, surface in zip(training.presses, presses.circles, surfaces, strict=True)
+    ]
+    pairs = [(frame.image, frame.circle) for frame in frames]
+    choice = choose_drift(pairs, training.background, grid, mask, drift)
+    dark = any(too_little_left(circle, grid, mask) for _, circle in pairs)
+    found = register_presses(
+        frames,
+        training.background,
+        grid,
+        mask=mask,
+        remove_drift=choice.remove and not (dark and drift == "auto"),
+        progress=lambda done, total: progress(REGISTERING, done, total),
+    ).circles
+    balls = [press.radius_mm or training.ball_radius_mm for press in training.presses]
+    most_px = [EQUATOR_SLACK * ball / grid.mm_per_px_x for ball in balls]
+    return [
+        replace(circle, radius_px=min(circle.radius_px, most))
+        for circle, most in zip(found, most_px, strict=True)
+    ]

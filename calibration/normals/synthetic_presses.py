@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Synthetic presses: random tools in a bonded layer, seen through the fitted colours.
+
+A calibration with balls shows a sensor one curvature and no edge; a network that saw nothing else
+reads a wall of 48 degrees as one of 16. So it also trains on tools of every kind: their surfaces
+are those of the sensor's own pad, their pictures those of its colour model, with the noise, the
+uneven colours and the blur that the captures show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import binary_dilation, gaussian_filter
+
+from taccel_lab.calibration.capture.captures import UNTOUCHED_RADII
+from taccel_lab.calibration.normals.samples import (
+    CaptureScene,
+    InverseFrame,
+    NormalSamples,
+    usable_pixels,
+)
+from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer, press_layer
+from taccel_lab.calibration.surfaces.press_surface import slope_of
+from taccel_lab.calibration.surfaces.random_tools import draw_tool
+from taccel_lab.progress import Progress, counted, silent
+from taccel_lab.signals.color_model import ColorModel
+from taccel_lab.signals.normal_features import blurred, color_change
+from taccel_lab.signals.normal_model_config import NormalModelConfig
+from taccel_lab.signals.normals import normals_from_slopes, rotate_to_z, slopes_from_height
+
+TASK = "drawing synthetic presses"
+DEPTHS = (0.1, 1.3)
+"""Depths over that of the deepest ball, as far as ``MOST`` of the gel; drawn so that all orders of
+size are as frequent. Who presses something else on a sensor presses about as hard as he did balls.
+"""
+MOST = 0.5
+"""Of the thickness of the gel."""
+SOLVED_TO = 6e-3
+"""Share of the depth that presses are solved to: heights are then within 0.4 um (rms)."""
+STILL_MM, STILL_SLOPE = 0.01, 0.0035
+"""Gel that moved and leans by less, a fifth of a degree, keeps its colour: it would change by less
+than the noise, and that is half of the image."""
+SEEN_PX = 1.0
+"""What a network is asked for is the surface as a camera sees it, smoothed by this much: the slope
+of a vertical wall has no bound, its height has."""
+MAX_BLUR_PX = 1.0
+"""Images are blurred by up to this much, since no two lenses are focused alike."""
+SMOOTH_NOISE_PX = 8.0
+"""Noise is white up to here, beyond it is uneven light."""
+PRESSED_RAD = np.radians(4.0)
+BESIDE_PX = 8
+PRESSED_SHARE = 0.75
+"""Share of the pixels drawn where the surface leans by more than that, or so near to it."""
+UNEVEN_PX = 30.0
+"""Over about this distance colours are off together, in the model's light and in its colours."""
+
+
+@dataclass(frozen=True)
+class ImageNoise:
+    """How captures differ from their model's pictures."""
+
+    white_levels: float
+    """Standard deviation of each pixel by itself [levels]."""
+    uneven_levels: float
+    """Standard deviation of what neighbours share on untouched gel [levels]."""
+    uneven_share: float
+    """Standard deviation of what they share in a contact, over the change of colour there."""
+
+    @classmethod
+    def of(
+        cls, frames: Sequence[InverseFrame], scene: CaptureScene, colors: ColorModel
+    ) -> ImageNoise:
+        """From the presses that are fitted; ``colors`` was fitted to them too."""
+        white, uneven, left, change = [], [], [], []
+        for frame in frames:
+            untouched = frame.circle.far(scene.grid, UNTOUCHED_RADII, usable_pixels(scene))
+            if untouched.any():
+                off = np.where(untouched[..., None], frame.image - scene.background, 0.0)
+                cover = gaussian_filter(untouched.astype(float), SMOOTH_NOISE_PX)
+                smooth = gaussian_filter(off, (SMOOTH_NOISE_PX, SMOOTH_NOISE_PX, 0))
+                smooth /= np.maximum(cover, 1e-3)[..., None]
+                uneven.append(np.mean(smooth[untouched] ** 2))
+                white.append(np.mean((off - smooth)[untouched] ** 2))
+            if frame.surface is not None:
+                inside = usable_pixels(scene) & (
+                    frame.circle.distance_px(scene.grid) <= frame.circle.radius_px
+                )
+                surface = frame.surface
+                drawn = colors.predict_pixels(
+                    np.flatnonzero(inside),
+                    surface.normals[inside],
+                    surface.displacement_mm()[inside],
+                    surface.rest_normals[inside],
+                )
+                seen = (frame.image - scene.background)[inside]
+                left.append(np.mean((seen - drawn) ** 2))
+                change.append(np.mean(drawn**2))
+        flat = float(np.mean(white) + np.mean(uneven)) if white else 0.0
+        more = max(float(np.mean(left)) - flat, 0.0) if left else 0.0
+        return cls(
+            float(np.sqrt(np.mean(white))) if white else 1.0,
+            float(np.sqrt(np.mean(uneven))) if uneven else 0.0,
+            float(np.sqrt(more / max(float(np.mean(change)), 1e-9))) if change else 0.0,
+        )
+
+    def spoil(
+        self, change: np.ndarray, background: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray:
+        """An image as the camera would give it [levels] of a change of colour, float32, [h, w, 3].
+
+        Blur, uneven colours and light, white noise, and full level where it is too bright.
+        """
+        change = blurred(change, rng.uniform(0.0, MAX_BLUR_PX))
+        change = change * (1.0 + self.uneven_share * _uneven(rng, change.shape))
+        image = background + change + self.uneven_levels * _uneven(rng, change.shape)
+        image += self.white_levels * rng.standard_normal(change.shape, dtype=np.float32)
+        return np.clip(image, 0.0, 255.0).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class SyntheticPress:
+    """A press of known shape and what the camera would see."""
+
+    image: np.ndarray
+    """RGB levels, float32, shape [height_px, width_px, 3]."""
+    normals: np.ndarray
+    """Outward unit normals relative to rest as the camera sees them, shape [h, w, 3]."""
+    rise_m: np.ndarray
+    """Rise over rest [m], shape [h, w]."""
+
+
+@dataclass(frozen=True)
+class SyntheticPresses:
+    """Draws presses one after the other, each another one."""
+
+    scene: CaptureScene
+    """Background, pixel grid and resting face."""
+    pad: BondedLayer
+    colors: ColorModel
+    noise: ImageNoise
+    """How captures differ from these colours."""
+    deepest_mm: float
+    """How deep the deepest ball was pressed."""
+    rng: np.random.Generator
+    """Draws tools, places, depths and noise."""
+
+    def presses(self, count: int, progress: Progress = silent) -> Iterator[SyntheticPress]:
+        """The next ``count`` presses."""
+        return counted((self._press() for _ in range(count)), progress, TASK, count)
+
+    @cached_property
+    def _rest(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Normals at rest [h, w, 3], their slopes [h, w, 2], and what the colours give for each
+        pixel at rest [levels], shape [h * w, 3]."""
+        grid, rest = self.scene.grid, self.scene.rest_normals
+        if rest is None:
+            rest = np.zeros((grid.height_px, grid.width_px, 3))
+            rest[..., 2] = 1.0
+        pixels = np.arange(grid.height_px * grid.width_px)
+        still = self.colors.network_levels(pixels, rest.reshape(-1, 3), np.zeros(len(pixels)))
+        return rest, slope_of(rest), still
+
+    def _press(self) -> SyntheticPress:
+        grid, rng = self.scene.grid, self.rng
+        step = (grid.mm_per_px_x, grid.mm_per_px_y)
+        low, high = (share * self.deepest_mm for share in DEPTHS)
+        high = min(high, MOST * self.pad.thickness_mm)
+        depth_mm = float(np.exp(rng.uniform(np.log(min(low, high)), np.log(high))))
+        tool_mm = draw_tool(rng, *np.meshgrid(grid.x_mm(), grid.y_mm()))
+        rise_mm = press_layer(
+            tool_mm, depth_mm, step, self.pad, tolerance=SOLVED_TO
+        ).rise_mm  # fmt: skip
+        rest, lean, still = self._rest
+        slope = slopes_from_height(1e-3 * rise_mm, grid)
+        sharp = normals_from_slopes(lean + slope)
+        moved = (np.abs(rise_mm) > STILL_MM) | (np.hypot(*np.moveaxis(slope, -1, 0)) > STILL_SLOPE)
+        change = np.zeros((*rise_mm.shape, 3), dtype=np.float32)
+        pixels = np.flatnonzero(moved)
+        pressed = self.colors.network_levels(pixels, sharp[moved], rise_mm[moved])
+        change[moved] = pressed - still[pixels]
+        smooth_m = blurred(1e-3 * rise_mm, SEEN_PX)
+        seen = normals_from_slopes(lean + slopes_from_height(smooth_m, grid))
+        return SyntheticPress(
+            image=self.noise.spoil(change, self.scene.background, rng),
+            normals=rotate_to_z(seen, rest).astype(np.float32),
+            rise_m=1e-3 * rise_mm,
+        )
+
+
+def _uneven(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+    """A smooth field of about unit variance for each channel, shape [h, w, 3]."""
+    import cv2
+
+    rows, columns = (max(2, round(count / UNEVEN_PX)) + 1 for count in shape[:2])
+    coarse = rng.standard_normal((rows, columns, 3))
+    return np.asarray(cv2.resize(coarse, (shape[1], shape[0]), interpolation=cv2.INTER_CUBIC))
+
+
+def synthetic_samples(
+    press: SyntheticPress,
+    scene: CaptureScene,
+    config: NormalModelConfig,
+    count: int,
+    rng: np.random.Generator,
+) -> NormalSamples:
+    """``count`` pixels of a press, most of them on and beside what is not flat.
+
+    They are drawn by place, not by tilt: draws by the truth would have the networks expect steep
+    walls wherever they cannot tell.
+    """
+    change = color_change(press.image, scene.background, scene.mask)
+    usable = usable_pixels(scene)
+    leaning = press.normals[..., 2] < np.cos(PRESSED_RAD)
+    pressed = np.asarray(binary_dilation(leaning, iterations=BESIDE_PX), dtype=bool)
+    most = round(PRESSED_SHARE * count)
+    regions = [(usable & pressed, most), (usable & ~pressed, count - most)]
+    picked = np.concatenate(
+        [rng.permutation(np.flatnonzero(region))[:most] for region, most in regions]
+    )
+    return NormalSamples(
+        config.image_features(change, scene.background, mask=scene.mask, picked=picked),
+        press.normals.reshape(-1, 3)[picked].astype(np.float32),
+    )

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Friction frozen anew where an environment is, what that says of its last step, and the way back.
+
+A step that followed friction (``follow_friction``) is judged here: only the residual with friction
+frozen where it led says whether it led anywhere. If not, a quarter of it is tried, and then none.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from taccel_lab.model.env_rows import zero_rows
+from taccel_lab.solvers.env_phase import FREEZING, RETREATING, enter, go_on, leave, stop
+from taccel_lab.solvers.env_progress import Balance, Counts, Flags, Following, Phases, Rules
+from taccel_lab.solvers.measure import (
+    add_friction,
+    element_rounding,
+    evaluate_gradient,
+    measure_residual,
+    weigh,
+)
+from taccel_lab.solvers.step_launches import StepLaunches
+from taccel_lab.solvers.step_report import EnvStatus
+
+wp.set_module_options({"enable_backward": False})
+
+_CONVERGED = wp.constant(int(EnvStatus.CONVERGED))
+_FRICTION = wp.constant(int(EnvStatus.FRICTION))
+GAIN = 0.9
+"""Part of the residual that a step which follows friction leaves at most."""
+SHARE = 0.25
+"""Part of such a step that is tried where all of it led nowhere."""
+PAUSE = 2
+"""Iterations with frozen friction after one that led nowhere."""
+
+
+@wp.func
+def retreats(
+    env: int,
+    phases: Phases,  # out
+    balance: Balance,
+    following: Following,  # out
+    flags: Flags,  # out
+) -> bool:
+    """Whether a step that followed friction is taken back: a part of it, or all."""
+    if following.follows[env] == 0:
+        return False
+    if following.share[env] == wp.float64(0.0):
+        following.pause[env] = PAUSE
+        return False
+    if balance.excess[env] < wp.float64(GAIN) * following.excess_before[env]:
+        return False
+    share = wp.float64(SHARE)
+    if following.share[env] < wp.float64(1.0):
+        share = wp.float64(0.0)
+    following.share[env] = share
+    enter(env, RETREATING, phases)
+    flags.retreating[0] = 1
+    return True
+
+
+@wp.kernel
+def _judge_friction_kernel(
+    elements: wp.array2d(dtype=wp.float64),
+    phases: Phases,  # out
+    counts: Counts,  # out
+    balance: Balance,  # out
+    following: Following,  # out
+    flags: Flags,  # out
+    r: Rules,
+):
+    """Only the residual with the friction that was frozen anew counts as converged.
+
+    Freezing is a fixed-point iteration. Where it alternates instead of shrinking (a node leaning on
+    two faces in turn) the steps between are damped until it shrinks again.
+    """
+    env = wp.tid()
+    if phases.phase[env] < FREEZING:
+        return
+    if phases.phase[env] == FREEZING:
+        counts.lags[env] += 1
+    leave(env, phases)
+    one = wp.float64(1.0)
+    weigh(env, elements, balance, r)
+    if retreats(env, phases, balance, following, flags):
+        return
+    excess = balance.excess[env]
+    damping = balance.damping[env]
+    if following.follows[env] == 0:
+        following.left[env] = wp.max(following.left[env], excess / balance.lag_change[env])
+    if following.follows[env] != 0:
+        balance.damping[env] = one
+    elif excess > (one - wp.float64(0.1) * damping) * balance.lag_change[env]:
+        balance.damping[env] = wp.max(wp.float64(0.5) * damping, wp.float64(0.05))
+    else:
+        balance.damping[env] = wp.min(wp.float64(1.5) * damping, one)
+    balance.lag_change[env] = excess
+    balance.last_residual[env] = wp.float64(wp.inf)
+    if excess <= one:
+        stop(env, _CONVERGED, phases)
+    elif counts.lags[env] >= r.max_lags:
+        stop(env, _FRICTION, phases)
+    go_on(env, phases, counts, flags, r)
+
+
+@wp.kernel
+def _retreat_kernel(
+    trial: wp.array2d(dtype=wp.vec3d),
+    start: wp.array2d(dtype=wp.vec3d),
+    positions: wp.array2d(dtype=wp.vec3d),  # out
+    phases: Phases,
+    following: Following,
+    flags: Flags,  # out
+):
+    """Positions between the start of a step and where it led."""
+    env, node = wp.tid()
+    if env == 0 and node == 0:
+        flags.retreating[0] = 0
+    if phases.phase[env] == RETREATING:
+        way = trial[env, node] - start[env, node]
+        positions[env, node] = start[env, node] + following.share[env] * way
+
+
+def refreeze_friction(run: StepLaunches) -> None:
+    """Freeze friction anew in the chosen environments, and judge them by what it is then."""
+    s, p = run.s, run.p
+    assert s.friction is not None
+    lag, x = s.friction.lag, run.state.positions
+    gradient = s.friction_gradient
+    run.together(
+        [lambda: lag(p.phases.inner, x, s.origin), lambda: zero_rows(p.phases.inner, gradient)]
+    )
+    add_friction(run, p.phases.inner)
+    measure_residual(run, p.phases.inner)
+    _judge(run)
+    wp.capture_while(p.flags.retreating, lambda: _retreat(run))
+
+
+def _judge(run: StepLaunches) -> None:
+    p = run.p
+    run.decide(
+        _judge_friction_kernel,
+        element_rounding(run),
+        p.phases,
+        p.counts,
+        p.balance,
+        p.following,
+        p.flags,
+        run.rules,
+    )
+
+
+def _retreat(run: StepLaunches) -> None:
+    """Go back where a step that followed friction led nowhere. The way back is free: the way there
+    was. Frames stay: such steps begin when they have arrived."""
+    s, p, state = run.s, run.p, run.state
+    assert s.friction is not None
+    x, mask = state.positions, p.phases.inner
+    wp.launch(
+        _retreat_kernel,
+        dim=x.shape,
+        inputs=[s.trial, s.follow_start, x, p.phases, p.following, p.flags],
+        device=run.model.device,
+    )
+    run.collide(mask, x)
+    s.friction.lag(mask, x, s.origin)
+    evaluate_gradient(run, mask)
+    run.energy(mask, x, state.poses, p.search.base, p.search.before)
+    _judge(run)

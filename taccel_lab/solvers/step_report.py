@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a step did, per environment: numbers first. They stay on the device until they are
+read; a step itself reads its statuses, which decide whether it is taken again in halves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+
+class EnvStatus(IntEnum):
+    """How a step ended in one environment."""
+
+    RUNNING = 0
+    CONVERGED = 1
+    NO_CONVERGENCE = 2
+    """The Newton iterations were used up."""
+    LINE_SEARCH = 3
+    """No step along the search direction lowered the energy."""
+    NOT_A_NUMBER = 4
+    """A position, residual or search direction was not finite."""
+    FRICTION = 5
+    """Re-freezing friction did not settle."""
+    INVERSION = 6
+    """An element was inverted before the step; or by it, in a material whose energy bears that."""
+    CONTACT_OVERFLOW = 7
+    """More contacts than ``SolverConfig.max_collisions``, or than there is memory for."""
+    JOINT = 8
+    """A joint stayed open by more than its tolerance."""
+    TOUCHING = 9
+    """Two surfaces touched or crossed before the step: no motion is free of collisions."""
+    SKIPPED = 10
+    """The environment was not asked for."""
+    OVERLAP = 11
+    """Bodies overlapped before the first step, see ``SolverIPC.step``."""
+    IMPACT = 12
+    """BDF2 met an impact: the solver takes the step again by implicit Euler at once."""
+
+
+_INTS = ("status", "newton_iterations", "cg_iterations", "friction_lags") + (
+    "searches",
+    "ccd_passes",
+    "starts_tried",
+    "starts_taken",
+)
+_FLOATS = ("residual_n", "residual_ratio", "contact_force_n", "min_distance_m") + (
+    "joint_violation_m",
+    "smallest_step",
+)
+
+
+class ReportBlock:
+    """The figures of a report on the device, laid out so that one copy takes them all."""
+
+    def __init__(self, rows: wp.array) -> None:
+        """``rows``: float64, see ``zeros``."""
+        self._rows = rows
+        count = len(_FLOATS)
+        self.arrays: dict[str, wp.array] = {name: rows[i] for i, name in enumerate(_FLOATS)}
+        """Arrays of shape [env_count] by name, float64 or int32, on the memory of the block."""
+        # Two rows of integers take the place of one of floating point numbers.
+        ints = wp.array(
+            ptr=rows[count].ptr,
+            dtype=wp.int32,
+            shape=(2 * (rows.shape[0] - count), rows.shape[1]),
+            device=rows.device,
+        )
+        ints._ref = rows
+        self.arrays |= {name: ints[i] for i, name in enumerate(_INTS)}
+
+    @classmethod
+    def zeros(cls, env_count: int, device: wp.Device) -> ReportBlock:
+        """A block of zeros."""
+        shape = (len(_FLOATS) + (len(_INTS) + 1) // 2, env_count)
+        return cls(wp.zeros(shape, dtype=wp.float64, device=device))
+
+    def copy(self) -> ReportBlock:
+        """The same on memory of its own; does not wait for the device."""
+        return ReportBlock(wp.clone(self._rows))
+
+    def read(self) -> dict[str, np.ndarray]:
+        """All arrays on the host, int64 or float64; waits for the device."""
+        rows = self._rows.numpy()
+        ints = rows[len(_FLOATS) :].view(np.int32).reshape(-1, rows.shape[1])
+        found = {name: ints[i].astype(np.int64) for i, name in enumerate(_INTS)}
+        return found | {name: rows[i].copy() for i, name in enumerate(_FLOATS)}
+
+
+@dataclass(frozen=True, repr=False)
+class StepReport:
+    """Per-environment arrays of shape [env_count], unless said otherwise.
+
+    Of a step that went through at once, what is not read stays on the device: ``on`` has it there.
+    """
+
+    status: np.ndarray
+    """``EnvStatus``; environments that did not converge were rolled back."""
+    newton_iterations: np.ndarray
+    cg_iterations: np.ndarray
+    """Sum over the step of the (batched) CG iterations while the environment was active."""
+    friction_lags: np.ndarray
+    """How often friction was frozen anew."""
+    searches: np.ndarray
+    """How often pairs were searched for; see ``ipc.broad_phase.kept_pairs``."""
+    ccd_passes: np.ndarray
+    """How many ways were checked for collisions; see ``solvers.limit_step``."""
+    starts_tried: np.ndarray
+    """Starts away from where the environment was; see ``solvers.start_step``."""
+    starts_taken: np.ndarray
+    residual_n: np.ndarray
+    """Force residual at the end, friction re-frozen: the largest sum of magnitudes over the nodes
+    of a body [N]."""
+    residual_ratio: np.ndarray
+    """The largest of a body over what is allowed that body, at most 1 where the step converged.
+    ``SolverIPC.progress.balance`` has ``body_residuals`` and ``body_forces``,
+    [env_count, body_count].
+    """
+    contact_force_n: np.ndarray
+    """Sum of the magnitudes of the nodal contact forces on one side, the scale of the tolerance
+    [N]."""
+    min_distance_m: np.ndarray
+    """Smallest gap of any pair within dhat [m]; infinite without contact."""
+    smallest_step: np.ndarray
+    """Smallest accepted step length of the line search."""
+    joint_violation_m: np.ndarray
+    """Largest violation of a joint's constraint [m]; 0 without joints."""
+    substeps: np.ndarray
+    """Parts the step was taken in: 1 unless it failed as a whole."""
+    seconds: float
+    """Wall time of the whole call, all environments."""
+
+    @classmethod
+    def of_block(cls, block: ReportBlock) -> StepReport:
+        """Make the report of one attempt at a step. Reads the statuses, 4 bytes an environment, and
+        the rest of ``block``, which belongs to the report from now on, when it is first asked
+        for."""
+        report = object.__new__(cls)
+        status = block.arrays["status"].numpy().copy()
+        substeps = (status == EnvStatus.CONVERGED).astype(np.int64)
+        report.__dict__.update(status=status, substeps=substeps, seconds=0.0, _block=block)
+        return report
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Fields that have not been read yet."""
+            block = self.__dict__.get("_block")
+            if block is None or name not in self.__dataclass_fields__:
+                raise AttributeError(f"a step report has no {name!r}")
+            self.__dict__.update(block.read() | self.__dict__)
+            return self.__dict__[name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def on(self, device: wp.Device | str) -> dict[str, wp.array]:
+        """Return the arrays by name on a device, int32 or float64 of Warp; torch takes them through
+        DLPack (``wp.to_torch``).
+
+        Those of a step that was taken at once are on the device already. They are not copied, and
+        the solver does not change them. A step that was taken in parts has been put together on
+        the host.
+        """
+        block = self.__dict__.get("_block")
+        found: dict[str, wp.array] = {} if block is None else dict(block.arrays)
+        for field in fields(self):
+            if field.name != "seconds" and field.name not in found:
+                value = getattr(self, field.name)
+                dtype = wp.int32 if value.dtype.kind == "i" else wp.float64
+                found[field.name] = wp.array(value, dtype=dtype, device=device)
+        return {name: array.to(device) for name, array in found.items()}
+
+    def timed(self, seconds: float) -> StepReport:
+        """Return the report with the wall time of the whole call."""
+        object.__setattr__(self, "seconds", seconds)
+        return self
+
+    def of(self, mask: np.ndarray) -> StepReport:
+        """Return what it says of the environments of ``mask`` (bool, [env_count]) alone."""
+        names = [field.name for field in fields(self) if field.name != "seconds"]
+        return replace(self, **{name: getattr(self, name)[mask] for name in names})
+
+    @property
+    def converged(self) -> np.ndarray:
+        """Whether each environment reached its tolerance."""
+        return self.status == EnvStatus.CONVERGED
+
+    def retaken(self, later: StepReport, who: np.ndarray) -> StepReport:
+        """Merge what ``later`` says of the environments ``who`` that took it again."""
+        names = [field.name for field in fields(self) if field.name != "seconds"]
+        return replace(
+            self,
+            **{name: np.where(who, getattr(later, name), getattr(self, name)) for name in names},
+        )
+
+    def followed_by(self, later: StepReport) -> StepReport:
+        """Append ``later``, with the work of both; environments it skipped stay as they are."""
+
+        def newer(name: str) -> np.ndarray:
+            skipped = later.status == EnvStatus.SKIPPED
+            return np.where(skipped, getattr(self, name), getattr(later, name))
+
+        return replace(
+            self,
+            **{
+                name: newer(name)
+                for name in (
+                    "status",
+                    "residual_n",
+                    "residual_ratio",
+                    "contact_force_n",
+                    "min_distance_m",
+                    "joint_violation_m",
+                )
+            },
+            **{
+                name: getattr(self, name) + getattr(later, name)
+                for name in (
+                    "newton_iterations",
+                    "cg_iterations",
+                    "friction_lags",
+                    "searches",
+                    "ccd_passes",
+                    "starts_tried",
+                    "starts_taken",
+                    "substeps",
+                    "seconds",
+                )
+            },
+            smallest_step=np.minimum(self.smallest_step, later.smallest_step),
+        )
+
+    def failures(self) -> dict[str, list[int]]:
+        """Return the environments that failed, by cause."""
+        causes: dict[str, list[int]] = {}
+        for env in np.flatnonzero(~self.converged & (self.status != EnvStatus.SKIPPED)):
+            causes.setdefault(EnvStatus(self.status[env]).name, []).append(int(env))
+        return causes
+
+    def __repr__(self) -> str:
+        return f"step report: {self.summary()}"
+
+    def summary(self) -> str:
+        """Summarise in one line for a log."""
+        good = int(self.converged.sum())
+        line = (
+            f"{good}/{len(self.status)} converged, "
+            f"Newton {self.newton_iterations.max()}, CG {self.cg_iterations.max()}, "
+            f"residual {self.residual_n.max():.2e} N of {self.contact_force_n.max():.3g} N, "
+            f"min distance {self.min_distance_m.min() * 1e6:.2f} um, "
+            f"smallest step {self.smallest_step.min():.2g}, {self.seconds:.2f} s"
+        )
+        if self.substeps.max() > 1:
+            line += f", up to {self.substeps.max()} substeps"
+        if causes := self.failures():
+            line += "; " + ", ".join(f"{name}: {envs}" for name, envs in causes.items())
+        return line
+
+    def describe(self, environments: Sequence[int] | None = None) -> str:
+        """Format a table for people, one line an environment: all of them, or those given."""
+        columns = "env  status             Newton    CG  lags  parts   residual [N]  contact [N]"
+        lines = [columns + "  gap [um]  smallest step"]
+        for env in range(len(self.status)) if environments is None else environments:
+            lines.append(
+                f"{env:>3}  {EnvStatus(self.status[env]).name:<17}"
+                f"{self.newton_iterations[env]:>8}{self.cg_iterations[env]:>6}"
+                f"{self.friction_lags[env]:>6}{self.substeps[env]:>7}"
+                f"{self.residual_n[env]:>15.2e}{self.contact_force_n[env]:>13.4g}"
+                f"{self.min_distance_m[env] * 1e6:>10.3f}{self.smallest_step[env]:>15.3g}"
+            )
+        return "\n".join(lines)

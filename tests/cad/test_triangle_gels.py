@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Gels from triangles and tets: faces found, regions proposed, hostile files refused in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taccel_lab.cad.export import write_3mf, write_stl
+from taccel_lab.cad.gel_import import FaceSelection, import_gel, part_faces
+from taccel_lab.cad.gel_import import triangle_gel as module
+from taccel_lab.cad.gel_import.facet_solid import facet_solid
+from taccel_lab.cad.gel_import.patches import faces_of_triangles
+from taccel_lab.cad.mesh.gel_mesh import gel_mesh
+from taccel_lab.cad.mesh.surface import LabelledSurface, check_closed
+from taccel_lab.cad.mesh.tessellate import tessellate_solid
+from taccel_lab.cad.parts.dome_pad import SolidDomePad
+from taccel_lab.cad.parts.gel_pad import GelPad
+from taccel_lab.cad.parts.pad_solid import labelled_solid
+from taccel_lab.cad.parts.part import gel_part
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import Region
+from taccel_lab.geometry.vtu import write_mesh_vtu
+from tests.support.real_data import real_data
+
+SIZE = np.array([24.0, 20.0, 4.0])
+CORNERS = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
+QUADS = np.array(
+    [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+)
+TRIANGLES = np.concatenate([QUADS[:, [0, 1, 2]], QUADS[:, [0, 2, 3]]])
+Soup = tuple[np.ndarray, np.ndarray]
+
+
+def stl(path: Path, points: np.ndarray = CORNERS * SIZE, faces: np.ndarray = TRIANGLES) -> Path:
+    write_stl(LabelledSurface(points, faces, np.zeros(len(faces), np.int32)), path)
+    return path
+
+
+def areas(surface: LabelledSurface) -> dict[str, float]:
+    return {r.name: float(surface.areas_mm2()[surface.regions == int(r)].sum()) for r in Region}
+
+
+def test_a_box_of_triangles_is_proposed_contact_bond_and_window(tmp_path: Path) -> None:
+    gel = import_gel(stl(tmp_path / "box.stl"))
+    assert areas(gel.surface) == pytest.approx(
+        {"SIDE": 352, "CONTACT": 480, "BOND": 480 - 19.2 * 16, "WINDOW": 19.2 * 16}
+    )
+    check_closed(gel.surface.triangles, "the cut surface")
+    assert gel.surface.volume_mm3() == pytest.approx(SIZE.prod())
+    assert gel.shift_mm == pytest.approx([-12, -10, -4])
+    assert gel.thickness_mm == pytest.approx(4) and gel.min_thickness_mm == pytest.approx(4)
+    assert gel.assumed["bond"].startswith("plane:-z") and "inside out" not in gel.assumed
+    # What is stated turns the rest with it.
+    turned = import_gel(tmp_path / "box.stl", FaceSelection(bond=("plane:+y",)))
+    assert turned.selection.normal == "-y" and turned.thickness_mm == pytest.approx(20)
+
+
+def test_obj_and_3mf_give_the_same_gel(tmp_path: Path) -> None:
+    box = facet_solid(import_gel(stl(tmp_path / "box.stl")).surface)
+    assert sorted(region.name for region in box.regions) == [
+        "BOND", "CONTACT", "SIDE", "SIDE", "SIDE", "SIDE", "WINDOW",
+    ]  # fmt: skip
+    write_3mf([gel_part(box)], tmp_path / "box.3mf")
+    lines = [f"v {x} {y} {z}" for x, y, z in CORNERS * SIZE]
+    lines += ["f " + " ".join(str(k + 1) for k in quad) for quad in QUADS]
+    (tmp_path / "box.obj").write_text("\n".join(lines))
+    for name in ("box.3mf", "box.obj"):
+        gel = import_gel(tmp_path / name)
+        assert areas(gel.surface)["WINDOW"] == pytest.approx(19.2 * 16)
+        assert gel.surface.volume_mm3() == pytest.approx(SIZE.prod())
+
+
+def test_smooth_faces_end_at_creases_and_where_they_turn_far() -> None:
+    """A crowned pad with a fillet, of triangles: no edge of it is sharp but those at the back."""
+    pad = GelPad(thickness_mm=5, crown_radius_x_mm=60, crown_radius_y_mm=60, rim="fillet")
+    surface = tessellate_solid(labelled_solid(pad), tolerance_mm=0.05, angle_rad=0.2)
+    faces = faces_of_triangles(surface.vertices_mm, surface.triangles)
+    (back,) = [info for info in faces.table if info.normal[2] < -0.99]
+    (top,) = [info for info in faces.table if info.normal[2] > 0.99]
+    assert back.kind == "plane" and back.normal == pytest.approx((0, 0, -1))
+    assert top.kind == "curved" and top.normal[2] > 0.99
+    # Down to where the fillet is 60 degrees steep.
+    up = surface.normals()[:, 2] > 0.5
+    assert top.area_mm2 == pytest.approx(surface.areas_mm2()[up].sum(), rel=0.01)
+    assert sum(info.area_mm2 for info in faces.table) == pytest.approx(surface.areas_mm2().sum())
+    assert len(faces.table) < 20
+
+
+def test_a_dome_of_triangles_has_a_back_and_a_recess_to_look_through(tmp_path: Path) -> None:
+    surface = tessellate_solid(labelled_solid(SolidDomePad()), tolerance_mm=0.05, angle_rad=0.2)
+    write_stl(surface, tmp_path / "dome.stl")
+    (lens,) = [
+        info for info in part_faces(tmp_path / "dome.stl").table
+        if info.kind == "curved" and info.normal[2] < -0.99
+    ]  # fmt: skip
+    gel = import_gel(tmp_path / "dome.stl", FaceSelection(window=(f"index:{lens.index}",)))
+    glued = surface.vertices_mm[surface.of(Region.BOND, Region.WINDOW)]
+    assert gel.thickness_mm == pytest.approx(-glued[..., 2].max(), abs=0.1)
+    assert areas(gel.surface)["WINDOW"] == pytest.approx(lens.area_mm2)
+
+
+def test_good_tets_of_a_file_are_kept_and_others_not(tmp_path: Path) -> None:
+    pad = GelPad(
+        length_x_mm=12, length_y_mm=10, thickness_mm=3, window_x_mm=8, window_y_mm=6, rim="none",
+        crown_radius_x_mm=0, crown_radius_y_mm=0, corner_radius_mm=1,
+    )  # fmt: skip
+    mesh = gel_mesh(pad, 1.5)
+    write_mesh_vtu(tmp_path / "pad.vtu", mesh)
+    with pytest.raises(InputError, match=r"numbers look like metres \(12 mm: --unit m\)"):
+        import_gel(tmp_path / "pad.vtu")
+    gel = import_gel(tmp_path / "pad.vtu", FaceSelection(unit="m", right="+x"))
+    assert gel.mesh is not None and gel.mesh.tet_count == mesh.tet_count
+    assert gel.mesh.volumes_m3().sum() == pytest.approx(mesh.volumes_m3().sum(), rel=1e-6)
+    assert gel.mesh.bonded_nodes().size == mesh.bonded_nodes().size
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "maniskill_vitac2025/Track_3/assets/gel_STL_model/gelsight_mini.STL",
+        "maniskill_vitac2025/Track_3/assets/tac_sensor_meta/gelsight_mini/tet.msh",
+    ],
+)
+def test_the_gels_of_the_design_track(path: str) -> None:
+    """25.25 x 20.75 x 4 mm with a bevel of 1 mm at 45 degrees."""
+    unit = "m" if path.endswith("msh") else ""
+    gel = import_gel(real_data(path), FaceSelection(unit=unit))
+    x, y, bevel = 25.25, 20.75, 1.0
+    found = areas(gel.surface)
+    assert found["BOND"] + found["WINDOW"] == pytest.approx(x * y)
+    assert found["SIDE"] == pytest.approx(2 * (x + y) * (4 - bevel))
+    slope = (x * y - (x - 2 * bevel) * (y - 2 * bevel)) * np.sqrt(2)
+    assert found["CONTACT"] == pytest.approx((x - 2 * bevel) * (y - 2 * bevel) + slope)
+
+
+def doubled(soup: Soup) -> Soup:
+    points, faces = soup
+    return np.concatenate([points, points + [50, 0, 0]]), np.concatenate([faces, faces + 8])
+
+
+def crossed(soup: Soup) -> Soup:
+    """A corner drawn through the opposite side."""
+    points = soup[0].copy()
+    points[7] = [12, 10, -3]
+    return points, soup[1]
+
+
+def book(soup: Soup) -> Soup:
+    """Three walls at one edge."""
+    points = np.concatenate([soup[0], [[-6.0, -6.0, 2.0]]])
+    return points, np.concatenate([soup[1], [[0, 1, 8]]])
+
+
+HOSTILE: dict[str, tuple[Callable[[Soup], Soup], str]] = {
+    "open": (lambda s: (s[0], s[1][1:]), r"is not closed: 3 edges .* Mending .*pymeshlab"),
+    "non-manifold": (book, r"(not manifold|not closed).*Mending it fails"),
+    "mixed": (lambda s: (s[0], np.where([[True]] + [[False]] * 11, s[1][:, ::-1], s[1])),
+              r"oriented differently"),
+    "crossed": (crossed, r"(intersects itself|thick at)"),
+    "several": (doubled, r"holds 2 bodies.*1 \(1920\.0 mm\^3\), 2 \(1920\.0 mm\^3\).*--body"),
+    "not a number": (lambda s: (np.where(s[0] == 24, np.nan, s[0]), s[1]), r"NaN or infinite"),
+    "metres": (lambda s: (s[0] * 1e-3, s[1]), r"look like metres \(24 mm: --unit m\)"),
+    "flat": (lambda s: (s[0] * [1, 1, 1e-3], s[1]), r"a sheet without volume"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_hostile_surfaces_end_in_a_sentence(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without pymeshlab: what it mends, it mends in tests of its own."""
+
+    def without(*_: object, **__: object) -> None:
+        raise InputError("repairing a surface needs pymeshlab")
+
+    monkeypatch.setattr(module, "read_apart", without)
+    change, words = HOSTILE[case]
+    path = stl(tmp_path / "gel.stl", *change((CORNERS * SIZE, TRIANGLES)))
+    with pytest.raises(InputError, match=rf"gel\.stl.*{words}"):
+        import_gel(path)
+
+
+def test_a_surface_inside_out_is_turned_and_a_large_one_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = stl(tmp_path / "gel.stl", faces=TRIANGLES[:, ::-1])
+    gel = import_gel(path)
+    assert gel.surface.volume_mm3() == pytest.approx(SIZE.prod()) and "inside out" in gel.assumed
+    monkeypatch.setattr(module, "MAX_TRIANGLES", 11)
+    with pytest.raises(InputError, match=r"12 triangles; a gel may have up to 11: simplify it"):
+        import_gel(path)
+
+
+def test_one_of_several_bodies_is_chosen_by_number(tmp_path: Path) -> None:
+    path = stl(tmp_path / "two.stl", *doubled((CORNERS * SIZE, TRIANGLES)))
+    assert import_gel(path, FaceSelection(body="2")).shift_mm[0] == pytest.approx(-62)
+    with pytest.raises(InputError, match=r"none of the number '3'"):
+        import_gel(path, FaceSelection(body="3"))
+
+
+def test_what_no_gel_can_be_is_refused_when_it_is_read(tmp_path: Path) -> None:
+    path = stl(tmp_path / "gel.stl")
+    numbers = {info.normal: info.index for info in part_faces(path).table}
+    side, bottom = numbers[(1.0, 0.0, 0.0)], numbers[(0.0, 0.0, -1.0)]
+    cases = [
+        # Glued on a wall that reaches as high as the contact.
+        ({"bond": (f"index:{side}",), "window": (f"index:{bottom}",)}, r"contact point lies .* mm"),
+        ({"window": ("rect:30x8",)}, r"takes a window of 30 x 8 mm"),
+        ({"window": ("plane:+y",), "contact": ("plane:+y",)}, r"for contact and for window"),
+    ]
+    for given, words in cases:
+        with pytest.raises(InputError, match=words):
+            import_gel(path, FaceSelection(normal="+z", **given))  # type: ignore[arg-type]
+
+
+def test_a_window_with_a_hole_is_refused(tmp_path: Path) -> None:
+    """A tunnel of 4 x 4 mm leads from the glued back to the contact face."""
+    outer = CORNERS * SIZE
+    inner = CORNERS * [4, 4, 4] + [10, 8, 0]
+    walls = np.array([t for t in TRIANGLES if np.ptp((CORNERS * SIZE)[t], axis=0)[2] > 0])
+    rings = []
+    for z, order in ((0, 1), (1, -1)):
+        ring = [0 + z, 4 + z, 6 + z, 2 + z]
+        for k in range(4):
+            a, b = ring[k], ring[(k + 1) % 4]
+            rings += [[a, b + 8, b][::order], [a, a + 8, b + 8][::order]]
+    faces = np.concatenate([walls, walls[:, ::-1] + 8, rings])
+    path = stl(tmp_path / "gel.stl", np.concatenate([outer, inner]), faces)
+    with pytest.raises(InputError, match=r"the window has 1 hole, through which"):
+        import_gel(path, FaceSelection(window=("plane:-z",), bond=("plane:+x",), normal="+z"))
+    with pytest.raises(InputError, match="no window can be proposed"):
+        import_gel(path)

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames of data sets are those that were put in, camera by camera, episode by episode."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from taccel_lab.calibration.capture.camera import open_camera
+from taccel_lab.calibration.capture.camera.recording import Recording
+from taccel_lab.errors import InputError
+from taccel_lab.files.videos import count_frames, read_frames
+
+TOUCH = "observation.images.touch"
+RED = np.zeros((24, 32, 3), np.uint8) + np.array([200, 40, 10], np.uint8)
+
+
+def images_of(recording: Recording) -> list[np.ndarray]:
+    """All frames; none may be refused."""
+    found = [image for _, image in recording.frames()]
+    assert all(isinstance(image, np.ndarray) for image in found)
+    return [np.asarray(image) for image in found]
+
+
+def univtac(path: Path) -> Path:
+    """An episode as UniVTAC writes it: RGB handed to OpenCV's encoder."""
+    with h5py.File(path, "w") as file:
+        for side, shift in (("left", 0), ("right", 30)):
+            gel = file.create_group(f"tactile/{side}_tactile")
+            for name in ("rgb", "rgb_marker"):
+                streams = [
+                    cv2.imencode(".png", RED + np.uint8(shift + k))[1].tobytes() for k in range(3)
+                ]
+                gel.create_dataset(name, data=streams, dtype=f"S{max(map(len, streams))}")
+            gel.create_dataset("depth", data=np.zeros((3, 24, 32), np.float32))
+        file.create_dataset("observation/head/levels", data=np.stack([RED, RED + 1]))
+        file["elsewhere"] = h5py.ExternalLink("/etc/other.hdf5", "/rgb")
+        file["tactile/round"] = file["tactile"]
+    return path
+
+
+def test_a_camera_of_univtac_is_named_by_its_end(tmp_path: Path) -> None:
+    path = univtac(tmp_path / "0.bin")  # Told by its content.
+    for wanted in ("left_tactile/rgb", "tactile/left_tactile/rgb"):
+        recording = Recording.of(path, wanted)
+        assert recording.camera == "tactile/left_tactile/rgb" and recording.count() == 3
+    for k, image in enumerate(images_of(recording)):
+        np.testing.assert_array_equal(image, RED + np.uint8(k))
+    head = Recording.of(path, "levels")
+    np.testing.assert_array_equal(images_of(head)[1], RED + 1)
+    camera = open_camera(f"{path}/right_tactile/rgb_marker")
+    shot = camera.read()
+    assert shot is not None and (shot.image == RED + 30).all()
+
+
+@pytest.mark.parametrize(
+    ("camera", "said"),
+    [
+        (None, "it has several: .*left_tactile/rgb, tactile/left_tactile/rgb_marker.*right"),
+        ("left", "'left' is the name of several: tactile/left_tactile/rgb, "),
+        ("thumb", "none is called 'thumb': .*right_tactile/rgb"),
+    ],
+)
+def test_cameras_are_listed_where_one_has_to_be_named(
+    camera: str | None, said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=f"name the camera by --camera; {said}"):
+        Recording.of(univtac(tmp_path / "0.hdf5"), camera)
+
+
+def test_hdf5_without_pictures_and_torn_ones_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "0.hdf5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("forces", data=np.zeros((3, 6)))
+        # Whose order of colours nobody knows: no file of UniVTAC.
+        file.create_dataset("rgb", data=[b"\xff\xd8\xff"], dtype="S3")
+    with pytest.raises(InputError, match="holds no images of a camera"):
+        Recording.of(path)
+    with h5py.File(path, "a") as file:
+        file["tactile/rgb"] = file["rgb"][()]
+        del file["rgb"]
+    [(_, why)] = Recording.of(path).frames()
+    assert isinstance(why, InputError) and "tactile/rgb 0 is not an image" in str(why)
+    path.write_bytes(path.read_bytes()[:60])
+    with pytest.raises(InputError, match=r"0\.hdf5 is no HDF5 file that can be read"):
+        Recording.of(path)
+    with pytest.raises(InputError, match="leave --camera left away"):
+        Recording.of(tmp_path, "left")
+
+
+def video(path: Path, levels: Sequence[int]) -> Path:
+    """Grey frames, coded in AV1 as LeRobot codes them."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libsvtav1", rate=10, options={"crf": "10", "preset": "12"})
+        stream.width, stream.height, stream.pix_fmt = 64, 64, "yuv420p"
+        for level in levels:
+            frame = av.VideoFrame.from_ndarray(np.full((64, 64, 3), level, np.uint8), "rgb24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+def lerobot(folder: Path, version: str, **features: dict[str, Any]) -> Path:
+    (folder / "meta").mkdir(parents=True)
+    about = {"codebase_version": version, "total_frames": 5, "fps": 10, "features": features}
+    (folder / "meta" / "info.json").write_text(json.dumps(about))
+    return folder
+
+
+def table(path: Path, **columns: Any) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table(columns), path)
+
+
+VIDEO = {"dtype": "video", "info": {"video.is_depth_map": False}}
+
+
+def test_a_video_in_av1_is_decoded(tmp_path: Path) -> None:
+    path = video(tmp_path / "v.mp4", [20, 120, 220])
+    assert count_frames(path) == (3, 3)
+    assert [round(float(frame.mean())) for frame in read_frames(path)] == pytest.approx(
+        [20, 120, 220], abs=3
+    )
+
+
+def test_episodes_of_version_2_follow_one_another(tmp_path: Path) -> None:
+    depth = {"dtype": "video", "info": {"is_depth_map": True}}
+    folder = lerobot(tmp_path / "set", "v2.1", **{TOUCH: VIDEO, "observation.depth": depth})
+    for number, levels in ((0, [10, 60]), (10, [110, 160, 210])):
+        video(folder / f"videos/chunk-000/{TOUCH}/episode_{number:06d}.mp4", levels)
+    recording = Recording.of(folder)
+    names, images = zip(*recording.frames(), strict=True)
+    assert recording.camera == TOUCH and recording.count() == 5
+    assert names[1] == "episode 0 frame 1" and names[2] == "episode 10 frame 0"
+    assert [float(i.mean()) for i in images] == pytest.approx([10, 60, 110, 160, 210], abs=3)
+
+
+def test_episodes_of_version_3_are_cut_out_of_their_video(tmp_path: Path) -> None:
+    folder = lerobot(tmp_path / "set", "v3.0", **{TOUCH: VIDEO})
+    video(folder / f"videos/{TOUCH}/chunk-000/file-000.mp4", [10, 60, 110, 160, 210])
+    of = f"videos/{TOUCH}/"
+    # Episode 1 was taken out; episode 2 says that it has a frame more than there is.
+    columns = {
+        "episode_index": [2, 0], "length": [3, 2], f"{of}chunk_index": [0, 0],
+        f"{of}file_index": [0, 0], f"{of}from_timestamp": [0.3, 0.0],
+    }  # fmt: skip
+    table(folder / "meta/episodes/chunk-000/file-000.parquet", **columns)
+    found = list(Recording.of(folder, "touch").frames())
+    assert [name for name, _ in found] == [
+        *(f"episode 0 frame {k}" for k in range(2)), *(f"episode 2 frame {k}" for k in range(3))
+    ]  # fmt: skip
+    levels = [float(image.mean()) for _, image in found if isinstance(image, np.ndarray)]
+    assert levels == pytest.approx([10, 60, 160, 210], abs=3)
+    assert "episode 2 frame 2: the video ends before it" in str(found[-1][1])
+
+
+def test_images_inside_and_beside_the_table_are_read(tmp_path: Path) -> None:
+    folder = lerobot(tmp_path / "set", "v2.0", **{TOUCH: {"dtype": "image"}})
+    png = cv2.imencode(".png", RED[..., ::-1])[1].tobytes()
+    (folder / "images").mkdir()
+    (folder / "images/1.png").write_bytes(png)
+    (tmp_path / "outside.png").write_bytes(png)
+    cells = [(png, None), (None, "images/1.png"), (None, "../outside.png"), (b"torn", None)]
+    stored = pa.array([{"bytes": b, "path": p} for b, p in cells])
+    columns = {"episode_index": [0] * 4, "frame_index": [0, 1, 2, 3], TOUCH: stored}
+    table(folder / "data/chunk-000/episode_000000.parquet", **columns)
+    inside, beside, outside, torn = (image for _, image in Recording.of(folder).frames())
+    for image in (inside, beside):
+        np.testing.assert_array_equal(image, RED)
+    assert "'..' leads out of it" in str(outside) and "frame 3 is not an image" in str(torn)
+
+
+def test_foreign_and_incomplete_data_sets_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"of version 'v1\.6'; LeRobot's v2\.0, v2\.1 and v3\.0"):
+        Recording.of(lerobot(tmp_path / "old", "v1.6"))
+    empty = Recording.of(lerobot(tmp_path / "empty", "v3.0", **{TOUCH: VIDEO}))
+    with pytest.raises(InputError, match=r"holds no meta/episodes/chunk-\*/\*\.parquet"):
+        next(empty.frames())
+    folder = lerobot(tmp_path / "other", "v3.0", **{TOUCH: {"dtype": "image"}})
+    table(folder / "data/chunk-000/file-000.parquet", frame_index=[0], episode_index=[0])
+    with pytest.raises(InputError, match=rf"has no {TOUCH}"):
+        next(Recording.of(folder).frames())

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A live session as ROS 2 topics, with modules in the place of rclpy and the messages."""
+
+from __future__ import annotations
+
+import array
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.live.reader import LiveReader
+from taccel_lab.calibration.live.ros import RosPublisher
+from taccel_lab.calibration.live.run import run_live
+from taccel_lab.calibration.live.snapshot import save_snapshot
+from taccel_lab.errors import InputError
+from tests.calibration.depth.test_depth import grey_unit
+from tests.calibration.live.test_live import Watching
+from tests.calibration.record.sessions import SteeredCamera
+
+
+def header() -> SimpleNamespace:
+    return SimpleNamespace(stamp=None, frame_id="")
+
+
+class Image:
+    def __init__(self) -> None:
+        self.header, self.height, self.width, self.step = header(), 0, 0, 0
+        self.encoding, self.is_bigendian = "", False
+        self.data = array.array("B")
+
+    def pixels(self) -> np.ndarray:
+        """As cv_bridge reads it."""
+        kind, channels = {"rgb8": (np.uint8, 3), "32FC1": (np.float32, 1)}[self.encoding]
+        assert self.step == self.width * channels * np.dtype(kind).itemsize
+        shape = (self.height, self.width, channels)
+        return np.frombuffer(self.data.tobytes(), kind).reshape(shape)
+
+
+class Float32:
+    def __init__(self, data: float = 0.0) -> None:
+        self.data = data
+
+
+class WrenchStamped:
+    def __init__(self) -> None:
+        self.header = header()
+        self.wrench = SimpleNamespace(
+            force=SimpleNamespace(x=0.0, y=0.0, z=0.0), torque=SimpleNamespace(x=0.0, y=0.0, z=0.0)
+        )
+
+
+class Node:
+    """Keeps what is published, by topic."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.published, self.logged, self.ended = name, {}, [], False
+
+    def create_publisher(self, kind: type, topic: str, queue: int) -> SimpleNamespace:
+        kept = self.published.setdefault(topic, [])
+
+        def publish(message: Any) -> None:
+            assert isinstance(message, kind)
+            kept.append(message)
+
+        return SimpleNamespace(publish=publish)
+
+    def get_clock(self) -> Any:
+        class Time(float):
+            def __sub__(self, other: float) -> Time:
+                return Time(float(self) - other)
+
+            def to_msg(self) -> float:
+                return float(self)
+
+        return SimpleNamespace(now=lambda: Time(100.0))
+
+    def get_logger(self) -> Any:
+        return SimpleNamespace(info=self.logged.append)
+
+    def destroy_node(self) -> None:
+        self.ended = True
+
+
+class Ros(ModuleType):
+    def __init__(self) -> None:
+        super().__init__("rclpy")
+        self.up, self.node = False, None
+
+    def ok(self) -> bool:
+        return self.up
+
+    def init(self) -> None:
+        self.up = True
+
+    def shutdown(self) -> None:
+        self.up = False
+
+    def create_node(self, name: str) -> Node:
+        self.node = Node(name)
+        return self.node
+
+
+@pytest.fixture
+def ros(monkeypatch: pytest.MonkeyPatch) -> Ros:
+    rclpy = Ros()
+    modules: dict[str, dict[str, Any]] = {
+        "rclpy.duration": {"Duration": lambda nanoseconds: 1e-9 * nanoseconds},
+        "sensor_msgs.msg": {"Image": Image},
+        "std_msgs.msg": {"Float32": Float32},
+        "geometry_msgs.msg": {"WrenchStamped": WrenchStamped},
+    }
+    monkeypatch.setitem(sys.modules, "rclpy", rclpy)
+    for name, contents in modules.items():
+        package = name.partition(".")[0]
+        if package != "rclpy":
+            monkeypatch.setitem(sys.modules, package, ModuleType(package))
+        module = ModuleType(name)
+        vars(module).update(contents)
+        monkeypatch.setitem(sys.modules, name, module)
+    return rclpy
+
+
+def test_readings_are_published_with_standard_messages(ros: Ros, tmp_path: Path) -> None:
+    captures, profile = grey_unit()
+    rest = np.asarray(captures.background)
+    pressed = np.clip(np.rint(captures.presses[2].image()), 0, 255).astype(np.uint8)
+    camera = SteeredCamera(tmp_path, rest, noise=0.5)
+    camera.image = pressed
+    publisher, watching = RosPublisher("tactile/left"), Watching()
+    told = {"Fx [N]": 0.25, "Fx +- [N]": 0.1, "Fy [N]": -0.5}
+
+    def reader(background: np.ndarray) -> LiveReader:
+        return LiveReader(profile, background, detail=1, force=lambda image, rest: told)
+
+    result = run_live(
+        reader, lambda: camera, [publisher, watching], background=rest.astype(np.float32), frames=2
+    )
+    assert ros.node is not None and ros.node.name == "taccel_lab_tactile_left"
+    [*_, image], [*_, depth], [*_, contact], [*_, wrench] = (
+        ros.node.published[f"tactile/left/{topic}"]
+        for topic in ("image", "depth", "contact", "wrench")
+    )
+    reading = watching.readings[-1]
+    np.testing.assert_array_equal(image.pixels(), reading.image)
+    np.testing.assert_array_equal(
+        depth.pixels()[..., 0], -reading.surface.rise_m.astype(np.float32)
+    )
+    assert 1e-4 < depth.pixels().max() < 1e-2  # Metres.
+    assert contact.data == pytest.approx(1e-6 * reading.press.contact_mm2)
+    force, torque = wrench.wrench.force, wrench.wrench.torque
+    assert (force.x, force.y, force.z) == pytest.approx((0.25, -0.5, -reading.press.force_n))
+    x, y = (1e-3 * at for at in reading.press.center_mm)
+    assert (torque.x, torque.y) == pytest.approx(np.cross([x, y, 0], [0, 0, force.z])[:2])
+    assert np.isnan(torque.z)
+    for message in (image, depth, wrench):
+        assert message.header.frame_id == "tactile/left/gel"
+        came = 100 - sum(reading.stages_s.values())
+        assert message.header.stamp == pytest.approx(came, abs=1e-6)
+    publisher.tell("Touch nothing")
+    assert ros.node.logged[-1] == "Touch nothing"
+    assert result.reader is not None
+    refused = replace(reading, refused="too steep", press=None, forces={})
+    publisher.show(refused, result.reader, result.latency)
+    depth, wrench = (ros.node.published[f"tactile/left/{t}"][-1] for t in ("depth", "wrench"))
+    force = wrench.wrench.force
+    assert np.isnan(depth.pixels()).all() and np.isnan([force.x, force.y, force.z]).all()
+    assert not publisher.stopped()
+    publisher.close()
+    assert ros.node.ended and publisher.stopped()
+    # A snapshot of the same reading.
+    for number in range(2):
+        kept = save_snapshot(reading, result.reader, tmp_path / "kept")
+        assert kept.name == f"snapshot_{number:03d}_image.png"
+    with np.load(tmp_path / "kept" / "snapshot_001.npz") as arrays:
+        np.testing.assert_allclose(arrays["rise_m"], reading.surface.rise_m, rtol=1e-6)
+        assert arrays["pressure_pa"].max() > 0
+    save_snapshot(refused, result.reader, tmp_path / "kept")
+    names = {path.name for path in (tmp_path / "kept").iterdir() if "002" in path.name}
+    assert names == {"snapshot_002_image.png"}
+
+
+def test_wrong_names_and_missing_ros_are_sentences(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("", "/left", "1left", "left-hand", "a//b"):
+        with pytest.raises(InputError, match="letters, digits and _ are allowed"):
+            RosPublisher(name)
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+    with pytest.raises(InputError, match="needs ROS 2 in this environment"):
+        RosPublisher("left")

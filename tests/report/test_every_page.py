@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every kind of page, as small as it gets: nothing runs over on screens nor on paper, and no text
+of a figure is cut."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+import taccel_lab.report.page as page_module
+from taccel_lab.benchmarks.page import benchmark_page
+from taccel_lab.benchmarks.results import read_result
+from taccel_lab.calibration.capture import load_capture_folder
+from taccel_lab.calibration.check import check_captures, check_page
+from taccel_lab.calibration.report.profile_page import profile_page
+from taccel_lab.datasets.page import dataset_page
+from taccel_lab.datasets.reading import open_dataset
+from taccel_lab.report.page import write_page_file
+from taccel_lab.sensors.profile import stock_sensor
+from taccel_lab.studies.report import write_study_report
+from taccel_lab.studies.runner import run_study
+from taccel_lab.tasks.catalogue import named
+from taccel_lab.tasks.page import task_page
+from taccel_lab.tasks.result import TaskResult, TaskTrial
+from tests.learning.force.small_touches import planned, write_touches
+from tests.support.fake_kit import study
+from tests.support.small_captures import write_captures
+from tests.support.small_data_sets import saved_profile
+from tests.viewer.browser import chromium_page
+
+RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
+WIDER = """() => [document.documentElement, ...document.querySelectorAll('.scroll, section, main')]
+  .filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.className + ' ' + e.scrollWidth)"""
+PARTLY_SHOWN = """() => [...document.querySelectorAll('section *')].filter(e => {
+    const box = e.getBoundingClientRect(), card = e.closest('section').getBoundingClientRect();
+    return box.width > 0 && (box.right > card.right + 1 || box.left < card.left - 1);
+  }).map(e => e.tagName + ' ' + (e.innerText || e.className).slice(0, 60))"""
+SCREENS = ((1280, "screen"), (1600, "screen"), (690, "print"))
+"""Widths [px], and for what; A4 between its margins is 690 px wide."""
+
+
+def profile(folder: Path) -> None:
+    write_page_file(profile_page(stock_sensor("gelsight_mini")), folder / "profile.html")
+
+
+def many_columns(folder: Path) -> None:
+    ranges = {
+        "thickness_mm": {"min": 3, "max": 6, "count": 2},
+        "young_modulus_mpa": {"min": 0.1, "max": 0.4, "count": 2, "scale": "log"},
+        "width_px": {"values": [320, 640]},
+    }
+    write_study_report(run_study(study(parameters=ranges), folder / "study", processes=0))
+    (folder / "study" / "report.html").rename(folder / "study.html")
+
+
+def captures(folder: Path) -> None:
+    made = write_captures(folder / "captures")
+    # Two of its presses: a page of more has longer tables, which take seconds a press to fill.
+    head, *presses = (made / "captures.toml").read_text().split("[[presses]]")
+    (made / "captures.toml").write_text("[[presses]]".join([head, *presses[:2]]))
+    check = check_captures(load_capture_folder(made))
+    write_page_file(check_page(check), folder / "check.html")
+
+
+def benchmarks(folder: Path) -> None:
+    for name in ("captures", "press_accuracy"):
+        page = benchmark_page(read_result(RESULTS / f"{name}.json"))
+        write_page_file(page, folder / f"benchmark_{name}.html")
+
+
+def task(folder: Path) -> None:
+    found = named("peg-insertion")
+    trials = [
+        TaskTrial(
+            seed, seed % 3 == 0, "" if seed % 3 == 0 else f"came {0.7 * seed:.1f} mm deep", 60,
+            {"x_mm": 0.3 * seed, "y_mm": -0.1, "turn_deg": 2.5},
+            {"depth_mm": 0.7 * seed, "jam_force_n": 12.5, "slip_mm": 0.25},
+        )
+        for seed in range(9)
+    ]  # fmt: skip
+    result = TaskResult(found.name, trials, 12.0, 9)
+    (folder / "pictures").mkdir()
+    found.made_by.draw(found.parameters, result, folder / "pictures")
+    run = {"device": "CPU, one thread", "software": {"warp": "1.19", "numpy": "2.4"}}
+    write_page_file(task_page(found, result, run, folder / "pictures"), folder / "task.html")
+
+
+def data_set(folder: Path) -> None:
+    root = write_touches(
+        planned(saved_profile(folder / "pad"), episodes=12, held_out=False), folder / "touches"
+    )
+    write_page_file(dataset_page(open_dataset([root]), 4), folder / "data_set.html")
+
+
+MAKERS: tuple[Callable[[Path], None], ...] = (
+    profile, many_columns, captures, benchmarks, task, data_set,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def cut_texts() -> list[str]:
+    """Texts of figures that do not fit into them, of all pages."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory: pytest.TempPathFactory, cut_texts: list[str]) -> Iterator[list[Path]]:
+    folder = tmp_path_factory.mktemp("pages")
+    save = page_module.save_figure_to
+
+    def watched(figure: Figure, *rest: object) -> None:
+        save(figure, *rest)  # type: ignore[arg-type]
+        cut_texts.extend(_cut(figure))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page_module, "save_figure_to", watched)
+        for make in MAKERS:
+            make(folder)
+    yield sorted(folder.glob("*.html"))
+
+
+def _cut(figure: Figure) -> Iterator[str]:
+    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    width, height = figure.canvas.get_width_height()
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        if not text.get_visible() or not text.get_text().strip() or text.get_clip_on():
+            continue
+        box = text.get_window_extent(renderer)
+        if box.x0 < -1 or box.y0 < -1 or box.x1 > width + 1 or box.y1 > height + 1:
+            yield text.get_text()
+
+
+def test_no_page_runs_over_on_screens_nor_on_paper(pages: list[Path]) -> None:
+    assert len(pages) >= len(MAKERS)
+    found: list[str] = []
+    with chromium_page("about:blank", (1280, 900)) as page:
+        for path in pages:
+            page.goto(path.as_uri())
+            page.evaluate("document.querySelectorAll('details').forEach(e => e.open = true)")
+            for width, media in SCREENS:
+                page.emulate_media(media=media)
+                page.set_viewport_size({"width": width, "height": 900})
+                for check in (WIDER, PARTLY_SHOWN):
+                    found += [f"{path.name}, {width} px: {e}" for e in page.evaluate(check)]
+    assert not found
+
+
+def test_texts_of_figures_are_whole(pages: list[Path], cut_texts: list[str]) -> None:
+    assert pages and not cut_texts

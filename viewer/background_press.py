@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The default press of a design page in its own process, beside everything else.
+
+It takes as long as all other pieces of an answer together. A thread would gain nothing: both would
+wait for the interpreter's lock.
+"""
+
+from __future__ import annotations
+
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING
+
+from taccel_lab.errors import InputError, SimulationError
+from taccel_lab.processes.child_process import ChildProcess
+from taccel_lab.processes.process_pool import THREAD_LIMITS
+from taccel_lab.viewer.design_press import BallPress, PressAnswer, SupersededError, press_ball
+
+if TYPE_CHECKING:
+    from taccel_lab.sensors.base import FamilyParameters
+
+
+class BackgroundPress:
+    """Presses by default; only the newest one that was asked for counts.
+
+    The process starts with the first wish and waits, warm, for the next ones. Wishes come from one
+    thread.
+    """
+
+    def __init__(self) -> None:
+        self._child: ChildProcess | None = None
+        self._number = 0
+        self.steps = (0, 0)
+        """Steps of the press that are done, and how many it has; none before the first."""
+
+    def begin(self, parameters: FamilyParameters, press: BallPress) -> None:
+        """Simulate a press; one that is under way ends between two steps."""
+        self._number += 1
+        self.steps = (0, 0)
+        if self._child is None:
+            self._child = ChildProcess(_serve, environment=dict.fromkeys(THREAD_LIMITS, "1"))
+        try:
+            # Nobody else may read earlier answers, and a full pipe would hold both processes up.
+            while self._child.pipe.poll():
+                self._child.pipe.recv()
+            self._child.pipe.send((self._number, parameters, press))
+        except (EOFError, OSError):
+            pass  # It died while it was idle: ``poll`` says so.
+
+    def poll(self, wait_s: float = 0.0) -> PressAnswer | None:
+        """The press that was begun last, if it is there or comes within a time; ``steps`` is kept
+        up to date, and a step that is done ends the waiting.
+
+        Raises:
+            InputError: As of ``press_ball``.
+            SimulationError: The same; or the process died, and the next wish starts another one.
+        """
+        if self._child is None:
+            return None
+        try:
+            while self._child.pipe.poll(wait_s):
+                number, news = self._child.pipe.recv()
+                if number != self._number:
+                    continue
+                if isinstance(news, (InputError, SimulationError)):
+                    raise news
+                if isinstance(news, PressAnswer):
+                    return news
+                self.steps, wait_s = news, 0.0
+        except (EOFError, ConnectionResetError):
+            cause = self._child.cause_of_death()
+            self.close()
+            raise SimulationError(f"the process of the default press {cause}") from None
+        return None
+
+    def close(self) -> None:
+        """End the process, whatever it is at."""
+        if self._child is not None:
+            self._child.end()
+            self._child = None
+
+
+def _serve(pipe: Connection) -> None:
+    """Presses, for as long as the page lives."""
+    from taccel_lab.processes.start_warp import start_warp
+
+    start_warp()
+    while True:
+        wish = pipe.recv()
+        while pipe.poll():
+            wish = pipe.recv()  # Of those that came during the last press, only the newest counts.
+        number, parameters, press = wish
+
+        def step(done: int, total: int, number: int = number) -> None:
+            _tell(pipe, number, (done, total))
+
+        try:
+            news = press_ball(parameters, press, quick=False, superseded=pipe.poll, step=step)
+        except SupersededError:
+            continue
+        except (InputError, SimulationError) as error:
+            news = error
+        _tell(pipe, number, news)
+
+
+def _tell(pipe: Connection, number: int, news: object) -> None:
+    try:
+        pipe.send((number, news))
+    except OSError:
+        raise EOFError from None  # The page is gone, and this process ends with it.
