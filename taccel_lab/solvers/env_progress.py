@@ -7,9 +7,16 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from taccel_lab.model import Model
 from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.step_report import ReportBlock
+
+FOLLOW_AFTER = 1
+"""Freezings of a step before directions follow friction."""
+FOLLOW_AFTER_IN_BATCHES = 20
+"""Likewise in the batches of a GPU. It freezes for all environments in the time of one, and all
+wait for the solves of one that follows."""
 
 
 @wp.struct
@@ -31,6 +38,8 @@ class Rules:
     max_cuts: wp.int32
     has_joints: wp.int32
     has_friction: wp.int32
+    follow_after: wp.int32
+    """Freezings of a step before its directions follow friction."""
 
 
 # Arrays of a part have shape [env_count] unless they say otherwise; masks are 0 or 1.
@@ -340,12 +349,20 @@ class EnvProgress:
         self.again &= ~who
 
 
+def follow_after(model: Model) -> int:
+    """Freezings before directions follow friction, in the batch that a model is."""
+    if model.device.is_cuda and model.env_count > 1:
+        return FOLLOW_AFTER_IN_BATCHES
+    return FOLLOW_AFTER
+
+
 def make_rules(
     config: SolverConfig,
     affine_rounding_n: float,
     affine_energy_rounding: float,
     joint_tolerance_m: float | None,
     has_friction: bool,
+    follow_after: int,
 ) -> Rules:
     """The rules of a solver; ``joint_tolerance_m`` is None without joints."""
     rules = Rules()
@@ -361,4 +378,5 @@ def make_rules(
     rules.max_cuts = config.max_line_search_cuts
     rules.has_joints = int(joint_tolerance_m is not None)
     rules.has_friction = int(has_friction)
+    rules.follow_after = follow_after
     return rules

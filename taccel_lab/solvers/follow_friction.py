@@ -43,7 +43,7 @@ def follows_friction(
     and matrices are not projected. With joints it does not: their forces have rounds of their own.
     """
     following.follows[env] = 0
-    if r.has_friction == 0 or r.has_joints != 0 or counts.lags[env] == 0:
+    if r.has_friction == 0 or r.has_joints != 0 or counts.lags[env] < r.follow_after:
         return
     if following.left[env] < wp.float64(SLOW):
         return

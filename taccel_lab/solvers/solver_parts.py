@@ -24,7 +24,7 @@ from taccel_lab.ipc.potentials.friction import FrictionPotential
 from taccel_lab.ipc.potentials.inertia import InertiaPotential
 from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.env_progress import EnvProgress, make_rules
+from taccel_lab.solvers.env_progress import EnvProgress, follow_after, make_rules
 from taccel_lab.solvers.state_rows import StateRows
 from taccel_lab.state import State, StepHistory
 
@@ -153,6 +153,7 @@ class SolverParts:
             self.affine.energy_rounding if self.affine else 0.0,
             self.joints.tolerance_m if self.joints else None,
             self.friction is not None,
+            follow_after(model),
         )
         self.share_energies()
 
