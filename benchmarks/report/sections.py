@@ -87,6 +87,7 @@ def learning(document: Document) -> Iterator[str]:
     """FPS of a learning loop, and what its slowest environment costs."""
     rows = [
         [
+            row["scene"],
             f"{row['envs']:,}",
             row["pace"],
             number(row["fps"]["median"]),
@@ -98,6 +99,7 @@ def learning(document: Document) -> Iterator[str]:
         for row in document["rows"]
     ]
     head = [
+        "scene",
         "environments",
         "pace",
         "FPS",
