@@ -15,9 +15,13 @@ import pytest
 
 import taccel_lab as tl
 from taccel_lab.api.press_options import PressOptions, PressWords
+from taccel_lab.cad.mesh.kept_mesh import kept_mesh
+from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
 from taccel_lab.cli.press import PressCommand
 from taccel_lab.exporters.image_files import write_rgb
+from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.presses.bonded_layer import layer_force_n
+from taccel_lab.sensors.registry import sensor_family
 from tests.support.commands import refusal
 
 
@@ -123,6 +127,23 @@ def test_a_press_with_its_files_loads_neither_torch_nor_vtk(tmp_path: Path) -> N
         [sys.executable, "-c", SCRIPT + code], cwd=ROOT, capture_output=True, text=True, check=True
     )
     assert done.stdout.splitlines()[-1] == "set()"
+
+
+def test_the_designed_mesh_is_kept_between_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pad = sensor_family("gelsight_mini").parameters().pad()
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    made, quality, edge_mm = kept_mesh(pad, sound_gel_mesh)
+    kept, *about = kept_mesh(pad, lambda _: pytest.fail("made again"))
+    assert about == [quality, edge_mm]
+    for name in ("nodes_m", "tets", "faces", "face_regions", "tet_layers"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(made, name))
+    other = dataclasses.replace(pad, thickness_mm=pad.thickness_mm - 0.1)
+    assert kept_mesh(other, lambda _: (made, quality, 0.5))[2] == 0.5
+    # Without a folder that can be written it is made each time.
+    monkeypatch.setenv(CACHE_VARIABLE, "/dev/null/cache")
+    assert kept_mesh(pad, lambda _: (made, quality, 0.7))[2] == 0.7
 
 
 def test_the_command_has_the_same_options_and_defaults() -> None:
