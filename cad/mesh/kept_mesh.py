@@ -81,7 +81,7 @@ def _save(file: BinaryIO, result: SoundMesh) -> None:
 def _load(file: BinaryIO) -> SoundMesh:
     arrays = load_arrays(file)
     about = from_array(arrays.pop(_ABOUT))
-    figures = {
+    figures: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in about["quality"].items()
     }
