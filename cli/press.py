@@ -59,7 +59,6 @@ class PressCommand(PressOptions, _Files):
         from taccel_lab.api.press_progress import step_progress
         from taccel_lab.cli.console import notes, print_json, say_first_look
         from taccel_lab.files.output_folder import atomic_directory
-        from taccel_lab.processes.start_warp import solver_is_compiled
 
         console = notes()
         plan = PressPlan.of(self.sensor, self)
@@ -73,12 +72,9 @@ class PressCommand(PressOptions, _Files):
             # Drawn without a kernel, which may have to be compiled: a picture within seconds.
             scene = plan.write_scene(folder, beside.call)
             from taccel_lab.api.press import run_press
-            from taccel_lab.presses.reading_kernels import compile_reading
 
             beside.finish()
             say_first_look(console, scene)
-            if not solver_is_compiled():
-                beside.call(compile_reading, plan.options.device)
             try:
                 with step_progress(
                     console, f"pressing {self.indenter} {plan.options.aim()}"

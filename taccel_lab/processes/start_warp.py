@@ -57,16 +57,11 @@ def _initialise() -> None:
     _started.append(True)
 
 
-def solver_is_compiled() -> bool:
-    """Whether the cache of kernels has a solver."""
-    cache = Path(wp.config.kernel_cache_dir or "")
-    return any(cache.glob("wp_taccel_lab.solvers.*"))
-
-
 def first_step() -> str:
     """What a press does before its first step: in a cache of kernels without a solver it compiles
     one, which needs no second time on this machine."""
-    if solver_is_compiled():
+    cache = Path(wp.config.kernel_cache_dir or "")
+    if any(cache.glob("wp_taccel_lab.solvers.*")):
         return "first step"
     return "compiling the solver, once on this machine: about 30 s"
 

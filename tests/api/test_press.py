@@ -21,7 +21,6 @@ from taccel_lab.cli.press import PressCommand
 from taccel_lab.exporters.image_files import write_rgb
 from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.presses.bonded_layer import layer_force_n
-from taccel_lab.presses.reading_kernels import reading_modules
 from taccel_lab.processes.process_pool import usable_cores
 from taccel_lab.sensors.registry import sensor_family
 from tests.support.commands import refusal
@@ -155,12 +154,6 @@ def test_what_draws_loads_no_solver(module: str) -> None:
 def test_a_plan_loads_no_kernels() -> None:
     kernels = ("taccel_lab.ipc", "taccel_lab.model.model", "taccel_lab.solvers.solver_ipc")
     assert loaded_by("import taccel_lab.api.press_plan", (*HEAVY, *kernels, "scipy")) == "set()"
-
-
-def test_readers_of_a_press_have_kernels_to_compile_beside_the_solver() -> None:
-    names = {module.name for module in reading_modules()}
-    assert {"taccel_lab.signals.raster", "taccel_lab.optics.shading_kernels"} <= names
-    assert {name.split(".")[1] for name in names} == {"signals", "outputs", "optics"}
 
 
 def test_the_designed_mesh_is_kept_between_runs(
