@@ -12,6 +12,7 @@ heavy libraries inside ``run()`` only, so that help is fast.
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import signal
@@ -28,6 +29,8 @@ from taccel_lab.errors import InputError, InputWarning, SimulationError
 
 OLD_NAMES = {"import-step": "import-gel"}
 """Names that commands had, still understood."""
+_COLLECT_AFTER = 100_000
+"""New objects after which Python looks for those that only hold each other."""
 DESCRIPTION = """Design and calibrate vision-based tactile sensors.
 
 From a parametric gel pad to simulated presses, a calibration to real captures block by block, and
@@ -169,7 +172,7 @@ def parse(arguments: Sequence[str] | None = None) -> Command:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``taccel-lab`` and return its exit code."""
     try:
-        with _terminable():
+        with _terminable(), _rarely_collected():
             _run(sys.argv[1:] if arguments is None else arguments)
     except BaseException as error:
         return _exit_code(error)
@@ -255,6 +258,18 @@ def _terminable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, earlier)
+
+
+@contextmanager
+def _rarely_collected() -> Iterator[None]:
+    """Look for garbage in circles rarely: what a command loads stays, and walking all of it over
+    and over took a tenth of a press."""
+    earlier = gc.get_threshold()
+    gc.set_threshold(_COLLECT_AFTER, *earlier[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*earlier)
 
 
 def _fail(code: int, message: str) -> int:

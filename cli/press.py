@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.api.press_result import Press as PressResult
+    from taccel_lab.processes.beside import Beside
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,22 @@ class PressCommand(PressOptions, _Files):
     """Print the figures as JSON instead of a table."""
 
     def run(self) -> None:
-        from taccel_lab.api.press import run_press
+        from taccel_lab.files.output_folder import require_replaceable
+        from taccel_lab.processes.beside import Beside
+        from taccel_lab.report.style import new_figure
+
+        require_replaceable(self.out)
+        with Beside() as beside:
+            # Loads what draws, which another process does while this one loads the solver.
+            beside.call(new_figure, 1, 1)
+            self._press(beside)
+
+    def _press(self, beside: Beside) -> None:
         from taccel_lab.api.press_plan import PressPlan
         from taccel_lab.api.press_progress import step_progress
         from taccel_lab.cli.console import notes, print_json, say_first_look
-        from taccel_lab.files.output_folder import atomic_directory, require_replaceable
+        from taccel_lab.files.output_folder import atomic_directory
 
-        require_replaceable(self.out)
         console = notes()
         plan = PressPlan.of(self.sensor, self)
         for note in plan.notes():
@@ -57,9 +67,14 @@ class PressCommand(PressOptions, _Files):
         finished: list[PressResult] = []
         failure: BaseException | None = None
         had_earlier = self.out.exists()
-        with atomic_directory(self.out) as folder:
+        # Who draws into the folder is ended before that is cleared.
+        with atomic_directory(self.out) as folder, beside:
             # Drawn without a kernel, which may have to be compiled: a picture within seconds.
-            say_first_look(console, plan.write_scene(folder))
+            scene = plan.write_scene(folder, beside.call)
+            from taccel_lab.api.press import run_press
+
+            beside.finish()
+            say_first_look(console, scene)
             try:
                 with step_progress(
                     console, f"pressing {self.indenter} {plan.options.aim()}"
@@ -71,7 +86,8 @@ class PressCommand(PressOptions, _Files):
                 if not finished or (had_earlier and not isinstance(error, Exception)):
                     raise
                 failure, pressed = error, finished[-1]
-            pressed.write_into(folder)
+            pressed.write_into(folder, beside.call)
+            beside.finish()
         if pressed.refinement is not None:
             console.print(f"note: stated error {pressed.refinement.words()}", soft_wrap=True)
         if failure is not None:

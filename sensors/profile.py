@@ -10,6 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
+from taccel_lab.cad.mesh.kept_mesh import kept_mesh
 from taccel_lab.cad.mesh.quality import MeshQuality, QualityGate, require_quality
 from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
 from taccel_lab.cad.parts.pad import Pad
@@ -175,7 +176,7 @@ def catalogue_profile(name: str, overrides: Mapping[str, Any] | None = None) -> 
 @lru_cache(maxsize=64)
 def _sound_mesh(pad: Pad) -> tuple[TetMesh, MeshQuality]:
     """Made once a process for designs with the same gel; its arrays cannot be written."""
-    mesh, quality, edge_mm = sound_gel_mesh(pad)
+    mesh, quality, edge_mm = kept_mesh(pad, sound_gel_mesh)
     require_quality(mesh, quality, QualityGate().at_edge(edge_mm))
     for array in (mesh.nodes_m, mesh.tets, mesh.faces, mesh.face_regions, mesh.tet_layers):
         array.flags.writeable = False

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from taccel_lab.geometry import Region
 from taccel_lab.geometry.tool_section import ToolSection
 from taccel_lab.presses.touch import first_touch_m
-from taccel_lab.report.style import BLUE, INK, in_report_style, save_figure
+from taccel_lab.report.style import BLUE, INK, in_report_style
 from taccel_lab.scene import Ball
 from taccel_lab.studies.sensor_picture import draw_sensor
 
@@ -27,21 +26,6 @@ SCENE = "scene.png"
 _TOOL = "#7c8694"
 _MOST_FACES = 20_000
 """Of a tool whose shadow is drawn face by face; of finer ones their convex hull is."""
-
-
-def write_scene(
-    folder: Path,
-    family: SensorFamily,
-    mesh: TetMesh,
-    indenter: Indenter,
-    at_mm: tuple[float, float],
-    depth_mm: float,
-    aim: str,
-) -> Path:
-    """Draw a press before it is simulated, which compiles nothing: see ``draw_scene``."""
-    path = folder / SCENE
-    save_figure(draw_scene(family, mesh, indenter, at_mm, depth_mm, aim), path)
-    return path
 
 
 @in_report_style

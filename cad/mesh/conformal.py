@@ -18,6 +18,7 @@ from functools import lru_cache
 import numpy as np
 
 from taccel_lab.cad.parts.pad_outline import PadOutline
+from taccel_lab.processes.one_thread import one_blas_thread
 
 _TERMS = 80
 _SERIES = 320
@@ -77,7 +78,8 @@ def disc_map(outline: PadOutline) -> DiscMap:
     scale = float(np.abs(q).max())
     powers = (q[:, None] / scale) ** np.arange(_TERMS)
     basis = np.concatenate([powers.real, -powers.imag[:, 1:]], axis=1)
-    found = np.linalg.lstsq(basis, -np.log(np.abs(q)), rcond=None)[0]
+    with one_blas_thread():
+        found = np.linalg.lstsq(basis, -np.log(np.abs(q)), rcond=None)[0]
     coefficients = found[:_TERMS] + 1j * np.concatenate([[0.0], found[_TERMS:]])
     # Counter-clockwise from the first point on; the fit wavers by its residual, and a running
     # maximum keeps the angle monotone.

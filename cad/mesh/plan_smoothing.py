@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from taccel_lab.cad.mesh.descent import descend
+
 
 def smooth_plan(
     xy: np.ndarray, quads: np.ndarray, free: np.ndarray, *, iterations: int = 60
@@ -21,8 +23,6 @@ def smooth_plan(
     xy [mm], shape [n, 2]; quads counter-clockwise, shape [m, 4]; ``free`` lists nodes, or says by
     coordinate what may move, bool, shape [n, 2]. Returns new positions.
     """
-    from scipy.optimize import minimize
-
     if free.dtype != bool:
         nodes, free = free, np.zeros(xy.shape, dtype=bool)
         free[nodes] = True
@@ -69,12 +69,8 @@ def smooth_plan(
             )
         return float((shape**2).sum()), gradient[free] * scale
 
-    found = minimize(
-        energy, np.zeros(len(scale)), jac=True, method="L-BFGS-B",
-        options={"maxiter": iterations, "maxcor": 12},
-    )  # fmt: skip
     result = xy.copy()
-    result[free] += found.x * scale
+    result[free] += descend(energy, len(scale), iterations) * scale
     return result
 
 

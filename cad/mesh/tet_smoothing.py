@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taccel_lab.cad.mesh.descent import descend
 from taccel_lab.cad.mesh.quality_measures import dihedral_angles_deg
 from taccel_lab.geometry.tet_mesh import tet_volumes
 
@@ -88,8 +89,6 @@ def _minimise(
     iterations: int,
     sheet: SurfaceSheet | None,
 ) -> np.ndarray:
-    from scipy.optimize import minimize
-
     chosen = np.asarray(free.any(axis=1))
     if not chosen.any():
         return nodes
@@ -120,11 +119,7 @@ def _minimise(
             gradient[held, :2] += gradient[held, 2:] * sheet.slope(moved[held, :2])
         return value, gradient[free] * scale
 
-    found = minimize(
-        energy, np.zeros(len(scale)), jac=True, method="L-BFGS-B",
-        options={"maxiter": iterations, "maxcor": 12},
-    )  # fmt: skip
-    return place(found.x)
+    return place(descend(energy, len(scale), iterations))
 
 
 def shape_energy(

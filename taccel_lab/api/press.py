@@ -16,7 +16,7 @@ from taccel_lab.api.press_result import Press
 from taccel_lab.api.sensor import AnySensor
 from taccel_lab.camera.gel_camera import camera_of, face_of
 from taccel_lab.presses import PHYSICS, Accuracy, profile_material, simulate_press
-from taccel_lab.presses.press import deepest_mm
+from taccel_lab.presses.press_depth import deepest_mm
 from taccel_lab.presses.press_force import ROUGH_TOLERANCE, press_to_force
 from taccel_lab.presses.press_within import AS_IT_IS, press_within
 from taccel_lab.signals.rest_surface import rest_surface

@@ -17,9 +17,10 @@ from taccel_lab.geometry.length_units import size_words
 from taccel_lab.model.devices import require_device
 from taccel_lab.presses import parse_indenter
 from taccel_lab.presses.fitted_physics import physics_difference
-from taccel_lab.presses.press import check_depth
-from taccel_lab.presses.press_force import FIRST_SHARE
+from taccel_lab.presses.press_depth import check_depth
+from taccel_lab.processes.beside import Call, at_once
 from taccel_lab.processes.start_warp import start_warp
+from taccel_lab.report import save_drawing
 from taccel_lab.scene import TriangleMesh
 from taccel_lab.sensors.press_mesh import profile_press_mesh
 from taccel_lab.sensors.registry import profile_sensor
@@ -75,6 +76,8 @@ class PressPlan:
         """Depth of the first press [mm]: the one asked for, or where the search begins."""
         if self.options.depth_mm is not None:
             return self.options.depth_mm
+        from taccel_lab.presses.press_force import FIRST_SHARE
+
         return FIRST_SHARE * self.profile.gel.thickness_mm
 
     @property
@@ -99,13 +102,16 @@ class PressPlan:
         """Mesh of the first press, in the gel frame [m]."""
         return self._meshed(self.physics, self.first_mm)
 
-    def write_scene(self, folder: Path) -> Path:
-        """Draw what is about to be pressed, which compiles nothing; returns the picture."""
-        from taccel_lab.studies.press_picture import write_scene
+    def write_scene(self, folder: Path, call: Call = at_once) -> Path:
+        """Draw what is about to be pressed, which compiles nothing; returns the picture, which is
+        there when ``call`` is done."""
+        from taccel_lab.studies.press_picture import SCENE, draw_scene
 
-        gel, family = self.gel, profile_sensor(self.profile)
+        path, gel, family = folder / SCENE, self.gel, profile_sensor(self.profile)
         at_mm, aim = self.options.at_mm, self.options.aim()
-        return write_scene(folder, family, gel, self.indenter, at_mm, self.first_mm, aim)
+        seen = family, gel, self.indenter, at_mm, self.first_mm, aim
+        call(save_drawing, path, draw_scene, *seen)
+        return path
 
     def mesh_for(self, physics: PressPhysics, depth_mm: float, refinement: float = 1.0) -> TetMesh:
         """Mesh of a press to a depth [mm], in the gel frame [m], with ``refinement`` times as many

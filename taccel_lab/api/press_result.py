@@ -17,6 +17,7 @@ from taccel_lab.presses.press_error import plus_minus
 from taccel_lab.presses.press_files import write_press
 from taccel_lab.presses.press_image import PREDICTED_PX, painted_images, predicted_images
 from taccel_lab.presses.press_markers import PressMarkers
+from taccel_lab.processes.beside import Call, at_once
 from taccel_lab.report import save_figure
 from taccel_lab.sensors.starters import is_starter
 from taccel_lab.summary import Summary
@@ -127,8 +128,8 @@ class Press(Summary):
             self.plan.write_scene(staging)
             self.write_into(staging)
 
-    def write_into(self, folder: Path) -> None:
-        """Write all but the scene into a folder that is there."""
+    def write_into(self, folder: Path, call: Call = at_once) -> None:
+        """Write all but the scene into a folder that is there; ``call`` draws, see ``Beside``."""
         plan, options = self.plan, self.plan.options
         about = {
             "sensor": plan.sensor,
@@ -145,7 +146,7 @@ class Press(Summary):
             "seconds": self.seconds,
         }
         rgb, frames = self._painted
-        write_press(folder, self.outcome, plan.profile, rgb, about, plan.indenter, frames)
+        write_press(folder, self.outcome, plan.profile, rgb, about, plan.indenter, frames, call)
         if plan.photo is not None and self.like is not None:
             assert rgb is not None
             figure = plan.photo.draw(rgb, plan.profile, self.like["psnr_db"])

@@ -134,6 +134,16 @@ def save_arrays(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> None:
     np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
 
 
+def as_array(values: Any) -> np.ndarray:
+    """Plain values as an array of bytes, to be kept beside others."""
+    return np.frombuffer(json.dumps(values).encode(), dtype=np.uint8)
+
+
+def from_array(kept: np.ndarray) -> Any:
+    """The plain values of ``as_array``."""
+    return json.loads(kept.tobytes())
+
+
 def content_key(recipe: Mapping[str, Any]) -> str:
     """SHA-256 of a recipe of plain values and arrays; equal recipes give equal keys."""
 

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Static device arrays of a scene; ``build_model`` makes them."""
+"""Static device arrays of a scene; ``build_model`` makes them.
 
-from taccel_lab.model.build import build_model
-from taccel_lab.model.model import AffineArrays, BodyKind, BodyRange, Model, RigidTarget
+The public names of ``__init__.pyi`` load their modules on first use: devices do without
+kernels.
+"""
 
-__all__ = ["AffineArrays", "BodyKind", "BodyRange", "Model", "RigidTarget", "build_model"]
+from taccel_lab.lazy_names import lazy_names
+
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -25,6 +24,7 @@ from taccel_lab.model.env_rows import copy_rows, device_mask
 from taccel_lab.outputs.contact_layer import gap_work
 from taccel_lab.presses.indenter import Indenter
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
+from taccel_lab.presses.press_depth import MAX_DEPTH_FRACTION
 from taccel_lab.presses.press_error import PressError, expected_error
 from taccel_lab.presses.press_frame import PressFrames
 from taccel_lab.presses.press_path import PressPath
@@ -42,11 +42,6 @@ from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import initial_state
 
-if TYPE_CHECKING:
-    from taccel_lab.profile import SensorProfile
-
-MAX_DEPTH_FRACTION = 0.9
-"""Deepest press as a part of the gel's thickness."""
 START_CLEARANCE_M = 5e-6
 """Gap between first touch and the start, on top of two dhat."""
 SETBACK_TOLERANCE = 2e-3
@@ -386,25 +381,4 @@ class PressEnv:
             self.depth_m,
             self._step_m,
             self._friction,
-        )
-
-
-def deepest_mm(mesh: TetMesh, at_mm: tuple[float, float]) -> float:
-    """Deepest press of a gel at a place, but for what its mesh changes, which depends on the depth.
-
-    ``mesh`` is in the gel frame, ``at_mm`` the gel xy.
-    """
-    contact = mesh.region_faces(Region.CONTACT)
-    bonded = mesh.region_faces(Region.BOND, Region.WINDOW)
-    thickness_m = gel_below_m(mesh.nodes_m, contact, bonded, 1e-3 * np.asarray(at_mm))
-    return 0.99 * MAX_DEPTH_FRACTION * 1e3 * thickness_m
-
-
-def check_depth(depth_mm: float, profile: SensorProfile) -> None:
-    """Refuse a depth that no place of the pad allows, before a mesh is made for it."""
-    thickness_mm = profile.gel.thickness_mm
-    if not depth_mm <= MAX_DEPTH_FRACTION * thickness_mm:
-        raise InputError(
-            f"depth {depth_mm:g} mm goes past the gel, which is {thickness_mm:g} mm thick; at most "
-            f"{MAX_DEPTH_FRACTION * thickness_mm:.3g} mm ({MAX_DEPTH_FRACTION:.0%}) is allowed"
         )

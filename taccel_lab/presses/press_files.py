@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +12,13 @@ import numpy as np
 
 from taccel_lab.exporters.image_files import eight_bit, write_rgb
 from taccel_lab.files.atomic_file import write_json
-from taccel_lab.geometry import Region
+from taccel_lab.geometry import PixelGrid, Region
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.presses.press_image import PREDICTED_PX, predicted_images
 from taccel_lab.presses.press_markers import MARKERS, PressMarkers
 from taccel_lab.presses.press_outcome import PressOutcome
 from taccel_lab.presses.press_states import STATES, PressStates, write_states
+from taccel_lab.processes.beside import Call, at_once
 from taccel_lab.report import (
     draw_contact_forces,
     draw_force_depth,
@@ -24,7 +26,7 @@ from taccel_lab.report import (
     draw_image,
     draw_markers,
     draw_normals,
-    save_figure,
+    save_drawing,
 )
 from taccel_lab.version import __version__
 
@@ -44,6 +46,7 @@ def write_press(
     about: Mapping[str, Any],
     indenter: Indenter | None = None,
     frames: Sequence[np.ndarray] | None = None,
+    call: Call = at_once,
 ) -> None:
     """Write arrays, pictures, the deformed mesh and ``press.json`` of a press.
 
@@ -59,8 +62,11 @@ def write_press(
             states.
         frames: Tactile images at rest and after each of those, levels; when None those that the
             optical model predicts.
+        call: Draws and compresses, see ``Beside``.
     """
     grid = profile.grid()
+    # First, so that another process draws while this one follows the light.
+    _draw_figures(folder, outcome, grid, about["indenter"], call)
     arrays: dict[str, Any] = {
         "height_m": outcome.height_m,
         "rest_height_m": outcome.rest_height_m,
@@ -73,20 +79,20 @@ def write_press(
     seen: np.ndarray | None = None
     if rgb is not None:
         seen = arrays["rgb"] = eight_bit(rgb)
-        save_figure(draw_image(rgb, grid), folder / "image.png")
-        write_rgb(folder / "image_raw.png", rgb)
+        call(save_drawing, folder / "image.png", draw_image, rgb, grid)
+        call(write_rgb, folder / "image_raw.png", rgb)
     else:
         predicted = predicted_images(profile, outcome, outcome.positions_m[None], PREDICTED_PX)
         if predicted is not None:
             seen = predicted[0]
-            write_rgb(folder / "predicted.png", seen)
+            call(write_rgb, folder / "predicted.png", seen)
     markers = PressMarkers.of(profile, outcome.mesh, outcome.positions_m[None])
     if markers is not None:
         arrays |= markers.arrays()
         markers.write_csv(folder / MARKERS)
-        figure = draw_markers(seen, markers.image_px, markers.rest_px, markers.places_px[-1])
-        save_figure(figure, folder / "markers.png")
-    np.savez_compressed(folder / "signals.npz", **arrays)
+        places = markers.image_px, markers.rest_px, markers.places_px[-1]
+        call(save_drawing, folder / "markers.png", draw_markers, seen, *places)
+    call(partial(np.savez_compressed, **arrays), folder / "signals.npz")
     write_mesh_vtu(
         folder / "gel.vtu",
         outcome.mesh,
@@ -100,19 +106,6 @@ def write_press(
     )
     if outcome.states is not None and indenter is not None:
         _write_states(folder / STATES, outcome, outcome.states, profile, indenter, frames)
-    save_figure(draw_height_map(outcome.height_m, grid), folder / "height_map.png")
-    save_figure(draw_normals(outcome.normals, grid), folder / "normals.png")
-    faces = outcome.mesh.region_faces(Region.CONTACT)
-    save_figure(
-        draw_contact_forces(
-            outcome.positions_m, faces, outcome.contact_forces_n, outcome.contact_pressures_pa
-        ),
-        folder / "contact_pressure.png",
-    )
-    down = [s for s in outcome.steps if s.shear_mm == (0.0, 0.0) and s.twist_deg == 0.0]
-    depth_mm = np.array([0.0] + [s.depth_mm for s in down])
-    force_n = np.array([0.0] + [s.wrench[2] for s in down])
-    save_figure(draw_force_depth(depth_mm, force_n, about["indenter"]), folder / "force_depth.png")
     write_json(
         folder / "press.json",
         {
@@ -133,6 +126,26 @@ def write_press(
             "tool_version": __version__,
         },
     )
+
+
+def _draw_figures(
+    folder: Path, outcome: PressOutcome, grid: PixelGrid, label: str, call: Call
+) -> None:
+    call(save_drawing, folder / "height_map.png", draw_height_map, outcome.height_m, grid)
+    call(save_drawing, folder / "normals.png", draw_normals, outcome.normals, grid)
+    call(
+        save_drawing,
+        folder / "contact_pressure.png",
+        draw_contact_forces,
+        outcome.positions_m,
+        outcome.mesh.region_faces(Region.CONTACT),
+        outcome.contact_forces_n,
+        outcome.contact_pressures_pa,
+    )
+    down = [s for s in outcome.steps if s.shear_mm == (0.0, 0.0) and s.twist_deg == 0.0]
+    depth_mm = np.array([0.0] + [s.depth_mm for s in down])
+    force_n = np.array([0.0] + [s.wrench[2] for s in down])
+    call(save_drawing, folder / "force_depth.png", draw_force_depth, depth_mm, force_n, label)
 
 
 def _write_states(

@@ -8,13 +8,17 @@ edge against edge (two triangulated surfaces have no other first contacts).
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from taccel_lab.bodies.primitives import unique_edges
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.presses.indenter import Indenter
-from taccel_lab.presses.press_frame import PressFrames
 from taccel_lab.scene import Ball, TriangleMesh
+
+if TYPE_CHECKING:
+    from taccel_lab.presses.press_frame import PressFrames
 
 _CHUNK = 512
 

@@ -9,7 +9,7 @@ from taccel_lab.report.figures import (
     draw_markers,
     draw_normals,
 )
-from taccel_lab.report.style import save_figure
+from taccel_lab.report.style import save_drawing, save_figure
 
 __all__ = [
     "draw_contact_forces",
@@ -18,5 +18,6 @@ __all__ = [
     "draw_image",
     "draw_markers",
     "draw_normals",
+    "save_drawing",
     "save_figure",
 ]

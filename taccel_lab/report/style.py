@@ -82,6 +82,11 @@ def save_figure(figure: Figure, path: Path | str, dpi: int = _DPI) -> None:
         save_figure_to(figure, staging, dpi)
 
 
+def save_drawing(path: Path, draw: Callable[..., Figure], *arguments: Any) -> None:
+    """Draw a figure and write it, see ``save_figure``."""
+    save_figure(draw(*arguments), path)
+
+
 @in_report_style
 def save_figure_to(figure: Figure, file: Path | BinaryIO, dpi: int = _DPI) -> None:
     """Write a figure as PNG, its texts as they are."""

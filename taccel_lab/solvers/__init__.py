@@ -1,20 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stepping a model: orchestration only."""
+"""Stepping a model: orchestration only.
 
-from taccel_lab.solvers.config import SolverConfig
-from taccel_lab.solvers.control import Control
-from taccel_lab.solvers.plan import Plan, PlanEntry
-from taccel_lab.solvers.ready_steps import ReadySteps
-from taccel_lab.solvers.solver_ipc import SolverIPC
-from taccel_lab.solvers.step_report import EnvStatus, StepReport
+The public names of ``__init__.pyi`` load their modules on first use: settings do without kernels.
+"""
 
-__all__ = [
-    "Control",
-    "EnvStatus",
-    "Plan",
-    "PlanEntry",
-    "ReadySteps",
-    "SolverConfig",
-    "SolverIPC",
-    "StepReport",
-]
+from taccel_lab.lazy_names import lazy_names
+
+__getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

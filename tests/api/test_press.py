@@ -15,9 +15,14 @@ import pytest
 
 import taccel_lab as tl
 from taccel_lab.api.press_options import PressOptions, PressWords
+from taccel_lab.cad.mesh.kept_mesh import kept_mesh
+from taccel_lab.cad.mesh.sound_mesh import sound_gel_mesh
 from taccel_lab.cli.press import PressCommand
 from taccel_lab.exporters.image_files import write_rgb
+from taccel_lab.files.file_cache import CACHE_VARIABLE
 from taccel_lab.presses.bonded_layer import layer_force_n
+from taccel_lab.processes.process_pool import usable_cores
+from taccel_lab.sensors.registry import sensor_family
 from tests.support.commands import refusal
 
 
@@ -114,15 +119,58 @@ def test_a_profile_and_its_name_press_alike(pressed: tl.Press) -> None:
     assert again.plan.friction == profile.material.friction_coefficient > 0
 
 
-def test_a_press_with_its_files_loads_neither_torch_nor_vtk(tmp_path: Path) -> None:
-    """They took longer to load than the press took to solve."""
-    heavy = ("torch", "pyvista", "vtkmodules", "build123d", "OCP")
-    loaded = f"import sys\nprint({{*{heavy!r}}} & {{*sys.modules}})"
-    code = f"out.save({str(tmp_path / 'out')!r})\n{loaded}"
+HEAVY = ("torch", "pyvista", "vtkmodules", "build123d", "OCP")
+"""They took longer to load than the press took to solve."""
+DRAWING = ("matplotlib", "PIL", "cv2")
+
+
+def loaded_by(code: str, names: tuple[str, ...]) -> str:
+    """Those of ``names`` that a process has loaded after ``code``."""
+    told = f"{code}\nimport sys\nprint({{*{names!r}}} & {{*sys.modules}})"
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT + code], cwd=ROOT, capture_output=True, text=True, check=True
+        [sys.executable, "-c", told], cwd=ROOT, capture_output=True, text=True, check=True
     )
-    assert done.stdout.splitlines()[-1] == "set()"
+    return done.stdout.splitlines()[-1]
+
+
+def test_a_press_with_its_files_loads_neither_torch_nor_vtk(tmp_path: Path) -> None:
+    code = f"assert not {{*{DRAWING!r}}} & {{*sys.modules}}\nout.save({str(tmp_path / 'out')!r})"
+    assert loaded_by(f"{SCRIPT}\nimport sys\n{code}", HEAVY) == "set()"
+
+
+@pytest.mark.skipif(usable_cores() < 2, reason="on one core the command draws itself")
+def test_the_command_draws_in_a_process_beside(tmp_path: Path) -> None:
+    words = ["press", "flat_pad", "--depth-mm", "0.2", "--accuracy", "fast", "--out"]
+    code = f"from taccel_lab.cli.app import main\nmain({[*words, str(tmp_path / 'out')]!r})"
+    assert loaded_by(code, (*HEAVY, "matplotlib")) == "set()"
+    assert (tmp_path / "out" / "height_map.png").exists()
+
+
+@pytest.mark.parametrize("module", ["studies.press_picture", "report.figures", "sensors.profile"])
+def test_what_draws_loads_no_solver(module: str) -> None:
+    assert loaded_by(f"import taccel_lab.{module}", (*HEAVY, *DRAWING, "warp", "scipy")) == "set()"
+
+
+def test_a_plan_loads_no_kernels() -> None:
+    kernels = ("taccel_lab.ipc", "taccel_lab.model.model", "taccel_lab.solvers.solver_ipc")
+    assert loaded_by("import taccel_lab.api.press_plan", (*HEAVY, *kernels, "scipy")) == "set()"
+
+
+def test_the_designed_mesh_is_kept_between_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pad = sensor_family("gelsight_mini").parameters().pad()
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    made, quality, edge_mm = kept_mesh(pad, sound_gel_mesh)
+    kept, *about = kept_mesh(pad, lambda _: pytest.fail("made again"))
+    assert about == [quality, edge_mm]
+    for name in ("nodes_m", "tets", "faces", "face_regions", "tet_layers"):
+        np.testing.assert_array_equal(getattr(kept, name), getattr(made, name))
+    other = dataclasses.replace(pad, thickness_mm=pad.thickness_mm - 0.1)
+    assert kept_mesh(other, lambda _: (made, quality, 0.5))[2] == 0.5
+    # Without a folder that can be written it is made each time.
+    monkeypatch.setenv(CACHE_VARIABLE, "/dev/null/cache")
+    assert kept_mesh(pad, lambda _: (made, quality, 0.7))[2] == 0.7
 
 
 def test_the_command_has_the_same_options_and_defaults() -> None:

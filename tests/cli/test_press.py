@@ -353,11 +353,11 @@ def test_a_part_in_metres_is_refused_with_its_sizes(
 def test_an_interrupted_press_leaves_nothing(
     unit: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupt(*_: object) -> None:
+    def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     # While the files are being written, after the press.
-    monkeypatch.setattr("taccel_lab.presses.press_files.draw_normals", interrupt)
+    monkeypatch.setattr("taccel_lab.presses.press_files.write_mesh_vtu", interrupt)
     assert press(unit, tmp_path / "a" / "press", "--depth-mm", "0.2", *QUICK) == 130
     assert everything_below(tmp_path) == {}
 

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Structured meshes of pads of the catalogue, kept from one run to the next.
+
+A press meshes the gel around its contact, but heights and pictures also need the face as designed:
+half a second for a mesh that is the same each time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from taccel_lab import geometry
+from taccel_lab.cad import mesh as meshers
+from taccel_lab.cad import parameters, parts
+from taccel_lab.cad.mesh.mesh_pad import SurfacePad
+from taccel_lab.cad.mesh.quality import MeshQuality
+from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.errors import InputError
+from taccel_lab.files.file_cache import CachedFile, as_array, from_array, load_arrays, save_arrays
+from taccel_lab.geometry import TetMesh
+
+SoundMesh = tuple[TetMesh, MeshQuality, float]
+"""Mesh, quality and edge length [mm], see ``sound_gel_mesh``."""
+_ARRAYS = ("nodes_m", "tets", "faces", "face_regions", "tet_layers")
+_ABOUT = "about"
+_SOURCES = (parameters.__file__, *(p.__path__[0] for p in (meshers, parts, geometry)))
+"""Files and folders of the code that makes the meshes."""
+
+
+def kept_mesh(pad: Pad, make: Callable[[Pad], SoundMesh]) -> SoundMesh:
+    """The mesh of ``pad`` from the cache folder, or ``make(pad)``, which is then kept where that
+    folder can be written. A pad that is no formula of this package's is made each time."""
+    if isinstance(pad, SurfacePad) or not type(pad).__module__.startswith("taccel_lab.cad."):
+        return make(pad)
+    file = CachedFile("meshes", _recipe(pad), _load, _save)
+    found = None
+    # A mesh can be made without a cache.
+    with suppress(InputError):
+        found = file.read()
+    if found is None:
+        found = make(pad)
+        with suppress(InputError):
+            file.write(found)
+    return found
+
+
+def _recipe(pad: Pad) -> dict[str, Any]:
+    import scipy
+
+    return {
+        "mesher": _source_digest(),
+        "libraries": [np.__version__, scipy.__version__],
+        "pad": f"{type(pad).__module__}.{type(pad).__qualname__}",
+        "values": pad.values(),
+    }
+
+
+@cache
+def _source_digest() -> str:
+    """Of the code that meshes are made by: other code makes other meshes."""
+    digest = hashlib.sha256()
+    for path in map(Path, _SOURCES):
+        for source in [path] if path.is_file() else sorted(path.rglob("*.py")):
+            digest.update(source.read_bytes())
+    return digest.hexdigest()
+
+
+def _save(file: BinaryIO, result: SoundMesh) -> None:
+    mesh, quality, edge_mm = result
+    about = as_array({"quality": quality.to_json(), "edge_mm": edge_mm})
+    save_arrays(file, {_ABOUT: about, **{name: getattr(mesh, name) for name in _ARRAYS}})
+
+
+def _load(file: BinaryIO) -> SoundMesh:
+    arrays = load_arrays(file)
+    about = from_array(arrays.pop(_ABOUT))
+    figures: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in about["quality"].items()
+    }
+    return TetMesh(**arrays), MeshQuality(**figures), about["edge_mm"]
