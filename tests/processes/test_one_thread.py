@@ -6,13 +6,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
-from threading import Barrier
-
-import numpy as np
-from threadpoolctl import threadpool_info, threadpool_limits
-
-from taccel_lab.processes.one_thread import one_blas_thread
 
 MESHED = """
 import hashlib
@@ -37,27 +30,42 @@ def test_meshes_do_not_depend_on_the_threads_of_blas() -> None:
     assert len(found) == 1
 
 
-def blas_threads() -> int:
-    np.ones(2) @ np.ones(2)
+OVERLAP = """
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+import numpy
+from threadpoolctl import threadpool_info
+from taccel_lab.processes.one_thread import one_blas_thread
+
+both_in, first_out = Barrier(2), Barrier(2)
+
+def threads():
     return max(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+
+def first():
+    with one_blas_thread():
+        both_in.wait()
+    first_out.wait()
+
+def second():
+    with one_blas_thread():
+        both_in.wait()
+        first_out.wait()
+        return threads()
+
+with ThreadPoolExecutor(2) as pool:
+    left, stays = pool.submit(first), pool.submit(second)
+    left.result()
+    print(stays.result(), threads())
+"""
 
 
 def test_threads_that_overlap_leave_the_limit_as_it_was() -> None:
-    both_in, first_out = Barrier(2), Barrier(2)
-
-    def first() -> None:
-        with one_blas_thread():
-            both_in.wait()
-        first_out.wait()
-
-    def second() -> int:
-        with one_blas_thread():
-            both_in.wait()
-            first_out.wait()
-            return blas_threads()
-
-    with threadpool_limits(2, user_api="blas"), ThreadPoolExecutor(2) as threads:
-        left = threads.submit(first)
-        assert threads.submit(second).result() == 1
-        left.result()
-        assert blas_threads() == 2
+    found = subprocess.run(
+        [sys.executable, "-c", OVERLAP],
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"},
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    assert found.split() == ["1", "2"]
