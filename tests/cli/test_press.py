@@ -319,17 +319,6 @@ def test_finished_steps_are_kept(
     assert (everything_below(whole) == before) == (code == 130)
 
 
-def test_a_force_that_is_not_reached_leaves_the_press_that_came_nearest(
-    unit: Path, tmp_path: Path
-) -> None:
-    options = ("--step-mm", "1", "--mesh", "profile", *QUICK)
-    assert press(unit, tmp_path / "out", "--force-n", "1e4", *options) in (2, 3)
-    found = read(tmp_path / "out")
-    assert "not reached" in found["failure"]
-    assert found["asked_force_n"] == 1e4
-    assert 0 < found["press"]["force_n"] < 1e4
-
-
 @pytest.mark.parametrize("options", [("--mesh", "profile"), ("--mesh", "focused"), ("--texture",)])
 def test_a_part_in_metres_is_refused_with_its_sizes(
     unit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...]

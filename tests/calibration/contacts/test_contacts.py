@@ -298,17 +298,6 @@ def test_a_straight_edge_is_not_a_ball() -> None:
         detect_contact(image, flat_background(), PLAIN_GRID, name="edge.png")
 
 
-def test_masked_pixels_have_no_effect() -> None:
-    circle = ContactCircle(70.0, 60.0, 14.0)
-    image, _ = press_image(circle, np.random.default_rng(0))
-    mask = np.ones(image.shape[:2], dtype=bool)
-    mask[5:25, 100:150] = False
-    poisoned = image.copy()
-    poisoned[5:25, 100:150] = 255
-    clean = detect_contact(image, flat_background(), PLAIN_GRID, mask=mask)
-    assert detect_contact(poisoned, flat_background(), PLAIN_GRID, mask=mask) == clean
-
-
 def test_agreement_counts_labelled_presses_only() -> None:
     captures, _ = synthetic_captures(4)
     captures = with_circles(captures, {2: None})
