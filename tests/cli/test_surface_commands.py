@@ -50,6 +50,10 @@ def quick_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(normals_fit, "ColorFitOptions", rough)
 
 
+FEW = ("--synthetic-presses", "16")
+"""Of other tools, which take as long to press as all else."""
+
+
 @pytest.fixture
 def presses(tmp_path: Path) -> Path:
     captures, _ = synthetic_captures(8)
@@ -61,7 +65,7 @@ def test_normals_then_depth(presses: Path, cli: Cli, monkeypatch: pytest.MonkeyP
     without_check(monkeypatch)
     folder = presses.parent
     profile, base = str(folder / "profile"), str(folder / "base")
-    options = ["--base", base, "--circles", "labels", "--steps", "80"]
+    options = ["--base", base, "--circles", "labels", "--steps", "80", *FEW]
     figures = cli.json("calibrate normals", presses, "--out", profile, *options)["normals"]
     assert len(figures["presses"]) == 2
     assert load_profile(profile).normals is not None
@@ -164,7 +168,7 @@ def test_normals_of_captures_that_contradict_themselves_are_weak(presses: Path, 
     manifest = presses / "captures.toml"
     text = manifest.read_text()
     manifest.write_text(re.sub(r"u_px = ([\d.]+)", lambda m: f"u_px = {float(m[1]) - 14.0}", text))
-    options = ["--base", presses.parent / "base", "--circles", "labels", "--steps", "10"]
+    options = ["--base", presses.parent / "base", "--circles", "labels", "--steps", "10", *FEW]
     profile = presses.parent / "profile"
     figures = cli.json("calibrate normals", presses, "--out", profile, *options)["normals"]
     assert figures["verdict"] == "weak"
