@@ -361,7 +361,7 @@ def traced(call: Callable[[], Any]) -> tuple[Any, int]:
 
 
 def test_large_pictures_show_the_same_contacts() -> None:
-    circles, captures = scattered(4), large_set(4)
+    circles, captures = scattered(2), large_set(2)
     found, peak = traced(lambda: fit.find_contacts(captures))
     for circle, contact in zip(circles, found.contacts, strict=True):
         assert contact is not None and found.refusals == {}
@@ -386,7 +386,7 @@ def test_figures_of_a_large_picture_are_those_of_a_small_one() -> None:
 
 
 def test_pictures_that_are_not_kept_are_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    circles = scattered(6)
+    circles = scattered(3)
     small = press_set(circles, [pressed(circle) for circle in circles])
     reads: list[str] = []
 
