@@ -153,14 +153,6 @@ def test_captures_that_calibrate_nothing_leave_nothing(
     assert not (tmp_path / "kept").exists()
 
 
-def test_files_of_somebody_else_stop_a_kept_calibration(captures: Path, tmp_path: Path) -> None:
-    (tmp_path / "kept").mkdir()
-    (tmp_path / "kept" / "mine.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"taccel-lab did not write.*mine\.txt"):
-        calibrate(captures, only=("background",), unfinished=tmp_path / "kept")
-    assert (tmp_path / "kept" / "mine.txt").read_text() == "mine"
-
-
 def test_a_block_is_fitted_with_its_options(
     captures: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,9 +12,12 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.profile import load_profile, validate_profile
@@ -24,10 +27,15 @@ from tests.support.commands import run
 from tests.support.small_captures import GRID, everything_below, write_captures
 
 
+def short_fit(**settings: Any) -> ColorFitOptions:
+    return ColorFitOptions(**settings | {"steps": 200})
+
+
 @pytest.fixture(scope="module", autouse=True)
-def quick_presses() -> Iterator[None]:
+def quick_presses_and_fits() -> Iterator[None]:
     """The demo shows a press of any accuracy; ``test_press`` holds the default's files."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("taccel_lab.calibration.color.fit.ColorFitOptions", short_fit)
         quick = replace(PHYSICS[Accuracy.FAST], element=Element.LINEAR)
         patch.setitem(PHYSICS, Accuracy.DEFAULT, quick)
         yield
@@ -84,8 +92,14 @@ def test_profile_report_and_press_are_there(out: Path) -> None:
     profile = load_profile(out / "profile")
     assert profile.color is not None and profile.background_rgb is not None
     assert profile.grid() == GRID
-    figures = json.loads((out / "report" / "color" / "report.json").read_text())
-    assert figures["color"]["heldout"]["disc_l1"] < figures["color"]["background_only"]["disc_l1"]
+    color = json.loads((out / "report" / "color" / "report.json").read_text())["color"]
+    assert color["heldout"]["disc_l1"] < 0.6 * color["background_only"]["disc_l1"]
+    assert color["heldout"]["crop_psnr_db"] > color["background_only"]["crop_psnr_db"] + 3
+    assert [row["name"] for row in color["presses"]] == ["p0"]
+    provenance = profile.color.provenance
+    assert "bonded layer of 5 mm" in provenance.method
+    assert provenance.residuals["heldout_disc_l1"] == pytest.approx(color["heldout"]["disc_l1"])
+    assert set(provenance.inputs) >= {"background", "p1", "p2", "p3", "p4"}
     page = (out / "report" / "report.html").read_text(encoding="utf-8")
     assert "Calibrated blocks" in page
     for outside in ('src="http', "src='http", 'href="http'):
@@ -94,6 +108,13 @@ def test_profile_report_and_press_are_there(out: Path) -> None:
         assert (out / "press" / name).stat().st_size > 100
     press = json.loads((out / "press" / "press.json").read_text())
     assert press["path"]["depth_mm"] == 0.4 and press["press"]["force_n"] > 0
+    with np.load(out / "press" / "signals.npz") as signals:
+        change = (signals["rgb"].astype(float) - profile.background_rgb)[..., 0]
+        mask = signals["contact_mask"]
+    # Lamp 0 shines along x: the red of left and right flanks of the dent lies on either side.
+    x = np.broadcast_to(GRID.x_mm() - press["at_mm"][0], mask.shape)
+    left, right = change[mask & (x < -0.3)].mean(), change[mask & (x > 0.3)].mean()
+    assert left * right < 0 and min(abs(left), abs(right)) > 3
 
 
 def test_interrupted_in_the_middle(

@@ -15,7 +15,7 @@ import pytest
 import pyvista
 
 from taccel_lab.profile import SCHEMA_VERSION
-from tests.support.small_captures import GRID, background, refuse, write_image
+from tests.support.small_captures import background, refuse, write_image
 
 Change = Callable[[Path], None]
 Capsys = pytest.CaptureFixture[str]
@@ -59,12 +59,6 @@ def empty(folder: Path) -> None:
         path.unlink()
 
 
-def no_presses(folder: Path) -> None:
-    manifest = folder / "captures.toml"
-    text = manifest.read_text().split("[[presses]]")[0]
-    manifest.write_text(text.replace("[indenter]", "presses = []\n[indenter]"))
-
-
 def other_size(folder: Path) -> None:
     write_image(folder / "p2.png", background()[:60])
 
@@ -84,32 +78,17 @@ CAPTURES: list[tuple[Change, list[str]]] = [
     (shutil.rmtree, ["captures does not exist", r"capture folder with captures\.toml"]),
     (empty, ["captures: an empty folder", r"holds captures\.toml"]),
     (remove("captures.toml"), ["captures: no manifest"]),
-    (remove("background.png"), [r"captures/background\.png does not exist"]),
     (
         edit('background = "background.png"\n', ""),
         [r"captures\.toml: no background; give an image of the untouched sensor"],
     ),
-    (remove("p2.png"), [r"captures/p2\.png does not exist"]),
-    (cut("p2.png", 0.1), [r"p2\.png is not an image.*PNG, JPEG, .* allowed"]),
-    (no_presses, [r"captures\.toml holds no presses", "at least one image"]),
     (
         other_size,
         [r"p2\.png is 96x60 px but the background .*background\.png is 96x72 px", "one size"],
     ),
     (frame_without_contact, [r"p2\.png: no contact found"]),
-    (edit("u_px = 33.0", "u_px = nan"), [r"captures\.toml: presses\.2\.contact\.u_px", "finite"]),
-    (
-        edit("u_px = 33.0", "u_px = 103.0"),
-        [r"p2\.png: the contact circle at \(103, 44\) px .*its centre has to be inside"],
-    ),
-    (
-        edit("radius_px = 11.0", "radius_px = 21.0"),
-        [r"p2\.png: contact radius 21 px is 2\.100 mm .*more than the ball's radius of 2 mm"],
-    ),
     (THREE_TIMES_THE_SCALE, [r"captures\.toml: at 0\.3 x 0\.3 mm/px", "pad of 24 x 20 mm"]),
-    (edit('source = "', 'sauce = "'), [r"captures\.toml: sauce: unknown key; allowed: .*source"]),
     (edit('"gelsight"', '"gelsite"'), ["gelsite", "gelsight"]),
-    (edit("[indenter]", "[indenter"), [r"captures\.toml is not valid TOML"]),
 ]
 
 
@@ -125,7 +104,6 @@ def test_bad_captures(here: Path, capsys: Capsys, change: Change, words: list[st
     ("options", "words"),
     [
         ("--steps 0", "steps must be at least 1, got 0"),
-        ("--steps -5", "steps must be at least 1, got -5"),
         ("--holdout-every 1", "holdout_every must be 0 or at least 2, got 1"),
         ("--holdout-every 6", r"captures\.toml holds 5 presses, too few to hold out"),
         ("--base absent", r"absent/profile\.toml: no such profile folder"),
@@ -142,39 +120,16 @@ def profile(old: str, new: str) -> Change:
     return rewrite("profile.toml", (old, new))
 
 
-WIDTH = f"[color.architecture]\nwidth_px = {GRID.width_px}"
 PROFILES: list[tuple[Change, list[str]]] = [
     (cut("mesh.npz", 0.7), [r"profile/mesh\.npz: SHA-256"]),
-    (cut("color_model.safetensors", 0.5), [r"profile/color_model\.safetensors: SHA-256"]),
-    (cut("profile.toml", 0.4), [r"profile/profile\.toml"]),
-    (cut("profile.toml", 0.0), [r"profile\.toml: schema_version"]),
-    (remove("mesh.npz"), [r"profile/mesh\.npz: .*(missing|no such file)"]),
     (remove("profile.toml"), [r"profile\.toml: no such file"]),
     (
         profile(f"schema_version = {SCHEMA_VERSION}", f"schema_version = {SCHEMA_VERSION + 1}"),
         [r"profile\.toml: schema_version", "newer version of taccel-lab"],
     ),
-    (profile("[gel]\n", '[gel]\ncolour = "red"\n'), [r"profile\.toml: gel\.colour: unknown key"]),
-    (
-        profile("poisson_ratio = 0.46", "poisson_ratio = 0.5"),
-        [r"material\.poisson_ratio: must be below 0\.5"],
-    ),
-    (
-        profile("young_modulus_pa = 150000.0", "young_modulus_pa = -150000.0"),
-        [r"material\.young_modulus_pa: must lie in .* Pa, got -150000"],
-    ),
-    (
-        profile("friction_coefficient = 1.0", "friction_coefficient = nan"),
-        [r"material\.friction_coefficient is nan.* finite"],
-    ),
-    (profile("thickness_mm = 5.0", "thickness_mm = 0.0"), [r"gel\.thickness_mm: must lie in"]),
     (
         profile("hidden = [\n    8,\n]", "hidden = [\n    9,\n]"),
         ["color model weights have shapes", "expected"],
-    ),
-    (
-        profile(WIDTH, WIDTH.replace("96", "97")),
-        [r"color\.architecture is for 97x72 px, the camera block says 96x72 px"],
     ),
     (
         profile('family = "gelsight"', 'family = "gelsite"'),
@@ -197,7 +152,6 @@ def test_bad_profile(here: Path, capsys: Capsys, change: Change, words: list[str
 
 PRESSES = [
     ("--depth-mm 0", "depth must be above 0 mm, got 0 mm"),
-    ("--depth-mm -0.5", "depth must be above 0 mm, got -0.5 mm"),
     ("--depth-mm 5", "depth 5 mm goes past the gel, which is 5 mm thick.*4.5 mm"),
     ("--depth-mm 4.6", "depth 4.6 mm goes past the gel.*at most 4.5 mm"),
     ("--depth-mm 1e300", r"depth must be at most 100 mm, got 1e\+300 mm"),
@@ -223,14 +177,11 @@ PRESSES = [
     ("--twist-deg 400", r"twist must lie within \+-180 deg, got 400"),
     ("--step-mm 0", "step_mm and step_deg must be above 0, got 0"),
     ("--step-mm 1e-9", "step_mm 1e-09.*more than 10000 steps"),
-    ("--step-deg -2", "step_mm and step_deg must be above 0"),
     ("--friction -1", r"--friction: friction .* \[0, 10\], got -1"),
     ("--tolerance 0", r"--tolerance: relative_tolerance must lie in \[1e-12, 1\]"),
     ("--dhat-mm 0", r"--dhat-mm: dhat_m must lie in \[1e-08, 0\.01\], got 0"),
-    ("--dhat-mm -0.1", "dhat_m must lie in"),
     ("--device cuda:7", "device 'cuda:7' is not there.*has: cpu"),
     ("--indenter sphere:-2", r"sphere:-2.*\[0\.05, 100\] mm, got -2"),
-    ("--indenter sphere:0", r"\[0\.05, 100\] mm, got 0 mm"),
     ("--indenter cube:2", "'cube:2' is not understood; allowed: sphere"),
     ("--indenter mesh:a.stl", r"a\.stl does not exist; expected a triangle mesh"),
     ("--indenter mesh:plane.stl", r"mesh plane\.stl is not closed: 40 edges belong to one face"),
@@ -266,15 +217,12 @@ def test_indenter_that_starts_inside_the_gel(
     ("values", "words"),
     [
         ("thickness_mm=-1", "thickness_mm = -1 is below its bound; allowed: 0.8 to 20 mm"),
-        ("thickness_mm=0", "thickness_mm.*0.8"),
         ("thickness_mm=nan", "thickness_mm = 'nan' is not a number"),
         ("thickness_mm=1e9", "thickness_mm.*20"),
         ("thickness_mm=thick", "thickness_mm = 'thick' is not a number"),
         ("thickness_mm=2.0", r"thickness_mm must be at least 2\.54"),
-        ("poisson_ratio=0.5", r"poisson_ratio.*0\.499"),
         ("poisson_ratio=0.7", r"poisson_ratio.*0\.499"),
         ("young_modulus_mpa=0", r"young_modulus_mpa.*0\.005"),
-        ("young_modulus_mpa=-0.15", r"young_modulus_mpa.*0\.005"),
         ("young_modulus_mpa=150000", "young_modulus_mpa.*5 MPa"),
         ("friction=-0.1", "friction"),
         ("density_kg_m3=inf", "density_kg_m3"),

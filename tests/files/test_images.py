@@ -10,7 +10,6 @@ import zlib
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from random import Random
 from typing import Any
 
 import cv2
@@ -106,16 +105,6 @@ def test_damaged_files_are_sentences(suffix: str, tmp_path: Path) -> None:
             with pytest.raises(InputError, match="damaged or cut short; PNG, JPEG") as caught:
                 read(path)
             assert str(caught.value).startswith(str(path))
-    random = Random(5)
-    for _ in range(60):
-        flipped = bytearray(data)
-        for _ in range(3):
-            flipped[random.randrange(len(data))] = random.randrange(256)
-        path.write_bytes(bytes(flipped))
-        try:
-            read_image(path)
-        except InputError as error:
-            assert str(path) in str(error)
 
 
 @pytest.mark.parametrize(("width", "height"), [(50_000, 50_000), (8193, 8192)])
@@ -272,20 +261,3 @@ def test_what_is_no_video_is_refused(tmp_path: Path) -> None:
         for read in READERS:
             with pytest.raises(InputError, match=words):
                 read(tmp_path / name)
-
-
-@pytest.mark.parametrize(("name", "code"), [("v.avi", "MJPG"), ("v.mp4", "mp4v")])
-def test_damaged_videos_are_sentences_or_shorter(name: str, code: str, tmp_path: Path) -> None:
-    data = write(tmp_path / name, code, 20).read_bytes()
-    path, random = tmp_path / f"damaged_{name}", Random(11)
-    for k in range(25):
-        damaged = bytearray(data[: random.randint(len(data) // 2, len(data))] if k % 2 else data)
-        for _ in range(4):
-            damaged[random.randrange(len(damaged))] = random.randrange(256)
-        path.write_bytes(damaged)
-        try:
-            counted, _ = count_frames(path)
-            assert 2 <= counted <= 25
-            assert sum(1 for _ in read_frames(path)) <= 25
-        except InputError as error:
-            assert str(path) in str(error)

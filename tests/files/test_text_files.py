@@ -17,7 +17,6 @@ from pydantic import Field
 from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.depth.options import DepthOptions
 from taccel_lab.calibration.normals.network_fit import InverseFitOptions
-from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError
 from taccel_lab.files import table_file
 from taccel_lab.files.cell_number import number
@@ -33,8 +32,6 @@ from taccel_lab.files.xml_file import XML_LIMIT_BYTES, read_xml
 from taccel_lab.files.yaml_file import YAML_LIMIT_BYTES, read_yaml
 from taccel_lab.learning.force.options import ForceOptions
 from taccel_lab.printable import printable
-from taccel_lab.profile import save_profile
-from tests.support.synthetic_presses import GRID, flat_profile, synthetic_captures, write_captures
 
 Read = Callable[[Path], dict[str, Any]]
 READERS: dict[str, Read] = {"toml": read_toml, "json": read_json, "yaml": read_yaml}
@@ -173,12 +170,6 @@ def test_numbers_that_are_not_finite(tmp_path: Path, kind: str, text: str) -> No
 )
 def test_other_faults(tmp_path: Path, kind: str, text: str, words: str) -> None:
     assert words in refused(tmp_path, kind, text)
-
-
-def test_an_alias_bomb_takes_no_memory(tmp_path: Path) -> None:
-    lines = ["a0: &a0 [x, x]"]
-    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12)]
-    assert "anchors and aliases" in refused(tmp_path, "yaml", "\n".join(lines))
 
 
 def test_words_that_yaml_1_1_makes_something_else_of(tmp_path: Path) -> None:
@@ -427,15 +418,3 @@ def test_the_largest_seed_is_taken() -> None:
 def test_synthetic_presses_have_an_end() -> None:
     with pytest.raises(InputError, match=r"synthetic_presses must lie in 0\.\.10000, got -1"):
         InverseFitOptions(synthetic_presses=-1)
-
-
-def test_live_needs_something_to_read_before_it_asks_for_the_camera(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    save_profile(flat_profile(GRID), tmp_path / "profile")
-    write_captures(tmp_path / "captures", synthetic_captures(count=3)[0])
-    words = ["live", str(tmp_path / "profile"), "--camera", str(tmp_path / "captures")]
-    assert main(words) == 2
-    told = "".join(capsys.readouterr()).replace("\n", " ")
-    assert "no normals, depth_response, markers or force block" in told
-    assert "Touch nothing" not in told and "http" not in told

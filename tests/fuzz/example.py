@@ -88,6 +88,8 @@ class Bench:
             }
             # Loads all that the reader needs, which is then no memory of an example.
             found = self._judged(name, reader, sample, None)
+            if found.kind == "outside":  # Compilers of kernels leave files the first time.
+                found = self._judged(name, reader, sample, None)
             if found.kind != "accepted":
                 raise AssertionError(f"{name}: its own sample is not accepted: {found}")
             self._samples[name] = sample

@@ -23,7 +23,6 @@ from markdown_it import MarkdownIt
 from websockets.sync import client
 
 from taccel_lab.calibration.report.profile_page import profile_page
-from taccel_lab.errors import InputError
 from taccel_lab.printable import readable
 from taccel_lab.profile import DepthResponseBlock, Provenance
 from taccel_lab.report.live_page import PageOptions, live_page, page_address
@@ -62,24 +61,6 @@ def test_a_page_that_judges_nothing_is_not_green_and_names_break_at_underscores(
     assert 'class="verdict plain"' in html and "contact_<wbr>area_<wbr>mm2" in html
     judged = replace(measured, remarks=[Remark(Severity.ERROR, "bad", "it is bad")])
     assert 'class="verdict plain"' not in page_html(judged, {})
-
-
-def test_a_failing_picture_leaves_the_earlier_page(tmp_path: Path) -> None:
-    write_page(Page("first", ""), tmp_path / "out")
-
-    def fail() -> None:
-        raise RuntimeError("no picture")
-
-    with pytest.raises(RuntimeError):
-        write_page(Page("second", "", pictures=[Picture("p", fail, "")]), tmp_path / "out")  # type: ignore[arg-type]
-    assert "first" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-
-def test_foreign_files_are_not_replaced(tmp_path: Path) -> None:
-    (tmp_path / "mine.txt").write_text("keep")
-    with pytest.raises(InputError, match="did not write"):
-        write_page(Page("x", ""), tmp_path)
 
 
 def test_the_page_of_a_profile_tells_each_block_and_its_evidence(tmp_path: Path) -> None:

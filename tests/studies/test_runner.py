@@ -13,7 +13,7 @@ import pytest
 from taccel_lab.errors import InputError
 from taccel_lab.files.output_folder import require_replaceable
 from taccel_lab.studies.runner import Listener, read_outcome, run_study
-from taccel_lab.studies.study_folder import STUDY_MARKER, StudyFolder
+from taccel_lab.studies.study_folder import STUDY_MARKER
 from taccel_lab.studies.table import write_table
 from tests.support.fake_kit import evaluate, evaluate_and_crash, figures_of, logged, study, table
 
@@ -144,15 +144,6 @@ def test_stored_outcome_evaluates_nothing(tmp_path: Path) -> None:
     assert len(logged(tmp_path)) == 3
 
 
-def test_folders_of_others_are_left_alone(tmp_path: Path) -> None:
-    (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match="holds files and no study"):
-        run_study(study(), tmp_path, processes=0)
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
-    with pytest.raises(InputError, match=r"thesis\.txt is a file"):
-        run_study(study(), tmp_path / "thesis.txt" / "out", processes=0)
-
-
 def test_other_commands_do_not_take_a_study_for_their_output(tmp_path: Path) -> None:
     run_study(study(), tmp_path, processes=0, limit=1)
     with pytest.raises(InputError):
@@ -167,13 +158,6 @@ def test_a_study_of_another_sensor_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match="holds a study of the sensor 'gelsight', not of 'digit'"):
         run_study(other, tmp_path, processes=0)
-
-
-def test_two_runs_in_one_folder_are_refused(tmp_path: Path) -> None:
-    with StudyFolder(tmp_path).locked():
-        with pytest.raises(InputError, match="another run works in"):
-            run_study(study(), tmp_path, processes=0)
-    assert run_study(study(), tmp_path, processes=0).complete
 
 
 def test_damaged_results_are_named(tmp_path: Path) -> None:

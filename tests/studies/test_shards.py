@@ -130,12 +130,6 @@ def test_a_shard_takes_designs_that_share_simulations_together(tmp_path: Path) -
     assert all(len(numbers) == 1 for numbers in owners.values())
 
 
-def test_what_a_lost_shard_left_is_done_by_the_merging_run(tmp_path: Path) -> None:
-    run_study(study(**CHANGES), tmp_path, processes=0, shard=Shard(1, 2), limit=2)
-    outcome = run_study(study(**CHANGES), tmp_path, processes=0)
-    assert outcome.complete and outcome.new == 10
-
-
 def test_a_shard_runs_once_and_never_beside_a_whole_run(tmp_path: Path) -> None:
     folder = StudyFolder(tmp_path)
     with folder.locked(Shard(1, 2)):

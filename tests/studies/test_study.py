@@ -72,16 +72,7 @@ BAD_FILES = [
     ("constraints", [{"metric": "blur"}], "constraints.0: give min, max or both"),
     ("constraints", [{"metric": "blur", "min": 2, "max": 1}], "unreachable: min 2 is above max 1"),
     ("constraints", [{"metric": "blur", "min": 1}, {"metric": "blur", "max": 2}], "one metric"),
-    ("constraints", [{"metric": "blur", "most": 2}], "constraints.0.most: unknown key", "min, max"),
-    ("output", {"steps": True}, "output.steps: unknown key", "did you mean step?"),
     ("run", {"processes": 0}, "run.processes", "found 0"),
-    ("run", {"processes": True}, "run.processes: input should be a valid integer (found True)"),
-    ("study/load_n", "0.5", "study.load_n: input should be a valid number (found '0.5')"),
-    ("study/seed", True, "study.seed: input should be a valid integer (found True)"),
-    ("output", {"step": "no"}, "output.step: input should be a valid boolean (found 'no')"),
-    ("constraints", [{"metric": "blur", "max": True}], "input should be a valid number"),
-    ("self", {}, "self: unknown key"),
-    ("model_config", {}, "model_config: unknown key"),
 ]
 
 
@@ -133,25 +124,12 @@ def test_violation_is_the_distance_to_the_nearer_bound() -> None:
     assert constraint.text() == "blur from 1 to 2"
 
 
-def test_files_are_named_in_errors(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.toml does not exist"):
-        load_spec(tmp_path / "none.toml")
-    path = tmp_path / "bad.toml"
-    path.write_text("[study\n")
-    with pytest.raises(InputError, match=r"bad\.toml is not valid TOML"):
-        load_spec(path)
-
-
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_examples_are_sound(path: Path) -> None:
     study = make_study(load_spec(path), default_kit())
     if study.spec.sweep.kind != "optimize":
         for point in study.points():
             study.family.parameters(point.parameters)
-
-
-def test_there_are_examples() -> None:
-    assert len(EXAMPLES) >= 4
 
 
 # Against the catalogue ----------------------------------------------------------------------------
@@ -174,7 +152,6 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"parameters": {"width_px": {"min": 320, "max": 322, "count": 5}}}, "gives 3 different"),
     ({"fixed": {"rim": "round"}}, r"\[fixed\] rim = 'round' is not allowed"),
     ({"fixed": {"hardness": "55 OO"}}, "a hardness is shore_00 = 55 or shore_a = 10"),
-    ({"fixed": {"shore_oo": 30}}, "a hardness is shore_00 = 55 or shore_a = 10"),
     ({"fixed": {"shore_00": 30}}, "young_modulus_mpa and shore_00 are given"),
     ({"fixed": {"nonsense": 1}}, r"no parameter of gelsight in \[fixed\] 'nonsense'"),
     ({"tied": {"rim": {"to": "thickness_mm"}}}, "only numbers can be tied"),
@@ -182,8 +159,6 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"press": {"edge": {"depth": 2}}}, r"\[press.edge\] 'depth' \(did you mean depth_mm"),
     ({"press": {"edge": {"depth_mm": -2}}}, r"\[press.edge\] depth_mm must be above 0"),
     ({"press": {"edge": {"depth_mm": "2"}}}, r"\[press.edge\] depth_mm = '2'; something like"),
-    ({"press": {"edge": {"depth_mm": True}}}, r"\[press.edge\] depth_mm = True; something like"),
-    ({"parameters": {"thickness_mm": {"values": ["3"]}}}, "thickness_mm = '3' is not a number"),
     (
         {"parameters": {n: {**WIDE, "count": 101} for n in ("width_px", "height_px")}},
         "101 x 101 = 10,201 designs",

@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.cli.app import main
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.sensors.registry import sensor_families, sensor_family
 from taccel_lab.viewer.background_press import BackgroundPress
@@ -259,14 +258,6 @@ def test_other_files_are_no_designs(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match="is no design"):
         read_design(path)
-
-
-def test_a_page_for_parameters_out_of_bounds_does_not_open(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["design", "digit", "--out", str(tmp_path / "out"), "--page", "--no-browser"]
-    assert main([*words, "--port", "0", "--set", "thickness_mm=99"]) == 2
-    assert "above its bound" in capsys.readouterr().err
 
 
 @pytest.mark.slow

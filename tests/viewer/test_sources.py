@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -78,23 +77,6 @@ def test_files_of_a_folder_are_answered_with_the_folder(tmp_path: Path) -> None:
     path.write_text(json.dumps({}))
     with pytest.raises(InputError, match=f"name the folder .*{tmp_path.name}"):
         find_source(str(path))
-
-
-def test_without_viser_the_extra_is_named(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "viser", None)
-    assert main(["view", "gelsight_mini", "--no-browser"]) == 2
-    assert "pip install 'taccel-lab[view]'" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("content", ["{", "[]", '{"press": 3}'])
-def test_a_press_that_is_none_is_refused_before_a_page_opens(
-    tmp_path: Path, content: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "press.json").write_text(content)
-    assert main(["view", str(tmp_path), "--no-browser", "--port", "0"]) == 2
-    assert str(tmp_path) in capsys.readouterr().err
 
 
 # Presses ------------------------------------------------------------------------------------------

@@ -110,7 +110,8 @@ def test_poisoned_masked_pixels_have_no_effect() -> None:
 
 def test_the_steepest_ball_bounds_what_slopes_may_do() -> None:
     captures, surfaces = synthetic_captures(8)
-    fit = fit_color_model(frames_of(captures, surfaces), captures.background, GRID, QUICK)
+    options = dataclasses.replace(QUICK, steps=9)
+    fit = fit_color_model(frames_of(captures, surfaces), captures.background, GRID, options)
     steepest = max(np.arccos(surface.normals[..., 2].min()) for surface in surfaces)
     assert fit.model.cone_deg == pytest.approx(np.degrees(steepest), abs=2.0)
     assert fit.model.cone_deg <= np.degrees(steepest) + 1e-9

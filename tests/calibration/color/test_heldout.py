@@ -119,7 +119,7 @@ def test_a_contact_too_large_for_its_light_fails_alone(sound: Sound) -> None:
     captures = with_circles(captures, large, ball_radius_mm=5.0, heldout=split.heldout_names)
     told: list[str] = []
     result = calibrated(
-        captures, surfaces, options=QUICK, drift="on", progress=lambda task, *_: told.append(task)
+        captures, surfaces, options=BRIEF, drift="on", progress=lambda task, *_: told.append(task)
     )
     (failure,) = result.failures
     assert failure.name == name and "usable pixels beyond 2 radii" in failure.reason
@@ -169,7 +169,7 @@ def test_a_press_without_a_surface_spoils_no_other(sound: Sound) -> None:
         [press.circle for press in training.presses if press.circle is not None],
         [surfaces[i] for i in split.train],
         HeldoutSet(captures.only(split.heldout), stubborn, split),
-        options=QUICK,
+        options=BRIEF,
     )
     assert [failure.name for failure in result.failures] == [bad]
     assert {item.name for item in result.heldout} == set(split.heldout_names) - {bad}
@@ -178,7 +178,7 @@ def test_a_press_without_a_surface_spoils_no_other(sound: Sound) -> None:
 def test_a_press_left_out_by_a_person_counts(sound: Sound) -> None:
     captures, surfaces = sound
     stated = (*captures.split(4).heldout_names, "p99")
-    result = calibrated(captures, surfaces, heldout_names=stated, options=QUICK)
+    result = calibrated(captures, surfaces, heldout_names=stated, options=BRIEF)
     assert [failure.name for failure in result.failures] == ["p99"]
 
 
@@ -329,7 +329,7 @@ def test_an_outlier_is_named(sound: Sound) -> None:
 def test_a_model_that_explains_little_is_weak(sound: Sound) -> None:
     captures, surfaces = sound
     shuffled = [surfaces[(i + 5) % len(surfaces)] for i in range(len(surfaces))]
-    result = calibrate(captures, shuffled)
+    result = calibrate(captures, shuffled, options=BRIEF)
     assert "heldout_error" in codes(result) and judge(result.remarks) is Verdict.WEAK
 
 

@@ -298,17 +298,6 @@ def test_a_straight_edge_is_not_a_ball() -> None:
         detect_contact(image, flat_background(), PLAIN_GRID, name="edge.png")
 
 
-def test_masked_pixels_have_no_effect() -> None:
-    circle = ContactCircle(70.0, 60.0, 14.0)
-    image, _ = press_image(circle, np.random.default_rng(0))
-    mask = np.ones(image.shape[:2], dtype=bool)
-    mask[5:25, 100:150] = False
-    poisoned = image.copy()
-    poisoned[5:25, 100:150] = 255
-    clean = detect_contact(image, flat_background(), PLAIN_GRID, mask=mask)
-    assert detect_contact(poisoned, flat_background(), PLAIN_GRID, mask=mask) == clean
-
-
 def test_agreement_counts_labelled_presses_only() -> None:
     captures, _ = synthetic_captures(4)
     captures = with_circles(captures, {2: None})
@@ -372,7 +361,7 @@ def traced(call: Callable[[], Any]) -> tuple[Any, int]:
 
 
 def test_large_pictures_show_the_same_contacts() -> None:
-    circles, captures = scattered(4), large_set(4)
+    circles, captures = scattered(2), large_set(2)
     found, peak = traced(lambda: fit.find_contacts(captures))
     for circle, contact in zip(circles, found.contacts, strict=True):
         assert contact is not None and found.refusals == {}
@@ -397,7 +386,7 @@ def test_figures_of_a_large_picture_are_those_of_a_small_one() -> None:
 
 
 def test_pictures_that_are_not_kept_are_read_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    circles = scattered(6)
+    circles = scattered(3)
     small = press_set(circles, [pressed(circle) for circle in circles])
     reads: list[str] = []
 
