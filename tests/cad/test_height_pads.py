@@ -12,7 +12,7 @@ from build123d import import_step
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.cad.export import dimensions, write_step, write_stl
+from taccel_lab.cad.export import dimensions, write_step
 from taccel_lab.cad.mesh.closest import ClosestPoint, surface_samples
 from taccel_lab.cad.mesh.tessellate import tessellate_solid
 from taccel_lab.cad.parts.digit_pad import DigitPad
@@ -138,17 +138,6 @@ def test_step_comes_back_with_volume_and_face_names(dome: LabelledSolid, tmp_pat
     assert set(names) == {"contact", "bond", "window", "side"}
 
 
-def test_stl_is_closed_and_in_millimetres(dome: LabelledSolid, tmp_path: Path) -> None:
-    import pyvista as pv
-
-    path = tmp_path / "pad.stl"
-    write_stl(tessellate_solid(dome), path)
-    surface = pv.read(path)
-    assert isinstance(surface, pv.PolyData)
-    assert surface.clean().n_open_edges == 0
-    assert surface.volume == pytest.approx(dome.solid.volume, rel=5e-4)
-
-
 def test_tessellation_is_closed_outward_and_close(dome: LabelledSolid) -> None:
     surface = tessellate_solid(dome)
     assert surface.volume_mm3() == pytest.approx(dome.solid.volume, rel=5e-4)
@@ -166,11 +155,6 @@ def test_dimensions_measure_the_solid(dome: LabelledSolid) -> None:
     np.testing.assert_allclose(found["bounding_box_max"], [12, 10, 0], atol=1e-5)
     drop = 50 - np.sqrt(50**2 - 9**2 - 7**2)
     assert found["crown_drop_at_window_corner"] == pytest.approx(drop)
-
-
-def test_tessellation_tolerance_has_bounds(dome: LabelledSolid) -> None:
-    with pytest.raises(InputError, match="tolerance_mm"):
-        tessellate_solid(dome, tolerance_mm=0)
 
 
 def test_mini_lies_on_the_measured_gel() -> None:

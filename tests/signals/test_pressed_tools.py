@@ -222,15 +222,6 @@ def test_a_gpu_s_library_finds_the_same() -> None:
     np.testing.assert_allclose(theirs[1].numpy(), pressure, atol=1e-4 * pressure.max())
 
 
-def test_full_contact_shows_the_object() -> None:
-    grid = PixelGrid(64, 64, 0.02, 0.02)
-    wave = 64 * 0.02e-3
-    obj = 1e-6 * np.cos(2 * np.pi * 1e-3 * grid.x_mm() / wave)[None].repeat(64, axis=0) - 1e-4
-    height, pressure = solved(grid, 4e-3, obj[None])
-    assert (pressure > 0).all()
-    np.testing.assert_allclose(height[0], obj, atol=1e-9)
-
-
 def test_what_is_right_already_stays() -> None:
     """A coarse solution that meets the object is given back."""
     grid = PixelGrid(96, 96, 0.03, 0.03)

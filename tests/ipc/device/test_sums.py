@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Minima over the entries of an environment.
-
-Minima over the entries of an environment.
-
-Sums that are the same bits in any order, and how exact they are.
-"""
+"""Minima over an environment; sums that are the same bits in any order, and how exact they are."""
 
 from __future__ import annotations
 

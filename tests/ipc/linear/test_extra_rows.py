@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Blocks outside of the pattern: assembly from nodes of every kind, and all solvers with them.
 
-Blocks outside of the pattern: assembly from nodes of every kind, and all solvers with them.
-
 Row lists of extra blocks in order: the same bits however the blocks were listed.
 """
 

@@ -132,27 +132,6 @@ def test_projected_matrix_is_positive_and_differs_where_it_must(
 
 
 @pytest.mark.parametrize("element", KINDS)
-def test_internal_forces_have_no_resultant(element: Element) -> None:
-    mesh = block_mesh((2, 2, 1), SIZE, 0.2)
-    made = forces(gel(mesh, element))
-    x = deformed(rest_of(made), 5, 5e-5)
-    gradient = made.gradient(x[None])[0]
-    scale = np.abs(gradient).sum()
-    np.testing.assert_allclose(gradient.sum(axis=0), 0, atol=1e-13 * scale)
-    moment = np.cross(x, gradient).sum(axis=0)
-    np.testing.assert_allclose(moment, 0, atol=1e-13 * scale * np.abs(x).max())
-
-
-@pytest.mark.parametrize("law", [MaterialModel.NEO_HOOKEAN, MaterialModel.MOONEY_RIVLIN])
-@pytest.mark.parametrize("element", KINDS)
-def test_inverted_element_has_infinite_energy(element: Element, law: MaterialModel) -> None:
-    made = forces(gel(MESH, element, law))
-    x = rest_of(made).copy()
-    x[np.argmax(x[:, 2])] -= [0, 0, 4e-3]
-    assert np.isposinf(made.energy(x[None])[0])
-
-
-@pytest.mark.parametrize("element", KINDS)
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("strain", [1e-3, 1e-6, 1e-9])
 def test_energy_of_a_small_strain_keeps_its_digits(
