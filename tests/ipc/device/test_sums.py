@@ -59,7 +59,7 @@ def test_what_is_negative_stays_negative_and_what_is_no_number_is_passed_over(de
 CPU = wp.get_device("cpu")
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _add_kernel(
     places: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.vec3d),

@@ -102,7 +102,7 @@ def test_solvers_with_extra_blocks(method: str) -> None:
         np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _add_pairs_kernel(
     first: wp.array(dtype=wp.int32),
     second: wp.array(dtype=wp.int32),
