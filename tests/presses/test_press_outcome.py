@@ -256,7 +256,7 @@ def test_quadratic_gel(tmp_path: Path) -> None:
 
 def test_heights_of_a_dome_reach_its_border() -> None:
     """The mesh of a press has few nodes along it: height maps ended in a polygon."""
-    profile = catalogue_profile("rtac")
+    profile = catalogue_profile("rtac", {"width_px": 160, "height_px": 120})
     camera = camera_of(profile)
     rest = rest_surface(profile.mesh, face_of(camera))
     tool = parse_indenter("sphere:4")
