@@ -20,13 +20,12 @@ from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.presses import PressEnv, PressMeshOptions, layered_material, parse_indenter
+from taccel_lab.presses import PressEnv, layered_material, parse_indenter
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.scene import Material
 from taccel_lab.sensors import FamilyParameters, SensorFamily, profile, sensor_families
 from taccel_lab.sensors.base import STIFFNESS
 from taccel_lab.sensors.derived import derived_figures, pad_volume_mm3
-from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.support.variants import variants
 
@@ -259,16 +258,6 @@ def test_random_sensor_is_built_in_cad(family: SensorFamily, seed: int) -> None:
     part = labelled_solid(pad)
     assert part.solid.is_valid
     assert part.solid.volume == pytest.approx(pad_volume_mm3(pad), rel=5e-3)
-
-
-@pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
-def test_press_meshes_share_their_connectivity(family: SensorFamily) -> None:
-    options = PressMeshOptions(elements_per_radius=4.0, core=6, rings=10, layers=3)
-    first = press_mesh(family.name, {}, (0.0, 0.0), 0.8, options)
-    other = press_mesh(family.name, {}, (1.0, -0.7), 0.8, options)
-    assert (first.volumes_m3() > 0).all()
-    assert np.array_equal(first.tets, other.tets)
-    assert np.array_equal(first.face_regions, other.face_regions)
 
 
 @pytest.mark.parametrize("name", ["9dtact", "gelsight_mini", "rtac"])
