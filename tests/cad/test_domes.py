@@ -255,11 +255,6 @@ def test_focused_shells_are_sound_anywhere(share: float, turn: float, radius: fl
     check_mesh_of_press(mesh, R_TAC)
 
 
-def test_same_input_gives_the_same_bytes() -> None:
-    meshes = [focused_gel_mesh(R_TAC, around((5, -4))) for _ in range(2)]
-    assert meshes[0].nodes_m.tobytes() == meshes[1].nodes_m.tobytes()
-
-
 def test_volume_converges_with_the_square_of_the_edge() -> None:
     exact = R_TAC.meridian.volume_mm3()
     errors = [

@@ -231,23 +231,6 @@ def test_glued_walls_are_bond_faces() -> None:
         assert wall[:, 2].max() == pytest.approx(-2.954, abs=0.1)
 
 
-@pytest.mark.parametrize("name", ["gelsight_mini", "gelsight_40", "9dtact", "digit"])
-def test_presses_anywhere_share_their_connectivity(name: str) -> None:
-    pad = PADS[name]
-    low, high = pad.outline.bounds_mm()
-    rng = np.random.default_rng(7)
-    reference = None
-    for _ in range(4):
-        at = rng.uniform(low, high)
-        while pad.inside_distance_mm(at) < 3:
-            at = rng.uniform(low, high)
-        options = FocusOptions((at[0], at[1]), rng.uniform(1, 4), 0.15, core=12, rings=20)
-        mesh = focused_gel_mesh(pad, options)
-        check_sound(mesh, pad)
-        reference = reference or mesh
-        check_same(mesh, reference)
-
-
 def test_counts_of_a_dome_and_no_edge_are_refused() -> None:
     with pytest.raises(InputError, match="counts_of"):
         gel_mesh(MINI, counts_of=ShellDomePad())

@@ -186,16 +186,6 @@ def test_what_cannot_be_repaired_is_refused(
         repair_surface(*spoil(*clean), max_hole_edges=12)
 
 
-def test_loose_triangles_with_a_hole_become_a_closed_cube() -> None:
-    pytest.importorskip("pymeshlab")
-    loose = CUBE[FACES[:-1]].reshape(-1, 3)
-    triangles = np.arange(len(loose)).reshape(-1, 3)[:, ::-1]
-    found = repair_surface(loose, triangles)
-    check_closed(found.triangles, "it")
-    assert volume(found.vertices, found.triangles) == pytest.approx(1)
-    assert len(found.actions) == 3
-
-
 @pytest.mark.parametrize(
     ("vertices", "faces"),
     [(CUBE * np.nan, FACES), (CUBE, FACES + 5), (CUBE, FACES[:0]), (CUBE * 0, FACES)],

@@ -228,14 +228,6 @@ def test_bad_bodies_are_refused(tmp_path: Path) -> None:
         import_gel(tmp_path / "missing.step", BOX)
 
 
-def test_a_solid_is_chosen_by_its_number(tmp_path: Path) -> None:
-    two = Compound(children=[box(), Solid.make_box(5, 5, 5, Plane((50, 0, 0)))])
-    path = write(two, tmp_path / "two.step")
-    assert import_gel(path, box_selection(body="1")).part.volume_mm3 == pytest.approx(24 * 20 * 4)
-    with pytest.raises(InputError, match="0 solids of the name '3'"):
-        import_gel(path, box_selection(body="3"))
-
-
 def test_a_part_far_too_large_for_its_edge_is_not_meshed(tmp_path: Path) -> None:
     path = write(box(600, 500, 100), tmp_path / "large.step")
     part = import_gel(path, box_selection(unit="mm")).part
@@ -257,13 +249,9 @@ OCP = r"cadquery-ocp\S* \d+\.\d+\S*"
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
-        # The kernel follows these in circles until its stack ends.
+        # The kernel follows it in circles until its stack ends.
         (lambda t: entity(t, "ADVANCED_FACE", "'',(#),#,.F."), rf"{OCP} crashed on it"),
-        (lambda t: entity(t, "ORIENTED_EDGE", "'',*,*,#,.T."), rf"{OCP} crashed on it"),
-        (lambda t: entity(t, "CLOSED_SHELL", "'',(#)"), "no solid: the surface is empty"),
         (lambda t: t.replace("(-12.,", "(nan,"), "no finite bounding box"),
-        (lambda t: t.replace("(0.,0.,1.)", "(0.,0.,0.)"), "but no solid"),
-        (lambda t: t[: len(t) // 2], "is not a STEP file that the CAD kernel can read"),
     ],
 )
 def test_damaged_files_end_in_a_sentence(

@@ -17,7 +17,7 @@ from ezdxf import bbox
 from taccel_lab.cad.assembly import Assembly
 from taccel_lab.cad.drawing.assembly_drawing import write_assembly_drawing
 from taccel_lab.cad.drawing.pad_drawing import pad_drawing
-from taccel_lab.cad.drawing.sections import circle_through, edge_points, section
+from taccel_lab.cad.drawing.sections import circle_through, section
 from taccel_lab.cad.drawing.title import Issue
 from taccel_lab.cad.export import (
     write_3mf,
@@ -28,7 +28,6 @@ from taccel_lab.cad.export import (
 )
 from taccel_lab.cad.gel_import.step_reader import read_step
 from taccel_lab.cad.parts.dome_pad import ShellDomePad
-from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.labelled_solid import LabelledSolid
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.profile.optical_design import Light
@@ -162,16 +161,6 @@ def test_drawing_is_the_same_every_time(gel: LabelledSolid, tmp_path: Path) -> N
     assert np.median(picture) == 255 and picture.min() < 50
 
 
-def test_points_along_edges_are_those_of_the_kernel(gel: LabelledSolid) -> None:
-    for edge in gel.solid.edges():
-        points = edge_points(edge)
-        shares = np.linspace(0, 1, len(points)).tolist()
-        there = np.array([tuple(point) for point in edge.positions(shares)])
-        np.testing.assert_array_equal(points, there)
-    box = gel.solid.bounding_box()
-    assert (gel.box.min, gel.box.max) == (box.min, box.max)
-
-
 def test_drawing_of_a_dome_states_diameters_and_both_radii(tmp_path: Path) -> None:
     paths = [tmp_path / "dome.svg", tmp_path / "dome.png", tmp_path / "dome.pdf"]
     pad_drawing(labelled_solid(ShellDomePad(skirt_mm=5.0)), title="dome").save(*paths)
@@ -180,13 +169,6 @@ def test_drawing_of_a_dome_states_diameters_and_both_radii(tmp_path: Path) -> No
         assert wanted in words, (wanted, words)
     assert paths[1].read_bytes().startswith(b"\x89PNG")
     assert paths[2].read_bytes().startswith(b"%PDF")
-
-
-def test_large_pads_are_drawn_smaller(tmp_path: Path) -> None:
-    big = GelPad(length_x_mm=90.0, length_y_mm=60.0, window_x_mm=60.0, window_y_mm=40.0)
-    pad_drawing(labelled_solid(big), title="big").save(tmp_path / "big.svg")
-    words = texts(tmp_path / "big.svg")
-    assert "2:1   (A3)" in words and "90" in words and "60" in words
 
 
 def test_assembly_drawing_lists_parts_gaps_and_sizes(sensor: Assembly, tmp_path: Path) -> None:

@@ -73,12 +73,6 @@ def test_a_flat_side_beside_a_fillet_stays_flat():
     assert _degrees(flat[tip], normals[tip]).max() > 2
 
 
-def test_a_box_has_edges():
-    mesh = box_mesh((2e-3, 2e-3, 2e-3))
-    flat = _flat(mesh.vertices_m, mesh.faces)
-    assert _degrees(flat, corner_normals(mesh.vertices_m, mesh.faces)).max() < 1e-3
-
-
 def test_triangles_that_turn_against_each_other_still_meet():
     """Two facets of which one is turned over are joined at the right corners."""
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.05]]) * 1e-3

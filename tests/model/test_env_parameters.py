@@ -359,28 +359,6 @@ def test_captured_steps_notice(capture: bool) -> None:
         np.testing.assert_array_equal(value, other)
 
 
-def test_arrays_on_the_device_are_read_there() -> None:
-    """Torch tensors and arrays of Warp, masks too: no host in between."""
-    values = torch.tensor([5e4, 1e5, 2e5], dtype=torch.float64)
-    mask = torch.tensor([True, False, True])
-    models = [pressed_pad(3, Material(1e5, 0.4)).finalize() for _ in range(3)]
-    models[0].set_body("pad", young_modulus_pa=values, mask=mask)
-    models[0].set_friction("pad", "tool", values / 2e5, mask=mask)
-    device = wp.array(values.numpy(), dtype=wp.float64, device="cpu")
-    chosen = wp.array([1, 0, 1], dtype=wp.int32, device="cpu")
-    models[1].set_body("pad", young_modulus_pa=device, mask=chosen)
-    models[1].set_friction("pad", "tool", wp.array([0.25, 0.5, 1.0], dtype=wp.float64), chosen)
-    models[2].set_body("pad", young_modulus_pa=values.numpy(), mask=mask.numpy())
-    models[2].set_friction("pad", "tool", [0.25, 0.5, 1.0], mask=mask.numpy())
-    first = result(*press(models[0]))
-    for model in models[1:]:
-        for value, other in zip(result(*press(model)), first, strict=True):
-            np.testing.assert_array_equal(value, other)
-    rows = torch.ones((3, TETS), dtype=torch.float64) * values[:, None]
-    models[1].set_body("pad", young_modulus_pa=rows, mask=mask)
-    np.testing.assert_array_equal(models[1].elastic[0].mu.numpy(), models[0].elastic[0].mu.numpy())
-
-
 GPU = [
     pytest.mark.gpu,
     pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device"),

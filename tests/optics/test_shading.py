@@ -180,7 +180,7 @@ def test_renders_are_equal_to_the_bit() -> None:
     assert first.linear.tobytes() == second.linear.tobytes()
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _glossy_albedo_kernel(
     gloss: Gloss, cosine: float, steps: int, total: wp.array(dtype=wp.float64)
 ):

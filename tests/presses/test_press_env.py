@@ -131,15 +131,6 @@ def test_twist_is_resisted(twist: float) -> None:
     assert env.poses[0, 0, 3:] == pytest.approx([0, 0, math.sin(half), math.cos(half)])
 
 
-def test_without_friction_nothing_resists_a_ball_that_turns() -> None:
-    env = press_env()
-    env.move_to(0.3)
-    before = env.wrench[0].copy()
-    env.move_to(0.3, twist_deg=20.0)
-    # To the tolerance of the solver, with which both were found.
-    assert env.wrench[0] == pytest.approx(before, abs=3e-4 * before[2])
-
-
 def test_only_what_failed_is_halved() -> None:
     """The deep press of two, where it may take fewer iterations than it needs in one piece."""
     at, tool = np.zeros((2, 2)), parse_indenter("sphere:2.0")

@@ -108,14 +108,6 @@ def test_a_press_turns_with_its_frame(indenter: str) -> None:
     assert turned.positions[0] == pytest.approx(expected, abs=1e-9)
 
 
-def test_the_identity_frame_changes_nothing() -> None:
-    plain = pressed(pad(), "sphere:2", (0.4, -0.2))
-    identity = np.array([[0, 0, 0, 0, 0, 0, 1.0]])
-    framed = pressed(pad(), "sphere:2", (0.4, -0.2), gel_from_press=identity)
-    assert np.array_equal(plain.positions, framed.positions)
-    assert np.array_equal(plain.poses, framed.poses)
-
-
 def test_a_press_from_the_side_pushes_sideways() -> None:
     """The wall of a block, which is contact face too here, pressed along its normal."""
     block = block_mesh((6, 6, 4), (8e-3, 8e-3, 4e-3))

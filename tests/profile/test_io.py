@@ -167,39 +167,6 @@ def test_any_changed_byte_is_found(
         path.write_bytes(good)
 
 
-@reuse_fixtures
-@given(name=st.sampled_from(ARRAY_FILES), keep=st.floats(0, 1, exclude_max=True))
-def test_truncation_is_found_even_with_a_true_hash(
-    full_profile: SensorProfile, profile_folder: Path, name: str, keep: float
-) -> None:
-    save_profile(full_profile, profile_folder)
-    data = (profile_folder / name).read_bytes()
-    rehash(profile_folder, name, data[: int(keep * len(data))])
-    with pytest.raises(InputError, match=rf"{name}: is not a readable"):
-        load_profile(profile_folder)
-
-
-@reuse_fixtures
-@given(keep=st.floats(0, 1, exclude_max=True))
-def test_truncated_toml_is_found(
-    full_profile: SensorProfile, profile_folder: Path, keep: float
-) -> None:
-    save_profile(full_profile, profile_folder)
-    path = profile_folder / "profile.toml"
-    text = path.read_text()
-    # The last table is optional evidence of the colour block: cut before it.
-    path.write_text(text[: int(keep * text.index("[color.provenance]"))])
-    with pytest.raises(InputError, match=r"profile\.toml"):
-        load_profile(profile_folder)
-
-
-@pytest.mark.parametrize("name", ARRAY_FILES)
-def test_missing_file(profile_folder: Path, name: str) -> None:
-    (profile_folder / name).unlink()
-    with pytest.raises(InputError, match=f"{name}: no such file"):
-        load_profile(profile_folder)
-
-
 @pytest.mark.parametrize(
     ("tables", "words"),
     [
@@ -253,13 +220,8 @@ def test_arrays_of_the_wrong_kind(profile_folder: Path, tmp_path: Path) -> None:
     ("change", "words"),
     [
         ({"faces": lambda v: np.tile(v[:1], (len(v), 1))}, "0 are not out.* and 5 are repeated"),
-        ({"faces": lambda v: v[:, ::-1]}, "of which 6 are not outward faces of"),
-        ({"faces": lambda v: v[1:], "face_regions": lambda v: v[1:]}, "consists of 6 such faces"),
-        ({"tets": lambda v: v + 2}, "tets refers to nodes that do not exist"),
         ({"tets": lambda v: v.astype(np.int64) + 2**32}, "tets must hold whole numbers that fit"),
         ({"face_regions": lambda v: v + 1}, r"holds 1 to 4; allowed: 0 \(side\), 1 \(contact\)"),
-        ({"nodes_m": lambda v: np.vstack([v, v[:1]])}, "1 nodes belong to no tet: nodes 5"),
-        ({"nodes_m": lambda v: v * [1, 1, -1]}, "2 of 2 tets are inverted or flat"),
         ({"nodes_m": lambda v: np.where(v == v.max(), np.nan, v)}, "NaN"),
     ],
 )
@@ -298,7 +260,6 @@ def test_not_a_profile(tmp_path: Path) -> None:
     [
         ("material", "young_modulus_pa", "2e5", "input should be a valid number (found '2e5')"),
         ("material", "young_modulus_pa", True, "input should be a valid number (found True)"),
-        ("camera", "width_px", "96", "input should be a valid integer (found '96')"),
         ("camera", "width_px", True, "input should be a valid integer (found True)"),
         ("gel", "self", 1, "unknown key; allowed: file, min_dihedral_deg"),
         ("gel", "model_config", 1, "unknown key; allowed: file, min_dihedral_deg"),

@@ -122,16 +122,6 @@ def test_moving_a_body_moves_its_frame_only(
     )
 
 
-def test_weights_in_the_principal_frame_are_decoupled() -> None:
-    """What an affine body relies on: int rho X_i X_j = 0 and int rho X = 0 there."""
-    mesh = moved(TET, rotation(3) @ np.diag([1, 2, 3]), np.array([7.0, -2, 1e3]))
-    found = mass_properties(mesh, RHO)
-    local = mass_properties(TriangleMesh(found.to_principal(mesh.vertices_m), mesh.faces), RHO)
-    np.testing.assert_allclose(local.center_m, 0, atol=1e-13)
-    np.testing.assert_allclose(local.axes, np.eye(3), atol=1e-10)
-    np.testing.assert_allclose(local.second_moments_kg_m2, found.second_moments_kg_m2, rtol=1e-11)
-
-
 def test_cavity_and_separate_shells() -> None:
     outer, inner = box_mesh((0.2, 0.2, 0.2)), box_mesh((0.1, 0.1, 0.1))
     hollow = mass_properties(joined(outer, flipped(inner)), RHO)
@@ -150,24 +140,8 @@ def test_cavity_and_separate_shells() -> None:
     [
         (TriangleMesh(TET.vertices_m, TET.faces[1:]), r"not closed: 3 edges.*\(0, 1\)"),
         (flipped(TET), "oriented inwards"),
-        (
-            TriangleMesh(TET.vertices_m, np.concatenate([TET.faces[:3], TET.faces[3:, ::-1]])),
-            r"oriented differently at 3 edges.*\(0, 2\)",
-        ),
-        (
-            TriangleMesh(TET.vertices_m, np.concatenate([TET.faces, TET.faces])),
-            "more than two faces",
-        ),
         (TriangleMesh(TET.vertices_m * [1, 1, 0], TET.faces), "encloses no volume"),
         (TriangleMesh(np.zeros((4, 3)), TET.faces), "single point"),
-        (
-            TriangleMesh(TET.vertices_m, np.concatenate([TET.faces, [[0, 0, 1]]])),
-            "1 faces name a vertex twice: faces 4",
-        ),
-        (
-            TriangleMesh(TET.vertices_m[TET.faces].reshape(-1, 3), np.arange(12).reshape(4, 3)),
-            "not closed: 12 edges.*merge",
-        ),
         (joined(box_mesh((0.2, 0.2, 0.2)), box_mesh((0.1, 0.1, 0.1))), "inside another shell"),
         (
             joined(TET, flipped(moved(TET, np.eye(3), np.array([3.0, 0, 0])))),

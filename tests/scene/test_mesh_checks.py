@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from taccel_lab.bodies.box_pairs import box_pairs
 from taccel_lab.bodies.crossings import self_crossings
-from taccel_lab.bodies.mesh_checks import check_extent, check_surface, check_tets
+from taccel_lab.bodies.mesh_checks import check_surface, check_tets
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.block import block_mesh, labelled
@@ -177,14 +177,6 @@ def test_a_sliver_of_no_volume_and_overlapping_tets() -> None:
     faces = boundary_faces(two)
     with pytest.raises(InputError, match=r"1 pairs of tets lie on the same side.*tets 0, 1"):
         check_tets(TetMesh(nodes, two, faces, np.zeros(len(faces))), "gel")
-
-
-def test_units_that_look_like_millimetres() -> None:
-    words = r"gel is 20 m across; at most 10 m.* 20 mm if .* millimetres .*508 mm.*scaled by 1e-3"
-    with pytest.raises(InputError, match=words):
-        check_extent(np.array([[0, 0, 0], [20.0, 25, 4]]) * [1, 0.8, 1], "gel", (1e-5, 10.0))
-    with pytest.raises(InputError, match="at least 1e-05 m"):
-        check_extent(np.array([[0, 0, 0], [2e-6, 0, 0]]), "gel", (1e-5, 10.0))
 
 
 def test_bodies_in_millimetres_are_refused() -> None:

@@ -162,14 +162,6 @@ def test_a_cut_scene_passes_the_checks_of_a_scene_that_is_made_anew() -> None:
         assert rows_of(again, 0).keys() == rows_of(part, 0).keys()
 
 
-def test_the_scene_that_is_cut_stays_as_it_is() -> None:
-    whole = full_scene(3)
-    before = [rows_of(whole, env) for env in range(3)]
-    shard_of(whole, 1, 2)
-    assert whole.env_count == 3
-    assert [rows_of(whole, env) for env in range(3)] == before
-
-
 @given(env_count=st.integers(1, 10_000), world_size=st.integers(1, 64))
 def test_slices_cover_all_environments_evenly(env_count: int, world_size: int) -> None:
     if world_size > env_count:

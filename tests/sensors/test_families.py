@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh, gel_mesh
+from taccel_lab.cad.mesh.gel_mesh import FocusOptions, focused_gel_mesh, gel_mesh, usual_edge_mm
 from taccel_lab.cad.mesh.quality import measure_quality, require_quality
 from taccel_lab.cad.mesh.tetrahedralize import tetwild_gel_mesh
 from taccel_lab.cad.parameters import Parameter
@@ -20,13 +20,12 @@ from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_solid import labelled_solid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
-from taccel_lab.presses import PressEnv, PressMeshOptions, layered_material, parse_indenter
+from taccel_lab.presses import PressEnv, layered_material, parse_indenter
 from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.scene import Material
-from taccel_lab.sensors import FamilyParameters, SensorFamily, sensor_families
+from taccel_lab.sensors import FamilyParameters, SensorFamily, profile, sensor_families
 from taccel_lab.sensors.base import STIFFNESS
 from taccel_lab.sensors.derived import derived_figures, pad_volume_mm3
-from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.support.variants import variants
 
@@ -209,10 +208,14 @@ def test_one_step_out_of_bounds_is_refused_by_name(family: SensorFamily) -> None
 
 @pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
 def test_nominal_sensor_is_meshed(family: SensorFamily) -> None:
+    """By the usual edge; profiles of this process take the same mesh."""
     parameters = family.parameters()
-    mesh = require_fit(parameters.pad())
+    pad = parameters.pad()
+    mesh, quality, edge_mm = profile.sound_gel_mesh(pad)
+    assert edge_mm == usual_edge_mm(pad) and quality.min_dihedral_deg >= 10.0
+    require_quality(mesh, quality)
     volume = mesh.volumes_m3().sum() * 1e9
-    assert volume == pytest.approx(pad_volume_mm3(parameters.pad()), rel=5e-3)
+    assert volume == pytest.approx(pad_volume_mm3(pad), rel=5e-3)
     assert set(np.unique(mesh.tet_layers)) == set(range(len(parameters.layer_materials())))
 
 
@@ -257,25 +260,15 @@ def test_random_sensor_is_built_in_cad(family: SensorFamily, seed: int) -> None:
     assert part.solid.volume == pytest.approx(pad_volume_mm3(pad), rel=5e-3)
 
 
-@pytest.mark.parametrize("family", FAMILIES.values(), ids=FAMILIES)
-def test_press_meshes_share_their_connectivity(family: SensorFamily) -> None:
-    options = PressMeshOptions(elements_per_radius=4.0, core=6, rings=10, layers=3)
-    first = press_mesh(family.name, {}, (0.0, 0.0), 0.8, options)
-    other = press_mesh(family.name, {}, (1.0, -0.7), 0.8, options)
-    assert (first.volumes_m3() > 0).all()
-    assert np.array_equal(first.tets, other.tets)
-    assert np.array_equal(first.face_regions, other.face_regions)
-
-
 @pytest.mark.parametrize("name", ["9dtact", "gelsight_mini", "rtac"])
 def test_designed_profiles_come_back(name: str, tmp_path) -> None:
-    profile = catalogue_profile(name)
-    save_profile(profile, tmp_path / "profile")
+    designed = catalogue_profile(name)
+    save_profile(designed, tmp_path / "profile")
     loaded = load_profile(tmp_path / "profile")
     parameters = FAMILIES[name].parameters()
-    assert loaded.blocks() == profile.blocks()
+    assert loaded.blocks() == designed.blocks()
     assert loaded.optical_design() == parameters.optics()
-    assert np.array_equal(loaded.mesh.tet_layers, profile.mesh.tet_layers)
+    assert np.array_equal(loaded.mesh.tet_layers, designed.mesh.tet_layers)
     markers, housing = parameters.markers(), parameters.housing()
     assert (loaded.markers.grid() if loaded.markers else None) == markers
     assert loaded.housing is not None and housing is not None

@@ -66,7 +66,7 @@ def test_a_folder_its_profile_and_the_file_in_it_are_one_sensor(
 @pytest.mark.parametrize("ratio", variants([0.48], [0.46, 0.48, None]))
 def test_a_profile_of_a_hardness_keeps_its_ratio(tmp_path: Path, ratio: float | None) -> None:
     values = {"shore_00": 40.0} | ({} if ratio is None else {"poisson_ratio": ratio})
-    profile = catalogue_profile("digit", {**values, "width_px": 96, "height_px": 72})
+    profile = catalogue_profile("digit", values)
     save_profile(profile, tmp_path / "profile")
     material = sensor_family(str(tmp_path / "profile")).parameters().material()
     assert material.poisson_ratio == profile.material.poisson_ratio == (ratio or 0.499)

@@ -189,20 +189,6 @@ def test_dots_stretch_as_their_face_does() -> None:
     assert np.abs(drawn(places) - expected).mean() > 2 * np.abs(found - expected).mean()
 
 
-def test_bytes_are_levels_rounded() -> None:
-    places = VIEW.pixel_from_gel(PLACES_MM)
-    dots = PaintedDots.cut_out(drawn(places), places, RADIUS_PX)
-    painter = DotPainter(dots, MarkerLayout.from_points(DOTTED, PLACES_MM), DOTTED, VIEW)
-    levels = wp.array(np.stack([dots.clean_rgb] * 2), dtype=wp.float32, device="cpu")
-    rounded = np.rint(dots.clean_rgb).astype(np.uint8)
-    image = wp.array(np.stack([rounded] * 2), dtype=wp.uint8, device="cpu")
-    positions = np.stack([DOTTED.nodes_m, DOTTED.nodes_m + [2.5e-4, 0.0, 0.0]])
-    none = wp.empty(0, dtype=wp.transformd), wp.empty(0, dtype=wp.int32)
-    painter.paint(wp.array(positions, dtype=wp.vec3d), *none, image=image, levels=levels)
-    assert np.abs(image.numpy().astype(float) - levels.numpy()).max() <= 1.0
-    assert np.abs(np.diff(levels.numpy(), axis=0)).max() > 20.0
-
-
 def test_faults_are_told() -> None:
     places = VIEW.pixel_from_gel(PLACES_MM)
     with pytest.raises(InputError, match="radius_px of dots must be above 0"):

@@ -17,17 +17,13 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals import color_model, force_network, normal_model
 from taccel_lab.signals.color_model import (
-    ACTIVATIONS,
     ColorModel,
     ColorModelConfig,
-    pixel_uv,
-    stack_inputs,
 )
-from taccel_lab.signals.color_model import expected_shapes as color_shapes
 from taccel_lab.signals.force_model import ForceModel
 from taccel_lab.signals.force_settings import ForceModelConfig
-from taccel_lab.signals.network_answers import forward, require_answers
-from taccel_lab.signals.normal_features import color_change, local_features, pixel_place
+from taccel_lab.signals.network_answers import require_answers
+from taccel_lab.signals.normal_features import local_features, pixel_place
 from taccel_lab.signals.normal_model import NormalModel, expected_shapes, relative_normals
 from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.normals import rotate_from_z, rotate_to_z
@@ -121,12 +117,6 @@ def test_wrong_shapes_are_refused() -> None:
         random_model().predict(np.zeros((36, 47, 3)), np.zeros((36, 48, 3)))
 
 
-def test_color_change_of_masked_pixels_is_zero() -> None:
-    mask = np.array([[True, False]])
-    change = color_change(np.full((1, 2, 3), 9, np.uint8), np.zeros((1, 2, 3)), mask)
-    assert change.tolist() == [[[9.0] * 3, [0.0] * 3]]
-
-
 def test_features_of_single_pixels_are_those_of_the_picture() -> None:
     rng = np.random.default_rng(3)
     change, background = rng.normal(size=(2, 36, 48, 3)).astype(np.float32)
@@ -136,25 +126,6 @@ def test_features_of_single_pixels_are_those_of_the_picture() -> None:
     np.testing.assert_array_equal(
         config.image_features(change, background, picked=picked), whole[picked]
     )
-
-
-@pytest.mark.parametrize("activation", ACTIVATIONS)
-def test_the_answers_are_those_of_the_model(activation: str) -> None:
-    config = ColorModelConfig(width_px=40, height_px=30, hidden=(16, 8), activation=activation)
-    rng = np.random.default_rng(1)
-    shapes = color_shapes(config)
-    model = ColorModel(config, {n: rng.normal(0, s[-1] ** -0.5, s) for n, s in shapes.items()})
-    pixels = rng.integers(40 * 30, size=50)
-    normals = rng.normal(size=(50, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    upright, depth = np.tile([0.0, 0.0, 1.0], (50, 1)), rng.normal(size=50)
-    uv = pixel_uv(config, pixels)
-    pressed, still = (
-        forward(model.weights, stack_inputs(config, uv, n, d), activation)
-        for n, d in ((normals, depth), (upright, np.zeros(50)))
-    )
-    expected = model.predict_pixels(pixels, normals, depth, upright)
-    np.testing.assert_allclose(config.output_scale * (pressed - still), expected, atol=1e-4)
 
 
 SIZE = {"width_px": 40, "height_px": 30}

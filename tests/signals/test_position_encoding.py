@@ -288,12 +288,7 @@ def test_the_first_layer_keeps_more_than_half_precision():
 
 @pytest.mark.parametrize(
     ("hidden", "activation", "encoded"),
-    [
-        ((64, 64, 64), "silu", False),
-        ((20, 128), "tanh", False),
-        ((16,), "relu", False),
-        ((64, 64, 64), "silu", True),
-    ],
+    [((20, 128), "tanh", False), ((64, 64, 64), "silu", True)],
 )
 def test_kernels_compile_for_hopper(hidden, activation, encoded, tmp_path):
     """The CUDA half of the source, which nothing else reads on a machine without a GPU."""

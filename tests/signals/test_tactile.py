@@ -14,7 +14,7 @@ from taccel_lab.geometry import PixelGrid, Region, TetMesh
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.profile import BackgroundBlock, ColorBlock
 from taccel_lab.signals import MarkerLayout, SignalTactile
-from tests.signals.pressed_surface import extrude, flat_pad
+from tests.signals.pressed_surface import flat_pad
 from tests.signals.tactile_cases import (
     ALL,
     DEVICES,
@@ -54,19 +54,6 @@ def test_every_environment_equals_the_reference(device):
     assert_agrees(signal, expected, device)
     assert signal.rasterized_count() == 0
     assert np.array_equal(signal.rgb_levels.numpy()[0], background(grid)), "untouched"
-
-
-@pytest.mark.parametrize("device", DEVICES)
-def test_of_two_layers_the_camera_sees_the_lower_one(device):
-    xy = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 3e-3
-    xy = np.concatenate([xy, xy])
-    mesh = extrude(xy, np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]))
-    positions = mesh.nodes_m[None].repeat(2, axis=0)
-    positions[0, 4:8, 2] = 5e-4
-    positions[1, :4, 2] = 5e-4
-    signal = SignalTactile(mesh, GRID, env_count=2, device=device)
-    signal.update(on_device(positions, device))
-    assert (signal.height_m.numpy() == 0).all()
 
 
 @pytest.mark.parametrize("device", DEVICES)

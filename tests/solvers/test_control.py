@@ -188,13 +188,6 @@ def test_what_the_scene_does_not_have_is_refused() -> None:
         solver.step(state, Control(joint_targets=np.zeros((1, 0))))
 
 
-def test_a_state_of_another_scene_is_refused() -> None:
-    solver, _ = arm()
-    _, other = arm(env_count=3)
-    with pytest.raises(InputError, match=r"positions of the state have shape \(3, .*expected \(2,"):
-        solver.step(other)
-
-
 @pytest.mark.gpu
 @pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
 def test_a_state_on_another_device_is_refused() -> None:

@@ -58,7 +58,7 @@ def test_a_start_that_turns_an_element_inside_out_is_not_taken() -> None:
     assert (report.starts_tried, report.starts_taken, report.substeps) == (1, 0, 1)
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _evaluate_kernel(
     u: wp.array(dtype=wp.vec3d),
     v: wp.array(dtype=wp.vec3d),

@@ -6,10 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from scipy.sparse.linalg import spsolve
 
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.ipc.linear.system import LinearSystem
 from taccel_lab.model import Model
 from taccel_lab.outputs import GelFrames, Outputs
 from taccel_lab.scene import (
@@ -20,13 +18,11 @@ from taccel_lab.scene import (
     RevoluteJoint,
     Scene,
     SoftBody,
-    TimeScheme,
     TimeStepping,
     VelocityDrive,
     box_mesh,
 )
 from taccel_lab.solvers import Control, SolverConfig, SolverIPC
-from taccel_lab.solvers.tangent import sparse_matrix
 from taccel_lab.state import State, initial_state
 from tests.solvers.driven_grasp import (
     FORCE_N,
@@ -45,7 +41,6 @@ from tests.solvers.driven_grasp import (
 from tests.support.variants import variants
 
 DHAT = 5e-5
-BOTH = (Element.LINEAR, Element.QUADRATIC)
 SETTLING = 25
 """Steps in which the grip comes to rest."""
 
@@ -211,58 +206,6 @@ def test_environments_are_as_if_alone_and_a_reset_starts_anew() -> None:
         again.step(targets=wanted[2:])
     np.testing.assert_array_equal(x[2], again.state.positions.numpy()[0])
     assert not np.array_equal(x[2], x[0])
-
-
-@pytest.mark.parametrize("scheme", variants([TimeScheme.BDF2], TimeScheme))
-def test_each_stays_within_the_tolerance(scheme: TimeScheme) -> None:
-    grasp = Grasp(driven_grasp(scheme=scheme))
-    for step in range(10):
-        report = grasp.step(lift(step + SETTLING - 5))
-        limit = np.maximum(
-            grasp.solver.config.relative_tolerance * report.contact_force_n,
-            grasp.solver.config.absolute_tolerance_n,
-        )
-        assert (report.residual_n <= 1.5 * limit + 1e-6).all()
-
-
-@pytest.mark.parametrize("method", ["ssor", "arrow", "cg", "pipelined"])
-def test_all_linear_methods_solve_a_grip(method: str) -> None:
-    """The matrix of a grip under way, whose gels, fingers, joints and box all hang together."""
-    grasp = Grasp(driven_grasp(1, (Element.LINEAR, Element.LINEAR)), deterministic=True)
-    for _ in range(8):
-        grasp.step()
-    source, model = grasp.solver.linear, grasp.model
-    assert model.free_count < 400
-    first = model.free_count - 4 * model.affine.count
-    linear = LinearSystem(
-        model.pattern,
-        1,
-        model.device,
-        clusters=[(first + 4 * i, first + 4 * i + 4) for i in range(model.affine.count)],
-        method=method,
-        extra_room=4096,
-        positions_m=model.rest_positions.numpy()[0, model.free_nodes.numpy()],
-    )
-    wp.copy(linear.values, source.values)
-    count = int(source.extra.counts.numpy()[0])
-    assert count > 0, "box and gels touch"
-    wp.copy(linear.extra.places, source.extra.places, count=count)
-    wp.copy(linear.extra.values, source.extra.values, count=count)
-    wp.copy(linear.extra.counts, source.extra.counts)
-    rhs = np.random.default_rng(1).normal(size=(1, model.free_count, 3))
-    linear.rhs.assign(rhs)
-    linear.tolerances.fill_(1e-10)
-    matrix = sparse_matrix(model.pattern, source.values.numpy()[0]).tolil()
-    places, blocks = source.extra.places.numpy(), source.extra.values.numpy()
-    for (row, column), block in zip(places[:count], blocks[:count], strict=True):
-        r, c = slice(3 * row, 3 * row + 3), slice(3 * column, 3 * column + 3)
-        matrix[r, c] += block
-        matrix[c, r] += block.T
-    linear.solve(wp.full(1, 1, dtype=wp.int32), 20_000)
-    wanted = spsolve(matrix.tocsc(), rhs.ravel())
-    found = linear.solution.numpy().ravel()
-    assert not linear.breakdown.numpy().any()
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6 * np.abs(wanted).max())
 
 
 def test_gel_frames_follow_and_bonded_nodes_with_them() -> None:

@@ -36,7 +36,6 @@ from tests.support.variants import variants
 
 MESH = block_mesh((3, 3, 2), (3e-3, 3e-3, 2e-3), jitter=0.15)
 SIDE = 1.2e-3
-CUBE_START, CUBE_STEP = 5e-4, 2e-4
 STEPS = 3
 
 
@@ -201,11 +200,3 @@ def test_bodies_that_start_inside_each_other_are_flagged_and_refused() -> None:
     targets = ball_at([0, 1, 2], 3)
     targets[1] = ball_at([1], 1)[0]
     assert solver.step(state, targets).converged.all()
-
-
-def test_a_ball_that_starts_inside_a_body_is_named() -> None:
-    model = model_of([0, 1])
-    balls = ball_at([0, 1], 0)
-    balls[1, 0, 2] -= 0.5e-3
-    with pytest.raises(InputError, match=r"'ball' starts inside 'cube' in environment 1.*faces"):
-        check_start(model, initial_state(model, balls), 2e-5)

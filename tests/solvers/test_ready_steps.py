@@ -113,16 +113,6 @@ def test_a_step_may_be_given_up(by_reset: bool) -> None:
     np.testing.assert_array_equal(state.positions.numpy(), expected.positions.numpy())
 
 
-def test_what_fails_is_where_it_began() -> None:
-    solver, state = make(quasi_static=False, max_newton_iterations=2)
-    before = state.positions.numpy().copy()
-    ready = ReadySteps(solver, state, 5)
-    report = ready.step_ready(poses([4] * ENVS))
-    assert (report.status == EnvStatus.NO_CONVERGENCE).all()
-    assert not ready.underway.any()
-    np.testing.assert_array_equal(state.positions.numpy(), before)
-
-
 # Joints, and all that a step may be asked for ----------------------------------------------------
 
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taccel_lab.errors import InputError
 from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.scene import (
     AffineBody,
@@ -79,34 +78,6 @@ def test_layers_decide_who_meets() -> None:
     assert heights(solver, state, "ghost")[0] < -SIDE
 
 
-def test_objects_differ_by_environment() -> None:
-    """A cube on the gel in one environment, a ball in the other: each as if it were alone."""
-    one = cube("cube", pose(0, 0, 0.55e-3), surface=Surface(environments=(0,)))
-    other = AffineBody(
-        sphere_mesh(0.8e-3, 4e-4),
-        name="ball",
-        initial_pose=pose(0, 0, 0.9e-3),
-        surface=Surface(environments=(1,)),
-    )
-    gel = SoftBody(MESH, GEL, element=Element.LINEAR)
-    both = Scene(gel, env_count=2, time=dynamic(), affine_bodies=[one, other])
-    solver, state = run(both, 8)
-    for env, body in enumerate((one, other)):
-        lone = replace(body, surface=Surface())
-        alone_solver, alone = run(Scene(gel, time=dynamic(), affine_bodies=lone), 8)
-        assert heights(solver, state, body.name)[env] == pytest.approx(
-            heights(alone_solver, alone, body.name)[0], abs=1e-9
-        )
-        gel_nodes = slice(0, MESH.node_count)
-        np.testing.assert_allclose(
-            state.positions.numpy()[env, gel_nodes],
-            alone.positions.numpy()[0, gel_nodes],
-            atol=1e-9,
-        )
-    # What is absent neither touches nor is touched, and rests.
-    assert heights(solver, state, "ball")[0] == pytest.approx(0.9e-3, abs=1e-12)
-
-
 def test_friction_of_a_pair_comes_before_that_of_its_bodies() -> None:
     """On a slope of 0.3, one cube is given friction 0.1 with the floor, the other keeps 0.5."""
     angle = np.arctan(0.3)
@@ -173,70 +144,6 @@ def test_too_many_contacts_are_flagged_in_their_environment() -> None:
     np.testing.assert_array_equal(state.positions.numpy()[1], before[1])
     plenty = SolverIPC(model)
     assert plenty.step(state, target).converged.all()
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"affine_bodies": cube("a", pose(0, 0, 0))}, "quasi_static=False"),
-        ({"pair_friction": {("gel", "nobody"): 0.3}}, "'nobody', which 0 bodies are called"),
-        (
-            {"soft_bodies": SoftBody(MESH, GEL, mount="hand", element=Element.LINEAR)},
-            "mount 'hand'",
-        ),
-        ({"soft_bodies": ()}, "at least one soft or affine body"),
-        ({"pair_friction": {("gel", "ball"): -1.0}}, r"must lie in \[0, 10\]"),
-    ],
-)
-def test_bad_scenes_are_refused(settings: dict, message: str) -> None:
-    good = {
-        "soft_bodies": SoftBody(MESH, GEL, element=Element.LINEAR),
-        "kinematic_bodies": KinematicBody(Ball(1e-3), name="ball"),
-    }
-    with pytest.raises(InputError, match=message):
-        Scene(**{**good, **settings})
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Surface(layer=-1), "mask of 32 bits"),
-        (lambda: Surface(thickness_m=-1e-3), "thickness_m"),
-        (lambda: Plane(normal=(0, 0, 0)), "must not be zero"),
-        (lambda: Plane(point_m=(0, np.nan, 0)), "finite"),
-        (lambda: cube("a", pose(0, 0, 0), density_kg_m3=0.0), "density"),
-        (lambda: cube("a", pose(0, 0, 0), young_modulus_pa=-1.0), "young_modulus_pa"),
-        (lambda: cube("a", np.zeros(7)), "unit length"),
-        (lambda: cube("a", np.zeros(6)), r"shape \[7\]"),
-        (lambda: AffineBody(Ball(1e-3)), "closed TriangleMesh"),  # type: ignore[arg-type]
-        (lambda: KinematicBody(Ball(1e-3), 11.0), r"\[0, 10\]"),
-        (
-            lambda: Scene(
-                SoftBody(MESH, GEL, element=Element.LINEAR),
-                KinematicBody(Ball(1e-3), surface=Surface(environments=(0, 5))),
-                env_count=3,
-            ),
-            r"must lie in \[0, 2\]",
-        ),
-        (
-            lambda: SoftBody(
-                MESH, GEL, mount="hand", initial_pose=pose(0, 0, 0), element=Element.LINEAR
-            ),
-            "has a mount",
-        ),
-        (
-            lambda: Scene(
-                affine_bodies=cube("a", np.tile(pose(0, 0, 0), (2, 1))),
-                env_count=3,
-                time=dynamic(),
-            ),
-            "expected 3",
-        ),
-    ],
-)
-def test_bad_bodies_are_refused(make, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        make()
 
 
 def test_unused_kinematic_poses_have_a_default() -> None:

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
-from taccel_lab.geometry.block import block_mesh, free_block
+from taccel_lab.geometry.block import block_mesh
 from taccel_lab.ipc.potentials.external import traction_forces
 from taccel_lab.model import Model
 from taccel_lab.outputs import Outputs
@@ -126,39 +125,3 @@ def test_a_pulled_block_has_the_closed_form(element: Element) -> None:
     np.testing.assert_allclose(state.positions.numpy()[0], expected, atol=1e-8 * 2e-3)
     sigma = Outputs(solver).update(state).nodal_stresses.numpy()[0]
     np.testing.assert_allclose(sigma - np.diag([0, 0, stress]), 0, atol=1e-7 * stress)
-
-
-def test_weight_as_forces_is_gravity() -> None:
-    mesh = free_block((2, 2, 2), 4e-3, jitter=0.2)
-    g = np.array([1.0, -2.0, -9.81])
-    ends = []
-    for as_forces in (False, True):
-        time = TimeStepping(False, 0.01, (0, 0, 0) if as_forces else tuple(g))
-        model = Scene(
-            SoftBody(mesh, Material(1e5, 0.4), element=Element.LINEAR), time=time
-        ).finalize()
-        solver, state = SolverIPC(model, TIGHT), initial_state(model)
-        if as_forces:
-            state.load(model, model.masses.numpy()[..., None] * g)
-        for _ in range(3):
-            assert solver.step(state).converged.all()
-        ends.append(state.positions.numpy()[0])
-    # Implicit Euler falls by dt^2 g n (n + 1) / 2 in n steps.
-    np.testing.assert_allclose(
-        ends[0] - mesh.nodes_m, np.tile(6 * 0.01**2 * g, (len(mesh.nodes_m), 1)), rtol=1e-9
-    )
-    np.testing.assert_allclose(ends[1], ends[0], atol=1e-14)
-
-
-def test_loads_are_kept_until_changed_and_checked() -> None:
-    model, solver, state = free_box()
-    state.load(model, None, np.stack([FORCE, 0 * TORQUE])[None, None])
-    speeds = []
-    for _ in range(2):
-        solver.step(state)
-        speeds.append(state.velocities.numpy()[0, model.affine.first_control].copy())
-    np.testing.assert_allclose(speeds[1], 2 * speeds[0], rtol=1e-9)
-    with pytest.raises(InputError, match="NaN"):
-        state.load(model, None, np.full((1, 1, 2, 3), np.nan))
-    with pytest.raises(InputError, match=r"wrenches have shape \(1, 6\)"):
-        state.load(model, None, np.zeros((1, 6)))

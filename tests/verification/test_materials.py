@@ -8,11 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import warp as wp
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.scene import (
     Ball,
     Element,
@@ -112,67 +109,6 @@ def test_uniaxial_stretch_with_free_sides(model: MaterialModel, stretch: float) 
         assert (1 - w) / 1e-3 == pytest.approx(NU, rel=3e-3)
 
 
-def shear_energy_and_stress(model: MaterialModel, g: float) -> tuple[float, float]:
-    """Energy density [J/m^3] and shear stress P13 [Pa] of F = I + g e1 e3^T, by hand."""
-    if model is MaterialModel.STABLE_NEO_HOOKEAN:
-        m = stable_constants()[0]
-        energy = 0.5 * m * (g * g - np.log1p(g * g / 4))
-        return energy, m * g * (1 - 1 / (4 + g * g))
-    if model is MaterialModel.ST_VENANT_KIRCHHOFF:
-        energy = MU * (g**2 / 2 + g**4 / 4) + LAM * g**4 / 8
-        return energy, MU * (g + g**3) + LAM * g**3 / 2
-    return 0.5 * MU * g * g, MU * g
-
-
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("shear", [1e-4, 0.1, 0.8, 1.0])
-def test_simple_shear(model: MaterialModel, shear: float) -> None:
-    mesh = block_mesh((3, 3, 3), SIZE, jitter=0.2, seed=2)
-    target = mesh.nodes_m + shear * mesh.nodes_m[:, 2:] * [1, 0, 0]
-    x, assembly = solved(
-        SoftBody(mesh, material(model), np.unique(mesh.faces), element=Element.LINEAR), target
-    )
-    volume = float(np.prod(SIZE))
-    energy, stress = shear_energy_and_stress(model, shear)
-    assert assembly.elastic_energy(x[None])[0] == pytest.approx(energy * volume, rel=1e-8)
-    # Virtual work of a uniform displacement gradient: V P_ij = sum of force_i times position_j.
-    p = np.einsum("ni,nj->ij", assembly.elastic_gradient(x[None])[0], mesh.nodes_m) / volume
-    assert p[0, 2] == pytest.approx(stress, rel=1e-8)
-    # Rivlin's universal relation of isotropic solids.
-    cauchy = p @ (np.eye(3) + shear * np.outer([1, 0, 0], [0, 0, 1])).T
-    assert cauchy[0, 0] - cauchy[2, 2] == pytest.approx(
-        shear * cauchy[0, 2], rel=1e-8, abs=1e-10 * MU
-    )
-
-
-@pytest.mark.parametrize("ratio", [0.8, 1.2])
-@pytest.mark.parametrize("model", MODELS)
-def test_uniform_compression(model: MaterialModel, ratio: float) -> None:
-    """F = s I: the first Piola-Kirchhoff stress is the law's at three equal stretches."""
-    mesh = block_mesh((3, 3, 3), SIZE, jitter=0.2, seed=3)
-    made = Scene(SoftBody(mesh, material(model), element=Element.LINEAR)).finalize()
-    assembly = Assembly(made, SolverConfig(), NO_BODIES)
-    gradient = assembly.elastic_gradient(mesh.nodes_m[None] * ratio)[0]
-    stress = np.einsum("ni,nj->ij", gradient, mesh.nodes_m) / float(np.prod(SIZE))
-    expected = principal_stress(model)(ratio, ratio, ratio)
-    np.testing.assert_allclose(stress, expected * np.eye(3), rtol=1e-10, atol=1e-10 * MU)
-
-
-@settings(max_examples=20)
-@given(seed=st.integers(0, 10_000), shift=st.floats(-1.0, 1.0), model=st.sampled_from(MODELS))
-def test_rigid_motion_costs_nothing(seed: int, shift: float, model: MaterialModel) -> None:
-    mesh = block_mesh((3, 3, 3), SIZE, jitter=0.2, seed=4)
-    made = Scene(SoftBody(mesh, material(model), element=Element.LINEAR)).finalize()
-    assembly = Assembly(made, SolverConfig(), NO_BODIES)
-    turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
-    turn *= np.sign(np.linalg.det(turn))
-    x = mesh.nodes_m @ turn.T + shift
-    # At 1 m from the origin, positions are known to 2e-16 m, strains of 0.5 mm tets to 1e-12.
-    assert abs(assembly.elastic_energy(x[None])[0]) < 1e-14 * MU * np.prod(SIZE)
-    force = np.abs(assembly.elastic_gradient(x[None])[0]).max()
-    assert force < 1e-11 * LAM * SIZE[1] * SIZE[2]
-
-
 @pytest.mark.parametrize("model", MODELS)
 def test_a_body_of_two_materials_is_the_sum_of_two_bodies(model: MaterialModel) -> None:
     mesh = block_mesh((3, 3, 4), SIZE, jitter=0.2, seed=3)
@@ -195,7 +131,6 @@ def test_a_body_of_two_materials_is_the_sum_of_two_bodies(model: MaterialModel) 
     )
     rng = np.random.default_rng(4)
     x = mesh.nodes_m * [1.1, 0.95, 0.9] + rng.uniform(-5e-5, 5e-5, mesh.nodes_m.shape)
-    count = mesh.node_count
 
     def assembled(body_mesh, tet_material, positions) -> tuple:
         body = SoftBody(body_mesh, tet_material, np.array([0, 1, 2]), element=Element.LINEAR)
@@ -203,52 +138,23 @@ def test_a_body_of_two_materials_is_the_sum_of_two_bodies(model: MaterialModel) 
         return (
             assembly.elastic_energy(positions[None])[0],
             assembly.elastic_gradient(positions[None])[0],
-            assembly.elastic_hessian(positions[None], PSD_CLAMP)[0],
             assembly.model.masses.numpy()[0],
-            assembly.free,
         )
 
-    energy, gradient, hessian, masses, free = assembled(mesh, field, x)
-    total = np.zeros((count, 3, count, 3))
+    energy, gradient, masses = assembled(mesh, field, x)
     for half, tets in zip(halves, (mesh.tets[~upper], mesh.tets[upper]), strict=True):
         nodes, local = np.unique(tets, return_inverse=True)
         part = labelled(mesh.nodes_m[nodes], local.reshape(-1, 4))
-        e, g, h, m, rows = assembled(part, half, x[nodes])
+        e, g, m = assembled(part, half, x[nodes])
         energy -= e
         gradient[nodes] -= g
         masses[nodes] -= m
-        keep = nodes[rows]
-        block = h.reshape(len(keep), 3, len(keep), 3)
-        total[np.ix_(keep, range(3), keep, range(3))] += block
-    whole = np.zeros_like(total)
-    whole[np.ix_(free, range(3), free, range(3))] = hessian.reshape(len(free), 3, len(free), 3)
-    # Rows held in one of the three bodies are missing there.
-    lower_held = np.unique(mesh.tets[~upper])[:3]
-    upper_held = np.unique(mesh.tets[upper])[:3]
-    compared = np.setdiff1d(np.arange(count), np.concatenate([[0, 1, 2], lower_held, upper_held]))
-    index = np.ix_(compared, range(3), compared, range(3))
-    scale = np.abs(whole).max()
     assert np.abs(energy) < 1e-13 * e
     np.testing.assert_allclose(gradient, 0, atol=1e-13 * np.abs(g).max())
     np.testing.assert_allclose(masses, 0, atol=1e-13 * m.max())
-    np.testing.assert_allclose(whole[index], total[index], rtol=0, atol=1e-13 * scale)
     # It is not one of the two materials alone.
     other = assembled(mesh, halves[0], x)[1]
     assert np.abs(other - assembled(mesh, field, x)[1]).max() > 0.1 * np.abs(g).max()
-
-
-def test_a_uniform_field_is_the_uniform_material() -> None:
-    mesh = block_mesh((2, 2, 2), SIZE, jitter=0.2)
-    x = (mesh.nodes_m * [1.1, 0.95, 0.9])[None]
-    fields = (material(MaterialModel.NEO_HOOKEAN), MaterialField(np.full(48, YOUNG), NU))
-    made = [
-        Assembly(
-            Scene(SoftBody(mesh, m, element=Element.LINEAR)).finalize(), SolverConfig(), NO_BODIES
-        )
-        for m in fields
-    ]
-    np.testing.assert_array_equal(*(a.elastic_gradient(x) for a in made))
-    np.testing.assert_array_equal(*(a.elastic_hessian(x, PSD_NONE) for a in made))
 
 
 DEPTHS = (0.02e-3, 0.15e-3, 0.3e-3)

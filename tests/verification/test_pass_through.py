@@ -184,17 +184,6 @@ def test_a_body_pressed_through_a_gel_stops_at_its_glued_back(
     assert state.positions.numpy()[0, model.bodies[1].node_slice, 2].min() > BACK
 
 
-def test_a_body_from_behind_is_stopped_by_faces_that_are_prescribed_like_itself() -> None:
-    """Neither gives way: the step fails, the body stays."""
-    model = Scene(
-        SoftBody(MESH, SOFT, element=Element.LINEAR), KinematicBody(Ball(1e-3))
-    ).finalize()
-    start = pose(0, 0, BACK - 1.1e-3)
-    solver, state = SolverIPC(model, HASTY), initial_state(model, everywhere(1, start))
-    assert step(solver, state, pose(0, 0, BACK - 1.05e-3)).converged[0]
-    assert not step(solver, state, pose(0, 0, BACK + 1.1e-3)).converged[0]
-
-
 def test_the_mount_of_a_gel_may_coincide_with_its_glued_back() -> None:
     """A plate that the gel is mounted on, its face in that of the glued back."""
     plate = box_mesh((4e-3, 4e-3, 1e-3))

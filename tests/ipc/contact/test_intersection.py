@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from taccel_lab.bodies.bodies import Surface
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.contact.gaps import point_triangle_distances
 from taccel_lab.ipc.contact.intersection import (
     Intersection,
     IntersectionKind,
@@ -160,15 +159,6 @@ def test_crossings_agree_with_ipctk(seed: int, x: float, z: float, angle: float)
     collision_mesh = ipctk.CollisionMesh(state.positions.numpy()[0], ipctk.edges(both), both)
     expected = ipctk.has_intersections(collision_mesh, state.positions.numpy()[0])
     assert (IntersectionKind.CROSSING in kinds(found)) == expected
-
-
-def test_distances_of_a_point_from_triangles_agree_with_ipctk() -> None:
-    import ipctk
-
-    rng = np.random.default_rng(0)
-    point, triangles = rng.normal(size=3), rng.normal(size=(500, 3, 3))
-    expected = [ipctk.point_triangle_distance(point, *t) ** 0.5 for t in triangles]
-    np.testing.assert_allclose(point_triangle_distances(point, triangles), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("shape", [Ball(1e-3), box_mesh((2e-3, 2e-3, 2e-3))])

@@ -190,17 +190,6 @@ def test_the_thickness_of_both_is_kept() -> None:
     assert found == pytest.approx((1 - SLACKNESS) * spare / (2 * gap), rel=1e-8)
 
 
-def test_environments_that_rest_are_left_alone() -> None:
-    count, rng = 6, np.random.default_rng(5)
-    gap = np.full(count, 1e-5)
-    ridges = crossing(rng, np.full(count, 1.0), gap)
-    dx = translated(rng, ridges, 2 * gap, 0 * gap)
-    active = np.array([1, 0, 1, 1, 0, 1], dtype=np.int32)
-    found = limits(model(count), ridges.x, dx, active)
-    assert found[active == 0] == pytest.approx(-1.0)
-    assert found[active == 1] == pytest.approx(0.45, rel=1e-8)
-
-
 def test_edges_that_turn_and_stretch_are_free_of_contact_up_to_the_limit() -> None:
     """Every node of the ridges goes its own way: the referee is ipctk's Tight-Inclusion."""
     count, rng = 300, np.random.default_rng(6)

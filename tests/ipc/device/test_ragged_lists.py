@@ -118,50 +118,6 @@ def test_lists_hold_what_was_appended(bursts: list[list[int]]) -> None:
         assert_holds(pairs, burst)
 
 
-def test_others_keep_their_entries_while_one_grows() -> None:
-    pairs = PairList(5, CPU, 8, 1000)
-    asked = np.array([5, 3, 400, 0, 4])
-    append(pairs, asked)
-    np.testing.assert_array_equal(too_short(pairs), asked == 400)
-    assert not grow_all([pairs]).any()
-    assert pairs.rooms.tolist() == [8, 8, 600, 8, 8]
-    assert pairs.pairs.capacity == 8 * (4 * 8 + 600), "bytes of vec2i: those of the one alone"
-    assert_holds(pairs, np.where(asked == 400, 0, asked))
-    append(pairs, np.where(asked == 400, 400, 0))
-    assert not too_short(pairs).any()
-    assert_holds(pairs, asked)
-
-
-def test_beyond_the_limit_there_is_no_room() -> None:
-    pairs = PairList(3, CPU, 4, 50)
-    append(pairs, np.array([50, 51, 2]))
-    assert too_short(pairs).tolist() == [True, True, False]
-    assert grow_all([pairs]).tolist() == [False, True, False]
-    assert pairs.rooms.tolist() == [50, 4, 4]
-    append(pairs, np.array([0, 60, 0]))
-    assert not pairs.fit(), "there is nothing to look for again"
-    assert pairs.counts.numpy().tolist() == [0, 0, 2]
-    # Who was refused may have few entries again.
-    append(pairs, np.array([0, 3, 0]))
-    assert not too_short(pairs).any() and not grow_all([pairs]).any()
-    assert pairs.counts.numpy().tolist() == [0, 3, 2]
-
-
-def test_without_memory_who_wants_most_stands_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    pairs = PairList(4, CPU, 10, 1 << 20)
-    monkeypatch.setattr(ragged_lists, "free_memory", lambda device: 100_000)
-    append(pairs, np.array([200, 5, 300_000, 2_000]))
-    assert too_short(pairs).tolist() == [True, False, True, True]
-    assert grow_all([pairs]).tolist() == [False, False, True, False]
-    assert pairs.rooms.tolist() == [300, 10, 10, 3000], "no more than is asked for"
-    assert pairs.pairs.capacity <= 100_000
-    # It may ask again once there is more.
-    monkeypatch.setattr(ragged_lists, "free_memory", lambda device: None)
-    append(pairs, np.array([0, 0, 300_000, 0]))
-    assert pairs.fit()
-    assert pairs.rooms.tolist() == [3000, 3000, 450_000, 3000]
-
-
 def test_places_are_counted_by_int32(monkeypatch: pytest.MonkeyPatch) -> None:
     """However much memory there is."""
     monkeypatch.setattr(ragged_lists, "free_memory", lambda device: None)

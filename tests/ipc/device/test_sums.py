@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Minima over the entries of an environment.
-
-Minima over the entries of an environment.
-
-Sums that are the same bits in any order, and how exact they are.
-"""
+"""Minima over an environment; sums that are the same bits in any order, and how exact they are."""
 
 from __future__ import annotations
 
@@ -64,7 +59,7 @@ def test_what_is_negative_stays_negative_and_what_is_no_number_is_passed_over(de
 CPU = wp.get_device("cpu")
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _add_kernel(
     places: wp.array(dtype=wp.int32),
     values: wp.array(dtype=wp.vec3d),

@@ -219,17 +219,6 @@ def test_most_of_the_way_is_taken(family: Callable[[np.random.Generator], Querie
     assert np.mean(status == CCD_CAPPED) < 0.02
 
 
-def test_no_motion_is_no_collision() -> None:
-    rng = np.random.default_rng(14)
-    for kind in (POINT_TRIANGLE, EDGE_EDGE):
-        x = rng.normal(size=(COUNT, 4, 3))
-        toi, status, _ = batch.collide(kind, x, np.zeros_like(x))
-        assert np.all(toi == 1) and np.all(status == CCD_NO_HIT)
-        together = np.repeat(rng.normal(size=(COUNT, 1, 3)), 4, axis=1)
-        toi, status, _ = batch.collide(kind, x, together)
-        assert np.all(toi == 1) and np.all(status == CCD_NO_HIT)
-
-
 def test_the_exact_referee_knows_a_hit_from_a_miss() -> None:
     x = np.array([[0.25, 0.25, 1], [0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=float)
     dx = np.zeros((4, 3))

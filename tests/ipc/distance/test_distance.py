@@ -30,40 +30,6 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize(
-    ("point", "region", "expected"),
-    [
-        ((-0.2, -0.3, 0.5), "V0", 0.38),
-        ((1.5, -0.2, 0.1), "V1", 0.30),
-        ((0.1, 1.7, -0.3), "V2", 0.59),
-        ((0.5, -0.4, 0.3), "E0", 0.25),
-        ((0.8, 0.8, 0.2), "E1", 0.22),
-        ((-0.3, 0.4, 0.1), "E2", 0.10),
-        ((0.2, 0.3, 0.5), "T", 0.25),
-    ],
-)
-def test_point_triangle_golden_values(
-    point: tuple[float, ...], region: str, expected: float
-) -> None:
-    triangle = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]
-    pairs = batch.query_pairs(batch.POINT_TRIANGLE, np.array([[point, *triangle]]))
-    assert pairs.distance_sq[0] == pytest.approx(expected, rel=1e-14, abs=0)
-    assert PointTriangleRegion(int(pairs.region[0])).name == region
-
-
-@pytest.mark.parametrize(
-    ("other", "expected"),
-    [
-        (((0.5, -1.0, 0.2), (0.5, 1.0, 0.2)), 0.04),
-        (((0.0, 0.1, 0.0), (1.0, 0.1, 0.0)), 0.01),
-    ],
-)
-def test_edge_edge_golden_values(other: tuple[tuple[float, ...], ...], expected: float) -> None:
-    x = np.array([[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), *other]])
-    pairs = batch.query_pairs(batch.EDGE_EDGE, x)
-    assert pairs.distance_sq[0] == pytest.approx(expected, rel=1e-14, abs=0)
-
-
 @pytest.mark.parametrize("name", KINDS)
 def test_distances_equal_ipctk(name: str) -> None:
     kind, node_count, region_count = KINDS[name]

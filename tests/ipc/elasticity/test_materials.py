@@ -247,7 +247,7 @@ def test_energy_grows_without_bound_towards_inversion(model: MaterialModel) -> N
     assert (np.diff(energy) > MU).all() and energy[-1] > 100 * MU
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _svd_kernel(
     f: wp.array(dtype=wp.mat33d),
     u: wp.array(dtype=wp.mat33d),
@@ -285,7 +285,7 @@ def test_signed_svd(kind: str, scale: float) -> None:
     assert ((s < 0).sum(axis=1) <= 1).all()
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _eigen_kernel(
     a: wp.array(dtype=wp.mat33d),
     values: wp.array(dtype=wp.vec3d),

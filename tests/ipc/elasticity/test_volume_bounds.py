@@ -19,7 +19,7 @@ from taccel_lab.ipc.elasticity.volume_bounds import (
 COUNT = 400
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _judge_kernel(
     f: wp.array2d(dtype=wp.mat33d),
     bounds: wp.array(dtype=wp.float64),
@@ -31,7 +31,7 @@ def _judge_kernel(
         judged[i] = 1
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _ratio_kernel(
     f: wp.array2d(dtype=wp.mat33d), known: wp.float64, ratios: wp.array(dtype=wp.float64)
 ):

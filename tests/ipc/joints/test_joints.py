@@ -18,7 +18,6 @@ from taccel_lab.bodies.joints import (
     PositionDrive,
     PrismaticJoint,
     RevoluteJoint,
-    VelocityDrive,
 )
 from taccel_lab.bodies.primitives import box_mesh
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
@@ -124,13 +123,6 @@ def placed(r: Rig, shift: np.ndarray, turn: np.ndarray) -> np.ndarray:
     nodes[0] = rotate(turn, nodes[0] - ANCHOR) + ANCHOR + shift
     nodes[1:4] = rotate(turn, nodes[1:4])
     return nodes
-
-
-def moved_rigidly(nodes: np.ndarray, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """Both bodies moved as one."""
-    moved = rotate(turn, nodes)
-    moved[[0, 4]] += shift
-    return moved
 
 
 # Derivatives ----------------------------------------------------------------------------------
@@ -245,64 +237,7 @@ def test_only_the_motion_of_the_joint_is_free(
         assert held[2] == pytest.approx(abs(way), rel=1e-9, abs=1e-15)
 
 
-def test_angles_count_whole_turns() -> None:
-    r = rig("revolute", "b")
-    r.begin(r.start)
-    angle = 0.0
-    for _ in range(12):
-        angle += np.radians(100)
-        nodes = placed(r, np.zeros(3), quaternion(AXIS, angle))
-        r.joints.end_step(r.active, r.positions(nodes[None].repeat(48, axis=0)))
-        assert r.joints.coordinates.numpy()[0, 0] == pytest.approx(angle, abs=1e-12)
-        assert r.joints.rates.numpy()[0, 0] == pytest.approx(np.radians(100) / DT, abs=1e-9)
-        r.begin(nodes)
-    assert angle > 6 * np.pi
-    r.joints.reset(np.ones(48, dtype=bool))
-    r.begin(r.start)
-    assert r.joints.coordinates.numpy()[0, 0] == 0
-
-
-@given(seed=st.integers(0, 2**31))
-@pytest.mark.parametrize("kind", ["fixed", "revolute", "prismatic"])
-def test_joints_cannot_change_momenta(kind: str, seed: int) -> None:
-    """Same energy when both bodies move as one, so no net force and no torque - drives too."""
-    r = rig(kind, "b") if kind == "fixed" else driven_rig(kind)
-    r.set_multipliers(0.0)
-    r.begin(r.start)
-    nodes = perturbed(r, seed, 0.1)
-    rng = np.random.default_rng(seed)
-    turn, shift = quaternion(rng.normal(size=3), 2.0), rng.normal(size=3)
-    energies = r.energy(np.stack([nodes, moved_rigidly(nodes, turn, shift)]))
-    assert energies[1] == pytest.approx(energies[0], rel=1e-9)
-    forces = r.gradient(nodes[None])[0]
-    scale = np.abs(forces).sum()
-    assert scale > 1
-    np.testing.assert_allclose(forces[0] + forces[4], 0, atol=1e-13 * scale)
-    np.testing.assert_allclose(np.cross(nodes, forces).sum(axis=0), 0, atol=1e-13 * scale)
-
-
 # Drives, limits, multipliers --------------------------------------------------------------------
-
-
-def test_a_saturated_drive_pulls_with_its_largest_effort() -> None:
-    r = Rig(made("prismatic", None, drive=PositionDrive(100.0, target=1.0, max_effort=3.0)), 1)
-    nodes = r.start
-    forces = r.gradient(nodes[None])[0]
-    np.testing.assert_allclose(forces[0], -3.0 * AXIS, rtol=1e-12)
-    r.joints.end_step(r.active, r.positions(nodes[None]))
-    assert r.joints.efforts.numpy()[0, 0] == pytest.approx(3.0, rel=1e-12)
-    np.testing.assert_allclose(r.joints.forces.numpy()[0, 0], 3.0 * AXIS, rtol=1e-12)
-
-
-def test_a_velocity_drive_brakes_what_is_too_fast() -> None:
-    drive = VelocityDrive(damping=4.0, target=0.5)
-    r = Rig(made("revolute", None, drive=drive), 1)
-    r.begin(placed(r, np.zeros(3), quaternion(AXIS, 0.1)))
-    nodes = placed(r, np.zeros(3), quaternion(AXIS, 0.12))
-    r.joints.end_step(r.active, r.positions(nodes[None]))
-    assert r.joints.rates.numpy()[0, 0] == pytest.approx(2.0)
-    assert r.joints.efforts.numpy()[0, 0] == pytest.approx(-4.0 * 1.5)
-    np.testing.assert_allclose(r.joints.torques.numpy()[0, 0], -6.0 * AXIS, atol=1e-9)
 
 
 def test_targets_differ_by_environment_and_can_be_set() -> None:

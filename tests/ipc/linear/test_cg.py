@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """CG by thread blocks, and its parts; with blocks of many lanes, so that a race would show.
 
-CG by thread blocks, and its parts; with blocks of many lanes, so that a race would show.
-
-Teams of thread blocks that cannot all be resident: more than a GPU holds, or two at a time.
+On a GPU: teams of thread blocks that cannot all be resident, more than it holds or two at a time.
 """
 
 from __future__ import annotations
@@ -215,12 +213,9 @@ def test_slices_hold_both_triangles(many_lanes: None, blocks: int) -> None:
     assert layout.segment_count == row_segments[-1]
 
 
-pytestmark = [
-    pytest.mark.gpu,
-    pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device"),
-]
 GPU = "cuda:0"
 TOLERANCE = 1e-8
+NEEDS_GPU = pytest.mark.skipif(not wp.is_cuda_available(), reason="needs a CUDA device")
 
 
 def _check(system: LinearSystem, dense: np.ndarray) -> None:
@@ -232,6 +227,8 @@ def _check(system: LinearSystem, dense: np.ndarray) -> None:
         assert np.linalg.norm(left) <= 1.01 * TOLERANCE * np.linalg.norm(b)
 
 
+@pytest.mark.gpu
+@NEEDS_GPU
 @pytest.mark.parametrize("patience", [0, PATIENCE])
 @pytest.mark.parametrize(("envs", "lanes", "blocks"), [(1, 32, 8), (12, 512, 64)])
 def test_whoever_is_there_does_the_work(envs: int, lanes: int, blocks: int, patience: int) -> None:
@@ -247,6 +244,8 @@ def test_whoever_is_there_does_the_work(envs: int, lanes: int, blocks: int, pati
         _check(system, dense)
 
 
+@pytest.mark.gpu
+@NEEDS_GPU
 def test_solvers_in_streams_of_their_own_end() -> None:
     streams = [wp.Stream(GPU) for _ in range(3)]
     cases = []

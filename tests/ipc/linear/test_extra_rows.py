@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Blocks outside of the pattern: assembly from nodes of every kind, and all solvers with them.
 
-Blocks outside of the pattern: assembly from nodes of every kind, and all solvers with them.
-
 Row lists of extra blocks in order: the same bits however the blocks were listed.
 """
 
@@ -104,7 +102,7 @@ def test_solvers_with_extra_blocks(method: str) -> None:
         np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def _add_pairs_kernel(
     first: wp.array(dtype=wp.int32),
     second: wp.array(dtype=wp.int32),

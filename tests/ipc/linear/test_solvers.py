@@ -94,21 +94,6 @@ def test_reaches_the_tolerance_as_true_residual(
     assert report.iterations[0] >= 1
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("seed", range(3))
-def test_equals_a_direct_solve(backend: str, seed: int) -> None:
-    from scipy.sparse import csc_array
-    from scipy.sparse.linalg import splu
-
-    rng = np.random.default_rng(seed)
-    pattern = delaunay_pattern(rng, 80, bonded=20)
-    values = random_spd(rng, pattern, 100.0)[None]
-    rhs = rng.normal(size=(1, pattern.free_count, 3))
-    x, _ = solve_batch(pattern, values, rhs, np.ones(1), 1e-12, backend=backend)
-    direct = splu(csc_array(pattern.dense(values)[0])).solve(rhs.ravel()).reshape(-1, 3)
-    assert np.abs(x[0] - direct).max() <= 1e-8 * np.abs(direct).max()
-
-
 def test_an_environment_never_sees_the_others() -> None:
     rng = np.random.default_rng(3)
     pattern = delaunay_pattern(rng, 60, bonded=10)

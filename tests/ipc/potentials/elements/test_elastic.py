@@ -22,6 +22,7 @@ from taccel_lab.scene import (
 )
 from tests.ipc.derivatives import assert_derivatives
 from tests.support.blocks import block_mesh
+from tests.support.variants import variants
 from tests.verification.elements import ElementForces
 
 STEP = 1e-8
@@ -68,7 +69,7 @@ def deformed(x: np.ndarray, seed: int, amount: float) -> np.ndarray:
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("element", KINDS)
-@pytest.mark.parametrize("poisson", [0.3, 0.49])
+@pytest.mark.parametrize("poisson", variants([0.49], [0.3, 0.49]))
 def test_gradient_and_hessian_are_the_derivatives(
     element: Element, law: MaterialModel, poisson: float
 ) -> None:
@@ -129,27 +130,6 @@ def test_projected_matrix_is_positive_and_differs_where_it_must(
     # Quadratic elements leave the pressure of a compressed body out, which is indefinite.
     if element is Element.LINEAR or law is MaterialModel.ST_VENANT_KIRCHHOFF:
         assert np.linalg.eigvalsh(projected - exact)[0] > -1e-10 * scale
-
-
-@pytest.mark.parametrize("element", KINDS)
-def test_internal_forces_have_no_resultant(element: Element) -> None:
-    mesh = block_mesh((2, 2, 1), SIZE, 0.2)
-    made = forces(gel(mesh, element))
-    x = deformed(rest_of(made), 5, 5e-5)
-    gradient = made.gradient(x[None])[0]
-    scale = np.abs(gradient).sum()
-    np.testing.assert_allclose(gradient.sum(axis=0), 0, atol=1e-13 * scale)
-    moment = np.cross(x, gradient).sum(axis=0)
-    np.testing.assert_allclose(moment, 0, atol=1e-13 * scale * np.abs(x).max())
-
-
-@pytest.mark.parametrize("law", [MaterialModel.NEO_HOOKEAN, MaterialModel.MOONEY_RIVLIN])
-@pytest.mark.parametrize("element", KINDS)
-def test_inverted_element_has_infinite_energy(element: Element, law: MaterialModel) -> None:
-    made = forces(gel(MESH, element, law))
-    x = rest_of(made).copy()
-    x[np.argmax(x[:, 2])] -= [0, 0, 4e-3]
-    assert np.isposinf(made.energy(x[None])[0])
 
 
 @pytest.mark.parametrize("element", KINDS)
