@@ -233,7 +233,7 @@ def test_rough_presses_never_intersect(element: Element, presses: int) -> None:
     assert unsolved <= (0 if linear else 1 + 0.02 * len(counts)), "a step stayed unsolved"
     # Friction of 1 on sharp bodies with a range of 5 um is what has to be halved: 19 in 1,000. The
     # first ten presses have most of it, and by rounding four or five steps of their 50.
-    assert (counts == 1).mean() > (0.97 if presses > 100 else 0.9)
+    assert (counts == 1).mean() >= (0.97 if presses > 100 else 0.9)
 
 
 RADIUS_M = 2e-3
