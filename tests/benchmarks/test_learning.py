@@ -84,7 +84,7 @@ def test_a_row_says_what_was_observed(pace: str) -> None:
 def test_torch_sees_the_gels_of_the_steps_that_are_over(pace: str) -> None:
     """Images are those rendered afterwards, wrenches those of the nodal forces and of the pairs of
     bodies; of environments whose step goes on there is nothing."""
-    chosen = options(observe=BOTH, reset_share=0.0, envs=(4,))
+    chosen = options(observe=BOTH, reset_share=0.0, envs=(4,), iterations=1)
     bench = build_scene("peg", SceneOptions(4, "generated"))
     loop = learning.LearningLoop(bench, chosen, pace)
     loop.run(9)
