@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from taccel_lab.report.html import format_number
@@ -25,8 +25,8 @@ def benchmark_page(document: dict[str, Any]) -> Page:
     beside = dict(flat({k: v for k, v in document.items() if k not in own}))
     return Page(
         title=f"Benchmark {document['suite']}",
-        summary=f"{sentence(document['what'])} {len(rows)} rows in {seconds} s, {state}.",
-        headline="What was measured",
+        summary=f"{sentence(document['what'])} Measured in {seconds} s, {state}.",
+        headline=_headline(rows),
         tables=[
             *(
                 [Table("Figures of the whole", ("figure", "value"), list(beside.items()))]
@@ -37,6 +37,12 @@ def benchmark_page(document: dict[str, Any]) -> Page:
             Table("Machine", ("figure", "value"), list(flat(document["run"])), folded=True),
         ],
     )
+
+
+def _headline(rows: Sequence[Mapping[str, Any]]) -> str:
+    """How many goals were met, where there are any."""
+    met = [row["met"] for row in rows if "met" in row]
+    return f"{sum(map(bool, met))} of {len(met)} goals met" if met else f"{len(rows)} rows"
 
 
 def _tables(rows: list[dict[str, Any]]) -> Iterator[Table]:

@@ -48,10 +48,10 @@ class TouchMotion:
         there = np.zeros((count, 6))
         there[:, 0] = self.depth_mm * np.minimum(np.arange(1, count + 1) / down, 1.0)
         side = np.arange(1, count - down + 1) / max(count - down, 1)
-        way = math.radians(self.direction_deg)
+        direction_rad = math.radians(self.direction_deg)
         along, across = (
-            np.array([math.cos(way), math.sin(way)]),
-            np.array([-math.sin(way), math.cos(way)]),
+            np.array([math.cos(direction_rad), math.sin(direction_rad)]),
+            np.array([-math.sin(direction_rad), math.cos(direction_rad)]),
         )
         there[down:, 1:3] = side[:, None] * self.shear_mm * along
         there[down:, 3:5] = side[:, None] * self.roll_deg * across

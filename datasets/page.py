@@ -35,10 +35,10 @@ def dataset_page(data: Dataset, touches: int = 12) -> Page:
     folders = ", ".join(folder.root.name for folder in data.folders)
     return Page(
         title=str(about["name"]),
-        summary=f"{counts['touches']:,} touches, {counts['steps']:,} steps: {counts['train']:,} to "
-        f"train, {counts['test']:,} to test; {counts['done']:,} whole, {counts['stopped']:,} "
-        f"stopped early, {counts['failed']:,} failed. Sensors: {sensors}. Folders: {folders}.",
-        headline="What is in it",
+        summary=f"{counts['train']:,} touches to train, {counts['test']:,} to test; "
+        f"{counts['done']:,} whole, {counts['stopped']:,} stopped early, {counts['failed']:,} "
+        f"failed. Sensors: {sensors}. Folders: {folders}.",
+        headline=f"{counts['touches']:,} touches, {counts['steps']:,} steps",
         tables=(
             Table("Labels", ("figure", "value"), _figures(data)),
             Table("Sensors, objects and motions", _GROUP_COLUMNS, _groups(data)),

@@ -80,8 +80,8 @@ class GraspLiftLearning(LearningTask):
         self._base_pose = built.base
         self._rest_m = built.rest_height_m
         self._goal_m, self._hold_steps = 1e-3 * goal.lift_mm, goal.hold_s / dt - 1e-6
-        ways = [1e-3 * speed for speed in learning.speed_mm_s]
-        self._per_step = dt * np.array([*ways, np.radians(learning.turn_deg_s)])
+        speeds = [1e-3 * speed for speed in learning.speed_mm_s]
+        self._per_step = dt * np.array([*speeds, np.radians(learning.turn_deg_s)])
         reach = [1e-3 * reach for reach in learning.reach_mm]
         self._reach = np.array([*reach, np.radians(learning.reach_deg)])
 

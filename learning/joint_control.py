@@ -86,10 +86,10 @@ class JointControl:
         """Move the environments of ``who`` by actions in [-1, 1], [env, dof]."""
         if self._actions == "target":
             wanted = self._low + (self._high - self._low) * (action + 1) / 2
-            way = torch.minimum(torch.maximum(wanted - self.q, -self._step), self._step)
+            change = torch.minimum(torch.maximum(wanted - self.q, -self._step), self._step)
         else:
-            way = self._step * action
-        moved = torch.minimum(torch.maximum(self.q + way, self._low), self._high)
+            change = self._step * action
+        moved = torch.minimum(torch.maximum(self.q + change, self._low), self._high)
         self.q = torch.where(who[:, None], moved, self.q)
 
     def poses(self) -> torch.Tensor:

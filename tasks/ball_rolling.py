@@ -121,7 +121,7 @@ class BallRolling(TaskEpisode):
         self._top = pose[0, 2] + radius
         self._down = np.zeros(count)
         """How far the gel has come down [m]."""
-        self._way = np.zeros(count)
+        self._travel = np.zeros(count)
         """How far it has gone along its way [m]."""
         super().__init__(
             parameters,
@@ -142,7 +142,7 @@ class BallRolling(TaskEpisode):
     def _targets(self) -> np.ndarray:
         length = np.linalg.norm(self._goal, axis=1, keepdims=True)
         pose = np.zeros((len(self._goal), 1, 7))
-        pose[:, 0, :2] = self._goal / np.maximum(length, 1e-12) * self._way[:, None]
+        pose[:, 0, :2] = self._goal / np.maximum(length, 1e-12) * self._travel[:, None]
         pose[:, 0, 2] = self._top + 1e-3 * self.parameters.policy.gap_mm - self._down
         pose[:, 0, 3] = 1.0  # Face down: half a turn about x.
         return pose
@@ -153,8 +153,8 @@ class BallRolling(TaskEpisode):
         pressed = self._down >= last - 1e-12
         self._down = np.minimum(self._down + 1e-3 * policy.press_mm_s * dt, last)
         end = 2 * np.linalg.norm(self._goal, axis=1)
-        farther = np.minimum(self._way + 1e-3 * policy.roll_mm_s * dt, end)
-        self._way = np.where(pressed, farther, self._way)
+        farther = np.minimum(self._travel + 1e-3 * policy.roll_mm_s * dt, end)
+        self._travel = np.where(pressed, farther, self._travel)
         return Control(target_poses=self._targets())
 
     def measure(self) -> None:
@@ -181,7 +181,7 @@ class BallRolling(TaskEpisode):
         }
         figures = {name: float(value) for name, value in found.items()}
         end = 2 * length
-        if self._way[env] < end - 1e-12:
+        if self._travel[env] < end - 1e-12:
             return "the gel had not gone its way", figures
         if not figures["distance_mm"] <= self.parameters.goal.distance_mm:
             return f"stopped {figures['distance_mm']:.2f} mm from the goal", figures

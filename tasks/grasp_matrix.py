@@ -148,7 +148,7 @@ class GraspMatrix(TaskEpisode):
             affine_bodies=free_body(parameters.body, mesh, "object", poses),
             planes=Plane(friction_coefficient=parameters.plane_friction),
         )
-        self._ways = np.zeros((count, len(self.hand.lengths_m)))
+        self._travels = np.zeros((count, len(self.hand.lengths_m)))
         """Of the fingers [m], [env, finger]."""
         self._raised = np.zeros(count)
         config = contact_config(parameters.contact)
@@ -156,22 +156,22 @@ class GraspMatrix(TaskEpisode):
         rest = self.affine_frame()[0][:, 2]
         shape = (count, len(self.hand.gels))
         self._record = LiftRecord(parameters.goal, parameters.dt_s, rest, shape)
-        self._touched = np.zeros_like(self._ways, dtype=bool)
-        self._stays = np.zeros_like(self._ways, dtype=bool)
+        self._touched = np.zeros_like(self._travels, dtype=bool)
+        self._stays = np.zeros_like(self._travels, dtype=bool)
         self._grip_steps = round(policy.grip_s / parameters.dt_s)
 
     def _targets(self) -> np.ndarray:
-        base = np.tile(self._base, (len(self._ways), 1))
+        base = np.tile(self._base, (len(self._travels), 1))
         base[:, 2] += self._raised
-        links = self.hand.robot.targets(self.hand.coordinates(self._ways))
+        links = self.hand.robot.targets(self.hand.coordinates(self._travels))
         return pose_of(matrix_of(base)[:, None] @ matrix_of(links))
 
     def control(self) -> Control:
         policy, dt = self.parameters.policy, self.parameters.dt_s
         speed = np.where(self._touched, policy.close_mm_s, policy.reach_mm_s)
-        closer = np.minimum(self._ways + 1e-3 * speed * dt, self.hand.lengths_m)
+        closer = np.minimum(self._travels + 1e-3 * speed * dt, self.hand.lengths_m)
         gripping = self._record.gripping
-        self._ways = np.where(gripping[:, None] | self._stays, self._ways, closer)
+        self._travels = np.where(gripping[:, None] | self._stays, self._travels, closer)
         higher = np.minimum(self._raised + 1e-3 * policy.lift_mm_s * dt, 1e-3 * policy.lift_mm)
         self._raised = np.where(gripping, higher, self._raised)
         return Control(target_poses=self._targets())
@@ -190,7 +190,7 @@ class GraspMatrix(TaskEpisode):
             own = forces[:, self.hand.finger_of == i]
             self._touched[:, i] |= (own > 0).any(axis=1)
             self._stays[:, i] = (own >= policy.grip_n).all(axis=1) | (by(links) > 0).any(axis=1)
-        ended = (self._stays | (self._ways >= self.hand.lengths_m - 1e-12)).all(axis=1)
+        ended = (self._stays | (self._travels >= self.hand.lengths_m - 1e-12)).all(axis=1)
         ended |= (forces >= policy.most_n).any(axis=1) | (self.taken >= self._grip_steps)
         begins = self.running & ~record.gripping & ended
         record.look(self.running, begins, self.affine_frame()[0], self._raised)

@@ -111,7 +111,7 @@ class HandWithGels:
         """Names of the bodies of each finger's links."""
         self._hand = hand
         self._paths = [self._path(finger) for finger in hand.fingers]
-        self.lengths_m = np.array([ways[-1] for _, ways, _ in self._paths])
+        self.lengths_m = np.array([travels[-1] for _, travels, _ in self._paths])
         """Way of each finger's first gel from open to closed [m], [finger]."""
 
     def _path(self, finger: Finger) -> tuple[list[int], np.ndarray, np.ndarray]:
@@ -137,12 +137,12 @@ class HandWithGels:
         steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
         return columns, np.concatenate([[0.0], np.cumsum(steps)]), sampled
 
-    def coordinates(self, ways_m: np.ndarray) -> np.ndarray:
+    def coordinates(self, travels_m: np.ndarray) -> np.ndarray:
         """Coordinates of the robot, [env, dof], for the ways of its fingers [m], [env, finger]."""
-        q = np.tile(self.robot.rest_q, (len(ways_m), 1))
-        for i, (columns, ways, sampled) in enumerate(self._paths):
+        q = np.tile(self.robot.rest_q, (len(travels_m), 1))
+        for i, (columns, travels, sampled) in enumerate(self._paths):
             for column, values in zip(columns, sampled.T, strict=True):
-                q[:, column] = np.interp(ways_m[:, i], ways, values)
+                q[:, column] = np.interp(travels_m[:, i], travels, values)
         return q
 
     def base(self, height_m: float) -> np.ndarray:

@@ -284,8 +284,8 @@ class TacMan(TaskEpisode):
         if self.taken <= self.gripped_at:
             self._gripped[run] = self._now[run]
             self._grip_frame, self._grip_hand = frames, self._hands.copy()
-            way = np.abs(self._gripped[..., 0] - self._untouched[..., 0])
-            deep = 1e-3 * (policy.gap_mm + policy.squeeze_mm) - way
+            moved_m = np.abs(self._gripped[..., 0] - self._untouched[..., 0])
+            deep = 1e-3 * (policy.gap_mm + policy.squeeze_mm) - moved_m
             self._watched = deep > 1e-3 * policy.deep_mm
             if self.taken == self.gripped_at:
                 self._give_up(run & (self._watched.sum(axis=1) < FEWEST_MARKERS), "the grip failed")

@@ -142,7 +142,7 @@ class ThrowCatch(TaskEpisode):
         hands[:, 2, 3] = self._height
         return pose_of(mounts_of(hands, self._touch + self._gap))
 
-    def _way_of_opening_s(self) -> float:
+    def _opening_s(self) -> float:
         policy = self.parameters.policy
         return 1e-3 * (policy.open_mm + policy.squeeze_mm) / policy.open_m_s
 
@@ -150,7 +150,7 @@ class ThrowCatch(TaskEpisode):
         """From the opening of the hand until the body, thrown as was meant, is back in it."""
         policy = self.parameters.policy
         speed = policy.throw_m_s
-        stops = speed * self._way_of_opening_s() + speed**2 / (2 * policy.brake_m_s2)
+        stops = speed * self._opening_s() + speed**2 / (2 * policy.brake_m_s2)
         return (speed + np.sqrt(max(speed**2 - 2 * G * stops, 0.0))) / G
 
     def control(self) -> Control:
@@ -162,12 +162,12 @@ class ThrowCatch(TaskEpisode):
             faster = np.minimum(start + policy.throw_m_s2 * dt, self._throw)
             since = np.where(thrown, now - self._opened, 0.0)
             slower = np.maximum(start - policy.brake_m_s2 * dt, 0.0)
-            braking = thrown & (since >= self._way_of_opening_s() - 1e-9)
+            braking = thrown & (since >= self._opening_s() - 1e-9)
             self._speed = np.where(braking, slower, np.where(thrown, start, faster))
         self._height = self._height + dt * (start + self._speed) / 2
         step = policy.open_m_s * dt
         wide = np.minimum(self._gap + step, 1e-3 * policy.open_mm)
-        expected = self._back_s() - self._way_of_opening_s() + self._late
+        expected = self._back_s() - self._opening_s() + self._late
         self._closing |= thrown & (now - self._opened >= expected)
         gripped = np.full_like(self._gap, -1e-3 * policy.squeeze_mm)
         tighter = np.where(self._caught, self._gap, np.maximum(self._gap - step, gripped))

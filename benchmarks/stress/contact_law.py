@@ -87,7 +87,7 @@ def friction_forces(
     normals = frozen.normals.numpy()[listed]
     limits = frozen.mu_lambdas.numpy()[listed]
     moved = motion.moved_m[nodes]
-    u = np.einsum("pi,pij->pj", weights, moved) - frozen.ways_in.numpy()[listed]
+    u = np.einsum("pi,pij->pj", weights, moved) - frozen.normal_motions.numpy()[listed]
     u += _turned(nodes[:, 0], normals, motion, model)
     u -= np.einsum("pj,pj->p", u, normals)[:, None] * normals
     size = np.linalg.norm(u, axis=1)

@@ -228,8 +228,8 @@ class Referees:
         scale = sum(abs(value) for value in parts.values()) + weight
         slack = ENERGY_SLACK * scale
         # What the residual that is allowed may do along the way.
-        way = np.linalg.norm(taken.now.positions[env] - taken.before.positions[env])
-        slack += self.balance.allowance(_contact_force(taken, env)) * float(way)
+        moved_m = np.linalg.norm(taken.now.positions[env] - taken.before.positions[env])
+        slack += self.balance.allowance(_contact_force(taken, env)) * float(moved_m)
         if now - before <= slack:
             return []
         says = f"rose by {now - before:.3g} J of {scale:.3g} J"

@@ -155,16 +155,16 @@ def with_slivers(mesh: TetMesh, left: float, share: float, seed: int) -> TetMesh
     for node in np.flatnonzero(fixed.sum(axis=1) <= 1):
         if random.uniform() > share:
             continue
-        way = np.where(fixed[node], 0.0, random.normal(size=3))
-        way /= np.linalg.norm(way)
+        direction = np.where(fixed[node], 0.0, random.normal(size=3))
+        direction /= np.linalg.norm(direction)
         star = tets[(tets == node).any(axis=1)]
         here, moved = nodes.copy(), nodes.copy()
-        moved[node] += way * np.linalg.norm(high - low)
+        moved[node] += direction * np.linalg.norm(high - low)
         before, beyond = _volumes(here[star]), _volumes(moved[star])
         shrinking = beyond < before
         furthest = (before[shrinking] / (before - beyond)[shrinking]).min()
         goal = here.copy()
-        goal[node] += (1 - left) * furthest * way * np.linalg.norm(high - low)
+        goal[node] += (1 - left) * furthest * direction * np.linalg.norm(high - low)
         # Tets that are flat for the checks of a scene would only test those.
         if (
             6 * _volumes(goal[star]).min()

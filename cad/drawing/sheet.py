@@ -157,8 +157,8 @@ class DrawingSheet:
         width = max(0.62 * TEXT_MM * len(line) for line in words.split("\n"))
         shelf = (elbow[0] + side * (width + 1), elbow[1])
         self.line([point, elbow, shelf], THIN / 1.5, color=_DIM)
-        way = np.array(point) - np.array(elbow)
-        self._arrow(np.array(point), way / np.linalg.norm(way))
+        arrow = np.array(point) - np.array(elbow)
+        self._arrow(np.array(point), arrow / np.linalg.norm(arrow))
         middle = (elbow[0] + side * (width + 1) / 2, elbow[1] + 0.8)
         self.text(middle, words, align="center", color=_DIM, vertical="bottom")
 

@@ -97,14 +97,14 @@ def _by_color(value: str, table: Sequence[FaceInfo]) -> set[int]:
 
 
 def _by_plane(value: str, table: Sequence[FaceInfo]) -> set[int]:
-    way = direction(value)
+    axis = direction(value)
     flat = [
-        info for info in table if info.kind == "plane" and np.dot(info.normal, way) > _SAME_NORMAL
+        info for info in table if info.kind == "plane" and np.dot(info.normal, axis) > _SAME_NORMAL
     ]
     if not flat:
         return set()
-    farthest = max(float(np.dot(info.center_mm, way)) for info in flat)
-    return {i.index for i in flat if np.dot(i.center_mm, way) > farthest - _SAME_PLANE_MM}
+    farthest = max(float(np.dot(info.center_mm, axis)) for info in flat)
+    return {i.index for i in flat if np.dot(i.center_mm, axis) > farthest - _SAME_PLANE_MM}
 
 
 def _by_normal(value: str, table: Sequence[FaceInfo]) -> set[int]:
@@ -113,9 +113,9 @@ def _by_normal(value: str, table: Sequence[FaceInfo]) -> set[int]:
         angle = float(limit) if at else DEFAULT_ANGLE_DEG
     except ValueError as error:
         raise InputError(f"normal:{value} needs degrees after @, such as normal:+z@45") from error
-    way = direction(words)
+    axis = direction(words)
     cosine = np.cos(np.radians(angle))
-    return {info.index for info in table if np.dot(info.normal, way) >= cosine - 1e-9}
+    return {info.index for info in table if np.dot(info.normal, axis) >= cosine - 1e-9}
 
 
 def _by_index(value: str, table: Sequence[FaceInfo]) -> set[int]:

@@ -35,17 +35,17 @@ def least_thickness(vertices: np.ndarray, triangles: np.ndarray) -> tuple[float,
     return float(best), where
 
 
-def _first_hit(start: np.ndarray, way: np.ndarray, corners: np.ndarray) -> float:
+def _first_hit(start: np.ndarray, direction: np.ndarray, corners: np.ndarray) -> float:
     """Distance along a ray to the nearest of some triangles (Moeller and Trumbore, 1997)."""
     edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    p = np.cross(way, edge2)
+    p = np.cross(direction, edge2)
     determinant = (edge1 * p).sum(axis=1)
     good = np.abs(determinant) > 1e-300
     inverse = np.where(good, 1 / np.where(good, determinant, 1), 0)
     offset = start - corners[:, 0]
     u = (offset * p).sum(axis=1) * inverse
     q = np.cross(offset, edge1)
-    v = (q @ way) * inverse
+    v = (q @ direction) * inverse
     t = (edge2 * q).sum(axis=1) * inverse
     hit = good & (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9) & (t > -1e-9)
     return float(t[hit].min(initial=np.inf))

@@ -205,9 +205,9 @@ def _bought_parts_room(
         solid = camera_part(spare_mm=spare).solid
         board = [size + 2 * spare for size in BOARD_MM[:2]]
         corner = Plane((-board[0] / 2, -board[1] / 2, 0))
-        way = Solid.make_box(board[0], board[1], 4 * shape.size_mm[2], corner)
+        entry = Solid.make_box(board[0], board[1], 4 * shape.size_mm[2], corner)
         behind = Location((0, 0, -LENS_LENGTH_MM - 4 * shape.size_mm[2]))
-        rooms.append(camera_location(camera) * (solid + behind * way).solids()[0])
+        rooms.append(camera_location(camera) * (solid + behind * entry).solids()[0])
     return rooms
 
 

@@ -111,8 +111,8 @@ def _fit_chunk(
     ellipse = _inside_ellipse(p, uv)
     seen = np.minimum((ellipse & own).sum(axis=1) / np.maximum(area, 1.0), 1.0)
     p[:, :2] += origin
-    way = np.linalg.norm(p[:, :2] - start[which, :2], axis=1)
-    return p, covariance, seen, settled & (way <= model.mean_radius(start[which]))
+    moved_px = np.linalg.norm(p[:, :2] - start[which, :2], axis=1)
+    return p, covariance, seen, settled & (moved_px <= model.mean_radius(start[which]))
 
 
 @dataclass(frozen=True)

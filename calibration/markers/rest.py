@@ -167,8 +167,8 @@ def _frame_count(group: Sequence[_Candidate]) -> int:
 def _apart(a: MarkerPicture, b: MarkerPicture) -> float:
     """Median way from the dots of one picture to the nearest of the other, in pitches."""
     pitch = _pitch_px(a)
-    way = np.linalg.norm(a.dots.uv_px[:, None] - b.dots.uv_px[None], axis=2).min(axis=1)
-    return float(np.median(way)) / pitch if pitch else float("inf")
+    gaps_px = np.linalg.norm(a.dots.uv_px[:, None] - b.dots.uv_px[None], axis=2).min(axis=1)
+    return float(np.median(gaps_px)) / pitch if pitch else float("inf")
 
 
 def unevenness(picture: MarkerPicture) -> tuple[float, int]:

@@ -101,24 +101,26 @@ class _Run:
     def __init__(self, first: int, picture: np.ndarray) -> None:
         self.stretch = Stretch(first, first)
         self._anchor = picture
-        self._ways = [np.zeros((_BLOCKS[0] * _BLOCKS[1], 2), dtype=np.float32)]
+        self._motions = [np.zeros((_BLOCKS[0] * _BLOCKS[1], 2), dtype=np.float32)]
 
     def goes_on(self, before: np.ndarray, picture: np.ndarray, limit: float) -> bool:
         """Whether the next picture shows the same as the first one and as the last one; takes it
         in where it does."""
         if picture.shape != before.shape or _largest(_block_motion(before, picture)) > limit:
             return False
-        way = _block_motion(self._anchor, picture)
-        if _largest(way) > limit:
+        motion = _block_motion(self._anchor, picture)
+        if _largest(motion) > limit:
             return False
-        self._ways.append(way)
+        self._motions.append(motion)
         self.stretch = Stretch(self.stretch.first, self.stretch.last + 1)
         return True
 
     def steady(self, limit: float) -> bool:
         """Whether its end lies where its beginning does: a slow motion is no rest."""
-        third = max(1, len(self._ways) // 3)
-        start, end = (np.mean(part, axis=0) for part in (self._ways[:third], self._ways[-third:]))
+        third = max(1, len(self._motions) // 3)
+        start, end = (
+            np.mean(part, axis=0) for part in (self._motions[:third], self._motions[-third:])
+        )
         return _largest(end - start) <= _STEADY * limit
 
 
@@ -147,8 +149,8 @@ def _block_motion(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     strength = xx + yy
     bare = (strength <= _BARE * np.median(strength)) | (determinant <= 1e-6 * strength**2)
     safe = np.where(bare, 1.0, determinant)
-    way = np.stack([xy * yt - yy * xt, xy * xt - xx * yt], axis=1) / safe[:, None]
-    return np.where(bare[:, None], np.nan, way).astype(np.float32)
+    motion = np.stack([xy * yt - yy * xt, xy * xt - xx * yt], axis=1) / safe[:, None]
+    return np.where(bare[:, None], np.nan, motion).astype(np.float32)
 
 
 def _by_block(values: np.ndarray) -> np.ndarray:
@@ -161,8 +163,8 @@ def _by_block(values: np.ndarray) -> np.ndarray:
     return np.add.reduceat(sums, columns, axis=1).ravel()
 
 
-def _largest(way: np.ndarray) -> float:
+def _largest(motion: np.ndarray) -> float:
     """Largest motion of all blocks but the stray ones [px]; infinite where no block says any."""
-    length = np.sort(np.linalg.norm(way, axis=1))
+    length = np.sort(np.linalg.norm(motion, axis=1))
     length = length[np.isfinite(length)]
     return float(length[-1 - _STRAY_BLOCKS]) if len(length) > _STRAY_BLOCKS else float("inf")

@@ -217,8 +217,8 @@ class MarkerTracker:
         usual = self.dots.contrast[wanted]
         good = again.placed & (again.seen > 0.4)
         good &= again.contrast / usual > 0.35
-        way = np.hypot(*(again.uv_px - guess[wanted]).T)
-        good &= way < _AGAIN * self.around.pitch_px
+        moved_px = np.hypot(*(again.uv_px - guess[wanted]).T)
+        good &= moved_px < _AGAIN * self.around.pitch_px
         grown = np.log(again.radius_px / model.mean_radius(start))
         good &= np.abs(grown) < np.log(1.5)
         if seen.any():

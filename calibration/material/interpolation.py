@@ -66,7 +66,7 @@ class ForceResponse(NamedTuple):
     value: np.ndarray
     by_first: np.ndarray
     by_second: np.ndarray
-    by_way: np.ndarray
+    by_travel: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -75,33 +75,33 @@ class ResponseTable:
 
     first: ParameterAxis
     second: ParameterAxis
-    way: np.ndarray
+    travel: np.ndarray
     """Rising, shape [knot]."""
     coefficients: np.ndarray
     """Of Chebyshev polynomials, shape [first, second, ..., knot]."""
 
     @classmethod
     def through(
-        cls, first: ParameterAxis, second: ParameterAxis, way: np.ndarray, values: np.ndarray
+        cls, first: ParameterAxis, second: ParameterAxis, travel: np.ndarray, values: np.ndarray
     ) -> ResponseTable:
         """The table through values at the nodes, shape [first, second, ..., knot]."""
         one, two = (
             np.linalg.inv(chebvander([axis.place(v)[0] for v in axis.nodes(count)], count - 1))
             for axis, count in zip((first, second), values.shape[:2], strict=True)
         )
-        return cls(first, second, way, np.einsum("im,jn,mn...->ij...", one, two, values))
+        return cls(first, second, travel, np.einsum("im,jn,mn...->ij...", one, two, values))
 
     def __post_init__(self) -> None:
-        spline = CubicSpline(self.way, self.coefficients, axis=-1)
+        spline = CubicSpline(self.travel, self.coefficients, axis=-1)
         object.__setattr__(self, "_spline", spline)
         object.__setattr__(self, "_slope", spline.derivative())
 
-    def at(self, first: float, second: float, way: np.ndarray) -> ForceResponse:
+    def at(self, first: float, second: float, travel: np.ndarray) -> ForceResponse:
         """Responses and derivatives, shape [..., point]; past the ends of the way those there."""
-        x = np.clip(way, self.way[0], self.way[-1])
+        x = np.clip(travel, self.travel[0], self.travel[-1])
         c = self._spline(x)  # type: ignore[attr-defined]
         along = self._slope(x)  # type: ignore[attr-defined]
-        along[..., x != way] = 0.0
+        along[..., x != travel] = 0.0
         rows, columns, *shape = c.shape
         z, by_first = self.first.place(first)
         one, one_slope = chebyshev_basis(z, rows)
@@ -111,8 +111,8 @@ class ResponseTable:
                           np.outer(one, by_second * two_slope)])  # fmt: skip
         terms = terms.reshape(3, -1)
         found = (terms @ c.reshape(rows * columns, -1)).reshape(3, *shape)
-        by_way = (terms[0] @ along.reshape(rows * columns, -1)).reshape(shape)
-        return ForceResponse(found[0], found[1], found[2], by_way)
+        by_travel = (terms[0] @ along.reshape(rows * columns, -1)).reshape(shape)
+        return ForceResponse(found[0], found[1], found[2], by_travel)
 
 
 def chebyshev_nodes(count: int) -> np.ndarray:

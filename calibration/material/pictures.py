@@ -126,10 +126,10 @@ def draw_slide(fit: SlideFit) -> Figure:
     figure, axis = new_figure(7.5, 3.4)
     for i, stroke in enumerate(fit.strokes):
         colour = _COLOURS[i % len(_COLOURS)]
-        way = "forth" if stroke.direction > 0 else "back"
+        sense = "forth" if stroke.direction > 0 else "back"
         axis.plot(
             stroke.travel_mm, stroke.tangential_n / stroke.normal_n, ".", ms=3, color=colour,
-            label=f"stroke {i + 1}, {way}",
+            label=f"stroke {i + 1}, {sense}",
         )  # fmt: skip
         if stroke.slides.any():
             line = (fit.predicted_n(stroke) / stroke.normal_n)[stroke.slides]

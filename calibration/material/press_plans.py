@@ -81,16 +81,16 @@ class GelBench:
         what: str,
         gel: Gel,
         friction: float,
-        way: Mapping[str, Any],
+        motion: Mapping[str, Any],
         stops: Sequence[Stop],
         read: Callable[[GelPresses, Sequence[CurvePlan]], np.ndarray],
         arrays: Callable[[np.ndarray], dict[str, np.ndarray]],
         must_reach: int = 0,
     ) -> CurvePlan:
         """A press of ``gel``, which differs from that of the bench in its law at most; its key is
-        made of gel, tool, physics and the ``way`` that the tool goes."""
+        made of gel, tool, physics and the ``motion`` of the tool."""
         return CurvePlan(
-            self.recipe(what, gel, way),
+            self.recipe(what, gel, motion),
             gel.material.poisson_ratio,
             gel.material.mooney_ratio,
             friction,
@@ -100,7 +100,7 @@ class GelBench:
             must_reach,
         )
 
-    def recipe(self, what: str, gel: Gel, way: Mapping[str, Any]) -> dict[str, Any]:
+    def recipe(self, what: str, gel: Gel, motion: Mapping[str, Any]) -> dict[str, Any]:
         """All that a press of ``gel`` here depends on."""
         return {
             "version": RECIPE_VERSION,
@@ -111,7 +111,7 @@ class GelBench:
             "nu": gel.material.poisson_ratio,
             "ratio": gel.material.mooney_ratio,
             "physics": gel.physics.record(),
-            **way,
+            **motion,
         }
 
     def presses(self, plans: Sequence[CurvePlan]) -> GelPresses:

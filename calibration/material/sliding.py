@@ -154,11 +154,11 @@ def _strokes(shift: np.ndarray, normal: np.ndarray, tangential: np.ndarray) -> l
     turns.append(len(shift) - 1)
     strokes = []
     for a, b in pairwise(turns):
-        way = float(shift[b] - shift[a])
-        if b - a + 1 < MIN_STROKE or way == 0:
+        stroke_mm = float(shift[b] - shift[a])
+        if b - a + 1 < MIN_STROKE or stroke_mm == 0:
             continue
         rows = slice(a, b + 1)
-        sign = 1 if way > 0 else -1
+        sign = 1 if stroke_mm > 0 else -1
         travel = np.maximum.accumulate(sign * (shift[rows] - shift[a]))
         ratio = tangential[rows] / normal[rows]
         length, climbing = _break(travel, ratio)

@@ -50,11 +50,11 @@ def stiffness_a(evidence: Evidence) -> Fitted:
     from scipy.stats import t
 
     _, depth, force = _curve(evidence)
-    way = depth**1.5
-    a = float(way @ force / (way @ way))
-    rest = force - a * way
+    basis = depth**1.5
+    a = float(basis @ force / (basis @ basis))
+    rest = force - a * basis
     dof = len(depth) - 1
-    sigma = math.sqrt(float(rest @ rest) / dof / float(way @ way))
+    sigma = math.sqrt(float(rest @ rest) / dof / float(basis @ basis))
     return Fitted(a, float(t.ppf(0.975, dof)) * sigma)
 
 
@@ -81,8 +81,8 @@ def _saturation(evidence: Evidence) -> tuple[float, float]:
     record, depth, force = _curve(evidence)
     power = _law(record)
     first = max(int(np.searchsorted(depth, depth[-1] / 3 * (1 + 1e-9), side="right")), 1)
-    way = depth[:first] ** power
-    a = float(way @ force[:first] / (way @ way))
+    basis = depth[:first] ** power
+    a = float(basis @ force[:first] / (basis @ basis))
     ratio = np.log(force / (a * depth**power))
     beyond = np.flatnonzero(ratio >= math.log(LEFT))
     if not len(beyond) or beyond[0] == 0:

@@ -16,16 +16,16 @@ from taccel_lab.studies.evidence import Evidence
 from taccel_lab.studies.metrics.base import NoFigure, metric
 
 
-def lost_part(way: np.ndarray, force: np.ndarray) -> float:
-    """Loss of a loop that goes from ``way[0]`` to its farthest point and back, [step] each.
+def lost_part(travel: np.ndarray, force: np.ndarray) -> float:
+    """Loss of a loop that goes from ``travel[0]`` to its farthest point and back, [step] each.
 
     Raises NoFigure when the loop takes no work or does not come back.
     """
-    turn = int(np.argmax(np.abs(way - way[0])))
-    if turn in (0, len(way) - 1):
+    turn = int(np.argmax(np.abs(travel - travel[0])))
+    if turn in (0, len(travel) - 1):
         raise NoFigure("the press does not go back, so that there is no loop")
-    work_in = float(np.trapezoid(force[: turn + 1], way[: turn + 1]))
-    work_out = -float(np.trapezoid(force[turn:], way[turn:]))
+    work_in = float(np.trapezoid(force[: turn + 1], travel[: turn + 1]))
+    work_out = -float(np.trapezoid(force[turn:], travel[turn:]))
     if not work_in > 0:
         raise NoFigure("the loop takes no work")
     return (work_in - work_out) / work_in

@@ -14,7 +14,7 @@ from taccel_lab.signals.force_model import (
 )
 from taccel_lab.signals.force_network import (
     area_matrix,
-    color_ways,
+    color_directions,
 )
 from taccel_lab.signals.force_settings import (
     LEVELS,
@@ -178,8 +178,8 @@ def _graph(model: ForceModel) -> Any:
         found.append(graph.add("Div", distance, graph.constant(limit)))
     # Colours, as ``color_reach``.
     mean = graph.add("AveragePool", levels, kernel_shape=[3, 3])
-    ways = graph.constant(color_ways()[:, :, None, None])
-    reach = graph.add("ReduceMax", graph.add("Conv", mean, ways), axes=[2, 3], keepdims=0)
+    directions = graph.constant(color_directions()[:, :, None, None])
+    reach = graph.add("ReduceMax", graph.add("Conv", mean, directions), axes=[2, 3], keepdims=0)
     most = weights["colors.most"] * np.float32(config.distance_limits[2])
     reach = graph.add("Div", reach, graph.constant(most))
     found.append(graph.add("ReduceMax", reach, axes=[1], keepdims=1))

@@ -11,9 +11,9 @@ LARGEST_GROWTH = 2.2
 one press of a ball."""
 
 
-def _needed(first: float, way: float) -> int:
-    """How many elements that grow by ``LARGEST_GROWTH`` from ``first`` on fill ``way``."""
-    filled = 1 + max(way, 0.0) * (LARGEST_GROWTH - 1) / first
+def _needed(first: float, length: float) -> int:
+    """How many elements that grow by ``LARGEST_GROWTH`` from ``first`` on fill ``length``."""
+    filled = 1 + max(length, 0.0) * (LARGEST_GROWTH - 1) / first
     return math.ceil(math.log(filled) / math.log(LARGEST_GROWTH) - 1e-9)
 
 

@@ -314,12 +314,12 @@ class _Sweep:
             nodes = self.frame_nodes[self.frame_ids == tool]
             arms = x[:, nodes] - self.record.poses[k + 1, :, tool, None, :3]
             for axis, unit in enumerate(np.eye(3)):
-                for sums, way in (
+                for sums, by_nodes in (
                     (self.shifts, np.broadcast_to(unit, arms.shape)),
                     (self.turns, np.cross(unit, arms)),
                 ):
                     moves = np.zeros_like(x)
-                    moves[:, nodes] = way
+                    moves[:, nodes] = by_nodes
                     pull = tangent.pull_of(moves)
                     sums[k + 1, :, tool, axis] -= np.einsum("erx,erx->e", mine, pull)
 

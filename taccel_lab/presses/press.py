@@ -243,8 +243,8 @@ class PressEnv:
         deep, aside = np.maximum(self.depth_m, 0.0), self._shear_m
         report = self._step(self.checked_depth_m(depth_mm), shear_m, np.radians(twist_deg), stay)
         done = report.converged & (True if stay is None else ~stay)
-        way = np.hypot(self.depth_m - deep, np.linalg.norm(shear_m - aside, axis=1))
-        self._step_m = np.where(done, way, self._step_m)
+        length_m = np.hypot(self.depth_m - deep, np.linalg.norm(shear_m - aside, axis=1))
+        self._step_m = np.where(done, length_m, self._step_m)
         self._shear_m = np.where(done[:, None], shear_m, aside)
         return report
 

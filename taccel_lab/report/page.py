@@ -130,7 +130,7 @@ def page_html(page: Page, images: Mapping[str, str]) -> str:
             verdict=page.verdict,
             to_do=to_do,
             others=others,
-            tables=[table.shown() for table in page.tables],
+            tables=[table.shown() for table in page.tables if table.rows],
             images=images,
         )
     )

@@ -128,7 +128,7 @@ def _gather_slip_kernel(
     env = chosen_env(envs, row)
     node = node_idx[i]
     total = limits[env, node]
-    way = total * slips[env, node]
+    slipped = total * slips[env, node]
     limited = wp.float64(0.0)
     if slipping[env, node]:
         limited = total
@@ -138,14 +138,14 @@ def _gather_slip_kernel(
             middle = middles.nodes[k]
             weight = limits[env, middle]
             total += weight
-            way += weight * slips[env, middle]
+            slipped += weight * slips[env, middle]
             if slipping[env, middle]:
                 limited += weight
     slip[row, i] = wp.vec3f()
     at_limit[row, i] = 0.0
     known[row, i] = 0.0
     if total > wp.float64(0.0):
-        slip[row, i] = _into_gel(frames, env, way / total)
+        slip[row, i] = _into_gel(frames, env, slipped / total)
         at_limit[row, i] = float(limited / total)
         known[row, i] = 1.0
 
@@ -223,7 +223,7 @@ def _slip_pixels_kernel(
     share = wp.float32(0.0)
     total = wp.float32(0.0)
     limited = wp.float32(0.0)
-    way = wp.vec3f()
+    slipped = wp.vec3f()
     if face >= 0:
         w = _weights(env, v, u, face, points, faces, grid)
         for k in range(3):
@@ -232,13 +232,13 @@ def _slip_pixels_kernel(
             share += w[k] * touched[env, node]
             total += weight
             limited += weight * at_limit[env, node]
-            way += weight * slip[env, node]
+            slipped += weight * slip[env, node]
     if share < 0.5 or total <= 0.0:
-        way = wp.vec3f()
+        slipped = wp.vec3f()
         limited = 0.0
         total = 1.0
     if slip_m:
-        slip_m[env, v, u] = way / total
+        slip_m[env, v, u] = slipped / total
     if slipping:
         slipping[env, v, u] = limited >= 0.5 * total
 

@@ -151,10 +151,10 @@ def _paint_kernel(
     ab = b - a
     ac = c - a
     stretch = wp.mat22d(ab[0], ac[0], ab[1], ac[1]) * at_rest[gel, dot]
-    way = wp.vec2d(wp.float64(u), wp.float64(v)) - middle
+    offset = wp.vec2d(wp.float64(u), wp.float64(v)) - middle
     if wp.determinant(stretch) > _LEAST_AREA:
-        way = wp.inverse(stretch) * way
-    place = centers[dot] + way
+        offset = wp.inverse(stretch) * offset
+    place = centers[dot] + offset
     share = _light(shares, dot, place[0], place[1])
     if share[0] == 1.0 and share[1] == 1.0 and share[2] == 1.0:
         # Corners of squares lie in those of other dots, which are painted at the same time.

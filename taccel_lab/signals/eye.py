@@ -63,38 +63,40 @@ class Eye:
 @wp.struct
 class _Ray:
     point: wp.vec3d
-    way: wp.vec3d
+    direction: wp.vec3d
 
 
 @wp.func
-def _into_gel(eye: Eye, way: wp.vec3d) -> _Ray:
+def _into_gel(eye: Eye, direction: wp.vec3d) -> _Ray:
     """The sight line that leaves the camera along a unit direction, in the gel."""
     ray = _Ray()
     ray.point = eye.position
-    ray.way = way
+    ray.direction = direction
     for k in range(eye.interfaces):
         normal = wp.vec3d(wp.float64(0.0), wp.float64(0.0), wp.float64(1.0))
-        reach = (eye.places[k] - ray.point[2]) / ray.way[2]
+        reach = (eye.places[k] - ray.point[2]) / ray.direction[2]
         if eye.dome != 0:
             off = ray.point - eye.centre
-            along = wp.dot(off, ray.way)
+            along = wp.dot(off, ray.direction)
             reach = wp.sqrt(along * along - wp.dot(off, off) + eye.places[k] * eye.places[k])
             reach = reach - along
-        ray.point = ray.point + reach * ray.way
+        ray.point = ray.point + reach * ray.direction
         if eye.dome != 0:
             normal = (ray.point - eye.centre) / eye.places[k]
         ratio = eye.indices[k] / eye.indices[k + 1]
-        cosine = wp.dot(ray.way, normal)
+        cosine = wp.dot(ray.direction, normal)
         beyond = wp.sqrt(wp.float64(1.0) - ratio * ratio * (wp.float64(1.0) - cosine * cosine))
-        ray.way = ratio * ray.way + (beyond - ratio * cosine) * normal
+        ray.direction = ratio * ray.direction + (beyond - ratio * cosine) * normal
     return ray
 
 
 @wp.func
-def _miss(eye: Eye, way: wp.vec3d, point: wp.vec3d, first: wp.vec3d, second: wp.vec3d) -> wp.vec2d:
+def _miss(
+    eye: Eye, direction: wp.vec3d, point: wp.vec3d, first: wp.vec3d, second: wp.vec3d
+) -> wp.vec2d:
     """By how much a sight line passes a point, along two directions [mm]."""
-    ray = _into_gel(eye, wp.normalize(way))
-    away = ray.point + wp.dot(point - ray.point, ray.way) * ray.way - point
+    ray = _into_gel(eye, wp.normalize(direction))
+    away = ray.point + wp.dot(point - ray.point, ray.direction) * ray.direction - point
     return wp.vec2d(wp.dot(away, first), wp.dot(away, second))
 
 
@@ -109,24 +111,24 @@ def _sight(eye: Eye, point: wp.vec3d) -> wp.vec3d:
         helper = wp.vec3d(wp.float64(0.0), wp.float64(1.0), wp.float64(0.0))
     first = wp.normalize(wp.cross(direct, helper))
     second = wp.cross(direct, first)
-    way = direct
-    miss = _miss(eye, way, point, first, second)
+    direction = direct
+    miss = _miss(eye, direction, point, first, second)
     for _ in range(_SHOTS):
-        a = (_miss(eye, way + _STEP * first, point, first, second) - miss) / _STEP
-        b = (_miss(eye, way + _STEP * second, point, first, second) - miss) / _STEP
+        a = (_miss(eye, direction + _STEP * first, point, first, second) - miss) / _STEP
+        b = (_miss(eye, direction + _STEP * second, point, first, second) - miss) / _STEP
         det = a[0] * b[1] - a[1] * b[0]
-        way = way - (b[1] * miss[0] - b[0] * miss[1]) / det * first
-        way = way - (a[0] * miss[1] - a[1] * miss[0]) / det * second
-        miss = _miss(eye, way, point, first, second)
+        direction = direction - (b[1] * miss[0] - b[0] * miss[1]) / det * first
+        direction = direction - (a[0] * miss[1] - a[1] * miss[0]) / det * second
+        miss = _miss(eye, direction, point, first, second)
     if not (wp.length(miss) < _MISSED_MM):
-        way = wp.vec3d(wp.float64(wp.nan), wp.float64(wp.nan), wp.float64(wp.nan))
-    return way
+        direction = wp.vec3d(wp.float64(wp.nan), wp.float64(wp.nan), wp.float64(wp.nan))
+    return direction
 
 
 @wp.func
-def _through_lens(eye: Eye, way: wp.vec3d) -> wp.vec2d:
+def _through_lens(eye: Eye, direction: wp.vec3d) -> wp.vec2d:
     """Pixel of a direction in the gel's axes; see ``CameraModel``."""
-    d = eye.camera_from_gel * way
+    d = eye.camera_from_gel * direction
     k = eye.lens
     one = wp.float64(1.0)
     two = wp.float64(2.0)

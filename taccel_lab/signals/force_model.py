@@ -30,7 +30,7 @@ import numpy as np
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.force_network import (
-    color_ways,
+    color_directions,
     distances,
     expected_shapes,
     forward,
@@ -125,7 +125,7 @@ class ForceModel:
             name: np.array(value, dtype=np.float32, order="C") for name, value in weights.items()
         }
         # Older blocks have no limit of colours.
-        self.weights.setdefault("colors.most", np.ones(len(color_ways()), np.float32))
+        self.weights.setdefault("colors.most", np.ones(len(color_directions()), np.float32))
         expected = expected_shapes(config)
         found = {name: value.shape for name, value in self.weights.items()}
         if found != expected:

@@ -69,12 +69,12 @@ def marker_planes(
     """
     known = np.isfinite(rest_px).all(axis=1) & np.isfinite(moved_px).all(axis=1)
     at = grid.gel_from_pixel(np.asarray(rest_px, dtype=np.float64)[known])
-    way = np.asarray(moved_px, dtype=np.float64)[known]
-    way = way * [grid.mm_per_px_x, grid.mm_per_px_y] / MARKER_UNIT_MM
+    displacement = np.asarray(moved_px, dtype=np.float64)[known]
+    displacement = displacement * [grid.mm_per_px_x, grid.mm_per_px_y] / MARKER_UNIT_MM
     away = patch_centers_mm(config, grid)[:, :, None] - at[None, None]
     weight = np.exp(-0.5 * (away**2).sum(axis=-1) / config.marker_reach_mm**2)
     total = weight.sum(axis=-1)
-    mean = np.einsum("rcm,mx->xrc", weight, way) / (total + 0.1)
+    mean = np.einsum("rcm,mx->xrc", weight, displacement) / (total + 0.1)
     return np.concatenate([mean, (total / (total + 1.0))[None]]).astype(np.float32)
 
 
@@ -116,12 +116,14 @@ def mahalanobis(
     return white.square().mean(dim=1).sqrt()
 
 
-def color_ways() -> np.ndarray:
+def color_directions() -> np.ndarray:
     """Changes of colour that ``color_reach`` goes along: single channels, sums and differences of
     two and of three, unit vectors of RGB, float32, [26, 3]."""
-    ways = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    ways = ways[np.abs(ways).sum(axis=1) > 0]
-    return (ways / np.linalg.norm(ways, axis=1, keepdims=True)).astype(np.float32)
+    directions = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
+    directions = directions[np.abs(directions).sum(axis=1) > 0]
+    return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
 
 
 def color_reach(levels: torch.Tensor) -> torch.Tensor:
@@ -131,8 +133,11 @@ def color_reach(levels: torch.Tensor) -> torch.Tensor:
     from torch.nn import functional
 
     mean = functional.avg_pool2d(levels, 3, stride=1)
-    ways = torch.from_numpy(color_ways()).to(mean.device, mean.dtype)
-    return torch.stack([(mean * way[:, None, None]).sum(dim=1).amax(dim=(1, 2)) for way in ways], 1)
+    directions = torch.from_numpy(color_directions()).to(mean.device, mean.dtype)
+    return torch.stack(
+        [(mean * direction[:, None, None]).sum(dim=1).amax(dim=(1, 2)) for direction in directions],
+        1,
+    )
 
 
 def distances(
@@ -181,7 +186,7 @@ def expected_shapes(config: ForceModelConfig) -> dict[str, tuple[int, ...]]:
     for name, count in (("features", config.hidden), ("statistics", STATISTICS)):
         shapes[f"{name}.mean"] = (count,)
         shapes[f"{name}.whiten"] = (count, count)
-    shapes["colors.most"] = (len(color_ways()),)
+    shapes["colors.most"] = (len(color_directions()),)
     return shapes
 
 

@@ -126,7 +126,7 @@ def array_library(array: Any) -> Any:
 
 def _least(xp: Any, moved: Callable[[Any], Any], open_m: Any, p: Any, iterations: int) -> Any:
     """Pressures not below zero of the least 1/2 p.Kp + p.open, by projected conjugate gradients."""
-    way = xp.zeros_like(p)
+    direction = xp.zeros_like(p)
     before = xp.ones_like(p[:, :1, :1])
     keep = none = xp.zeros_like(before)
     whole = xp.ones_like(before)
@@ -135,10 +135,10 @@ def _least(xp: Any, moved: Callable[[Any], Any], open_m: Any, p: Any, iterations
         carries = p > 0
         slope = xp.where(carries, gap, 0.0)
         size = _total(slope * slope)
-        way = xp.where(carries, slope + keep * (size / before) * way, 0.0)
+        direction = xp.where(carries, slope + keep * (size / before) * direction, 0.0)
         before = xp.clip(size, min=_TINY)
-        step = _total(slope * way) / xp.clip(_total(moved(way) * way), min=_TINY)
-        p = xp.clip(p - step * way, min=0)
+        step = _total(slope * direction) / xp.clip(_total(moved(direction) * direction), min=_TINY)
+        p = xp.clip(p - step * direction, min=0)
         # What overlaps without a pressure begins to carry; directions are conjugate no more then.
         joins = (p == 0) & (gap < 0)
         p = xp.where(joins, -step * gap, p)

@@ -74,11 +74,11 @@ def _range_kernel(
 
 @wp.func
 def _place(
-    entry: wp.vec3f, way: wp.vec3f, t: float, px_per_m: wp.vec2f, center: wp.vec2f
+    entry: wp.vec3f, direction: wp.vec3f, t: float, px_per_m: wp.vec2f, center: wp.vec2f
 ) -> wp.vec2f:
     return wp.vec2f(
-        (entry[0] + t * way[0]) * px_per_m[0] + center[0],
-        (entry[1] + t * way[1]) * px_per_m[1] + center[1],
+        (entry[0] + t * direction[0]) * px_per_m[0] + center[0],
+        (entry[1] + t * direction[1]) * px_per_m[1] + center[1],
     )
 
 
@@ -104,20 +104,24 @@ def _room(
     samples: wp.array3d(dtype=wp.vec3f),
     row: int,
     entry: wp.vec3f,
-    way: wp.vec3f,
+    direction: wp.vec3f,
     t: float,
     px_per_m: wp.vec2f,
     center: wp.vec2f,
 ) -> float:
     """Height of the face over a sight line [m], negative beyond it; NaN beside the face."""
-    return _height(samples, row, _place(entry, way, t, px_per_m, center)) - entry[2] - t * way[2]
+    return (
+        _height(samples, row, _place(entry, direction, t, px_per_m, center))
+        - entry[2]
+        - t * direction[2]
+    )
 
 
 @wp.kernel
 def _meet_kernel(
     samples: wp.array3d(dtype=wp.vec3f),
     entries: wp.array2d(dtype=wp.vec3f),
-    ways: wp.array2d(dtype=wp.vec3f),
+    directions: wp.array2d(dtype=wp.vec3f),
     lowest: wp.array(dtype=wp.float32),
     highest: wp.array(dtype=wp.float32),
     px_per_m: wp.vec2f,
@@ -129,22 +133,22 @@ def _meet_kernel(
     row, v, u = wp.tid()
     places[row, v, u] = wp.vec2f(wp.nan, wp.nan)
     entry = entries[v, u]
-    way = ways[v, u]
-    if not (way[2] > 0.0):
+    direction = directions[v, u]
+    if not (direction[2] > 0.0):
         return
-    first = wp.max((lowest[row] - _MARGIN_M - entry[2]) / way[2], 0.0)
-    last = (highest[row] + _MARGIN_M - entry[2]) / way[2]
+    first = wp.max((lowest[row] - _MARGIN_M - entry[2]) / direction[2], 0.0)
+    last = (highest[row] + _MARGIN_M - entry[2]) / direction[2]
     if not (last > first):
         return
-    a = _place(entry, way, first, px_per_m, center)
-    b = _place(entry, way, last, px_per_m, center)
+    a = _place(entry, direction, first, px_per_m, center)
+    b = _place(entry, direction, last, px_per_m, center)
     steps = wp.min(int(wp.ceil(wp.length(b - a))) + 1, _MOST_STEPS)
     low = wp.float32(first)
     # Above 0 while the line is in the gel.
     room = wp.float32(0.0)
     for k in range(steps + 1):
         t = first + (last - first) * float(k) / float(steps)
-        now = _room(samples, row, entry, way, t, px_per_m, center)
+        now = _room(samples, row, entry, direction, t, px_per_m, center)
         if room > 0.0 and not (now > 0.0):
             # Through the face in this step, or out at its rim: shorter steps tell.
             part = (t - low) / float(_PARTS)
@@ -152,7 +156,7 @@ def _meet_kernel(
                 part = t - low
             high = low + part
             while high <= t + 0.5 * part:
-                met = _room(samples, row, entry, way, high, px_per_m, center)
+                met = _room(samples, row, entry, direction, high, px_per_m, center)
                 if wp.isnan(met):
                     high = 2.0 * t + part
                 elif met > 0.0:
@@ -164,18 +168,20 @@ def _meet_kernel(
                         # False position, kept off the ends, which a step of the face would hold.
                         share = wp.clamp(room / (room - met), 0.05, 0.95)
                         middle = low + share * (high - low)
-                        found = _room(samples, row, entry, way, middle, px_per_m, center)
+                        found = _room(samples, row, entry, direction, middle, px_per_m, center)
                         if found > 0.0:
                             low = middle
                             room = found
                         else:
                             high = middle
                             met = found
-                    places[row, v, u] = _place(entry, way, 0.5 * (low + high), px_per_m, center)
+                    places[row, v, u] = _place(
+                        entry, direction, 0.5 * (low + high), px_per_m, center
+                    )
                     if room - met > 0.0 and met > -_STEEP_M:
                         share = room / (room - met)
                         places[row, v, u] = _place(
-                            entry, way, low + share * (high - low), px_per_m, center
+                            entry, direction, low + share * (high - low), px_per_m, center
                         )
                     return
             now = wp.float32(-1.0)
@@ -246,12 +252,12 @@ class Looking:
             rows: Most environments of one call.
             device: Warp device.
         """
-        entry, way = camera.sight_lines()
-        lost = ~np.isfinite(way).all(axis=-1)
-        entry[lost], way[lost] = 0.0, 0.0
+        entry, direction = camera.sight_lines()
+        lost = ~np.isfinite(direction).all(axis=-1)
+        entry[lost], direction[lost] = 0.0, 0.0
         self._lines = [
             wp.array(values.astype(np.float32), dtype=wp.vec3f, device=device)
-            for values in (1e-3 * entry, way)
+            for values in (1e-3 * entry, direction)
         ]
         self._map = [
             wp.vec2f(1e3 / face.mm_per_px_x, 1e3 / face.mm_per_px_y),

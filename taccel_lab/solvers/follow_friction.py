@@ -65,16 +65,18 @@ def follow_friction(run: StepLaunches) -> None:
     derivative."""
     s, p = run.s, run.p
     assert s.friction is not None and s.corrected is not None
-    friction, corrected, way = s.friction, s.corrected, s.displacements
+    friction, corrected, displacements = s.friction, s.corrected, s.displacements
     follows = p.following.follows
     copy_rows(follows, run.state.positions, s.follow_start)
 
     def change(mask: wp.array) -> None:
-        spread_solution(run.model, mask, s.linear.solution, way)
+        spread_solution(run.model, mask, s.linear.solution, displacements)
         zero_rows(mask, s.friction_change)
         sharpness = p.curvature.sharpness
-        add_friction_change(friction, mask, run.motion(), sharpness, way, s.friction_change)
+        add_friction_change(
+            friction, mask, run.motion(), sharpness, displacements, s.friction_change
+        )
         reduce_gradient(run.model, mask, [s.friction_change], corrected.changes)
 
     corrected.solve(follows, change, s.config.max_cg_iterations, p.counts.cg)
-    spread_solution(run.model, follows, s.linear.solution, way)
+    spread_solution(run.model, follows, s.linear.solution, displacements)

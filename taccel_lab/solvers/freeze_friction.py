@@ -117,8 +117,8 @@ def _retreat_kernel(
     if env == 0 and node == 0:
         flags.retreating[0] = 0
     if phases.phase[env] == RETREATING:
-        way = trial[env, node] - start[env, node]
-        positions[env, node] = start[env, node] + following.share[env] * way
+        displacement = trial[env, node] - start[env, node]
+        positions[env, node] = start[env, node] + following.share[env] * displacement
 
 
 def refreeze_friction(run: StepLaunches) -> None:

@@ -17,7 +17,7 @@ wp.set_module_options({"enable_backward": False})
 @wp.kernel
 def _choose_kernel(
     mask: wp.array(dtype=wp.int32),
-    ways: wp.array(dtype=wp.float64),
+    travels: wp.array(dtype=wp.float64),
     gap_limit: wp.float64,
     counts: Counts,  # out
     clearance: Clearance,  # out
@@ -31,7 +31,7 @@ def _choose_kernel(
         return
     clearance.limit[env] = wp.float64(1.0)
     gap = wp.min(balance.min_distance[env], gap_limit)
-    if not (wp.float64(2.0) * ways[env] < gap):
+    if not (wp.float64(2.0) * travels[env] < gap):
         clearance.near[env] = 1
         counts.ccd_passes[env] += 1
 
@@ -47,7 +47,9 @@ def limit_step(
     the positions. ``beside``: what else may be launched meanwhile."""
     s, p = run.s, run.p
     gap_limit = s.shortest_range_m if gaps_known else 0.0
-    run.decide(_choose_kernel, mask, s.pairs.ways, gap_limit, p.counts, p.clearance, p.balance)
-    x, way = run.state.positions, s.displacements
-    checks = limit_checks(run.model, p.clearance.near, s.candidates, x, way, p.clearance.limit)
+    run.decide(_choose_kernel, mask, s.pairs.travels, gap_limit, p.counts, p.clearance, p.balance)
+    x, displacements = run.state.positions, s.displacements
+    checks = limit_checks(
+        run.model, p.clearance.near, s.candidates, x, displacements, p.clearance.limit
+    )
     run.together([*checks, *beside])

@@ -204,13 +204,13 @@ def start_step(run: StepLaunches) -> None:
 def plan_start(run: StepLaunches) -> None:
     """The way to the start, in ``displacements``; ``inner`` are those that have one."""
     s, p, state = run.s, run.p, run.state
-    model, way = run.model, s.displacements
+    model, displacements = run.model, s.displacements
     run.decide(_choose_momentum_kernel, p.roster, p.phases, p.prescribed, p.flags)
     if model.kinematic:
         path = (state.poses, s.end_poses)
-        s.frame_nodes.aim(p.phases.fresh, p.phases.inner, path, state.positions, way)
-        keep_steady(model, p.phases.inner, s.dts, state.velocities, way, _LARGEST_CHANGE)
-    coast(model, p.phases.inner, s.dts, state.velocities, way)
+        s.frame_nodes.aim(p.phases.fresh, p.phases.inner, path, state.positions, displacements)
+        keep_steady(model, p.phases.inner, s.dts, state.velocities, displacements, _LARGEST_CHANGE)
+    coast(model, p.phases.inner, s.dts, state.velocities, displacements)
     if s.affine is not None and s.inertia is not None:
         copy_rows(p.phases.fresh, state.positions, s.trial)
         forces, inertial = p.balance.body_forces, s.inertia.predictions
@@ -218,7 +218,7 @@ def plan_start(run: StepLaunches) -> None:
         predict_affine(model, p.phases.fresh, inertial, s.trial, turn, forces)
         run.decide(_choose_flight_kernel, turn, _SMALL_TURN_SQ, p.phases, p.flags)
         wp.capture_if(p.flags.any_flight, on_true=lambda: _fly(run))
-    embed_vertices(model, way)
+    embed_vertices(model, displacements)
 
 
 def _fly(run: StepLaunches) -> None:

@@ -20,8 +20,8 @@ from taccel_lab.signals import resultant_wrench
 from taccel_lab.signals.force_model import ForceModel
 from taccel_lab.signals.force_network import (
     area_matrix,
+    color_directions,
     color_reach,
-    color_ways,
     expected_shapes,
     marker_planes,
     moment_of,
@@ -135,10 +135,10 @@ def test_colours_reach_as_far_as_their_farthest_place() -> None:
     levels = torch.zeros(1, 3, 12, 10)
     levels[0, :, 4:7, 2:5] = torch.tensor([30.0, -40.0, 0.0])[:, None, None]
     reach = color_reach(levels)[0].numpy()
-    ways = color_ways()
-    assert len(ways) == 26
+    directions = color_directions()
+    assert len(directions) == 26
     # Nothing changes beside it: ways against the change reach 0.
-    np.testing.assert_allclose(reach, np.maximum(ways @ [30.0, -40.0, 0.0], 0.0), atol=1e-4)
+    np.testing.assert_allclose(reach, np.maximum(directions @ [30.0, -40.0, 0.0], 0.0), atol=1e-4)
 
 
 def test_blocks_without_the_newer_limits_are_read() -> None:

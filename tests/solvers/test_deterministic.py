@@ -135,7 +135,13 @@ def disorder(patch: pytest.MonkeyPatch, seed: int) -> None:
 
     def of_friction(self: FrictionPotential) -> list[wp.array]:
         frozen = self.frozen
-        return [frozen.stencils, frozen.weights, frozen.normals, frozen.mu_lambdas, frozen.ways_in]
+        return [
+            frozen.stencils,
+            frozen.weights,
+            frozen.normals,
+            frozen.mu_lambdas,
+            frozen.normal_motions,
+        ]
 
     patch.setattr(Candidates, "search", shuffled_search)
     patch.setattr(Branches, "run", shuffled_branches)

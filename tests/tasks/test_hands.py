@@ -35,9 +35,9 @@ def made(name: str) -> HandWithGels:
     return HandWithGels(parameters().hands[name], parameters().gel)
 
 
-def gel_frames(hand: HandWithGels, name: str, ways_m: np.ndarray) -> np.ndarray:
+def gel_frames(hand: HandWithGels, name: str, travels_m: np.ndarray) -> np.ndarray:
     """Frames of the gels with the middle of the hand at the origin, [n, gel, 4, 4]."""
-    links = matrix_of(hand.robot.targets(hand.coordinates(ways_m)))[:, : len(hand.gels)]
+    links = matrix_of(hand.robot.targets(hand.coordinates(travels_m)))[:, : len(hand.gels)]
     base = hand.base(0.5)
     base[2] -= 0.5
     return matrix_of(base[None])[0] @ links
@@ -52,20 +52,20 @@ def test_gels_go_inwards_and_look_there(name: str) -> None:
     # Opposed along y in the Panda hand, along x in the others; Allegro's lanes lie beside each
     # other, so that what counts is the way of closing.
     closing = places[-1] - places[0]
-    ways = closing / np.linalg.norm(closing, axis=1, keepdims=True)
+    travels = closing / np.linalg.norm(closing, axis=1, keepdims=True)
     assert np.linalg.norm(closing, axis=1).min() > 0.025
-    assert np.abs(ways[:, 2]).max() < 0.25
-    assert (np.einsum("ngi,gi->ng", normals, ways) > 0.9).all()
+    assert np.abs(travels[:, 2]).max() < 0.25
+    assert (np.einsum("ngi,gi->ng", normals, travels) > 0.9).all()
     # Ways of all gels cancel: what they push does not go anywhere.
-    assert (ways @ ways.T).min() < -0.45
-    assert (places[0] * ways).sum(axis=1).max() < -0.03
+    assert (travels @ travels.T).min() < -0.45
+    assert (places[0] * travels).sum(axis=1).max() < -0.03
 
 
 @pytest.mark.parametrize("name", HANDS)
 def test_a_way_is_that_of_the_gel(name: str) -> None:
     hand = made(name)
-    ways = np.linspace(0, 1, 400)[:, None] * hand.lengths_m
-    places = gel_frames(hand, name, ways)[..., :3, 3]
+    travels = np.linspace(0, 1, 400)[:, None] * hand.lengths_m
+    places = gel_frames(hand, name, travels)[..., :3, 3]
     first = [int(np.flatnonzero(hand.finger_of == i)[0]) for i in range(len(hand.lengths_m))]
     gone = np.linalg.norm(np.diff(places[:, first], axis=0), axis=2).sum(axis=0)
     # The seat, whose way it is, lies half a gel behind the gel's frame.

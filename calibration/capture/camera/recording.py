@@ -86,12 +86,12 @@ def _chosen(cameras: Mapping[str, int], wanted: str | None, source: Path) -> tup
     if wanted is None:
         found = list(cameras)
     else:
-        ways = (
+        matches = (
             [name for name in cameras if name == wanted],
             [name for name in cameras if name.endswith((f"/{wanted}", f".{wanted}"))],
             [name for name in cameras if wanted in name],
         )
-        found = next((names for names in ways if names), [])
+        found = next((names for names in matches if names), [])
     if len(found) == 1:
         return found[0], cameras[found[0]]
     several = "it has several" if wanted is None else f"{wanted!r} is the name of several"

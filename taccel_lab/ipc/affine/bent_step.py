@@ -67,7 +67,7 @@ def bent_map(a: wp.mat33d, change: wp.mat33d) -> wp.mat33d:
 
 
 @wp.func
-def bent_way(way: wp.vec3d, twist: wp.vec3d) -> wp.vec3d:
+def bent_displacement(displacement: wp.vec3d, twist: wp.vec3d) -> wp.vec3d:
     """Way of the centre along the screw, V(W) way [m]."""
     angle = wp.max(wp.length(twist), wp.float64(1.0e-12))
     sine = wp.sin(angle) / angle
@@ -76,8 +76,8 @@ def bent_way(way: wp.vec3d, twist: wp.vec3d) -> wp.vec3d:
     third = wp.float64(1.0) / wp.float64(6.0) - angle * angle / wp.float64(120.0)
     if angle > wp.float64(1.0e-2):
         third = (wp.float64(1.0) - sine) / (angle * angle)
-    once = wp.cross(twist, way)
-    return way + cosine * once + third * wp.cross(twist, once)
+    once = wp.cross(twist, displacement)
+    return displacement + cosine * once + third * wp.cross(twist, once)
 
 
 @wp.kernel
@@ -109,10 +109,12 @@ def _pivot_kernel(
 
 
 @wp.func
-def turning_way(way: wp.vec3d, twist: wp.vec3d, pivot: wp.vec3d, has_joint: wp.int32) -> wp.vec3d:
+def turning_displacement(
+    displacement: wp.vec3d, twist: wp.vec3d, pivot: wp.vec3d, has_joint: wp.int32
+) -> wp.vec3d:
     """Part of the centre's way that comes of turning [m]: all of it for a body with joints."""
     if has_joint != 0:
-        return way
+        return displacement
     return wp.cross(pivot, twist)
 
 
@@ -149,9 +151,11 @@ def _measure_kernel(
         # Of the largest part of the step that may be taken.
         part = wp.min(wp.float64(1.0), wp.float64(LARGEST_TURN) / wp.max(turn, wp.float64(1.0e-12)))
         bent = turn * size * lengths[body]
-        way = displacements[env, start]
-        way = turning_way(way, twist_of(change), pivots[env, body], have_joints[body])
-        bent += wp.float64(0.5) * turn * wp.length(way)
+        displacement = displacements[env, start]
+        displacement = turning_displacement(
+            displacement, twist_of(change), pivots[env, body], have_joints[body]
+        )
+        bent += wp.float64(0.5) * turn * wp.length(displacement)
         bent = part * part * bent
         largest = wp.max(largest, turn)
         deviation = wp.max(deviation, bent)
@@ -176,9 +180,9 @@ def bent_controls(
     change = fraction * (body_map(env, start, length, t.displacements) * wp.inverse(a))
     turned = length * bent_map(a, change)
     twist = twist_of(change)
-    way = fraction * t.displacements[env, start]
-    turning = turning_way(way, twist, pivot, has_joint)
-    centre = t.positions[env, start] + (way - turning) + bent_way(turning, twist)
+    displacement = fraction * t.displacements[env, start]
+    turning = turning_displacement(displacement, twist, pivot, has_joint)
+    centre = t.positions[env, start] + (displacement - turning) + bent_displacement(turning, twist)
     return centre, turned
 
 

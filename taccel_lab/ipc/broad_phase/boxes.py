@@ -54,13 +54,13 @@ def include(
     high: wp.vec3d,
     travel: wp.float64,
     x: wp.vec3d,
-    way: wp.vec3d,
+    displacement: wp.vec3d,
     start: BodyFrame,
     end: BodyFrame,
 ):
     """Grow a box by both ends of a node's path, in the body frame, and the longest way between."""
     a = into_frame(start, x)
-    b = into_frame(end, x + way)
+    b = into_frame(end, x + displacement)
     low = wp.min(low, wp.min(a, b))
     high = wp.max(high, wp.max(a, b))
     return low, high, wp.max(travel, wp.length(b - a))

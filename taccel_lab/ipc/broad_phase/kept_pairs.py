@@ -87,7 +87,7 @@ def _stray_kernel(
     largest_skins: wp.array(dtype=wp.float64),
     anchors: wp.array2d(dtype=wp.vec3d),
     covered: wp.array(dtype=wp.float64),
-    ways: wp.array(dtype=wp.float64),
+    travels: wp.array(dtype=wp.float64),
     stale: wp.array(dtype=wp.int32),
     any_stale: wp.array(dtype=wp.int32),
 ):
@@ -99,28 +99,28 @@ def _stray_kernel(
     # Before the barriers below: the first thread writes it after them.
     reached = covered[env]
     big = wp.float64(1.0e30)
-    way_low = wp.vec3d(big, big, big)
-    way_high = -way_low
-    start_low = way_low
-    start_high = way_high
-    end_low = way_low
-    end_high = way_high
+    least = wp.vec3d(big, big, big)
+    most = -least
+    start_low = least
+    start_high = most
+    end_low = least
+    end_high = most
     for i in range(lane, nodes.shape[0], wp.block_dim()):
         node = nodes[i]
-        way = displacements[env, node]
+        displacement = displacements[env, node]
         start = positions[env, node] - anchors[env, node]
-        end = start + way
-        way_low = wp.min(way_low, way)
-        way_high = wp.max(way_high, way)
+        end = start + displacement
+        least = wp.min(least, displacement)
+        most = wp.max(most, displacement)
         start_low = wp.min(start_low, start)
         start_high = wp.max(start_high, start)
         end_low = wp.min(end_low, end)
         end_high = wp.max(end_high, end)
-    apart = block_diagonal(way_low, way_high)
+    apart = block_diagonal(least, most)
     strayed = wp.max(block_diagonal(start_low, start_high), block_diagonal(end_low, end_high))
     fresh = strayed + reaches[env] <= reached
     if lane == 0:
-        ways[env] = apart
+        travels[env] = apart
         stale[env] = 0
     if fresh:
         return
@@ -154,7 +154,7 @@ class KeptPairs:
         self.covered = wp.zeros(count, dtype=wp.float64, device=device)
         """Distance from the ways of the last search up to which all pairs are listed [m]; 0 where
         nothing is sure."""
-        self.ways = wp.zeros(count, dtype=wp.float64, device=device)
+        self.travels = wp.zeros(count, dtype=wp.float64, device=device)
         """Bound of how far two nodes move against each other on the way at hand [m]."""
         self.stale = wp.zeros(count, dtype=wp.int32, device=device)
         """Mask of the environments that the last call searched."""
@@ -185,7 +185,7 @@ class KeptPairs:
             dim=[len(active)],
             inputs=[active, self._nodes, positions, displacements, reaches]
             + [self._least_skin_m, self._largest_skins],
-            outputs=[self._anchors, self.covered, self.ways, self.stale, self._any_stale],
+            outputs=[self._anchors, self.covered, self.travels, self.stale, self._any_stale],
             block_dim=BLOCK_THREADS,
             device=active.device,
         )

@@ -247,8 +247,8 @@ def _search_kernel(
     for k in range(corner_count):
         if k == 0 or nodes[k] != nodes[k - 1]:
             x = positions[env, nodes[k]]
-            way = displacements[env, nodes[k]]
-            low, high, travel = include(low, high, travel, x, way, start, end)
+            displacement = displacements[env, nodes[k]]
+            low, high, travel = include(low, high, travel, x, displacement, start, end)
     margin = widened_margin(margins[env], travel, frames.bends[env, frame])
     box = rounded_out(low, high, margin)
     query = wp.bvh_query_aabb(trees.ids[what, frame], box.lower, box.upper)

@@ -104,7 +104,7 @@ def friction_hessian(
 
 
 @wp.func
-def way_in(
+def normal_motion(
     env: int,
     kind: int,
     nodes: wp.vec4i,

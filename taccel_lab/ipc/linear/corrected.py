@@ -29,12 +29,12 @@ TOLERANCE = 0.05
 class Combination:
     """What a combination is made of, by environment.
 
-    ways, answers: solutions, and how they change the residual, made orthonormal; shape
+    directions, answers: solutions, and how they change the residual, made orthonormal; shape
     [env_count, MOST_SOLVES, free_count]. taken: the best combination [env_count, free_count].
     counts: solutions so far. loads: squares of the right-hand sides.
     """
 
-    ways: wp.array3d(dtype=wp.vec3d)
+    directions: wp.array3d(dtype=wp.vec3d)
     answers: wp.array3d(dtype=wp.vec3d)
     taken: wp.array2d(dtype=wp.vec3d)
     counts: wp.array(dtype=wp.int32)
@@ -82,7 +82,7 @@ def _combine_kernel(
     for i in range(lane, rows, wp.block_dim()):
         r = residuals[env, i]
         before += wp.dot(r, r)
-        c.ways[env, last, i] = solutions[env, i]
+        c.directions[env, last, i] = solutions[env, i]
         c.answers[env, last, i] = r + changes[env, i]
         if last == 0:
             c.taken[env, i] = wp.vec3d()
@@ -94,7 +94,9 @@ def _combine_kernel(
         share = block_total(shared)
         for i in range(lane, rows, wp.block_dim()):
             c.answers[env, last, i] = c.answers[env, last, i] - share * c.answers[env, k, i]
-            c.ways[env, last, i] = c.ways[env, last, i] - share * c.ways[env, k, i]
+            c.directions[env, last, i] = (
+                c.directions[env, last, i] - share * c.directions[env, k, i]
+            )
     square = wp.float64(0.0)
     along = wp.float64(0.0)
     for i in range(lane, rows, wp.block_dim()):
@@ -109,11 +111,11 @@ def _combine_kernel(
         scale = wp.float64(1.0) / wp.sqrt(size_sq)
         part = reach * scale
         for i in range(lane, rows, wp.block_dim()):
-            way = scale * c.ways[env, last, i]
+            direction = scale * c.directions[env, last, i]
             answer = scale * c.answers[env, last, i]
-            c.ways[env, last, i] = way
+            c.directions[env, last, i] = direction
             c.answers[env, last, i] = answer
-            c.taken[env, i] = c.taken[env, i] + part * way
+            c.taken[env, i] = c.taken[env, i] + part * direction
             residuals[env, i] = residuals[env, i] - part * answer
     if lane == 0:
         if last == 0:
@@ -150,8 +152,8 @@ class CorrectedSolve:
         self._solving = wp.zeros(count, dtype=wp.int32, device=device)
         self._going = wp.zeros(1, dtype=wp.int32, device=device)
         c = self._combination = Combination()
-        c.ways = wp.zeros((count, MOST_SOLVES, rows), dtype=wp.vec3d, device=device)
-        c.answers = wp.zeros_like(c.ways)
+        c.directions = wp.zeros((count, MOST_SOLVES, rows), dtype=wp.vec3d, device=device)
+        c.answers = wp.zeros_like(c.directions)
         c.taken = wp.zeros(linear.shape, dtype=wp.vec3d, device=device)
         c.counts = wp.zeros(count, dtype=wp.int32, device=device)
         c.loads = wp.zeros(count, dtype=wp.float64, device=device)

@@ -79,10 +79,10 @@ def _aim_nodes_kernel(
     pose = frame_pose(env, frame, lane, m)
     for i in range(m.node_starts[frame] + lane, m.node_starts[frame + 1], m.lanes):
         node = m.nodes[i]
-        way = wp.vec3d()
+        displacement = wp.vec3d()
         if moving[env] != 0:
-            way = carried(env, node, pose, m) - positions[env, node]
-        displacements[env, node] = way
+            displacement = carried(env, node, pose, m) - positions[env, node]
+        displacements[env, node] = displacement
 
 
 @wp.kernel

@@ -46,16 +46,16 @@ def _steady_kernel(
     if mask[env] == 0:
         return
     change = wp.float64(0.0)
-    way = wp.float64(0.0)
+    travel = wp.float64(0.0)
     for i in range(lane, frame_nodes.shape[0], wp.block_dim()):
         node = frame_nodes[i]
         goes = displacements[env, node]
         went = dts[env] * velocities[env, node]
         change += wp.length_sq(goes - went)
-        way += wp.length_sq(goes)
+        travel += wp.length_sq(goes)
     changes = block_total(change)
-    ways = block_total(way)
-    if changes > largest_change * largest_change * ways:
+    travels = block_total(travel)
+    if changes > largest_change * largest_change * travels:
         for i in range(lane, frame_nodes.shape[0], wp.block_dim()):
             displacements[env, frame_nodes[i]] = wp.vec3d()
         if lane == 0:
@@ -71,10 +71,10 @@ def _coast_kernel(
     displacements: wp.array2d(dtype=wp.vec3d),
 ):
     env, row = wp.tid()
-    way = wp.vec3d()
+    travel = wp.vec3d()
     if mask[env] != 0:
-        way = dts[env] * velocities[env, free_nodes[row]]
-    displacements[env, free_nodes[row]] = way
+        travel = dts[env] * velocities[env, free_nodes[row]]
+    displacements[env, free_nodes[row]] = travel
 
 
 @wp.kernel

@@ -5,9 +5,9 @@ A step has converged when the forces balance with friction frozen where the step
 friction of a result depends on its own contacts: through their normal force, normal and weights,
 and through the sliding since the start of the step. What is differentiated here is that force,
 
-    f_i = w_i mu lambda(x) f1(|u|) / |u| u,   u = (I - n n^T)(sum_i w_i (x_i - before_i) - way_in),
+    f_i = w_i mu lambda(x) f1(|u|) / |u| u,   u = (I - n n^T)(sum_i w_i (x_i - before_i) - m_n),
 
-in which lambda, w, n and the way in (``contact.friction``) are functions of the positions. Its
+in which lambda, w, n and the normal motion m_n (``contact.friction``) depend on the positions. Its
 derivative is not symmetric: sliding pulls across what pressing stiffens.
 
 Closest points slide by s_a = -(t_a . dr + d n . sum_j c_aj dx_j) along the free tangents of a pair
@@ -123,23 +123,23 @@ def pair_change(kind: int, pair: ClosestPair, x: mat43d, moved: mat43d) -> PairC
     """Change of a pair at the positions ``x`` whose nodes move by ``moved`` [m]."""
     c = PairChange()
     n = pair_normal(pair)
-    way = _combined(pair.weights, moved)
-    c.distance = wp.dot(n, way)
+    relative = _combined(pair.weights, moved)
+    c.distance = wp.dot(n, relative)
     # The normal of a plane stays, whatever the distance is.
     if kind != 4:
         frame = pair_frame(pair, x[0], x[1], x[2], x[3])
         distance = wp.sqrt(pair.distance_sq)
         if pair.free_count > 0:
             t = wp.vec3d(frame.axes[0, 1], frame.axes[1, 1], frame.axes[2, 1])
-            slid = -(wp.dot(t, way) + distance * wp.dot(n, _combined(frame.slide_1, moved)))
+            slid = -(wp.dot(t, relative) + distance * wp.dot(n, _combined(frame.slide_1, moved)))
             c.weights += slid * frame.slide_1
-            way += slid * t
+            relative += slid * t
         if pair.free_count > 1:
             t = wp.vec3d(frame.axes[0, 2], frame.axes[1, 2], frame.axes[2, 2])
-            slid = -(wp.dot(t, way) + distance * wp.dot(n, _combined(frame.slide_2, moved)))
+            slid = -(wp.dot(t, relative) + distance * wp.dot(n, _combined(frame.slide_2, moved)))
             c.weights += slid * frame.slide_2
-            way += slid * t
-        c.normal = tangential(n, way) / distance
+            relative += slid * t
+        c.normal = tangential(n, relative) / distance
     return c
 
 

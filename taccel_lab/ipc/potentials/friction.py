@@ -20,9 +20,9 @@ from taccel_lab.ipc.contact.friction import (
     friction_gradient,
     friction_hessian,
     friction_potential,
+    normal_motion,
     relative_displacement,
     tangential,
-    way_in,
 )
 from taccel_lab.ipc.device.launches import lane_count, launch
 from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end, move_entries
@@ -43,8 +43,9 @@ class FrozenContacts:
 
     room: where those of each environment are: as in the list that they were frozen from.
     stencils: nodes, [capacity] as all below. weights: of the nodes in the relative motion of both
-    sides. normals: unit. mu_lambdas: friction coefficient times normal force [N], signed. ways_in:
-    relative motion since the start of the step that is no sliding [m], see ``contact.friction``.
+    sides. normals: unit. mu_lambdas: friction coefficient times normal force [N], signed.
+    normal_motions: relative motion since the start of the step that is no sliding [m], see
+    ``contact.friction``.
     """
 
     room: ListRoom
@@ -52,7 +53,7 @@ class FrozenContacts:
     weights: wp.array(dtype=wp.vec4d)
     normals: wp.array(dtype=wp.vec3d)
     mu_lambdas: wp.array(dtype=wp.float64)
-    ways_in: wp.array(dtype=wp.vec3d)
+    normal_motions: wp.array(dtype=wp.vec3d)
 
 
 _FROZEN = {
@@ -60,7 +61,7 @@ _FROZEN = {
     "weights": wp.vec4d,
     "normals": wp.vec3d,
     "mu_lambdas": wp.float64,
-    "ways_in": wp.vec3d,
+    "normal_motions": wp.vec3d,
 }
 
 
@@ -119,10 +120,12 @@ def freeze_contact(
     # Signed: a subtracted duplicate takes back what was counted twice. Left out, friction would
     # jump where a second face begins to count, and freezing would never settle.
     frozen.mu_lambdas[at] = mu * force
-    frozen.ways_in[at] = wp.vec3d()
+    frozen.normal_motions[at] = wp.vec3d()
     # Normals of a ball turn too little to matter, and its shear would lean on dhat twice as much.
     if geometry.node_is_ball[nodes[0]] == 0:
-        frozen.ways_in[at] = way_in(env, kind, nodes, pair, positions, previous, geometry)
+        frozen.normal_motions[at] = normal_motion(
+            env, kind, nodes, pair, positions, previous, geometry
+        )
 
 
 @wp.kernel
@@ -162,7 +165,7 @@ def relative_motion(env: int, at: int, frozen: FrozenContacts, motion: StepMotio
         now[env, nodes[2]] - then[env, nodes[2]],
         now[env, nodes[3]] - then[env, nodes[3]],
     )
-    u -= frozen.ways_in[at]
+    u -= frozen.normal_motions[at]
     if motion.node_is_ball[nodes[0]] != 0:
         # A ball is one node: what its surface moves by turning comes on top.
         radius = motion.node_radii[nodes[0]]

@@ -177,7 +177,7 @@ def sliding_change(
     slid = pair.moved + node_difference(env, pair.weights, nodes, motion.positions)
     slid -= node_difference(env, pair.weights, nodes, motion.previous)
     if geometry.node_is_ball[nodes[0]] == 0:
-        came_by = wp.dot(v + frozen.ways_in[at], pair.normal) + wp.dot(slid, n)
+        came_by = wp.dot(v + frozen.normal_motions[at], pair.normal) + wp.dot(slid, n)
         before = closest_pair(env, kind, nodes, motion.previous, geometry)
         slid -= came_by * pair_normal(before)
     return tangential(n, slid) - wp.dot(n, v) * pair.normal - wp.dot(pair.normal, v) * n

@@ -110,13 +110,13 @@ def coefficients_at(stage: wp.uint64, at: int) -> wp.vec3d:
 class StencilRows:
     """Unknowns of a stencil.
 
-    stage: where their rows and coefficients are. count: of them. ways: sum over the prescribed
-    nodes of coefficient k times their motion [m], row k.
+    stage: where their rows and coefficients are. count: of them. prescribed: sum over the
+    prescribed nodes of coefficient k times their motion [m], row k.
     """
 
     stage: wp.uint64
     count: wp.int32
-    ways: wp.mat33d
+    prescribed: wp.mat33d
 
 
 @wp.func
@@ -167,7 +167,7 @@ def stencil_rows(env: int, nodes: wp.vec4i, of_nodes: mat43d, system: NewtonSyst
                     add_coefficients(s.stage, s.count, own)
                     s.count += 1
                 else:
-                    s.ways += wp.outer(own, system.displacements[env, node])
+                    s.prescribed += wp.outer(own, system.displacements[env, node])
     return s
 
 
@@ -209,9 +209,9 @@ def add_pair_hessian(
     one = h.tangent_1
     two = h.tangent_2
     # Of the prescribed nodes, in the axes: their ways by weights, and along n by slides.
-    by_weights = to_axes * s.ways[0]
-    slid_1 = wp.dot(wp.vec3d(h.axes[0, 0], h.axes[1, 0], h.axes[2, 0]), s.ways[1])
-    slid_2 = wp.dot(wp.vec3d(h.axes[0, 0], h.axes[1, 0], h.axes[2, 0]), s.ways[2])
+    by_weights = to_axes * s.prescribed[0]
+    slid_1 = wp.dot(wp.vec3d(h.axes[0, 0], h.axes[1, 0], h.axes[2, 0]), s.prescribed[1])
+    slid_2 = wp.dot(wp.vec3d(h.axes[0, 0], h.axes[1, 0], h.axes[2, 0]), s.prescribed[2])
     pull = wp.vec3d(
         h.normal * by_weights[0],
         one[0] * by_weights[1] + one[1] * slid_1,
@@ -251,7 +251,7 @@ def add_weighted_block(
     for i in range(4):
         of_nodes[i, 0] = weights[i]
     s = stencil_rows(env, nodes, of_nodes, system)
-    pull = core * s.ways[0]
+    pull = core * s.prescribed[0]
     pulled = wp.length_sq(pull) > wp.float64(0.0)
     for k in range(part, s.count * (s.count + 1) / 2, parts):
         i = triangle_row(k)

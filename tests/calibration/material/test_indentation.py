@@ -109,7 +109,7 @@ def test_both_parameters_of_mooney_and_rivlin(
     assert table.error.interpolation < 2e-3
     assert table.nu_range[0] > 1 / 3  # softer volumes do not go with a ratio of 1
     for nu, ratio in ((0.485, 0.7), (0.36, 0.15)):
-        depths = np.exp(table.responses.way[[1]])
+        depths = np.exp(table.responses.travel[[1]])
         force = pressed_n(gel, tool, depths, nu, ratio, COARSER)
         found = table.force_n(depths, 1e6, nu, ratio)
         np.testing.assert_allclose(found, force, rtol=3e-3)
@@ -140,10 +140,10 @@ def test_four_presses_and_one_between_make_a_row_of_a_table(
 
     monkeypatch.setattr("taccel_lab.calibration.material.press_plans.simulate", made_up)
     table = force_table(gel, tool, (0.2, 1.0), friction=friction)
-    count = 5 * len(table.responses.way)
+    count = 5 * len(table.responses.travel)
     assert (table.press_count, table.seconds) == (count, 0.5 * count)
     assert table.error.interpolation < 1e-9
-    depth = np.exp(table.responses.way)
+    depth = np.exp(table.responses.travel)
     assert ((table.error.mesh > 0.004) & (table.error.mesh < 0.05)).all()
     if kind == "sphere":
         assert (np.diff(table.error.mesh) < 0).all() or friction, "dhat counts more when shallow"
