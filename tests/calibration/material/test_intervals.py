@@ -122,12 +122,12 @@ def test_three_points_on_a_line_are_not_taken_for_exact() -> None:
 def test_polynomials_through_the_nodes_come_back(m: int, n: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     true = rng.standard_normal((m, n, 2))
-    axis, way = ParameterAxis(-1.0, 1.0), np.array([0.0, 1.0])
+    axis, travel = ParameterAxis(-1.0, 1.0), np.array([0.0, 1.0])
     values = np.moveaxis(polynomial.polygrid2d(axis.nodes(m), axis.nodes(n), true), 0, -1)
-    table = ResponseTable.through(axis, axis, way, values)
+    table = ResponseTable.through(axis, axis, travel, values)
     for x, y in rng.uniform(-1, 1, (4, 2)):
         expected = polynomial.polyval2d(x, y, true)
-        np.testing.assert_allclose(table.at(x, y, way).value, expected, atol=1e-8)
+        np.testing.assert_allclose(table.at(x, y, travel).value, expected, atol=1e-8)
 
 
 MODULUS_PA, POISSON = 2.4e5, 0.47
@@ -260,7 +260,7 @@ def table() -> ForceTable:
 def rubbed(table: ForceTable) -> ForceTable:
     """As if friction made presses stiffer, the deeper the more."""
     coefficients = table.responses.coefficients.copy()
-    coefficients[0, 0] += 0.15 * np.exp(table.responses.way) / np.exp(table.responses.way)[-1]
+    coefficients[0, 0] += 0.15 * np.exp(table.responses.travel) / np.exp(table.responses.travel)[-1]
     responses = replace(table.responses, coefficients=coefficients)
     return replace(table, responses=responses, error=TableError(0.0, np.zeros(1)))
 
