@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,7 +21,6 @@ from taccel_lab.cad import parameters, parts
 from taccel_lab.cad.mesh.mesh_pad import SurfacePad
 from taccel_lab.cad.mesh.quality import MeshQuality
 from taccel_lab.cad.parts.pad import Pad
-from taccel_lab.errors import InputError
 from taccel_lab.files.file_cache import CachedFile, as_array, from_array, load_arrays, save_arrays
 from taccel_lab.geometry import TetMesh
 
@@ -40,15 +38,7 @@ def kept_mesh(pad: Pad, make: Callable[[Pad], SoundMesh]) -> SoundMesh:
     if isinstance(pad, SurfacePad) or not type(pad).__module__.startswith("taccel_lab.cad."):
         return make(pad)
     file = CachedFile("meshes", _recipe(pad), _load, _save)
-    found = None
-    # A mesh can be made without a cache.
-    with suppress(InputError):
-        found = file.read()
-    if found is None:
-        found = make(pad)
-        with suppress(InputError):
-            file.write(found)
-    return found
+    return file.read_or_make(lambda: make(pad), optional=True)
 
 
 def _recipe(pad: Pad) -> dict[str, Any]:

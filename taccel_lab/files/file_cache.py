@@ -13,6 +13,7 @@ import io
 import json
 import warnings
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Generic, TypeVar
@@ -78,12 +79,17 @@ class CachedFile(Generic[Result]):
         data = content.getvalue()
         _write(self.what, self.path, _HEAD + hashlib.sha256(data).digest() + data)
 
-    def read_or_make(self, make: Callable[[], Result]) -> Result:
-        """What is kept, or else ``make()``, which is then kept."""
-        found = self.read()
+    def read_or_make(self, make: Callable[[], Result], *, optional: bool = False) -> Result:
+        """What is kept, or else ``make()``, which is then kept; where it is ``optional``, without
+        an error for a cache folder that cannot be used."""
+        tolerated = (InputError,) if optional else ()
+        found = None
+        with suppress(*tolerated):
+            found = self.read()
         if found is None:
             found = make()
-            self.write(found)
+            with suppress(*tolerated):
+                self.write(found)
         return found
 
 

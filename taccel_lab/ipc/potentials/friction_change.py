@@ -48,6 +48,7 @@ from taccel_lab.ipc.potentials.friction import (
     FrozenContacts,
     StepMotion,
     relative_motion,
+    sliding,
 )
 from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS
 
@@ -217,7 +218,7 @@ def _friction_change_kernel(
             env, at, now, pair.approach, lists, geometry, x, displacements
         )
         du = sliding_change(env, at, kind, pair, geometry, frozen, motion)
-        u = tangential(n, relative_motion(env, at, frozen, motion))
+        u = sliding(env, at, frozen, motion)
         size = wp.length(u)
         across = friction_f1_over_u(size, eps_u[env])
         along = friction_f2(size, eps_u[env])
