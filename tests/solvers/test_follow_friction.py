@@ -3,11 +3,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
+from taccel_lab.model import Model
 from taccel_lab.scene import KinematicBody, Material, Scene, SoftBody, box_mesh
 from taccel_lab.solvers import SolverConfig, SolverIPC
+from taccel_lab.solvers.env_progress import follow_after
 from taccel_lab.state import State, initial_state
 from tests.support.blocks import block_mesh, pose
 
@@ -57,6 +62,15 @@ class Pressed:
 def test_edges_take_few_iterations(cells: int, side_m: float, turned_deg: float, most: int) -> None:
     _, taken = Pressed(cells, side_m, turned_deg).run()
     assert taken.sum() <= most, taken
+
+
+@pytest.mark.parametrize(
+    ("on_gpu", "env_count", "freezings"), [(False, 64, 1), (True, 1, 1), (True, 64, 20)]
+)
+def test_batches_of_a_gpu_freeze_longer(on_gpu: bool, env_count: int, freezings: int) -> None:
+    """All of them wait for the solves of one that follows: 10 % of the steps a second."""
+    model = SimpleNamespace(device=SimpleNamespace(is_cuda=on_gpu), env_count=env_count)
+    assert follow_after(cast(Model, model)) == freezings
 
 
 def test_environments_follow_friction_each_for_itself() -> None:
