@@ -111,7 +111,9 @@ def improve(
             actions = policy.actions(part["observation"])
             change = actions.log_prob(part["action"]).sum(1) - part["log_prob"]
             ratio = change.exp()
-            scaled = (part["gained"] - part["gained"].mean()) / (part["gained"].std() + 1e-8)
+            # Of one row, too, whose unbiased deviation is not a number.
+            spread = part["gained"].std(unbiased=False)
+            scaled = (part["gained"] - part["gained"].mean()) / (spread + 1e-8)
             bounded = ratio.clamp(1 - args.clip, 1 + args.clip)
             policy_loss = -torch.minimum(ratio * scaled, bounded * scaled).mean()
             value_loss = (policy.values(part["observation"]) - part["wanted"]).square().mean()

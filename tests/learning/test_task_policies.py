@@ -185,7 +185,7 @@ runpy.run_path({path!r}, run_name="__main__")
 def test_two_updates_on_a_bare_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     absent = [name for name in HEAVY if name not in ("warp", "torch", "scipy")]
     absent += ["pydantic", "rich", "tyro", "jinja2", "tomli_w", "safetensors", "PIL", "yaml"]
-    arguments = "--envs 3 --updates 2 --steps 6 --judge 0 --randomised --output"
+    arguments = "--envs 3 --updates 2 --steps 6 --minibatches 18 --judge 0 --randomised --output"
     code = SCRIPT.format(
         absent=absent, arguments=[*arguments.split(), str(tmp_path)], path=str(EXAMPLE)
     )
@@ -197,6 +197,8 @@ def test_two_updates_on_a_bare_machine(tmp_path: Path, monkeypatch: pytest.Monke
     curve = json.loads((tmp_path / "curve.json").read_text())
     assert curve["complete"] and curve["settings"]["envs"] == 3
     assert [row["env_steps"] for row in curve["rows"]] == [18, 36]
+    # A row a minibatch: its own mean, with no deviation.
+    assert all(np.isfinite([row["policy_loss"], row["std"]]).all() for row in curve["rows"])
     assert (tmp_path / "policy.pt").stat().st_size > 10_000
     assert not (tmp_path / "curve.png").exists(), "there is no matplotlib to draw it"
     monkeypatch.setattr(sys, "argv", ["ppo_peg_insertion.py", "--draw", str(tmp_path)])
