@@ -11,15 +11,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import cast
 
 import numpy as np
 from scipy.optimize import brentq
 
 from taccel_lab.calibration.material.gel import CurveTool, Gel
-from taccel_lab.calibration.material.gel_presses import Stop
-from taccel_lab.calibration.material.press_plans import CurvePlan, GelBench, simulate_each
+from taccel_lab.calibration.material.gel_presses import GelBench
 from taccel_lab.presses.bonded_layer import layer_force_n
 from taccel_lab.progress import Progress, silent
 
@@ -27,8 +25,6 @@ GRID = 1.25
 """Depths and coefficients are simulated at powers of this, so that similar records share presses.
 """
 STEPS = 6
-PRESS_STEPS = 4
-LARGEST_STEP_MM = 0.2
 FULL_SLIP_DEPTHS = 2.6
 """Shift over mu, in depths, up to which is simulated: at about 2 the whole contact of a ball
 slips."""
@@ -87,38 +83,13 @@ def simulate_ball_slide(
     mus, ratios = [GRID**k for k in range(first, last + 1)], []
     scaled = FULL_SLIP_DEPTHS * depth * np.linspace(0, 1, STEPS + 1)
     bench = GelBench(gel, tool, depth)
-    plans = [slide_plan(bench, scaled, mu) for mu in mus]
-    for found in simulate_each(bench, plans, progress, f"slides of {tool.description}"):
-        value = float(found["tangential_n"][-1] / found["normal_n"][-1])
+    for done, mu in enumerate(mus):
+        progress(f"slides of {tool.description}", done, len(mus))
+        value = bench.slid(scaled * mu, mu)
         if not math.isfinite(value):
             break
         ratios.append(value)
+    progress(f"slides of {tool.description}", len(mus), len(mus))
     if len(ratios) < 2:
         return None
     return BallSlide(depth, np.array(mus[: len(ratios)]), np.array(ratios))
-
-
-def slide_plan(bench: GelBench, scaled: np.ndarray, mu: float) -> CurvePlan:
-    """A press to the depth of the bench that is dragged along x in steps, ``scaled`` times mu [mm].
-
-    Gives ``tangential_n``, the resistance less that at the start, and ``normal_n``. With much
-    friction the gel folds up behind the tool; what follows is NaN.
-    """
-    depth = bench.depth_mm
-    stops = [
-        Stop(depth * (i + 1) / PRESS_STEPS, read=i + 1 == PRESS_STEPS) for i in range(PRESS_STEPS)
-    ]
-    for before, value in pairwise((scaled * mu).tolist()):
-        count = math.ceil((value - before) / LARGEST_STEP_MM)
-        for i, shift in enumerate(np.linspace(before, value, count + 1)[1:].tolist()):
-            stops.append(Stop(depth, (shift, 0.0), read=i + 1 == count))
-    return bench.plan(
-        "slide",
-        bench.gel,
-        mu,
-        {"depth_mm": depth, "scaled": scaled, "mu": mu},
-        stops,
-        read=lambda env, _: env.press_force[:, [0, 2]],
-        arrays=lambda rows: {"tangential_n": rows[0, 0] - rows[:, 0], "normal_n": rows[:, 1]},
-        must_reach=1,
-    )

@@ -17,16 +17,15 @@ from taccel_lab.calibration.material.force_table import (
     ForceTable,
     TableError,
     force_table,
-    press_plan,
 )
 from taccel_lab.calibration.material.gel import CurveTool, Gel
+from taccel_lab.calibration.material.gel_presses import GelBench
 from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
 from taccel_lab.calibration.material.indentation_points import (
     IndentationPoints,
     points_of_record,
     require_plausible,
 )
-from taccel_lab.calibration.material.press_plans import CurvePlan, GelBench, simulate
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
 from taccel_lab.presses.bonded_layer import layer_force_n
@@ -76,7 +75,7 @@ def pressed_n(
     """Forces [N] of presses of 1 MPa to each depth."""
     own = gel.with_law(nu, ratio).with_physics(physics)
     benches = [GelBench(own, tool, depth) for depth in depths_mm.tolist()]
-    return np.array([simulate(b, press_plan(b, own))["force_n"][0] for b in benches])
+    return np.array([bench.pressed(own)["force_n"][0] for bench in benches])
 
 
 def test_an_uncertain_zero_of_the_load_cell_widens_the_interval(
@@ -132,13 +131,13 @@ def test_four_presses_and_one_between_make_a_row_of_a_table(
     tool = gel.tool(ToolEntry(kind=kind, radius_mm=2.0))
     exponent = 1.5 if kind == "sphere" else 1.0
 
-    def made_up(bench: GelBench, plan: CurvePlan) -> dict[str, np.ndarray]:
-        nu, depth = plan.poisson_ratio, np.array([plan.stops[-1].depth_mm])
+    def made_up(bench: GelBench, gel: Gel, friction: float) -> dict[str, np.ndarray]:
+        nu, depth = gel.material.poisson_ratio, np.array([bench.depth_mm])
         s = np.sqrt(1 - 2 * nu)
         force = 1e6 * depth**exponent * np.exp(1.3 - 2 * s + 0.7 * s**3 * depth)
         return {"force_n": force, "seconds": np.array(0.5)}
 
-    monkeypatch.setattr("taccel_lab.calibration.material.press_plans.simulate", made_up)
+    monkeypatch.setattr(GelBench, "pressed", made_up)
     table = force_table(gel, tool, (0.2, 1.0), friction=friction)
     count = 5 * len(table.responses.travel)
     assert (table.press_count, table.seconds) == (count, 0.5 * count)

@@ -10,9 +10,9 @@ import pytest
 
 from taccel_lab.calibration.capture import ForceRecord
 from taccel_lab.calibration.capture.schema import ToolEntry
-from taccel_lab.calibration.material.ball_slide import simulate_ball_slide, slide_plan
+from taccel_lab.calibration.material.ball_slide import simulate_ball_slide
 from taccel_lab.calibration.material.gel import Gel
-from taccel_lab.calibration.material.press_plans import GelBench, simulate
+from taccel_lab.calibration.material.gel_presses import GelBench
 from taccel_lab.calibration.material.robust_statistics import combined
 from taccel_lab.calibration.material.sliding import SlideFit, fit_slide
 from taccel_lab.errors import InputError
@@ -130,10 +130,9 @@ def test_a_sliding_ball_leans_on_the_gel(mini: SensorProfile, press_cache: Path)
     tool = gel.tool(ToolEntry(kind="sphere", radius_mm=4.0))
     bench = GelBench(gel.with_physics(FAST), tool, 0.6)
     way = 0.6 * np.array([0, 0.1, 0.2, 0.4, 0.7, 1.0, 1.4, 1.9, 2.4])
-    found = simulate(bench, slide_plan(bench, way, 0.45))
-    ratio = float(found["tangential_n"][-1] / found["normal_n"][-1])
+    ratio = bench.slid(0.45 * way, 0.45)
     assert ratio > 1.03 * 0.45
-    load = 0.24 * float(found["normal_n"][-1])
+    load = 0.24 * float(bench.pressed(bench.gel, 0.45)["force_n"][0])
     slid = simulate_ball_slide(gel, tool, load, ratio, 2.4e5)
     assert slid is not None
     assert slid.friction(ratio) == pytest.approx(0.45, rel=0.03)
