@@ -99,8 +99,6 @@ def read_drafts(
     for draft in drafts:
         _require_own(draft, source)
         draft.apply(options, source if source.is_dir() else source.parent)
-        if draft.finish is not None:
-            draft.finish(draft)
         of = f"imported from {real_path(source).name}, layout {chosen.name}" + (
             f", part {draft.part}" if draft.part else ""
         )
