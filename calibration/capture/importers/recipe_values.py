@@ -151,7 +151,7 @@ def _scale_of_homography(path: Path, draft: Draft) -> None:
     if not np.all((px_per_mm >= 1 / MAX_MM_PER_PX) & (px_per_mm <= 1 / MIN_MM_PER_PX)):
         draft.leave_out(path, "no affine 3 x 3 matrix of a scale in px per mm")
         return
-    draft.set_scale(*(float(1 / value) for value in px_per_mm))
+    draft.set_scale(float(1 / px_per_mm[0]), float(1 / px_per_mm[1]))
     draft.assume(
         "mm_per_px",
         f"from {path.name}: {px_per_mm[0]:g} x {px_per_mm[1]:g} per mm, taken as pixels of these "
