@@ -105,7 +105,7 @@ class Boards(StrictModel):
 class Record(StrictModel):
     """A record of forces on the set's ball: a CSV, or lists in the settings."""
 
-    kind: Literal["indentation", "slide"]
+    kind: Literal["indentation"]
     file: Patterns | None = None
     columns: dict[Text, Text] = Field(default_factory=dict)
     """What the CSV's columns are called here, by their names there."""

@@ -132,7 +132,7 @@ SET = "[[sets]]\npresses = '*.png'\n"
         ("[[sets]]\npresses = { table = 'a.csv', image = 'x', folder = '..' }", "leads out"),
         ("[[sets]]\npresses = { files = '{n}.png', radius_mm = 'n' }", "p.png: {n}: 'p' is not"),
         ("[[sets]]\npresses = 'q*.png'", "is not of the layout mine: a recipe of your own"),
-        ("[[sets]]\nrecord = { kind = 'slide' }", "a record has a file, or lists"),
+        ("[[sets]]\nrecord = { kind = 'indentation' }", "a record has a file, or lists"),
     ],
 )
 def test_faulty_recipes(tmp_path: Path, text: str, words: str) -> None:
