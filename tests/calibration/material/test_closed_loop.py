@@ -155,7 +155,7 @@ def test_a_press_that_does_not_converge_is_refused(
     """Too few Newton iterations for a deep step; nothing of it is kept for the next try."""
     hasty = {"max_newton_iterations": 2, "max_substep_halvings": 0}
     tool = gel.tool(ToolEntry(kind="sphere", radius_mm=6.0))
-    bench = GelBench(gel.with_physics(COARSE_FAST), tool, 1.0)
+    bench = GelBench(replace(gel, physics=COARSE_FAST), tool, 1.0)
     with monkeypatch.context() as patch:
         patch.setattr(gel_presses, "RUBBING_LIMITS", hasty)
         with pytest.raises(SimulationError, match="did not converge"):

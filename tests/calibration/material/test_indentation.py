@@ -61,7 +61,7 @@ def simulated(gel: Gel, tool: CurveTool, press_cache: Path) -> ForceTable:
     """Of four depths instead of seven."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 4)
-        return force_table(gel.with_physics(COARSE), tool, (0.2, 1.2))
+        return force_table(replace(gel, physics=COARSE), tool, (0.2, 1.2))
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def pressed_n(
     gel: Gel, tool: CurveTool, depths_mm: np.ndarray, nu: float, ratio: float, physics: PressPhysics
 ) -> np.ndarray:
     """Forces [N] of presses of 1 MPa to each depth."""
-    own = gel.with_law(nu, ratio).with_physics(physics)
+    own = replace(gel.with_law(nu, ratio), physics=physics)
     benches = [GelBench(own, tool, depth) for depth in depths_mm.tolist()]
     return np.array([bench.pressed(own)["force_n"][0] for bench in benches])
 
@@ -242,7 +242,7 @@ def test_two_balls_tell_poisson_ratio(
 ) -> None:
     small = gel.tool(ToolEntry(kind="sphere", radius_mm=2.0))
     depth = np.linspace(0.15, 0.9, 8)
-    second = force_table(gel.with_physics(COARSE), small, (0.15, 0.9))
+    second = force_table(replace(gel, physics=COARSE), small, (0.15, 0.9))
     force = pressed_n(gel, small, depth, POISSON, 0.0, FAST) * MODULUS / 1e6
     wide = np.linspace(0.2, 1.2, 8)
     truth = pressed_n(gel, tool, wide, POISSON, 0.0, DEFAULT) * MODULUS / 1e6
@@ -270,7 +270,7 @@ def test_a_narrow_and_a_wide_ball_tell_the_modulus_without_poisson_ratio(
     """2 % where one ball leaves 5 to 15 %; the truth is of a finer mesh than the tables."""
     depth = np.linspace(0.1, 1.0, 8)
     tools = [gel.tool(ToolEntry(kind="sphere", radius_mm=radius)) for radius in (2.0, 15.0)]
-    tables = [force_table(gel.with_physics(FAST), tool, (0.1, 1.0)) for tool in tools]
+    tables = [force_table(replace(gel, physics=FAST), tool, (0.1, 1.0)) for tool in tools]
     truth = [pressed_n(gel, tool, depth, POISSON, 0.0, DEFAULT) * MODULUS / 1e6 for tool in tools]
     rng = np.random.default_rng(5)
     errors, hits = [], 0
