@@ -142,7 +142,7 @@ def fit_on_gel(
     fits = fit_planes(views, [*poses[::-1], *models])
     chosen, near = choose_plane(fits)
     chosen = correct_plane(chosen, views, pitch)
-    frame = gel_frame(chosen, views, center, half_mm=pitch, near=[chosen, *near[1:]])
+    frame = gel_frame(chosen, center, half_mm=pitch, near=[chosen, *near[1:]])
     frame = _with_detector_error(frame, chosen, views, center, pitch)
     scale = frame.mm_per_px_x.value, frame.mm_per_px_y.value
     if tactile_px is None:
@@ -151,7 +151,7 @@ def fit_on_gel(
         grid = PixelGrid(*tactile_px, *scale)
     by_model = {fit.model.name: fit for fit in fits}
     found = {
-        model.media is not None: _pose(by_model[model.name], views, center, pitch, model)
+        model.media is not None: _pose(by_model[model.name], center, pitch, model)
         for model in poses
         if isinstance(model, CameraPose) and model.name in by_model
     }
@@ -200,7 +200,7 @@ def _with_detector_error(
             for view in views
         ]
         (again,) = fit_planes(others, [fit.model])
-        seen = gel_frame(correct_plane(again, others, pitch), others, center, half_mm=pitch)
+        seen = gel_frame(correct_plane(again, others, pitch), center, half_mm=pitch)
         off = np.maximum(off, np.abs(own - [seen.mm_per_px_x.value, seen.mm_per_px_y.value]))
     x, y = (
         Estimate(scale.value, float(np.hypot(scale.sigma, by)), scale.unit)
@@ -211,13 +211,12 @@ def _with_detector_error(
 
 def _pose(
     fit: PlaneFit,
-    views: Sequence[BoardView],
     center: tuple[float, float],
     pitch: float,
     model: CameraPose,
 ) -> PoseInGel:
     """Camera in the gel frame that this fit itself gives."""
-    frame = gel_frame(fit, views, center, half_mm=pitch)
+    frame = gel_frame(fit, center, half_mm=pitch)
 
     def position(theta: np.ndarray) -> np.ndarray:
         rotation = cv2.Rodrigues(theta[:3])[0]

@@ -14,11 +14,6 @@ from taccel_lab.calibration.result import Estimate
 
 _STEP = 1e-6
 """Relative step of the derivatives by parameters."""
-_LOCAL_PITCHES = 1.0
-"""Width of the neighbourhood whose residuals correct the scale at its middle."""
-_LOCAL_POINTS = 4.0
-"""Least weight of the points in it."""
-_EXACT_PX = 1e-6
 
 
 @dataclass(frozen=True)
@@ -42,7 +37,6 @@ class GelFrame:
 
 def gel_frame(
     fit: PlaneFit,
-    views: Sequence[BoardView],
     center_px: tuple[float, float],
     *,
     half_mm: float,
@@ -57,25 +51,21 @@ def gel_frame(
             standard deviations.
     """
     center = np.array(center_px, dtype=np.float64)
-    middle = fit.locate(center)
-    local, local_variance = local_stretch(fit, views, middle, _LOCAL_PITCHES * half_mm)
-    origin, angle, scale, shear = _scale_at(fit, center, fit.theta, half_mm, local)
-    covariance = _model_covariance(fit, center, half_mm, local)
+    origin, angle, scale, shear = _scale_at(fit, center, fit.theta, half_mm)
+    covariance = _model_covariance(fit, center, half_mm)
     own = np.diag(covariance).copy()
     turn = plane_rotation(angle)
     spline = _spline_variance(fit, origin, half_mm)
-    extra = np.diag(turn.T @ (local_variance + np.diag(spline)) @ turn)
+    extra = np.diag(turn.T @ np.diag(spline) @ turn)
     covariance += np.diag(extra * scale**4)
     systematic = np.zeros(2)
     for other in near:
         if other.model == fit.model:
             continue
-        nearby = _LOCAL_PITCHES * half_mm
-        there = local_stretch(other, views, other.locate(center), nearby)[0]
-        off = _scale_at(other, center, other.theta, half_mm, there)[2] - scale
+        off = _scale_at(other, center, other.theta, half_mm)[2] - scale
         # A richer model is noisier: only what exceeds that is a difference of models (J. Hausman,
         # Econometrica 46, 1978: the variance of the difference is that of the variances).
-        noise = np.diag(_model_covariance(other, center, half_mm, there)) - own
+        noise = np.diag(_model_covariance(other, center, half_mm)) - own
         systematic += np.maximum(off**2 - np.maximum(noise, 0.0), 0.0)
     covariance += np.diag(systematic / max(len(near), 1))
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -90,9 +80,7 @@ def gel_frame(
     )
 
 
-def _model_covariance(
-    fit: PlaneFit, center: np.ndarray, half_mm: float, local: np.ndarray
-) -> np.ndarray:
+def _model_covariance(fit: PlaneFit, center: np.ndarray, half_mm: float) -> np.ndarray:
     """Covariance of mm/px along x and y by that of the model's parameters, shape [2, 2]."""
     by_theta = np.zeros((2, len(fit.theta)))
     sigma = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
@@ -101,14 +89,14 @@ def _model_covariance(
         step = max(0.1 * sigma[k], _STEP * max(abs(fit.theta[k]), 1e-3))
         theta = np.array(fit.theta)
         theta[k] += step
-        up = _scale_at(fit, center, theta, half_mm, local)[2]
+        up = _scale_at(fit, center, theta, half_mm)[2]
         theta[k] -= 2 * step
-        by_theta[:, k] = (up - _scale_at(fit, center, theta, half_mm, local)[2]) / (2 * step)
+        by_theta[:, k] = (up - _scale_at(fit, center, theta, half_mm)[2]) / (2 * step)
     return by_theta @ fit.covariance @ by_theta.T
 
 
 def _scale_at(
-    fit: PlaneFit, center: np.ndarray, theta: np.ndarray, half_mm: float, local: np.ndarray
+    fit: PlaneFit, center: np.ndarray, theta: np.ndarray, half_mm: float
 ) -> tuple[np.ndarray, float, np.ndarray, float]:
     """Origin [2], angle, mm/px [2] and shear for given parameters.
 
@@ -116,41 +104,11 @@ def _scale_at(
     (polar decomposition): no turn is left between the axes of gel and image.
     """
     origin = fit.locate(center, theta)
-    u, s, vt = np.linalg.svd(fit.jacobian(origin, theta, half_mm) + local)
+    u, s, vt = np.linalg.svd(fit.jacobian(origin, theta, half_mm))
     stretch = u @ np.diag(s) @ u.T
     turn = (u @ vt).T
     angle = float(np.arctan2(turn[1, 0], turn[0, 0]))
     return origin, angle, 1.0 / np.diag(stretch), float(2 * stretch[0, 1] / np.trace(stretch))
-
-
-def local_stretch(
-    fit: PlaneFit, views: Sequence[BoardView], at_mm: np.ndarray, width_mm: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """What the points near a place say of the local scale that the model does not.
-
-    An affine function is fitted to the residuals with Gaussian weights; each element of its slope
-    is drawn to zero as far as noise explains it (empirical Bayes: ``1 - sigma^2 / slope^2``).
-
-    Returns:
-        Correction of the Jacobian [px/mm], shape [2, 2], and its variance by x and y, a diagonal
-        [2, 2].
-    """
-    nothing = np.zeros((2, 2)), np.zeros((2, 2))
-    points = fit.plane_points(views) - at_mm
-    residuals = np.concatenate(fit.residuals)
-    weights = np.exp(-0.5 * np.sum(points**2, axis=1) / width_mm**2)
-    if weights.sum() < _LOCAL_POINTS or np.abs(residuals).max() < _EXACT_PX:
-        return nothing
-    design = np.column_stack([np.ones(len(points)), points])
-    normal = np.linalg.pinv(design.T @ (design * weights[:, None]))
-    slope = (normal @ (design.T @ (residuals * weights[:, None])))[1:].T
-    left = residuals - design @ (normal @ (design.T @ (residuals * weights[:, None])))
-    noise = np.sum(weights[:, None] * left**2, axis=0) / (weights.sum() * (1 - 3 / len(weights)))
-    gain = normal @ (design * weights[:, None]).T
-    variance = noise[:, None] * np.sum(gain[1:] ** 2, axis=1)[None, :]
-    share = np.maximum(0.0, 1.0 - variance / np.maximum(slope**2, 1e-300))
-    spread = share * variance + (1 - share) * np.minimum(slope**2, variance) * share
-    return share * slope, np.diag(np.diag(spread))
 
 
 def _spline_variance(fit: PlaneFit, origin: np.ndarray, half_mm: float) -> np.ndarray:

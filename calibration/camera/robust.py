@@ -38,7 +38,6 @@ class RobustFit:
     """Huber's weights of the points, shape [n]."""
     jacobian: np.ndarray
     """Of what was minimised: roots of the losses, u and v of each point, then the prior."""
-    converged: bool
 
 
 def robust_scale(residual: np.ndarray) -> float:
@@ -67,7 +66,7 @@ def fit_robustly(
     residuals: Callable[[np.ndarray], np.ndarray],
     start: np.ndarray,
     *,
-    jacobian: Callable[[np.ndarray], np.ndarray] | None = None,
+    jacobian: Callable[[np.ndarray], np.ndarray],
     prior: Callable[[np.ndarray], np.ndarray] | None = None,
     robust: bool = True,
     tolerance: float = 1e-12,
@@ -78,7 +77,7 @@ def fit_robustly(
         residuals: Of the points [px] by parameters, [k] -> [n, 2]; a step to where one is not
             finite is not taken.
         start: Parameters to start from, shape [k].
-        jacobian: Their derivatives, [k] -> [n, 2, k]; by differences without.
+        jacobian: Their derivatives, [k] -> [n, 2, k].
         prior: What is known of the parameters already, as standardised residuals, [k] -> [m],
             linear in them.
         robust: Huber's loss, or plain squares.
@@ -86,7 +85,7 @@ def fit_robustly(
     """
 
     none = np.zeros_like(np.asarray(start, dtype=np.float64))
-    known = [] if prior is None or jacobian is None else [
+    known = [] if prior is None else [
         prior(one) - prior(none) for one in np.eye(len(none))
     ]  # fmt: skip
 
@@ -98,7 +97,6 @@ def fit_robustly(
             return points if prior is None else np.append(points, scale * prior(x))
 
         def slopes(x: np.ndarray) -> np.ndarray:
-            assert jacobian is not None
             left, by_x = residuals(x), jacobian(x)
             _, share, bend = _root_loss(left, limit)
             along = np.einsum("nk,nkj->nj", left, by_x)
@@ -110,7 +108,7 @@ def fit_robustly(
         return least_squares(
             to_minimise,
             x,
-            jac="2-point" if jacobian is None else slopes,  # type: ignore[arg-type]
+            jac=slopes,  # type: ignore[arg-type]
             x_scale="jac",
             xtol=tolerance,
             ftol=tolerance,
@@ -128,7 +126,7 @@ def fit_robustly(
         fitted = at_scale(fitted.x, scale)
     left = residuals(fitted.x)
     weights = huber_weights(left) if robust else np.ones(len(left))
-    return RobustFit(fitted.x, left, weights, fitted.jac, fitted.status > 0)
+    return RobustFit(fitted.x, left, weights, fitted.jac)
 
 
 def _scale(left: np.ndarray) -> float:

@@ -11,7 +11,7 @@ from taccel_lab.calibration.capture.folder import (
     MarkerCaptures,
     Video,
 )
-from taccel_lab.calibration.capture.importers import ImportOptions, import_captures, import_taxim
+from taccel_lab.calibration.capture.importers import ImportOptions, import_captures
 from taccel_lab.calibration.capture.load import load_capture_folder, load_captures
 from taccel_lab.calibration.capture.taxim_pack import find_taxim_pack
 
@@ -29,7 +29,6 @@ __all__ = [
     "Video",
     "find_taxim_pack",
     "import_captures",
-    "import_taxim",
     "load_capture_folder",
     "load_captures",
 ]

@@ -89,7 +89,7 @@ def capture_plan(sensor: str) -> CapturePlan:
     if facts.has_markers:
         steps.append(_markers())
     yielding = min(thickness, 2 * GENERIC_THICKNESS_MM)
-    steps += [_indentation(depth, yielding), _slide()]
+    steps.append(_indentation(depth, yielding))
     radius = 4.0 if facts.is_grey else ball
     return CapturePlan(
         sensor=family.name,
@@ -247,19 +247,6 @@ def _indentation(depth_mm: float, thickness_mm: float) -> Step:
     )
 
 
-def _slide() -> Step:
-    return Step(
-        "material",
-        "Slide",
-        "3 slides",
-        6,
-        "the load cell turned to pull sideways, two or three weights",
-        "Pull the loaded ball or plate over the gel until it slides for 3 mm.",
-        "Friction: nothing else determines it.",
-        optional=True,
-    )
-
-
 def _manifest(facts: SensorFacts, radius_mm: float, punch_mm: float) -> str:
     lines = [
         "schema_version = 2",
@@ -332,10 +319,5 @@ def _manifest(facts: SensorFacts, radius_mm: float, punch_mm: float) -> str:
         '# file = "indentation_ball.csv"    # a second tool: it separates E from nu',
         '# kind = "indentation"',
         f'# tool = {{ kind = "sphere", radius_mm = {0.5 * punch_mm:g} }}',
-        "",
-        "# [[records]]",
-        '# file = "slide.csv"    # header: shift_mm,normal_n,tangential_n',
-        '# kind = "slide"',
-        f'# tool = {{ kind = "sphere", radius_mm = {radius_mm:g} }}',
     ]
     return "\n".join(lines) + "\n"

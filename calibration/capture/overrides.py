@@ -14,10 +14,9 @@ from pathlib import Path
 
 from pydantic import Field, model_validator
 
-from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.captures import CapturedPress, ContactCircle
 from taccel_lab.errors import InputError
 from taccel_lab.files.plain_values import first_repeated
-from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.files.strict_model import Flag, Number, StrictModel
 from taccel_lab.printable import printable
 
@@ -92,14 +91,6 @@ def override_presses(presses: Sequence[CapturedPress], path: Path) -> tuple[Capt
     if presses and not kept:
         raise InputError(f"{path} leaves out every press; at least one has to stay")
     return tuple(kept)
-
-
-def with_overrides(captures: CaptureSet, path: Path | str) -> CaptureSet:
-    """``captures`` as the file ``path`` corrects them, the file's hash in the provenance."""
-    path = Path(path)
-    presses = override_presses(captures.presses, path)
-    provenance = {**captures.provenance, "contacts_sha256": file_sha256(path)}
-    return dataclasses.replace(captures, presses=presses, provenance=provenance)
 
 
 def override_text(source: str, entries: Sequence[tuple[str, ContactCircle | None, str]]) -> str:

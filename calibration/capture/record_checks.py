@@ -23,7 +23,6 @@ FORCE_UNITS = {"mN": 1e-3, "grams": 9.80665e-3, "ounces": 0.278, "kg": 9.80665, 
 """Newtons of a unit that a cell may have been read in."""
 MAX_DEPTH_MM = 20.0
 MIN_DEPTH_MM = 0.02
-MAX_FRICTION = 6.0
 FORCE_TOLERANCE = 0.05
 """Drop of a force, relative to the largest, that noise explains where no sigma is stated."""
 UNKNOWN_TOOL_MM = (0.5, 20.0)
@@ -53,24 +52,16 @@ def check_record(path: str, entry: RecordEntry, columns: dict[str, np.ndarray]) 
     record = _Record(path, entry, columns)
     if "sigma_n" in columns and (columns["sigma_n"] <= 0).any():
         raise InputError(f"{path}: sigma_n has to be positive everywhere")
-    normal = next((columns[k] for k in ("force_n", "normal_n") if k in columns), None)
-    if normal is not None:
-        _check_sign(record, normal)
-    depth = columns.get("depth_mm")
-    if depth is not None:
-        _check_depth(record, depth)
-    if entry.kind == "indentation" and depth is not None and normal is not None:
-        _check_order(record)
-        _check_rising(record, normal)
-    if depth is not None and normal is not None:
-        _check_force_unit(record, depth, normal)
-    if entry.kind == "indentation" and depth is not None and normal is not None:
-        # A tool that nobody states may have a flat end.
-        ball = entry.tool.kind == "sphere" and entry.tool.radius_mm is not None
-        with naming(path):
-            require_loading(depth, normal, record.sigma(normal), ball=ball)
-    if entry.kind == "slide":
-        _check_friction(record, columns["normal_n"], columns["tangential_n"])
+    depth, force = columns["depth_mm"], columns["force_n"]
+    _check_sign(record, force)
+    _check_depth(record, depth)
+    _check_order(record)
+    _check_rising(record, force)
+    _check_force_unit(record, depth, force)
+    # A tool that nobody states may have a flat end.
+    ball = entry.tool.kind == "sphere" and entry.tool.radius_mm is not None
+    with naming(path):
+        require_loading(depth, force, record.sigma(force), ball=ball)
 
 
 def _check_sign(record: _Record, force: np.ndarray) -> None:
@@ -78,14 +69,13 @@ def _check_sign(record: _Record, force: np.ndarray) -> None:
     below = np.flatnonzero(force < limit)
     if len(below) == 0:
         return
-    name = "force_n" if "force_n" in record.columns else "normal_n"
     if len(below) > len(force) / 2 or abs(force.min()) > force.max():
         raise InputError(
-            f"{record.path}: {name} is negative (down to {force.min():g} N); a force into the gel "
+            f"{record.path}: force_n is negative (down to {force.min():g} N); a force into the gel "
             "is positive, so the sign of the column is reversed"
         )
     raise InputError(
-        f"{record.path}: row {below[0] + 1} has {name} = {force[below[0]]:g} N; a force into the "
+        f"{record.path}: row {below[0] + 1} has force_n = {force[below[0]]:g} N; a force into the "
         "gel is positive, and this is more than noise. Remove the offset or the row"
     )
 
@@ -117,7 +107,7 @@ def _check_order(record: _Record) -> None:
         row = int(wrong[0])
         raise InputError(
             f"{record.path}: depth_mm falls from {values[row]:g} to {values[row + 1]:g} in row "
-            f"{row + 2}; a record of kind {record.entry.kind} holds one loading in order: cut the "
+            f"{row + 2}; a record holds one loading in order: cut the "
             "unloading off, or sort the points"
         )
 
@@ -168,16 +158,4 @@ def _check_force_unit(record: _Record, depth: np.ndarray, force: np.ndarray) -> 
             f"{record.path}: a force of {force.max():g} N at {depth.max():g} mm makes the gel "
             f"{highest * 1e3:.2g} kPa stiff, at least {SOFTEST_MPA * 1e3:g} kPa; force_n is in "
             "newtons (kN or kgf?), depth_mm in millimetres"
-        )
-
-
-def _check_friction(record: _Record, normal: np.ndarray, tangential: np.ndarray) -> None:
-    pressed = normal > 0.2 * normal.max()
-    if normal.max() <= 0 or not pressed.any():
-        raise InputError(f"{record.path}: normal_n is never positive; newtons into the gel")
-    ratio = float(np.abs(tangential[pressed] / normal[pressed]).max())
-    if ratio > MAX_FRICTION:
-        raise InputError(
-            f"{record.path}: tangential_n is up to {ratio:.3g} times normal_n; gels reach "
-            f"{MAX_FRICTION:g}. The columns have different units, or are swapped"
         )

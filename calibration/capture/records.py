@@ -19,10 +19,7 @@ from taccel_lab.files.loading_faults import without_repeats
 from taccel_lab.files.regular_file import file_sha256
 from taccel_lab.files.table_file import read_table
 
-COLUMNS = {
-    "indentation": ("depth_mm", "force_n"),
-    "slide": ("shift_mm", "normal_n", "tangential_n"),
-}
+COLUMNS = {"indentation": ("depth_mm", "force_n")}
 """Columns that each kind of record has to have."""
 AIR_MM, AIR_ROWS = 0.1, 3
 """Rows so far before the touch, which is stated to about this, are in air; so many tell the load
@@ -42,9 +39,7 @@ def load_record(folder: Path, entry: RecordEntry) -> ForceRecord:
             f"record of kind {entry.kind} has {', '.join(COLUMNS[entry.kind])} (found "
             f"{', '.join(columns)})"
         )
-    columns, zero = without_repeats(columns), None
-    if entry.kind == "indentation":
-        columns, zero = _past_touch(columns)
+    columns, zero = _past_touch(without_repeats(columns))
     check_record(str(path), entry, columns)
     return ForceRecord(entry, str(path), file_sha256(path), columns, zero)
 

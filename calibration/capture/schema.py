@@ -175,9 +175,8 @@ class RecordEntry(StrictModel):
     """A record of forces: a CSV with a header, columns named with their unit."""
 
     file: FileName
-    kind: Literal["indentation", "slide"]
-    """Columns: indentation ``depth_mm, force_n``; slide ``shift_mm, normal_n, tangential_n``.
-    ``sigma_n`` is optional everywhere."""
+    kind: Literal["indentation"]
+    """Columns ``depth_mm, force_n``; ``sigma_n`` is optional."""
     tool: ToolEntry = ToolEntry()
     force_sigma_n: Number | None = Field(default=None, gt=0.0, le=100.0)
     """Standard deviation of a force reading [N]."""

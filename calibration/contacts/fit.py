@@ -132,7 +132,7 @@ def find_contacts(
     found: list[DetectedContact | None] = [None] * len(captures.presses)
     for i, press in enumerate(captures.presses):
         if press.checked and press.circle is not None:
-            found[i] = DetectedContact(press.circle, 0.0, 1.0, 0.0, 0.0)
+            found[i] = DetectedContact(press.circle, 0.0, 0.0)
             continue
         try:
             if grey is not None:
@@ -243,8 +243,6 @@ class _Start:
     smoothing_px: float
     circle: ContactCircle
     """In the picture of square pixels."""
-    inlier_fraction: float
-    edge_rms_px: float
     contrast_levels: float
 
     @property
@@ -288,7 +286,6 @@ def _start(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _Start:
         )
     turning = turning_radius(change.change, center, radius)
     radius = float(np.clip(1.05 * turning, 0.5 * radius, radius))
-    drop = fit_rim(change.change, center, radius)
     return _Start(
         name,
         scene,
@@ -297,8 +294,6 @@ def _start(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _Start:
         change.drift,
         change.smoothing_px,
         ContactCircle(float(center[0]), float(center[1]), radius),
-        float(drop.inliers.mean()),
-        drop.rms,
         contrast,
     )
 
@@ -350,8 +345,7 @@ def _accept(
     height, width = change.change.shape[:2]
     limit = min(height, width) / 2
     center = np.array([circle.u_px, circle.v_px])
-    drop = fit_rim(change.change, center, max(circle.radius_px, 2.0))
-    inliers = float(drop.inliers.mean())
+    inliers = float(fit_rim(change.change, center, max(circle.radius_px, 2.0)).inliers.mean())
     # A smooth skin leaves no sharp rim, but then its whole colour wheel is a ball's.
     round_enough = contact.explained >= CERTAINLY_EXPLAINED or (
         inliers >= MIN_INLIER_FRACTION and contact.explained >= MIN_EXPLAINED
@@ -385,8 +379,6 @@ def _accept(
     return DetectedContact(
         circle=own,
         radius_sigma_px=float(sigma[2]),
-        inlier_fraction=inliers,
-        edge_rms_px=pixels * drop.rms,
         contrast_levels=start.contrast_levels,
         center_sigma_px=float(np.sqrt((sigma[0] ** 2 + sigma[1] ** 2) / 2)),
         explained=contact.explained,

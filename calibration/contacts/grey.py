@@ -84,7 +84,7 @@ def find_grey_contact(
 
 
 def _contact(circle: ContactCircle, radius_sigma_px: float, peak: float) -> DetectedContact:
-    return DetectedContact(circle, radius_sigma_px, 1.0, 0.0, peak)
+    return DetectedContact(circle, radius_sigma_px, peak)
 
 
 def _rough(smooth: np.ndarray, peak: float, name: str) -> tuple[np.ndarray, float]:

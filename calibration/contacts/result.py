@@ -21,10 +21,6 @@ class DetectedContact:
     circle: ContactCircle
     radius_sigma_px: float
     """Standard deviation of the radius."""
-    inlier_fraction: float
-    """Rays whose steepest drop of colour lies on one circle."""
-    edge_rms_px: float
-    """Their distance from that circle."""
     contrast_levels: float
     """90th percentile of the smoothed colour change in the contact [levels]."""
     center_sigma_px: float = 0.0

@@ -21,8 +21,6 @@ class CircleFit:
     radius: float
     inliers: np.ndarray
     """Points within the tolerance, bool, shape [point_count]."""
-    rms: float
-    """Root mean square distance of the inliers from the circle."""
 
 
 def sample_rays(image: np.ndarray, center: np.ndarray, reach_px: float) -> np.ndarray:
@@ -59,9 +57,7 @@ def fit_circle(
         kept = inliers if inliers.sum() >= 3 else np.ones(len(points), dtype=bool)
         found = least_squares(lambda circle, kept=kept: off(circle)[kept], found).x
         inliers = np.abs(off(found)) < tolerance
-    left = off(found)
-    left = left[inliers] if inliers.any() else left
-    return CircleFit(found[:2], float(found[2]), inliers, float(np.sqrt(np.mean(left**2))))
+    return CircleFit(found[:2], float(found[2]), inliers)
 
 
 def circle_on_rays(
@@ -79,7 +75,7 @@ def circle_on_rays(
     fit = fit_circle(points[seen], center, radius, tolerance=max(2.0, 0.06 * radius))
     inliers = np.zeros(RAY_COUNT, dtype=bool)
     inliers[np.flatnonzero(seen)[fit.inliers]] = True
-    return CircleFit(fit.center, fit.radius, inliers, fit.rms)
+    return CircleFit(fit.center, fit.radius, inliers)
 
 
 def fit_rim(change: np.ndarray, center: np.ndarray, radius: float) -> CircleFit:

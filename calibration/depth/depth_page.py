@@ -75,9 +75,7 @@ def _presses(result: DepthCalibration) -> Table:
         ],
         rows,
         f"Depth zero: {result.zero}. Left-out pixels (a {result.left_out} at a time) are off by "
-        f"{result.left_out_mm.mean():.4f} mm; with drops divided by the background's level by "
-        f"{result.normalised_mae_mm:.4f} mm. The light explains {result.light_r2:.0%} of the "
-        "residuals' variance.",
+        f"{result.left_out_mm.mean():.4f} mm.",
     )
 
 

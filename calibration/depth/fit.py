@@ -5,8 +5,7 @@ What the depth is counted from has to be said. A ball's shape gives depths below
 contact; the rim itself lies below the untouched face, since the gel sinks around a ball, and by how
 much no image tells. Presses of known travel settle it (``travel``). Without any, ``untouched``
 counts from where the grey is that of untouched gel, so that the curve starts at zero without a
-step; ``rim`` from the rim of the contact; ``layer`` adds to that how deep the rim of a ball lies in
-a bonded layer of the gel's thickness.
+step; ``rim`` from the rim of the contact.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -48,15 +46,12 @@ from taccel_lab.calibration.depth.remarks import (
     place_remarks,
 )
 from taccel_lab.calibration.depth.result import DepthCalibration, PressFigures
-from taccel_lab.calibration.surfaces.ball_in_layer import SurfaceMaker, layer_of, layer_surfaces
-from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.calibration.thickness.travel import TOUCH_MM
 from taccel_lab.errors import InputError
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.report.remark import Remark
 from taccel_lab.signals.depth_response import DepthResponse, channel_of
-from taccel_lab.signals.rest_surface import flat_rest
 
 BOOTSTRAPS = 40
 TASK = "finding contacts and fitting the curve"
@@ -73,7 +68,7 @@ def calibrate_depth(
     Args:
         folder: Its background and presses are used.
         base: Profile that the result extends: its camera gives the scale where it was measured, or
-            where neither maps nor captures do; its gel the sunk rim of ``layer``.
+            where neither maps nor captures do.
         options: What is read, and what depths are counted from.
         progress: Told what is done.
 
@@ -86,11 +81,9 @@ def calibrate_depth(
     on_captures = on_grid(base, captures.grid, captures.provenance)
     findings = capture_findings(with_measured_scale(folder, base), "depth", progress)
     progress(TASK, 0, 1)
-    rest = flat_rest(captures.grid)
-    surfaces = partial(layer_surfaces, layer=layer_of(on_captures), rest=rest)
     with refusing_with(findings):
         share = stated_scale_share(on_captures.camera)
-        found = fit_depth(captures, options, surfaces, assumed, scale_share=share)
+        found = fit_depth(captures, options, assumed, scale_share=share)
     progress(TASK, 1, 1)
     lost = lost_blocks(base, on_captures)
     return replace(found, remarks=(*lost, *joined(findings, found.remarks)))
@@ -99,7 +92,6 @@ def calibrate_depth(
 def fit_depth(
     captures: CaptureSet,
     options: DepthOptions = DepthOptions(),
-    surfaces: SurfaceMaker | None = None,
     remarks: Sequence[Remark] = (),
     *,
     scale_share: float = 0.0,
@@ -109,7 +101,6 @@ def fit_depth(
     Args:
         captures: Background and presses.
         options: What is read, and what depths are counted from.
-        surfaces: Gives the surfaces of the presses for ``layer``.
         remarks: What is known already of the captures.
         scale_share: Standard deviation of the scale of the pixel grid, as a share of it.
     """
@@ -142,13 +133,6 @@ def fit_depth(
         if by_travel is None:
             raise InputError(f"{captures.source}: zero travel needs depth_mm of a press")
         sunk = by_travel
-    if zero == "layer":
-        if surfaces is None:
-            raise InputError("zero layer needs the surfaces of the presses")
-        sunk = [
-            _rim_depth_mm(surface, circle, captures)
-            for surface, circle in zip(surfaces(captures, chosen), chosen, strict=True)
-        ]
 
     def pixels() -> tuple[ContactPixels, ...]:
         return tuple(
@@ -171,8 +155,6 @@ def fit_depth(
         raise InputError("\n".join([str(fault), *(remark.message for remark in off)])) from None
     errors, left_out = left_out_errors(parts)
     spread = curve_spread_mm(parts, response, np.random.default_rng(options.seed), BOOTSTRAPS)
-    level = float(np.median(background))
-    normalised, _ = left_out_errors([_normalised(part, level) for part in parts])
     all_errors = np.concatenate(errors)
     figures = tuple(
         _figures(part, response, captures, circle, sigma, flag, radius, rim)
@@ -202,8 +184,6 @@ def fit_depth(
         left_out=left_out,
         presses=figures,
         parts=parts,
-        light_r2=_light_r2(parts, response),
-        normalised_mae_mm=float(np.concatenate(normalised).mean()),
         zero=zero,
         captures=captures,
     )
@@ -215,11 +195,6 @@ def fit_depth(
         *curve_remarks(result, drops),
     )
     return replace(result, remarks=found_remarks)
-
-
-def _rim_depth_mm(surface: BallSurface, circle: ContactCircle, captures: CaptureSet) -> float:
-    band = np.abs(circle.distance_px(captures.grid) / circle.radius_px - 1) < 0.04
-    return max(0.0, float(-surface.displacement_mm()[band].mean()))
 
 
 def _rims_by_travel(
@@ -239,11 +214,6 @@ def _rims_by_travel(
     if not known:
         return None
     return [float(np.mean(known)) if rim is None else rim for rim in rims]
-
-
-def _normalised(part: ContactPixels, level: float) -> ContactPixels:
-    scaled = part.drop_levels * level / np.maximum(part.background, 1.0)
-    return ContactPixels(**{**vars(part), "drop_levels": scaled})
 
 
 def _figures(
@@ -289,11 +259,3 @@ def _offset_sigma_mm(
         rim = circle.radius_px * scale
         each.append(sigma * scale * rim / math.sqrt(ball**2 - rim**2))
     return float(np.sqrt(np.mean(np.square(each)) / len(each)))
-
-
-def _light_r2(parts: Sequence[ContactPixels], response: DepthResponse) -> float:
-    left = np.concatenate([response.depth_of(p.drop_levels) - p.depth_mm for p in parts])
-    level = np.concatenate([p.background for p in parts])
-    if level.std() < 1e-9 or left.std() < 1e-12:
-        return 0.0
-    return float(np.corrcoef(left, level)[0, 1] ** 2)

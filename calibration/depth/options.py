@@ -19,11 +19,10 @@ class DepthOptions:
     presses are rectified first, and the scale is that of the maps."""
     channel: Literal["grey", "red", "green", "blue"] = "grey"
     """Channel whose drop is read; grey is the luma of red, green and blue."""
-    zero: Literal["auto", "travel", "untouched", "rim", "layer"] = "auto"
+    zero: Literal["auto", "travel", "untouched", "rim"] = "auto"
     """Zero of the depths. By travel, the untouched face by the depth_mm of presses (auto, if
     there is one). By untouched, where the grey is that of untouched gel (auto otherwise). By
-    rim, the rim of the contact. By layer, the untouched face, with the rim as deep as a ball's in
-    a bonded layer of the gel's thickness."""
+    rim, the rim of the contact."""
     circles: Literal["auto", "detected"] = "auto"
     """Contact circles: those given, and found where none is given; or all of them found."""
     seed: int = 0

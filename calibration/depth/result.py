@@ -57,10 +57,6 @@ class DepthCalibration(ResultSummary):
     left_out: str
     presses: tuple[PressFigures, ...]
     parts: tuple[ContactPixels, ...]
-    light_r2: float
-    """Share of the residuals' variance that the level of the untouched pixel explains."""
-    normalised_mae_mm: float
-    """Left-out error when drops are divided by the untouched level first."""
     zero: str
     """What depths are counted from (``DepthOptions``)."""
     captures: CaptureSet
@@ -99,8 +95,6 @@ class DepthCalibration(ResultSummary):
             "left_out_mae_mm": float(self.left_out_mm.mean()),
             "left_out_p90_mm": float(np.percentile(self.left_out_mm, 90)),
             "left_out": self.left_out,
-            "normalised_mae_mm": self.normalised_mae_mm,
-            "light_r2": self.light_r2,
             "reading_sigma_mm": self.response.reading_sigma_mm,
             "curve_sigma_mm": float(self.spread_mm[1:].mean()),
             "offset_sigma_mm": self.offset_sigma_mm,

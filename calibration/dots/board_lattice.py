@@ -2,24 +2,25 @@
 """Which point of a board is which, among points of which many may be none of it.
 
 The numbering is grown from seeds as for markers. What a board adds is its known number of columns
-and rows: the largest lattice of that size is looked for among strangers that may outnumber it. A
-smooth polynomial through what was found then predicts the rest of it and rejects strangers.
+and rows: the largest lattice of that size is looked for among strangers that may outnumber it.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 
 from taccel_lab.calibration.dots.lattice import Lattice
-from taccel_lab.calibration.dots.lattice_growth import grow, shortest_basis, symmetric_seeds
+from taccel_lab.calibration.dots.lattice_growth import (
+    Growth,
+    grow,
+    leave_one_out,
+    shortest_basis,
+    symmetric_seeds,
+)
 
-_NEAR = 0.3
-"""A point is taken for a lattice site within this share of the local pitch."""
 _FULL = 0.8
 """Share of the points, or of the sites, that a lattice holds which other seeds need not better."""
-_ROUNDS = 4
 _BASES = (
     [[1, 0], [0, 1]],
     [[1, 1], [0, 1]],
@@ -48,14 +49,8 @@ def board_lattice(uv_px: np.ndarray, columns: int, rows: int) -> Lattice | None:
         grown = grow(uv, tree, seed, a, b)
         if grown.count < 4 or not grown.spans_the_plane:
             continue
-        points = np.flatnonzero(grown.numbered)
-        keys = grown.index[points]
-        # A seed's steps may be a diagonal and more; the board's sides are the shortest ones, or
-        # seen from aslant nearly so.
-        change, _ = shortest_basis(keys, uv[points])
-        keys = np.rint(keys @ np.linalg.inv(change)).astype(int)
-        found = _fill_board(uv, tree, keys, points, (columns, rows))
-        if found is not None and (best is None or _score(found) > _score(best)):
+        found = _on_board(uv, grown, (columns, rows))
+        if best is None or _score(found) > _score(best):
             best = found
         if best is not None and best.count == columns * rows:
             break
@@ -110,51 +105,30 @@ def _window(index: np.ndarray, wide: int, high: int) -> tuple[np.ndarray, np.nda
     return inside, corner
 
 
-def _fill_board(
-    uv: np.ndarray, tree: KDTree, keys: np.ndarray, points: np.ndarray, asked: tuple[int, int]
-) -> Lattice | None:
-    """Fill a grown patch out, in the basis and window that hold the most points: a smooth map
-    predicts every site, the points near them are taken, and the window is chosen again."""
+def _on_board(uv: np.ndarray, grown: Growth, asked: tuple[int, int]) -> Lattice:
+    """A grown lattice in the basis and window of the board's size that hold the most points."""
+    points = np.flatnonzero(grown.numbered)
+    keys = grown.index[points]
+    # A seed's steps may be a diagonal and more; the board's sides are the shortest ones, or seen
+    # from aslant nearly so.
+    keys = np.rint(keys @ np.linalg.inv(shortest_basis(keys, uv[points])[0])).astype(int)
     candidates = []
     for basis in _BASES:
         index = keys @ np.array(basis)
         for size in {asked, asked[::-1]}:
-            inside, low = _window(index, *size)
-            candidates.append((2 * inside.sum() - len(index), index - low, size))
-    _, index, size = max(candidates, key=lambda item: item[0])
-    share = np.inf
-    for _ in range(_ROUNDS):
-        if len(index) < 4 or np.ptp(index[:, 0]) < 1 or np.ptp(index[:, 1]) < 1:
-            return None
-        low, top = index.min(axis=0), index.max(axis=0)
-        beyond = np.minimum(np.array(size) - (top - low), size).clip(1)
-        span = [np.arange(a, b + 1) for a, b in zip(low - beyond, top + beyond, strict=True)]
-        sites = np.stack(np.meshgrid(*span, indexing="ij"), axis=-1).reshape(-1, 2)
-        smooth = _SmoothMap(index, uv[points])
-        pitch = smooth.pitch(sites)
-        # Farther than two steps from a numbered point the map extrapolates too far.
-        known = KDTree(index).query(sites, p=np.inf)[0] <= 2
-        distance, nearest = (np.asarray(part) for part in tree.query(smooth(sites)))
-        order = np.argsort(distance / pitch)
-        order = order[(known & (distance < _NEAR * pitch))[order]]
-        # The nearest site has the point.
-        chosen = order[np.sort(np.unique(nearest[order], return_index=True)[1])]
-        if len(chosen) < 4:
-            return None
-        settled = len(chosen) == len(index)
-        index, points = sites[chosen], nearest[chosen]
-        share = float(np.sqrt(np.mean((distance[chosen] / pitch[chosen]) ** 2)))
-        if settled:
-            break
-    inside, corner = _window(index, *size)
-    strangers = _whole_lines(index[~inside] - corner, *size)
-    kept, at = points[inside], index[inside] - corner
+            inside, corner = _window(index, *size)
+            candidates.append((2 * inside.sum() - len(index), index - corner, size, inside))
+    _, index, size, inside = max(candidates, key=lambda item: item[0])
+    strangers = _whole_lines(index[~inside], *size)
+    kept, at = points[inside], index[inside]
     if size != asked:
         at = at[:, ::-1]
     at = oriented(at, uv[kept], asked[0] == asked[1])
     row, column = np.full(len(uv), -1), np.full(len(uv), -1)
     column[kept], row[kept] = at.T
-    return Lattice(row, column, "rectangular", _slopes(at, uv[kept]), 0.0, share, strangers)
+    errors = leave_one_out(uv, grown)[kept]
+    irregularity = float(np.sqrt(np.nanmean(errors**2)))
+    return Lattice(row, column, "rectangular", _slopes(at, uv[kept]), 0.0, irregularity, strangers)
 
 
 def _whole_lines(outside: np.ndarray, wide: int, high: int) -> int:
@@ -170,43 +144,3 @@ def _whole_lines(outside: np.ndarray, wide: int, high: int) -> int:
             if beside.sum() > 0.6 * length:
                 count += int(beside.sum())
     return count
-
-
-class _SmoothMap:
-    """Robust polynomial from lattice indices to pixels; its degree grows with the data."""
-
-    def __init__(self, index: np.ndarray, uv_px: np.ndarray) -> None:
-        self._middle = index.mean(axis=0)
-        self._half = np.maximum(np.ptp(index, axis=0) / 2, 1.0)
-        least = int(min(len(np.unique(index[:, 0])), len(np.unique(index[:, 1]))))
-        self._degree = 3 if len(index) >= 24 and least >= 5 else 2 if len(index) >= 10 and (
-            least >= 3) else 1  # fmt: skip
-        basis = self._basis(index)
-        start = np.linalg.lstsq(basis, uv_px, rcond=None)[0]
-        away = np.linalg.norm(basis @ start - uv_px, axis=1)
-        slopes = np.kron(basis, np.eye(2))
-        self._coefficients = least_squares(
-            lambda x: slopes @ x - uv_px.ravel(),
-            start.ravel(),
-            jac=lambda x: slopes,  # type: ignore[arg-type]
-            loss="cauchy",
-            f_scale=2.0 * float(np.median(away)) + 1e-9,
-        ).x.reshape(-1, 2)
-
-    def _basis(self, index: np.ndarray) -> np.ndarray:
-        x, y = ((index - self._middle) / self._half).T
-        return np.column_stack(
-            [x**i * y**j for i in range(self._degree + 1) for j in range(self._degree + 1 - i)]
-        )
-
-    def __call__(self, index: np.ndarray) -> np.ndarray:
-        return self._basis(np.asarray(index, dtype=np.float64)) @ self._coefficients
-
-    def pitch(self, index: np.ndarray) -> np.ndarray:
-        """Shorter of the two local steps at lattice sites [n, 2], shape [n]."""
-        index = np.asarray(index, dtype=np.float64)
-        steps = [
-            np.linalg.norm(self(index + half) - self(index - half), axis=1)
-            for half in ([0.5, 0.0], [0.0, 0.5])
-        ]
-        return np.maximum(np.minimum(*steps), 1e-6)

@@ -55,7 +55,7 @@ class Lattice:
     """Shift of odd rows in pitches along the row: 0, or +-0.5 in a hexagonal lattice."""
     irregularity: float
     """Median error, in pitches, of predicting a point from the points around it; of a board, root
-    mean square error of a smooth map."""
+    mean square error."""
     strangers: int = 0
     """Of a board: points in whole rows and columns beyond its size."""
 

@@ -117,12 +117,12 @@ class RunningMean:
         """Of no image yet; ``shape`` is [height_px, width_px, 3]."""
         return cls(np.zeros(shape), np.zeros(shape), np.zeros(shape[:2]))
 
-    def add(self, image: np.ndarray, seen: np.ndarray, sign: int = 1) -> None:
-        """Take an image in, or with ``sign`` -1 out again."""
+    def add(self, image: np.ndarray, seen: np.ndarray) -> None:
+        """Take an image in where it was ``seen``."""
         values = np.where(seen[..., None], image, 0.0).astype(np.float64)
-        self.total += sign * values
-        self.squares += sign * values**2
-        self.count += sign * seen
+        self.total += values
+        self.squares += values**2
+        self.count += seen
 
     def mean(self, otherwise: np.ndarray) -> np.ndarray:
         """Mean [levels]; ``otherwise`` where no image saw the pixel."""

@@ -55,9 +55,9 @@ def drift_spread(drifts: Sequence[LightDrift], background: np.ndarray) -> DriftS
     balance = apart.std(axis=0, ddof=1) if len(shift) > 1 else np.zeros(3)
     return DriftSpread(
         frame_count=len(drifts),
-        shift_levels=_triple(spread),
+        shift_levels=triple(spread),
         largest_levels=float(np.abs(shift).max()),
-        mean_shift_levels=_triple(shift.mean(axis=0)),
+        mean_shift_levels=triple(shift.mean(axis=0)),
         gradient_levels=float(np.sqrt(np.mean(gradient**2))),
         balance_levels=float(np.sqrt(np.mean(balance**2))),
     )
@@ -83,5 +83,6 @@ def drift_remarks(drifts: Sequence[LightDrift], background: np.ndarray) -> list[
     return [LIGHT_DRIFTS(frame_count=count, changes=changes, largest=largest, cause=cause)]
 
 
-def _triple(values: np.ndarray) -> tuple[float, float, float]:
+def triple(values: np.ndarray) -> tuple[float, float, float]:
+    """Values of the three channels as plain numbers."""
     return float(values[0]), float(values[1]), float(values[2])

@@ -8,7 +8,6 @@ from typing import Any
 
 from taccel_lab.calibration.markers.pictures import (
     draw_dots,
-    draw_jitter,
     draw_motion,
     draw_residuals,
     draw_tracks,
@@ -59,10 +58,6 @@ def marker_page(result: MarkerCalibration) -> Page:
                 "Distance from rest, and markers seen, frame by frame.",
             ),
         ]
-        if video.figures.jitter_px is not None:
-            pictures.append(
-                Picture(f"{stem}_jitter", partial(draw_jitter, video), "Scatter of dots that rest.")
-            )
     return Page(
         title="Markers",
         summary=_summary(result, figures),

@@ -10,7 +10,6 @@ import numpy as np
 from taccel_lab.calibration.dots import soft_ellipse as model
 from taccel_lab.calibration.dots.dots import DotFlag
 from taccel_lab.calibration.markers.result import MarkerCalibration, TrackedVideo
-from taccel_lab.calibration.markers.track_figures import marker_jitter_px
 from taccel_lab.calibration.report.image_axes import frame_image, round_enlargement
 from taccel_lab.report.style import (
     BLUE,
@@ -151,23 +150,6 @@ def draw_motion(video: TrackedVideo) -> Figure:
     bottom.set_ylim(0, 105)
     bottom.set_ylabel("seen [%]")
     bottom.set_xlabel("frame")
-    return figure
-
-
-@in_report_style
-def draw_jitter(video: TrackedVideo) -> Figure:
-    """Scatter of the resting dots, one value a dot and axis."""
-    spread = marker_jitter_px(video.tracks, video.figures.quiet_first, video.figures.quiet_frames)
-    figure, ax = new_figure(6.4, 3.2)
-    if spread is not None:
-        ax.hist(spread, bins=30, color=BLUE, alpha=0.85)
-        ax.axvline(float(np.median(spread)), color=ORANGE, lw=1.4)
-        ax.set_title(
-            f"{video.name}\nscatter at rest over {video.figures.quiet_frames} frames, median "
-            f"{np.median(spread):.4f} px"
-        )
-    ax.set_xlabel("standard deviation of a dot along one axis [px]")
-    ax.set_ylabel("dots and axes")
     return figure
 
 

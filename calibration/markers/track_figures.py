@@ -39,15 +39,11 @@ class TrackFigures:
     jitter_px: float | None
     """Standard deviation of a marker's place over these frames along one axis, median of all
     markers and both axes; None without at least 5 such frames."""
-    jitter_p90_px: float | None
     largest_px: float
     """Largest distance from rest of any seen marker."""
-    largest_median_px: float
-    """Largest median distance over the frames."""
-    largest_step_px: float
-    """Largest way of a marker between two frames."""
     step_in_pitches: float
-    """The same over the pitch; near 0.5 a dot cannot be distinguished from its neighbour."""
+    """Largest way of a marker between two frames, over the pitch; near 0.5 a dot cannot be
+    distinguished from its neighbour."""
     common_step_in_pitches: float
     """Largest median way of the seen markers between two frames, over the pitch."""
     unseen_frames: tuple[int, ...]
@@ -59,7 +55,6 @@ class TrackFigures:
     """Frame after a motion in which the gel is nearest to rest; None when it never comes back."""
     return_median_px: float | None
     """Median distance from rest in that frame."""
-    return_largest_px: float | None
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -71,7 +66,7 @@ def track_figures(name: str, tracks: MarkerTracks, start: int = 0) -> TrackFigur
     distance = tracks.distance_px()
     median = np.array([_median(row) for row in distance])
     quiet_first, quiet = _quiet_frames(tracks, start)
-    spread = marker_jitter_px(tracks, quiet_first, quiet)
+    spread = _jitter_px(tracks, quiet_first, quiet)
     step = np.where(
         tracks.seen[1:] & tracks.seen[:-1],
         np.linalg.norm(np.diff(tracks.uv_px, axis=0), axis=2),
@@ -88,10 +83,7 @@ def track_figures(name: str, tracks: MarkerTracks, start: int = 0) -> TrackFigur
         quiet_first=quiet_first,
         quiet_frames=quiet,
         jitter_px=None if spread is None else float(np.median(spread)),
-        jitter_p90_px=None if spread is None else float(np.percentile(spread, 90)),
         largest_px=float(np.nanmax(distance)) if tracks.seen.any() else 0.0,
-        largest_median_px=float(np.nanmax(median)) if np.isfinite(median).any() else 0.0,
-        largest_step_px=largest_step,
         step_in_pitches=largest_step / pitch_px,
         common_step_in_pitches=common_step / pitch_px,
         unseen_frames=tuple(np.flatnonzero(tracks.seen.mean(axis=1) < _HALF).tolist()),
@@ -99,11 +91,10 @@ def track_figures(name: str, tracks: MarkerTracks, start: int = 0) -> TrackFigur
         lost_share=float((tracks.status == TrackStatus.LOST).mean()),
         return_frame=back,
         return_median_px=None if back is None else float(median[back]),
-        return_largest_px=None if back is None else float(np.nanmax(distance[back])),
     )
 
 
-def marker_jitter_px(tracks: MarkerTracks, first: int, count: int) -> np.ndarray | None:
+def _jitter_px(tracks: MarkerTracks, first: int, count: int) -> np.ndarray | None:
     """Standard deviation of each always-seen marker's u and v over a stretch at rest, flat."""
     if count < _QUIET_FRAMES:
         return None

@@ -17,9 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.material.gel import UNIT_MODULUS_PA, CurveTool, Gel
-from taccel_lab.calibration.material.gel_presses import Stop
+from taccel_lab.calibration.material.gel_presses import GelBench
 from taccel_lab.calibration.material.interpolation import ParameterAxis, ResponseTable
-from taccel_lab.calibration.material.press_plans import CurvePlan, GelBench, simulate_each
 from taccel_lab.calibration.result import NORMAL_95
 from taccel_lab.errors import InputError
 from taccel_lab.presses import PressPath
@@ -154,14 +153,14 @@ def force_table(
         gels.append(gel.with_law(check_nu, check_ratio))
     task = f"presses of {tool.description}" + (f", friction {friction:g}" if friction else "")
     rows: list[list[dict[str, np.ndarray]]] = []
-
-    def on_press(_: str, done: int, each: int) -> None:
-        progress(task, len(rows) * each + done, len(depths) * each)
-
+    total = len(depths) * len(gels)
     for depth in depths.tolist():
-        bench = GelBench(gel, tool, depth)
-        plans = [press_plan(bench, each, friction) for each in gels]
-        rows.append(list(simulate_each(bench, plans, on_press)))
+        bench, row = GelBench(gel, tool, depth), []
+        for each in gels:
+            progress(task, len(rows) * len(gels) + len(row), total)
+            row.append(bench.pressed(each, friction))
+        rows.append(row)
+    progress(task, total, total)
     exponent = 1.5 if tool.kind == "sphere" else 1.0
     forces = np.array([[item["force_n"][0] for item in row] for row in rows]).T
     reduced = np.log(forces / UNIT_MODULUS_PA) - exponent * np.log(depths)
@@ -186,22 +185,6 @@ def _axes(gel: Gel, free_nu: bool, free_ratio: bool) -> tuple[ParameterAxis, Par
     ratios = (0.0, 1.0) if free_ratio else (ratio, ratio)
     nus = free_nu_range(ratios[1]) if free_nu else (nu, nu)
     return ParameterAxis(*ratios), ParameterAxis(*nus, "compressibility")
-
-
-def press_plan(bench: GelBench, gel: Gel, friction: float = 0.0) -> CurvePlan:
-    """A press of a gel to the depth of the bench: ``force_n``."""
-    goal = bench.depth_mm
-    stops = [Stop(depth, read=depth == goal) for depth, _, _ in PressPath(goal).waypoints()]
-    return bench.plan(
-        "press",
-        gel,
-        friction,
-        {"depth_mm": goal, "friction": friction},
-        stops,
-        read=lambda env, _: env.press_force[:, 2:],
-        arrays=lambda rows: {"force_n": rows[:, 0]},
-        must_reach=1,
-    )
 
 
 def _press_errors(gel: Gel, tool: CurveTool, depths_mm: np.ndarray, friction: float) -> np.ndarray:

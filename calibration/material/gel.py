@@ -84,10 +84,6 @@ class Gel:
         material = self.material.replace(poisson_ratio=poisson_ratio, mooney_ratio=mooney_ratio)
         return replace(self, material=material)
 
-    def with_physics(self, physics: PressPhysics) -> Gel:
-        """The same gel, simulated otherwise."""
-        return replace(self, physics=physics)
-
     def unit_material(self) -> MaterialBlock:
         """The material at 1 MPa, its layers in proportion, without damping."""
         scale = UNIT_MODULUS_PA / self.material.young_modulus_pa

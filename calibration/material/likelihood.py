@@ -90,13 +90,6 @@ class Profile:
         """Whether the data end the interval on both sides."""
         return not (self.open_low or self.open_high)
 
-    @property
-    def bound(self) -> float | None:
-        """The end that an interval open on the other side has; None of any other interval."""
-        if self.open_low == self.open_high:
-            return None
-        return self.interval[0] if self.open_high else self.interval[1]
-
 
 @dataclass(frozen=True)
 class Solution:

@@ -4,18 +4,14 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from taccel_lab.calibration.material.pictures import (
     draw_indentation,
     draw_profiles,
-    draw_slide,
 )
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.report.page import Page, Picture, Table
-
-if TYPE_CHECKING:
-    pass
 
 _TITLES = {
     "young_modulus_pa": "Young's modulus [Pa]",
@@ -45,100 +41,91 @@ def material_page(result: MaterialCalibration) -> Page:
     ]
     stiffness = result.stiffness
     pictures = []
-    if stiffness is not None:
-        fit = stiffness.fit
-        pictures.append(
-            Picture(
-                "indentation",
-                partial(draw_indentation, stiffness),
-                "Forces, and what the fit leaves.",
-            )
+    fit = stiffness.fit
+    pictures.append(
+        Picture(
+            "indentation",
+            partial(draw_indentation, stiffness),
+            "Forces, and what the fit leaves.",
         )
-        if stiffness.held_out:
-            tables.append(
-                Table(
-                    "Points predicted from the others",
-                    ["record", "depth [mm]", "force [N]", "predicted [N]", "off [%]", "95 % from",
-                     "to"],
-                    [
-                        [fit.points[h.index].name, h.depth_mm, h.force_n, h.predicted_n,
-                         100 * h.relative, *h.interval_n]
-                        for (h,) in _thinned(stiffness.held_out)
-                    ],
-                    "What the fit is worth where it was not fitted; the interval is of a reading.",
+    )
+    if stiffness.held_out:
+        tables.append(
+            Table(
+                "Points predicted from the others",
+                ["record", "depth [mm]", "force [N]", "predicted [N]", "off [%]", "95 % from",
+                 "to"],
+                [
+                    [fit.points[h.index].name, h.depth_mm, h.force_n, h.predicted_n,
+                     100 * h.relative, *h.interval_n]
+                    for (h,) in _thinned(stiffness.held_out)
+                ],
+                "What the fit is worth where it was not fitted; the interval is of a reading.",
+            )
+        )  # fmt: skip
+    tables.append(
+        Table(
+            "Forces of presses",
+            [
+                "indenter",
+                "depth [mm]",
+                "press [N]",
+                "95 % from",
+                "to",
+                "reading [N]",
+                "95 % from",
+                "to",
+            ],
+            [
+                [
+                    item.tool.description,
+                    p.depth_mm,
+                    p.press_n,
+                    *p.press_interval95_n,
+                    p.reading_n,
+                    *p.reading_interval95_n,
+                ]
+                for i, item in enumerate(fit.points)
+                for p in stiffness.predicted(i)
+            ],
+            "Press: of this profile, so far past first touch as taccel-lab press --depth-mm "
+            f"says, friction {result.used_friction:g}. Reading: where the record, whose zero "
+            "may be off, calls the depth this. Intervals are over all that the records leave "
+            "open: first touch, Poisson's ratio, friction, noise.",
+        )
+    )
+    tables.append(
+        Table(
+            "Residuals of the indentations",
+            ["record", "depth [mm]", "force [N]", "fit [N]", "fit − 1 [%]"],
+            [
+                [item.name, float(d), float(f), float(p), 100 * float(p / f - 1)]
+                for i, item in enumerate(fit.points)
+                for d, f, p in _thinned(
+                    item.depth_mm, item.force_n, fit.predicted_n(i, item.depth_mm)
                 )
-            )  # fmt: skip
-        tables.append(
-            Table(
-                "Forces of presses",
-                [
-                    "indenter",
-                    "depth [mm]",
-                    "press [N]",
-                    "95 % from",
-                    "to",
-                    "reading [N]",
-                    "95 % from",
-                    "to",
-                ],
-                [
-                    [
-                        item.tool.description,
-                        p.depth_mm,
-                        p.press_n,
-                        *p.press_interval95_n,
-                        p.reading_n,
-                        *p.reading_interval95_n,
-                    ]
-                    for i, item in enumerate(fit.points)
-                    for p in stiffness.predicted(i)
-                ],
-                "Press: of this profile, so far past first touch as taccel-lab press --depth-mm "
-                f"says, friction {result.used_friction:g}. Reading: where the record, whose zero "
-                "may be off, calls the depth this. Intervals are over all that the records leave "
-                "open: first touch, Poisson's ratio, friction, noise.",
+            ],
+            f"Noise: {fit.noise}; mesh and tables add "
+            f"{100 * fit.model_errors['ln_e']:.2g} % to Young's modulus (one standard "
+            "deviation). First touch of "
+            + ", ".join(
+                f"{item.name}: {fit.touch_mm(i):+.3f} mm "
+                f"({fit.touch_interval_mm(i)[0]:+.3f} to {fit.touch_interval_mm(i)[1]:+.3f})"
+                for i, item in enumerate(fit.points)
+                if f"touch_{i}" in fit.solution.names
             )
+            + ".",
         )
-        tables.append(
-            Table(
-                "Residuals of the indentations",
-                ["record", "depth [mm]", "force [N]", "fit [N]", "fit − 1 [%]"],
-                [
-                    [item.name, float(d), float(f), float(p), 100 * float(p / f - 1)]
-                    for i, item in enumerate(fit.points)
-                    for d, f, p in _thinned(
-                        item.depth_mm, item.force_n, fit.predicted_n(i, item.depth_mm)
-                    )
-                ],
-                f"Noise: {fit.noise}; mesh and tables add "
-                f"{100 * fit.model_errors['ln_e']:.2g} % to Young's modulus (one standard "
-                "deviation). First touch of "
-                + ", ".join(
-                    f"{item.name}: {fit.touch_mm(i):+.3f} mm "
-                    f"({fit.touch_interval_mm(i)[0]:+.3f} to {fit.touch_interval_mm(i)[1]:+.3f})"
-                    for i, item in enumerate(fit.points)
-                    if f"touch_{i}" in fit.solution.names
-                )
-                + ".",
-            )
+    )
+    pictures.append(
+        Picture(
+            "profiles",
+            partial(draw_profiles, stiffness, open_held=bool(result.held())),
+            "Profile likelihood: the least misfit for each value of one parameter, all others "
+            "free. Where it stays below the dashed line is the 95 % interval; a flat profile "
+            "means that the data do not tell.",
         )
-        pictures.append(
-            Picture(
-                "profiles",
-                partial(draw_profiles, stiffness, open_held=bool(result.held())),
-                "Profile likelihood: the least misfit for each value of one parameter, all others "
-                "free. Where it stays below the dashed line is the 95 % interval; a flat profile "
-                "means that the data do not tell.",
-            )
-        )
-    if result.correlation:
-        tables.append(
-            Table(
-                "Correlation of estimates",
-                ["pair", "correlation"],
-                [[name.replace("*", " and "), value] for name, value in result.correlation.items()],
-            )
-        )
+    )
     constants = result.mooney_rivlin_pa()
     if constants:
         tables.append(
@@ -149,9 +136,6 @@ def material_page(result: MaterialCalibration) -> Page:
                 "mu = 2 (c10 + c01) and the bulk modulus, of small strains.",
             )
         )
-    for i, slide in enumerate(result.slides):
-        drawn = partial(draw_slide, slide)
-        pictures.append(Picture(f"slides{i}", drawn, "Friction along each stroke."))
     found = ", ".join(_TITLES[name].split(" [")[0] for name in result.estimates) or "nothing"
     return Page(
         title="Material of the gel",

@@ -25,7 +25,7 @@ class MaterialOptions:
     physics: PressPhysics = PHYSICS[Accuracy.DEFAULT]
     """Of the simulated presses: that of the presses which are to reproduce the records."""
     device: str = "cpu"
-    """Warp device of the simulations; a GPU takes the presses of a table together."""
+    """Warp device of the simulations."""
 
     def __post_init__(self) -> None:
         limits = {"e": (1e2, 1e9), "nu": (0.0, 0.4999), "mooney_ratio": (0, 1), "friction": (0, 5)}

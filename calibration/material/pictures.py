@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taccel_lab.calibration.material.predicted_forces import force_interval_n
-from taccel_lab.calibration.material.sliding import SlideFit
 from taccel_lab.calibration.material.stiffness import Stiffness
 from taccel_lab.report.style import (
     BLUE,
     GREEN,
     GREY,
-    INK,
     LIGHT,
     ORANGE,
     PURPLE,
@@ -117,28 +115,4 @@ def draw_profiles(stiffness: Stiffness, *, open_held: bool) -> Figure:
         axis.set_visible(False)
     for row in axes:
         row[0].set_ylabel("−2 ln L above its least")
-    return figure
-
-
-@in_report_style
-def draw_slide(fit: SlideFit) -> Figure:
-    """Tangential over normal force along each stroke, and the fit where the tool slides."""
-    figure, axis = new_figure(7.5, 3.4)
-    for i, stroke in enumerate(fit.strokes):
-        colour = _COLOURS[i % len(_COLOURS)]
-        sense = "forth" if stroke.direction > 0 else "back"
-        axis.plot(
-            stroke.travel_mm, stroke.tangential_n / stroke.normal_n, ".", ms=3, color=colour,
-            label=f"stroke {i + 1}, {sense}",
-        )  # fmt: skip
-        if stroke.slides.any():
-            line = (fit.predicted_n(stroke) / stroke.normal_n)[stroke.slides]
-            axis.plot(stroke.travel_mm[stroke.slides], line, color=INK, lw=1.4)
-            axis.axvline(stroke.break_mm, color=colour, lw=0.8, ls=":")
-    axis.axhline(0, color=LIGHT, lw=0.8)
-    axis.set(
-        xlabel="travel from the start of the stroke [mm]", ylabel="tangential over normal force"
-    )
-    axis.set_title(f"{fit.name}: {fit.friction.value:.3g} while sliding (black); dotted: break")
-    axis.legend(fontsize=8, ncols=2)
     return figure

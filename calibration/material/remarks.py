@@ -53,19 +53,5 @@ FRICTION_ASSUMED = RemarkKind(
     "friction_assumed",
     Severity.WARNING,
     "friction is not measured: the presses fit best with a coefficient of {friction:g}, which is "
-    "what the profile now says and what presses of it take; {others}. Record a slide",
-)
-
-# Slides.
-NEVER_SLID = RemarkKind(
-    "never_slid",
-    Severity.WARNING,
-    "{name}: the tangential force grows to the end of the stroke, the tool does not slide freely; "
-    "friction is at least {least:.3g}. Move the tool farther sideways",
-)
-LEANING_UNKNOWN = RemarkKind(
-    "leaning_unknown",
-    Severity.WARNING,
-    "{reason}, so what the ball leans on the gel is not taken off; friction may be up to 15 % "
-    "lower than the ratio of the forces. A flat punch does not lean",
+    "what the profile now says and what presses of it take; {others}. Give it with --fix friction=",
 )

@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from taccel_lab.calibration.material.sliding import SlideFit
 from taccel_lab.calibration.material.stiffness import Stiffness
 from taccel_lab.calibration.result import Estimate, ResultSummary
 from taccel_lab.errors import InputError
@@ -26,99 +25,66 @@ class MaterialCalibration(ResultSummary):
     model: str
     estimates: Mapping[str, Estimate]
     """What the captures determine, by the name of the block's field."""
-    used_poisson_ratio: float
-    """The fitted ratio, or the one that was held."""
-    used_mooney_ratio: float
-    used_friction: float
-    """Coefficient in the simulated presses."""
     physics: PressPhysics
-    stiffness: Stiffness | None
-    """What the indentations say; None without any."""
-    slides: Sequence[SlideFit]
+    stiffness: Stiffness
+    """What the indentations say."""
     inputs: dict[str, str]
     remarks: tuple[Remark, ...]
     seconds: float
     """Of the fit, without presses that were simulated before."""
 
     @property
-    def correlation(self) -> dict[str, float]:
-        """Of the parameters of the law that were fitted together."""
-        return {} if self.stiffness is None else self.stiffness.correlation()
-
-    def residuals(self) -> dict[str, float]:
-        """What the fits left over, as parts of the forces, the largest of each kind; of points that
-        were held out first."""
-        found: dict[str, float] = {}
-        for part in self._parts():
-            for name, value in part.residuals().items():
-                found[name] = max(value, found.get(name, value))
-        return found
-
-    def valid_region(self) -> dict[str, tuple[float, float]]:
-        """Depths, forces and speeds of the captures."""
-        found: dict[str, tuple[float, float]] = {}
-        for part in self._parts():
-            for name, (low, high) in part.valid_region().items():
-                least, most = found.get(name, (low, high))
-                found[name] = float(min(low, least)), float(max(high, most))
-        return found
-
-    def _parts(self) -> list[Stiffness | SlideFit]:
-        return [*([] if self.stiffness is None else [self.stiffness]), *self.slides]
+    def used_friction(self) -> float:
+        """Coefficient in the simulated presses."""
+        return self.stiffness.friction
 
     def mooney_rivlin_pa(self) -> dict[str, float]:
         """c10, c01 and the bulk modulus of small strains [Pa]; c01 is 0 of other laws."""
         if "young_modulus_pa" not in self.estimates:
             return {}
-        e, nu = self.estimates["young_modulus_pa"].value, self.used_poisson_ratio
-        shear = e / (2 * (1 + nu))
+        e, nu = self.estimates["young_modulus_pa"].value, self.stiffness.fit.poisson_ratio
+        shear, ratio = e / (2 * (1 + nu)), self.stiffness.fit.mooney_ratio
         return {
-            "c10_pa": 0.5 * shear * (1 - self.used_mooney_ratio),
-            "c01_pa": 0.5 * shear * self.used_mooney_ratio,
+            "c10_pa": 0.5 * shear * (1 - ratio),
+            "c01_pa": 0.5 * shear * ratio,
             "bulk_modulus_pa": e / (3 * (1 - 2 * nu)),
         }
 
     def figures(self) -> dict[str, Any]:
         """Everything measured, ready for JSON."""
-        figures: dict[str, Any] = {
+        return {
             "model": self.model,
             "verdict": judge(self.remarks),
             "estimates": {name: item.figures() for name, item in self.estimates.items()},
             "held": self.held(),
             "fitted_with": self.fitted_with().model_dump(exclude_none=True),
             "constants": self.mooney_rivlin_pa(),
-            "correlation": self.correlation,
-            "residuals": self.residuals(),
-            "valid_region": self.valid_region(),
+            "correlation": self.stiffness.correlation(),
+            "residuals": self.stiffness.residuals(),
+            "valid_region": self.stiffness.valid_region(),
             "inputs": self.inputs,
             "seconds": self.seconds,
+            **self.stiffness.figures(),
         }
-        if self.stiffness is not None:
-            figures |= self.stiffness.figures()
-        return figures | {"slides": [fit.figures() for fit in self.slides]}
 
     def held(self) -> dict[str, float]:
         """Parameters of the law that were not fitted, with the values they were held at."""
-        held = {}
+        held = {"friction_coefficient": self.used_friction}
         if "poisson_ratio" not in self.estimates:
-            held["poisson_ratio"] = self.used_poisson_ratio
+            held["poisson_ratio"] = self.stiffness.fit.poisson_ratio
         if self.model == "mooney_rivlin" and "mooney_ratio" not in self.estimates:
-            held["mooney_ratio"] = self.used_mooney_ratio
-        if "friction_coefficient" not in self.estimates and self.stiffness is not None:
-            held["friction_coefficient"] = self.used_friction
+            held["mooney_ratio"] = self.stiffness.fit.mooney_ratio
         return held
 
     def fitted_with(self) -> FittedWith:
         """What the presses of the fit were, for the profile."""
-        fit = None if self.stiffness is None else self.stiffness.fit
+        fit = self.stiffness.fit
         return FittedWith(
             physics=to_jsonable(self.physics.record()),
             friction_coefficient=self.used_friction,
-            friction_measured="friction_coefficient" in self.estimates,
-            indenters=() if fit is None else tuple(p.tool.description for p in fit.points),
-            touch_shift_mm={}
-            if fit is None
-            else {p.name: fit.touch_mm(i) for i, p in enumerate(fit.points)},
+            friction_measured=False,
+            indenters=tuple(p.tool.description for p in fit.points),
+            touch_shift_mm={p.name: fit.touch_mm(i) for i, p in enumerate(fit.points)},
         )
 
     def apply_to(self, profile: SensorProfile) -> SensorProfile:
@@ -148,12 +114,12 @@ class MaterialCalibration(ResultSummary):
             + "; density, and whatever is not named here, as before",
             source=self.source + (f" ({self.license})" if self.license else ""),
             inputs=self.inputs,
-            residuals=self.residuals(),
+            residuals=self.stiffness.residuals(),
             spread={name: item.sigma for name, item in self.estimates.items()},
             interval={name: item.interval95 for name, item in self.estimates.items()}
             | self._touch_intervals(),
-            correlation=self.correlation,
-            valid_region=self.valid_region(),
+            correlation=self.stiffness.correlation(),
+            valid_region=self.stiffness.valid_region(),
             verdict=judge(self.remarks).value,
             remarks=tuple(remark.message for remark in self.remarks),
         )
@@ -161,8 +127,6 @@ class MaterialCalibration(ResultSummary):
 
     def _touch_intervals(self) -> dict[str, tuple[float, float]]:
         """95 % interval of the zero of each record, where it was fitted."""
-        if self.stiffness is None:
-            return {}
         fit = self.stiffness.fit
         return {
             f"touch_shift_mm of {item.name}": fit.touch_interval_mm(i)

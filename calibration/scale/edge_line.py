@@ -30,8 +30,6 @@ _PARALLEL = 0.9
 _BESIDE_PX = (1.5, 2.5, 3.5)
 """Distances to both sides at which colours are compared."""
 _GAP_PX = 6
-_CREST_PX = 4.0
-"""Colours are compared this far to both sides of the crest to see how blurred it is."""
 _TAIL_PX = 12.0
 """The fall of the jump beyond an end is looked at over this length."""
 _PLACE_PX = 0.25
@@ -123,10 +121,9 @@ def find_edge(
             f"by {level:.1f} levels, beside it by {noise:.1f}; at least {MIN_JUMP_LEVELS:g} levels "
             f"over {MIN_LENGTH_PX:g} px and {MIN_JUMP_OVER_NOISE:g} times what is beside it"
         )
-    blur = _crest_blur(change, point, along, positions[start:stop])
     ends, sigmas, decays = [], [], []
     for direction, at in ((-1, start), (1, stop - 1)):
-        position, sigma, decay = _end(positions, jump, at, direction, stop - start, blur, name)
+        position, sigma, decay = _end(positions, jump, at, direction, stop - start, name)
         ends.append(point + position * along)
         sigmas.append(sigma)
         decays.append(decay)
@@ -259,32 +256,11 @@ def _longest_run(jump: np.ndarray, least: float) -> tuple[int, int]:
     return int(above[firsts[k]]), int(above[lasts[k]]) + 1
 
 
-def _crest_blur(
-    change: np.ndarray, point: np.ndarray, along: np.ndarray, positions: np.ndarray
-) -> float:
-    """Standard deviation [px] of the blur of the picture, from how fast colour jumps at the crest.
-
-    The crest of the edge is sharp; over a quarter to three quarters of the jump, a blurred step
-    takes 1.349 standard deviations.
-    """
-    across = np.array([-along[1], along[0]])
-    offsets = np.arange(-_CREST_PX, _CREST_PX + 0.125, 0.25)
-    track = point + positions[:, None] * along
-    at = (track[:, None] + offsets[None, :, None] * across).astype(np.float32)
-    levels = cv2.remap(
-        change, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    mean = np.median(levels, axis=0)
-    main = mean[-1] - mean[0]
-    step = (mean - mean[0]) @ main / max(float(main @ main), 1e-9)
-    quarter, three = (
-        np.interp(share, np.maximum.accumulate(step), offsets) for share in (0.25, 0.75)
-    )
-    return float(np.clip((three - quarter) / 1.349, 0.5 * _SMOOTH_PX, _CREST_PX))
-
-
 def _fall(t: np.ndarray, start: float, decay: float, blur: float) -> np.ndarray:
-    """1 up to ``start``, then exp(-(t - start) / decay), both blurred by a Gaussian."""
+    """1 up to ``start``, then exp(-(t - start) / decay), both blurred by a Gaussian.
+
+    That of our own smoothing: a blur measured at the crest placed ends no better on real presses.
+    """
     x = (t - start) / blur
     # exp(r^2 / 2 - x r) norm.cdf(x - r) in logarithms: either factor alone overflows.
     r = blur / decay
@@ -297,7 +273,6 @@ def _end(
     at: int,
     direction: int,
     count: int,
-    blur_px: float,
     name: str,
 ) -> tuple[float, float, float]:
     """Where the edge ends, its standard deviation, and the length of the decay beyond it [px].
@@ -320,7 +295,7 @@ def _end(
     used = t < half + _TAIL_PX
 
     def left(x: np.ndarray) -> np.ndarray:
-        return x[0] * _fall(t[used], x[1], x[2], blur_px) - values[used]
+        return x[0] * _fall(t[used], x[1], x[2], _SMOOTH_PX) - values[used]
 
     fit = least_squares(
         left,

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from taccel_lab.calibration.light.drift import drift_spread
+from taccel_lab.calibration.light.drift import drift_spread, triple
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.calibration.result import ResultSummary
 from taccel_lab.calibration.shared_remarks import TOO_FEW
@@ -147,20 +147,16 @@ def light_spread(
     # One figure for both directions: the root mean square of their standard deviations.
     plane = np.sqrt(gradient.var(axis=0, ddof=1).mean(axis=1))
     return {
-        "gain_rgb": _triple(gain),
-        "pivot_rgb": _triple(pivot),
+        "gain_rgb": triple(gain),
+        "pivot_rgb": triple(pivot),
         "offset_rgb": offset,
-        "gradient_rgb": _triple(plane),
+        "gradient_rgb": triple(plane),
     }
 
 
 def relative_error(count: int) -> float:
     """Standard error of a standard deviation from ``count`` samples, as a part of it."""
     return 1.0 if count < 2 else 1 / math.sqrt(2 * (count - 1))
-
-
-def _triple(values: np.ndarray) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])
 
 
 def _drift_figures(drift: LightDrift) -> dict[str, Any]:

@@ -149,7 +149,7 @@ class CalibrateMaterial(BlockCommand):
     accuracy: Literal["fast", "default", "reference"] = "default"
     """Accuracy of the simulated presses, and of those that reproduce the records."""
     device: str = "cpu"
-    """Device of the presses: cpu, or cuda:0, which runs those of a table as one batch."""
+    """Device of the presses: cpu, or cuda:0."""
 
     def check(self) -> None:
         """Refuse an unknown device and parameters that cannot be held."""

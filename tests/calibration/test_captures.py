@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle, import_taxim, load_captures
+from taccel_lab.calibration.capture import CaptureSet, ContactCircle, import_captures, load_captures
 from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, check_circle
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -136,7 +136,7 @@ def test_pack_becomes_the_same_folder(tmp_path: Path) -> None:
     pack = write_pack(tmp_path)
     direct = load_captures(pack)
     assert direct.presses[0].image()[0, 0].tolist() == [0, 0, 50]
-    imported = load_captures(import_taxim(tmp_path / "out", pack))
+    imported = load_captures(import_captures(pack, tmp_path / "out", "taxim")[0])
     assert imported.grid == direct.grid
     assert np.array_equal(imported.background, direct.background)
     for a, b in zip(imported.presses, direct.presses, strict=True):

@@ -4,7 +4,6 @@ replay files."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from taccel_lab.calibration.capture.importers.path_pattern import natural_key
 from taccel_lab.errors import InputError
 from taccel_lab.files.hdf5_images import hdf5_cameras, hdf5_frames, is_hdf5
 from taccel_lab.files.images import read_image
@@ -68,7 +68,9 @@ class Recording:
             found = [p for p in source.iterdir() if p.suffix.lower() in IMAGES and p.is_file()]
             if not found:
                 raise InputError(f"{source} holds no images; {', '.join(IMAGES)} are read")
-            return cls._of_images(source, tuple(sorted(found, key=natural_order)))
+            return cls._of_images(
+                source, tuple(sorted(found, key=lambda path: natural_key(path.name)))
+            )
         if source.suffix.lower() in IMAGES:
             return cls._of_images(source, (source,))
         raise InputError(f"{source} is none of these: {HELD_BY}")
@@ -116,9 +118,3 @@ def _of_images(images: tuple[Path, ...]) -> Iterator[Frame]:
             yield path.name, read_image(path)
         except InputError as error:
             yield path.name, error
-
-
-def natural_order(path: Path) -> list[tuple[int, str]]:
-    """frame_2 before frame_10."""
-    parts = re.split(r"(\d+)", path.name)
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]

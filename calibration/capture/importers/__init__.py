@@ -16,7 +16,6 @@ from taccel_lab.calibration.capture.importers.recipe_layout import RECIPES, reci
 from taccel_lab.calibration.capture.load import load_capture_folder
 from taccel_lab.calibration.capture.schema import MANIFEST_NAME
 from taccel_lab.calibration.capture.split import HOLDOUT_EVERY
-from taccel_lab.calibration.capture.taxim_pack import find_taxim_pack
 from taccel_lab.errors import InputError
 from taccel_lab.files.inner_path import inner_path, real_path
 from taccel_lab.files.output_folder import atomic_directory
@@ -43,7 +42,6 @@ __all__ = [
     "detect_layout",
     "import_captures",
     "import_folders",
-    "import_taxim",
     "read_drafts",
 ]
 
@@ -99,8 +97,6 @@ def read_drafts(
     for draft in drafts:
         _require_own(draft, source)
         draft.apply(options, source if source.is_dir() else source.parent)
-        if draft.finish is not None:
-            draft.finish(draft)
         of = f"imported from {real_path(source).name}, layout {chosen.name}" + (
             f", part {draft.part}" if draft.part else ""
         )
@@ -215,8 +211,3 @@ def freeze_split(captures: CaptureFolder, manifest: Path) -> None:
     names = list(captures.split().heldout_names)
     text = manifest.read_text(encoding="utf-8")
     manifest.write_text(text + "\n" + tomli_w.dumps({"split": {"heldout": names}}), "utf-8")
-
-
-def import_taxim(out: Path | str, pack: Path | str | None = None) -> Path:
-    """Write Taxim's presses as a capture folder; ``pack``: that of the installed wheel when None"""
-    return import_captures(find_taxim_pack() if pack is None else pack, out, "taxim")[0]

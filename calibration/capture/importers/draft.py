@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -115,8 +115,6 @@ class Draft:
     """Files that were taken in, or that something was read from."""
     left_out: dict[Path, str] = field(default_factory=dict)
     """Files that were not, each with the reason."""
-    finish: Callable[[Draft], None] | None = None
-    """What is done to it last: how all its pictures are cut and turned."""
 
     def assume(self, name: str, text: str) -> None:
         """Keep that the value ``name`` is stated by no file: what was taken, and why."""
@@ -136,11 +134,6 @@ class Draft:
         else:
             stem, suffix = name or "image", ".png"
         return self._add(image, stem, suffix)
-
-    def replace_image(self, name: str, content: Image) -> str:
-        """Put other levels in an image's place; returns its name, that of a PNG."""
-        del self.files[name]
-        return self._add(content, Path(name).stem, ".png")
 
     def add_file(self, path: Path, root: Path) -> str:
         """Take any other file in under its path below ``root``, folders joined by "_"; returns its

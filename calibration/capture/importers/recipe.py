@@ -105,7 +105,7 @@ class Boards(StrictModel):
 class Record(StrictModel):
     """A record of forces on the set's ball: a CSV, or lists in the settings."""
 
-    kind: Literal["indentation", "slide"]
+    kind: Literal["indentation"]
     file: Patterns | None = None
     columns: dict[Text, Text] = Field(default_factory=dict)
     """What the CSV's columns are called here, by their names there."""
@@ -158,12 +158,6 @@ class Set(StrictModel):
     boards: Boards | None = None
     record: Record | None = None
     markers: MarkerRecipe | None = None
-    channels: Literal["rgb", "bgr"] = "rgb"
-    """``bgr``: red and blue of the image files stand in each other's place."""
-    crop: Text | None = None
-    """``LEFT,TOP,WIDTHxHEIGHT`` [px], the part of every image that is kept."""
-    turn_deg: Literal[0, 90, 180, 270] = 0
-    """How far images are turned after it, against the clock; circles and lines go along."""
     leave_out: dict[Pattern, Text] = Field(default_factory=dict, max_length=20)
     """Files that are known and not taken in, with the reason."""
     notes: list[Text] = Field(default_factory=list)

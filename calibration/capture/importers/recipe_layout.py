@@ -5,12 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from taccel_lab.calibration.capture.importers.background_guess import BACKGROUND_NAME
 from taccel_lab.calibration.capture.importers.board_text import board_entry
-from taccel_lab.calibration.capture.importers.crop import change_pictures
 from taccel_lab.calibration.capture.importers.draft import Draft, ImportOptions
 from taccel_lab.calibration.capture.importers.files import images_in
 from taccel_lab.calibration.capture.importers.label_tables import LabelTables, read_label_tables
@@ -171,10 +169,6 @@ def _fill(
         for path in place.files(further)[1:]:
             if path not in draft.used:
                 draft.leave_out(path, f"{place.files(further)[0].name} is read instead")
-    if of.crop is not None or of.turn_deg or of.channels == "bgr":
-        draft.finish = partial(
-            change_pictures, part=of.crop, turn_deg=of.turn_deg, swap=of.channels == "bgr"
-        )
 
 
 def _set_sensor(draft: Draft, place: _SetAt, why: str) -> None:

@@ -136,13 +136,13 @@ def set_values(
                 draft.set_scale(mm_per_px, why=None if stated else of.why.get("mm_per_px", why))
     for path in place.files(of.homography)[:1]:
         if scale is None:
-            _scale_of_homography(path, draft, of.turn_deg % 180 != 0)
+            _scale_of_homography(path, draft)
         else:
             draft.leave_out(path, "--mm-per-px-x replaces its scale")
     return radius
 
 
-def _scale_of_homography(path: Path, draft: Draft, turned: bool) -> None:
+def _scale_of_homography(path: Path, draft: Draft) -> None:
     """Scale from a homography of millimetres to pixels, whose axes may be swapped."""
     draft.used.add(path)
     matrix = finite_numbers({path.name: read_npy(path)}, path.name, path.parent)
@@ -151,8 +151,7 @@ def _scale_of_homography(path: Path, draft: Draft, turned: bool) -> None:
     if not np.all((px_per_mm >= 1 / MAX_MM_PER_PX) & (px_per_mm <= 1 / MIN_MM_PER_PX)):
         draft.leave_out(path, "no affine 3 x 3 matrix of a scale in px per mm")
         return
-    along, across = (float(1 / value) for value in px_per_mm)
-    draft.set_scale(*((across, along) if turned else (along, across)))
+    draft.set_scale(float(1 / px_per_mm[0]), float(1 / px_per_mm[1]))
     draft.assume(
         "mm_per_px",
         f"from {path.name}: {px_per_mm[0]:g} x {px_per_mm[1]:g} per mm, taken as pixels of these "

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import CaptureSet, ContactCircle, load_captures
-from taccel_lab.calibration.capture.overrides import override_text, read_overrides, with_overrides
+from taccel_lab.calibration.capture import ContactCircle, load_captures
+from taccel_lab.calibration.capture.overrides import override_presses, override_text, read_overrides
 from taccel_lab.calibration.contacts.fusion import choose_circles
 from taccel_lab.cli.capture.check import CaptureCheckCommand
 from taccel_lab.errors import InputError
@@ -90,7 +90,7 @@ def test_bad_corrections(tmp_path: Path, text: str, message: str) -> None:
     circles = scattered(3)
     captures = press_set(circles, [gel()] * 3)
     with pytest.raises(InputError, match=message):
-        with_overrides(captures, path)
+        override_presses(captures.presses, path)
     with pytest.raises(InputError, match="does not exist"):
         read_overrides(tmp_path / "missing.toml")
 
@@ -110,7 +110,7 @@ def test_names_with_odd_characters_survive(tmp_path: Path) -> None:
     lines = [line.removeprefix("# ") for line in body.splitlines()]
     kept = "\n".join(line for line in lines if line != "sure")
     edited.write_text(kept, encoding="utf-8")
-    back: CaptureSet = with_overrides(captures, edited)
-    assert all(press.checked for press in back.presses)
-    for press, circle in zip(back.presses, circles, strict=True):
+    back = override_presses(captures.presses, edited)
+    assert all(press.checked for press in back)
+    for press, circle in zip(back, circles, strict=True):
         assert press.circle is not None and press.circle.center_gap_px(circle, GRID) < 0.01

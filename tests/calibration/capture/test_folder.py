@@ -318,18 +318,6 @@ def test_unknown_tool_is_given_the_benefit_of_the_doubt() -> None:
         indentation(DEPTH_MM, hertz_n(14.0))
 
 
-def test_slide_with_columns_swapped() -> None:
-    columns = {
-        "shift_mm": np.linspace(0, 3, 5),
-        "normal_n": np.full(5, 0.2),
-        "tangential_n": np.full(5, 2.0),
-    }
-    with pytest.raises(InputError, match=r"10 times normal_n.*swapped"):
-        check_record("r.csv", entry("slide"), columns)
-    columns["normal_n"] = np.full(5, 2.0)
-    check_record("r.csv", entry("slide"), columns)
-
-
 def write(folder: Path, text: str) -> Path:
     path = folder / "r.csv"
     path.write_text(text)
@@ -423,5 +411,4 @@ def test_rows_that_stand_twice_count_once(tmp_path: Path) -> None:
 
 def test_kind_is_told_by_the_columns(tmp_path: Path) -> None:
     assert kind_of_record(write(tmp_path, "depth_mm, force_n\n")) == "indentation"
-    assert kind_of_record(write(tmp_path, "shift_mm,normal_n,tangential_n\n")) == "slide"
     assert kind_of_record(write(tmp_path, "a,b\n")) is None

@@ -49,8 +49,7 @@ def bench(tmp_path: Path) -> Path:
         rows = ["file,x_px,y_px,r_px,travel_mm,fz_n,ball_mm"]
         for i, (u, v) in enumerate(((80, 90), (200, 150))):
             (folder / "pictures").mkdir(parents=True, exist_ok=True)
-            # Their files have red and blue exchanged.
-            write_image(folder / "pictures" / f"p{i}.jpg", spot(u, v)[..., ::-1].copy())
+            write_image(folder / "pictures" / f"p{i}.jpg", spot(u, v))
             rows.append(f"p{i}.jpg,{u},{v},9,0.{i + 3},{'' if i else 1.5},{4 + i}")
         picture(folder / "untouched.png", size=(240, 320))
         (folder / "presses.csv").write_text("\n".join(rows))
@@ -58,9 +57,8 @@ def bench(tmp_path: Path) -> Path:
     return tmp_path / "bench"
 
 
-@pytest.mark.parametrize("turn_deg", [0, 90, 180, 270])
-def test_the_documented_recipe(bench: Path, tmp_path: Path, turn_deg: int) -> None:
-    mine = recipe(tmp_path, of_docs().replace("turn_deg = 90", f"turn_deg = {turn_deg}"))
+def test_the_documented_recipe(bench: Path, tmp_path: Path) -> None:
+    mine = recipe(tmp_path, of_docs())
     out = tmp_path / "out"
     assert run("capture", "import", bench, out, "--layout", mine) == 0
     for unit in ("left", "right"):
@@ -71,29 +69,11 @@ def test_the_documented_recipe(bench: Path, tmp_path: Path, turn_deg: int) -> No
         assert "source" in captures.provenance and "radius_mm" not in captures.assumed
         assert [p.depth_mm for p in captures.presses] == [0.3, 0.4]
         assert [p.force_n for p in captures.presses] == [1.5, None]
-        shape = (300, 240) if turn_deg % 180 else (240, 300)
-        assert captures.require_background().image().shape[:2] == shape
         for press in captures.presses:
-            # Red is red again, and lies in the circle that went along.
             red, circle = press.image()[..., 0] > 140, press.circle
-            assert red.shape == shape and circle is not None
+            assert circle is not None
             v, u = (axis.mean() for axis in np.nonzero(red))
             assert (circle.u_px, circle.v_px) == pytest.approx((u, v), abs=0.5)
-
-
-def test_lines_turn_with_the_pictures(tmp_path: Path) -> None:
-    (tmp_path / "in").mkdir()
-    picture(tmp_path / "in" / "e.png", size=(48, 64))
-    np.savez(tmp_path / "in" / "e.npz", mid=[10, 20], rest=np.array([30.0, 4.0]))
-    mine = recipe(
-        tmp_path,
-        "[[sets]]\ncrop = '2,4,60x40'\nturn_deg = 90\n[sets.edges]\narrays = '{n}.npz'\n"
-        "files = '{n}.png'\nlength_mm = 3\nline = ['mid', 'rest']\n",
-    )
-    (out,) = import_captures(tmp_path / "in", tmp_path / "out", mine)
-    line = load_capture_folder(out).edges[0].entry.line
-    assert line is not None
-    assert (line.u_px, line.v_px, line.length_px, line.angle_deg) == (16, 51, 30, -86)
 
 
 def test_words_of_file_names_and_records(tmp_path: Path) -> None:
@@ -146,13 +126,13 @@ SET = "[[sets]]\npresses = '*.png'\n"
         (SET + "mask = '*a*b*c*'", "one name may have 3 wildcards"),
         (SET + "mask = '{A}.png'", "wildcards are"),
         (SET + "part = '../up'", "sets.0.part: string should match"),
-        (SET + "crop = '0,0,9x9'", "crop '0,0,9x9' is no part of pictures of 64x48"),
+        (SET + "crop = '0,0,9x9'", "sets.0.crop: unknown key"),
         ("[[sets]]\npresses = { files = 'a.png', name = '../{stem}' }", "sets.0.presses.name"),
         ("[[sets]]\npresses = { table = 'a.csv' }", "a table and image, its column"),
         ("[[sets]]\npresses = { table = 'a.csv', image = 'x', folder = '..' }", "leads out"),
         ("[[sets]]\npresses = { files = '{n}.png', radius_mm = 'n' }", "p.png: {n}: 'p' is not"),
         ("[[sets]]\npresses = 'q*.png'", "is not of the layout mine: a recipe of your own"),
-        ("[[sets]]\nrecord = { kind = 'slide' }", "a record has a file, or lists"),
+        ("[[sets]]\nrecord = { kind = 'indentation' }", "a record has a file, or lists"),
     ],
 )
 def test_faulty_recipes(tmp_path: Path, text: str, words: str) -> None:

@@ -281,7 +281,6 @@ def test_finds_synthetic_contacts(u: float, v: float, radius: float, seed: int) 
     found = detect_contact(image, flat_background(), PLAIN_GRID)
     assert np.hypot(found.circle.u_px - u, found.circle.v_px - v) < 1.0
     assert abs(found.circle.radius_px - radius) < 2.0
-    assert found.inlier_fraction > 0.8
 
 
 def test_drift_does_not_look_like_a_contact() -> None:

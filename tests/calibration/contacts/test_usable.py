@@ -198,8 +198,7 @@ def circles(values: np.ndarray) -> list[ContactCircle]:
 def contacts(values: np.ndarray, center: float, radius: float) -> list[DetectedContact]:
     """Detected circles of these stated standard deviations."""
     return [
-        DetectedContact(circle, radius, 1.0, 0.0, 50.0, center_sigma_px=center)
-        for circle in circles(values)
+        DetectedContact(circle, radius, 50.0, center_sigma_px=center) for circle in circles(values)
     ]
 
 

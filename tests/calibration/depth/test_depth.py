@@ -30,7 +30,6 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import SensorProfile, load_profile, save_profile
 from taccel_lab.report.page import write_page
 from taccel_lab.signals.depth_response import DepthResponse
-from tests.support.analytic_surface import analytic_surface
 from tests.support.real_data import real_data
 from tests.support.synthetic_presses import flat_profile, memory_captures, with_circles, with_images
 
@@ -160,20 +159,6 @@ def test_presses_at_one_spot_or_that_answer_differently_are_told() -> None:
     dim = captures.background - 0.35 * (captures.background - captures.presses[1].image())
     result = fit_depth(with_images(captures, {1: dim}))
     assert codes(result)["heldout_error"] in ("warning", "error")
-
-
-def test_sunk_rim_adds_to_every_depth() -> None:
-    captures = captures_of(CIRCLES)
-    surfaces = [analytic_surface(c, GRID, BALL_MM, decay_mm=1.0) for c in CIRCLES]
-    by_rim = fit_depth(captures, DepthOptions(zero="rim"))
-    by_face = fit_depth(captures, DepthOptions(zero="layer"), lambda *_: surfaces)
-    sunk = np.mean([p.rim_depth_mm for p in by_face.presses])
-    assert sunk > 0.1
-    drop = np.array([20.0, 40.0])
-    more = by_face.response.depth_of(drop) - by_rim.response.depth_of(drop)
-    assert more == pytest.approx(sunk, rel=0.15)
-    with pytest.raises(InputError, match="needs the surfaces"):
-        fit_depth(captures, DepthOptions(zero="layer"))
 
 
 def test_poisoned_masked_pixels_have_no_effect() -> None:

@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,13 +10,14 @@ import numpy as np
 import pytest
 
 from taccel_lab.calibration.capture import load_capture_folder
+from taccel_lab.calibration.capture.schema import ToolEntry
+from taccel_lab.calibration.material import gel_presses
 from taccel_lab.calibration.material.fit import calibrate_material
-from taccel_lab.calibration.material.gel_presses import GelPresses, Stop
+from taccel_lab.calibration.material.gel import Gel
+from taccel_lab.calibration.material.gel_presses import GelBench
 from taccel_lab.calibration.material.options import MaterialOptions
-from taccel_lab.calibration.material.press_plans import CurvePlan, follow, prepare, simulate
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.errors import SimulationError
-from taccel_lab.geometry.block import block_mesh
 from taccel_lab.presses import (
     PressPath,
     PressPhysics,
@@ -29,9 +27,7 @@ from taccel_lab.presses import (
     simulate_press,
 )
 from taccel_lab.profile import SensorProfile, load_profile, save_profile
-from taccel_lab.scene import Material, MaterialField, MaterialModel
 from taccel_lab.sensors.press_mesh import press_mesh
-from taccel_lab.solvers import SolverConfig
 from tests.calibration.material.made_up import COARSE_FAST, FAST
 
 MODULUS, NOISE = 3.1e5, 0.01
@@ -153,142 +149,17 @@ def test_a_press_with_other_friction_is_not_that_of_the_fit(
     assert said is not None and "friction 0 (this press: 1)" in said
 
 
-MESH = block_mesh((5, 5, 2), (10e-3, 10e-3, 3e-3))
-BALL = parse_indenter("sphere:6")
-TIGHT = SolverConfig(relative_tolerance=1e-8, dhat_m=2e-5)
-RUBBING = SolverConfig(relative_tolerance=1e-6, dhat_m=2e-5, friction_eps_m=5e-6)
-
-
-def press(
-    materials: Sequence[Material | MaterialField],
-    frictions: Sequence[float],
-    config: SolverConfig = TIGHT,
-) -> GelPresses:
-    return GelPresses(MESH, materials, BALL, (0.0, 0.0), frictions, config=config)
-
-
-def moved(env: GelPresses, stops: Sequence[Stop]) -> np.ndarray:
-    """Force [N] on the tool, [env, 3]."""
-    report = env.go(stops)
-    assert report.converged.all()
-    return env.press_force
-
-
-@pytest.mark.parametrize("model", list(MaterialModel))
-def test_gels_of_unlike_moduli_in_one_scene_are_those_of_scenes_of_their_own(
-    model: MaterialModel,
+def test_a_press_that_does_not_converge_is_refused(
+    gel: Gel, press_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ratios = (0.1, 0.9) if model is MaterialModel.MOONEY_RIVLIN else (0.0, 0.0)
-    layered = np.where(MESH.nodes_m[MESH.tets].mean(axis=1)[:, 2] > -1e-3, 1e6, 4e5)
-    materials = [
-        Material(1e6, 0.49, model=model, mooney_ratio=ratios[0]),
-        MaterialField(layered, 0.42, model=model, mooney_ratio=ratios[1]),
-    ]
-    together = moved(press(materials, (0.0, 0.0)), [Stop(0.3), Stop(0.5)])
-    for i, depth in enumerate((0.3, 0.5)):
-        alone = moved(press(materials[i : i + 1], (0.0,)), [Stop(depth)])
-        np.testing.assert_allclose(together[i, 2], alone[0, 2], rtol=1e-7)
-    # With the moduli of the other they are another gel.
-    assert abs(moved(press(materials[1:], (0.0,)), [Stop(0.3)])[0, 2] / together[0, 2] - 1) > 0.05
-
-
-def test_coefficients_of_friction_and_ways_differ_by_environment() -> None:
-    gels = [Material(1e6, 0.47)] * 3
-    frictions = (0.0, 0.2, 0.5)
-    env = press(gels, frictions, RUBBING)
-    moved(env, [Stop(0.4)] * 3)
-    ways = [Stop(0.4, (0.1, 0.0)), Stop(0.45, (0.05, 0.0)), Stop(0.4, (0.0, 0.05))]
-    together = moved(env, ways)
-    for i, way in enumerate(ways):
-        single = press(gels[:1], frictions[i : i + 1], RUBBING)
-        moved(single, [Stop(0.4)])
-        alone = moved(single, [way])
-        np.testing.assert_allclose(together[i], alone[0], atol=1e-4 * alone[0, 2])
-    assert abs(together[1, 0]) > 5 * abs(together[0, 0])
-    assert abs(together[2, 1]) > 5 * abs(together[2, 0])
-
-
-def test_scenes_that_cannot_be_shared_are_refused() -> None:
-    soft, stiff = Material(1e5, 0.47), Material(1e6, 0.47)
-    other = Material(1e6, 0.47, model=MaterialModel.STABLE_NEO_HOOKEAN)
-    for pair in ((soft, stiff), (stiff, other)):
-        with pytest.raises(ValueError, match="must share"):
-            press(pair, (0.0, 0.0))
-    with pytest.raises(ValueError, match="2 materials, but 1"):
-        press((stiff, stiff), (0.1,))
-
-
-class Bench:
-    """Gels of one block; ``device`` only decides how many go together."""
-
-    def __init__(self, device: str, config: SolverConfig = TIGHT) -> None:
-        self.device, self.config = device, config
-        self.built: list[int] = []
-
-    def presses(self, plans: Sequence[CurvePlan]) -> GelPresses:
-        self.built.append(len(plans))
-        gels = [Material(1e6, each.poisson_ratio) for each in plans]
-        return press(gels, [each.friction for each in plans], self.config)
-
-
-def plan(nu: float, depths: Sequence[float], friction: float = 0.0, must: int = 0) -> CurvePlan:
-    return CurvePlan(
-        {"what": "test", "nu": nu, "depths": list(depths), "mu": friction},
-        nu,
-        0.0,
-        friction,
-        [Stop(depth) for depth in depths],
-        read=lambda env, _: env.press_force,
-        arrays=lambda rows: {"force_n": rows[:, 2]},
-        must_reach=must,
-    )
-
-
-@pytest.fixture
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TACCEL_LAB_CACHE", str(tmp_path))
-
-
-def test_a_table_of_candidates_comes_out_of_one_scene(own_cache: None) -> None:
-    wanted = [plan(nu, depths) for nu, depths in ((0.4, (0.2, 0.4)), (0.48, (0.1, 0.3, 0.5)))]
-    bench, told = Bench("cuda:0"), []
-    prepare(bench, wanted, lambda *how_far: told.append(how_far))
-    assert bench.built == [2]
-    assert told[0] == ("presses", 0, 2)
-    found = [simulate(bench, item) for item in wanted]
-    assert bench.built == [2]  # each was kept for itself
-    for item, result in zip(wanted, found, strict=True):
-        alone = follow(bench.presses([item]), [item])
-        np.testing.assert_allclose(result["force_n"], alone.rows[0][:, 2], rtol=1e-7)
-        assert len(result["force_n"]) == len(item.stops)
-    # One core takes them one by one.
-    slow = Bench("cpu")
-    prepare(slow, [plan(0.41, (0.2,)), plan(0.42, (0.2,))])
-    assert slow.built == []
-
-
-def test_an_environment_that_fails_is_tried_again_alone(own_cache: None) -> None:
-    """Too few Newton iterations for the deep step, enough for the shallow ones."""
-    hasty = SolverConfig(relative_tolerance=1e-8, max_newton_iterations=14, max_substep_halvings=0)
-    good, bad = plan(0.4, (0.02, 0.03)), plan(0.499, (0.02, 1.8), must=2)
-    bench = Bench("cuda:0", hasty)
-    prepare(bench, [good, bad])
-    assert good.kept.exists() and not bad.kept.exists()
-    assert np.isfinite(simulate(bench, good)["force_n"]).all()
-    with pytest.raises(SimulationError, match="did not converge"):
-        simulate(bench, bad)
-    assert bench.built == [2, 1]
-    tolerated = plan(0.499, (0.02, 1.8), must=1)
-    forces = simulate(bench, tolerated)["force_n"]
-    assert np.isfinite(forces[0]) and np.isnan(forces[1])
-
-
-def test_presses_need_no_reader_of_files() -> None:
-    """Machines that only simulate have none."""
-    absent = ("pydantic", "rich", "tyro", "matplotlib", "cv2", "torch")
-    code = (
-        f"import sys; sys.modules.update(dict.fromkeys({absent!r}))\n"
-        "import taccel_lab.calibration.material.press_plans, taccel_lab.geometry.block"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    """Too few Newton iterations for a deep step; nothing of it is kept for the next try."""
+    hasty = {"max_newton_iterations": 2, "max_substep_halvings": 0}
+    tool = gel.tool(ToolEntry(kind="sphere", radius_mm=6.0))
+    bench = GelBench(replace(gel, physics=COARSE_FAST), tool, 1.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(gel_presses, "RUBBING_LIMITS", hasty)
+        with pytest.raises(SimulationError, match="did not converge"):
+            bench.pressed(bench.gel, 0.3)
+    found = bench.pressed(bench.gel, 0.3)
+    assert found["force_n"] > 0 and found["seconds"] > 0
+    assert bench.pressed(bench.gel, 0.3)["seconds"] == found["seconds"], "taken from the cache"

@@ -17,16 +17,15 @@ from taccel_lab.calibration.material.force_table import (
     ForceTable,
     TableError,
     force_table,
-    press_plan,
 )
 from taccel_lab.calibration.material.gel import CurveTool, Gel
+from taccel_lab.calibration.material.gel_presses import GelBench
 from taccel_lab.calibration.material.indentation import IndentationFit, fit_indentation
 from taccel_lab.calibration.material.indentation_points import (
     IndentationPoints,
     points_of_record,
     require_plausible,
 )
-from taccel_lab.calibration.material.press_plans import CurvePlan, GelBench, simulate
 from taccel_lab.calibration.result import Estimate
 from taccel_lab.errors import InputError
 from taccel_lab.presses.bonded_layer import layer_force_n
@@ -62,7 +61,7 @@ def simulated(gel: Gel, tool: CurveTool, press_cache: Path) -> ForceTable:
     """Of four depths instead of seven."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("taccel_lab.calibration.material.force_table.DEPTHS", 4)
-        return force_table(gel.with_physics(COARSE), tool, (0.2, 1.2))
+        return force_table(replace(gel, physics=COARSE), tool, (0.2, 1.2))
 
 
 @pytest.fixture(scope="module")
@@ -74,9 +73,9 @@ def pressed_n(
     gel: Gel, tool: CurveTool, depths_mm: np.ndarray, nu: float, ratio: float, physics: PressPhysics
 ) -> np.ndarray:
     """Forces [N] of presses of 1 MPa to each depth."""
-    own = gel.with_law(nu, ratio).with_physics(physics)
+    own = replace(gel.with_law(nu, ratio), physics=physics)
     benches = [GelBench(own, tool, depth) for depth in depths_mm.tolist()]
-    return np.array([simulate(b, press_plan(b, own))["force_n"][0] for b in benches])
+    return np.array([bench.pressed(own)["force_n"][0] for bench in benches])
 
 
 def test_an_uncertain_zero_of_the_load_cell_widens_the_interval(
@@ -132,13 +131,13 @@ def test_four_presses_and_one_between_make_a_row_of_a_table(
     tool = gel.tool(ToolEntry(kind=kind, radius_mm=2.0))
     exponent = 1.5 if kind == "sphere" else 1.0
 
-    def made_up(bench: GelBench, plan: CurvePlan) -> dict[str, np.ndarray]:
-        nu, depth = plan.poisson_ratio, np.array([plan.stops[-1].depth_mm])
+    def made_up(bench: GelBench, gel: Gel, friction: float) -> dict[str, np.ndarray]:
+        nu, depth = gel.material.poisson_ratio, np.array([bench.depth_mm])
         s = np.sqrt(1 - 2 * nu)
         force = 1e6 * depth**exponent * np.exp(1.3 - 2 * s + 0.7 * s**3 * depth)
         return {"force_n": force, "seconds": np.array(0.5)}
 
-    monkeypatch.setattr("taccel_lab.calibration.material.press_plans.simulate", made_up)
+    monkeypatch.setattr(GelBench, "pressed", made_up)
     table = force_table(gel, tool, (0.2, 1.0), friction=friction)
     count = 5 * len(table.responses.travel)
     assert (table.press_count, table.seconds) == (count, 0.5 * count)
@@ -243,7 +242,7 @@ def test_two_balls_tell_poisson_ratio(
 ) -> None:
     small = gel.tool(ToolEntry(kind="sphere", radius_mm=2.0))
     depth = np.linspace(0.15, 0.9, 8)
-    second = force_table(gel.with_physics(COARSE), small, (0.15, 0.9))
+    second = force_table(replace(gel, physics=COARSE), small, (0.15, 0.9))
     force = pressed_n(gel, small, depth, POISSON, 0.0, FAST) * MODULUS / 1e6
     wide = np.linspace(0.2, 1.2, 8)
     truth = pressed_n(gel, tool, wide, POISSON, 0.0, DEFAULT) * MODULUS / 1e6
@@ -271,7 +270,7 @@ def test_a_narrow_and_a_wide_ball_tell_the_modulus_without_poisson_ratio(
     """2 % where one ball leaves 5 to 15 %; the truth is of a finer mesh than the tables."""
     depth = np.linspace(0.1, 1.0, 8)
     tools = [gel.tool(ToolEntry(kind="sphere", radius_mm=radius)) for radius in (2.0, 15.0)]
-    tables = [force_table(gel.with_physics(FAST), tool, (0.1, 1.0)) for tool in tools]
+    tables = [force_table(replace(gel, physics=FAST), tool, (0.1, 1.0)) for tool in tools]
     truth = [pressed_n(gel, tool, depth, POISSON, 0.0, DEFAULT) * MODULUS / 1e6 for tool in tools]
     rng = np.random.default_rng(5)
     errors, hits = [], 0

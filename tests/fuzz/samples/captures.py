@@ -86,7 +86,6 @@ motion = "free"
 """
 _TABLES = {
     "indentation": "depth_mm,force_n,sigma_n\n0.2,0.05,0.01\n0.4,0.15,0.01\n0.8,0.4,0.01\n",
-    "slide": "shift_mm,normal_n,tangential_n\n0.0,1.0,0.1\n0.5,1.0,0.5\n1.0,1.0,0.6\n",
 }
 _RECORD = """
 [[records]]

@@ -56,9 +56,6 @@ background = ["bg.*"]
 settings = "stage.json"
 px_per_mm = { key = "camera.px_per_mm" }
 radius_mm = { key = "camera.tip", text = "*of {value} mm" }
-channels = "bgr"
-crop = "2,1,36x33"
-turn_deg = 90
 presses = { table = "presses.csv", image = "file", circle = ["u", "v", "r"], depth_mm = "mm" }
 leave_out = { "p_{n:number}.txt" = "words" }
 notes = ["mine"]
