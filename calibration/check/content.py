@@ -168,5 +168,5 @@ def _needs(folder: CaptureFolder, command: str) -> tuple[str, str]:
         return several, ""
     kinds = [record.entry.kind for record in folder.records]
     if not kinds:
-        return "", "force records: indentation (E), slide (friction)"
+        return "", "force records: indentation (E)"
     return ", ".join(f"{kinds.count(kind)} x {kind}" for kind in dict.fromkeys(kinds)), ""
