@@ -27,6 +27,7 @@ from taccel_lab.studies.table import CSV_NAME
 from tests.studies.run_fake import CHANGES, SEARCH
 from tests.support.fake_kit import evaluate_and_crash, logged, study
 from tests.support.strangers import SECRET, lure
+from tests.support.variants import variants
 
 ROOT = Path(__file__).parents[2]
 
@@ -38,7 +39,7 @@ def children_of(pid: int) -> list[int]:
     )
 
 
-@pytest.mark.parametrize("processes", [0, 2])
+@pytest.mark.parametrize("processes", variants([2], [0, 2]))
 def test_a_killed_sweep_goes_on(tmp_path: Path, processes: int) -> None:
     folder = StudyFolder(tmp_path)
     command = [sys.executable, "-m", "tests.studies.run_fake", str(tmp_path), str(processes)]

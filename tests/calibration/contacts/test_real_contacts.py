@@ -117,6 +117,7 @@ def test_gelsight_like_sensor() -> None:
     assert (scatter.found < 1.5 * scatter.stated).all()
 
 
+@pytest.mark.slow
 def test_gelsight_mini_with_white_balance_on() -> None:
     result, scatter = measured(
         labelled_presses("fots_calib", "labels_gelsight.csv", "mlp_calib/0000.png", 2.35, 0.0511)
