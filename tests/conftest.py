@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
 import shutil
 import subprocess
@@ -43,6 +44,12 @@ if not EXPLORES:
     # It tries the constants of every module of ours that the process has loaded, too, and so other
     # examples in each order of the tests. No setting says no to that.
     providers._get_local_constants = lambda: providers._local_constants
+
+
+def pytest_collection_finish() -> None:
+    """What was imported and collected stays: the collector of garbage need not look at it again."""
+    gc.collect()
+    gc.freeze()
 
 
 # Where there is a GPU, Warp would make arrays there whose device a test does not name.

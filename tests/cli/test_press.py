@@ -334,6 +334,7 @@ def test_an_interrupted_press_leaves_nothing(
     assert everything_below(tmp_path) == {}
 
 
+@pytest.mark.slow
 def test_press_writes_the_dots_where_its_picture_shows_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -163,6 +163,7 @@ def test_unusable_input_exits_with_2(presses: Path, cli: Cli) -> None:
     assert "6 presses come without" in told and not out[1].exists()
 
 
+@pytest.mark.slow
 def test_normals_of_captures_that_contradict_themselves_are_weak(presses: Path, cli: Cli) -> None:
     """The fit believes its labels: the check of the captures holds them against the images."""
     manifest = presses / "captures.toml"

@@ -108,6 +108,7 @@ def start(folder: Path, shard: str, *words: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, cwd=ROOT)
 
 
+@pytest.mark.slow
 def test_two_processes_share_a_grid_and_a_third_run_merges(tmp_path: Path) -> None:
     runs = [start(tmp_path, f"{number}/2") for number in (1, 2)]
     assert [run.wait(120) for run in runs] == [0, 0]

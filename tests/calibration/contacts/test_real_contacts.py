@@ -82,6 +82,7 @@ def measured(captures: CaptureSet) -> tuple[LabelAgreement, Scatter]:
     return result, scatter_of_three(captures, found)
 
 
+@pytest.mark.slow
 def test_three_measurements_tell_whose_scatter_it_is() -> None:
     """Drawn presses, whose truth is known: noise of labels is not blamed on the detection."""
     rng = np.random.default_rng(6)
