@@ -209,6 +209,7 @@ def test_a_journal_whose_writer_was_killed_amid_a_line_goes_on(tmp_path: Path) -
         json.loads(line)
 
 
+@pytest.mark.slow
 def test_a_shard_that_lost_designs_says_so(tmp_path: Path) -> None:
     planned = study(evaluate_and_crash)
     outcome = run_study(planned, tmp_path, processes=1, shard=Shard(1, 1))
