@@ -52,12 +52,12 @@ def installed(page: Path) -> list[str]:
 WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]
 
 
-LONG = DOCS / "tutorials" / "curved_pad.md"
-"""Two presses of the default accuracy."""
+LONG = (DOCS / "tutorials" / "curved_pad.md", DOCS / "gradients.md")
+"""Presses of the default accuracy, and a fit by their gradients."""
 
 
 @pytest.mark.parametrize(
-    "page", variants([page for page in WITH_PYTHON if page != LONG], WITH_PYTHON), ids=named
+    "page", variants([page for page in WITH_PYTHON if page not in LONG], WITH_PYTHON), ids=named
 )
 def test_python_runs(page: Path, request: pytest.FixtureRequest) -> None:
     if page.name == "newton.md":

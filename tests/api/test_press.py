@@ -198,6 +198,7 @@ def test_what_cannot_be_pressed_is_refused(words: dict, message: str) -> None:
         tl.press("flat_pad", "sphere:4", **words)
 
 
+@pytest.mark.slow
 def test_a_checkout_without_links_presses_from_a_plain_script(tmp_path: Path) -> None:
     """As on Windows: links are files that hold where they lead. Nothing is printed but by the
     script, which has no main guard."""

@@ -55,6 +55,7 @@ def test_presses_of_a_sensor_are_compared_with_a_finer_mesh(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(press_accuracy, "DEPTHS_MM", (0.1,))
+    monkeypatch.setattr(press_accuracy, "NEARER", 2)
     words = ["press_accuracy", "--quick", "--families", "flat_pad", "--out", str(tmp_path)]
     assert main([*words, "--tools", "ball 1.5"]) == 0
     document = read_result(tmp_path / "press_accuracy.json")

@@ -62,7 +62,7 @@ def check_invariants(mesh: TetMesh, pad: GelPad) -> None:
 
 @given(gel_pads(), st.floats(1.4, 2.5))
 @example(replace(FLAT_FILLET, length_x_mm=33.5, window_x_mm=16.75), 1.6)
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=3, deadline=None)
 def test_even_meshes_are_sound(pad: GelPad, edge_mm: float) -> None:
     mesh = gel_mesh(pad, edge_mm)
     check_invariants(mesh, pad)

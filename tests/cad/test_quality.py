@@ -219,6 +219,7 @@ def test_open_surfaces_are_refused_and_welding_closes_them() -> None:
     check_closed(triangles, "it")
 
 
+@pytest.mark.slow
 def test_a_digit_cast_flat_gets_a_sound_mesh() -> None:
     """The usual mesh has tets of 8.4 degrees at its fillet."""
     pad = sensor_family("digit").parameters({"mid_radius_mm": 0, "roll_off": 0}).pad()

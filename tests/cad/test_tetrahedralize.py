@@ -60,6 +60,7 @@ def check_gate(pad: Pad, edge_mm: float, *, areas: float = 0.05) -> TetMesh:
     return mesh
 
 
+@pytest.mark.slow
 def test_a_small_pad_reaches_the_gate() -> None:
     mesh = check_gate(small_pad(), 2.0)
     assert np.unique(mesh.nodes_m[mesh.bonded_nodes(), 2]).tolist() == [-2.4e-3]

@@ -103,7 +103,7 @@ def test_press_on_a_sensor_of_the_catalogue(
 ) -> None:
     out = tmp_path / "deep" / "press"
     options = ["--depth-mm", "0.4", "--at-mm", "1.0", "-0.5", "--shear-mm", "0.1", "0"]
-    assert press("gelsight", out, *options, "--twist-deg", "2") == 0
+    assert press("gelsight", out, *options, "--twist-deg", "2", "--accuracy", "fast") == 0
     assert {path.name for path in out.iterdir()} == FILES | PREDICTED
     assert cv2.imread(str(out / "predicted.png")).shape == (48, 64, 3)
     assert os.listdir(out.parent) == ["press"]
@@ -334,6 +334,7 @@ def test_an_interrupted_press_leaves_nothing(
     assert everything_below(tmp_path) == {}
 
 
+@pytest.mark.slow
 def test_press_writes_the_dots_where_its_picture_shows_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -31,6 +31,7 @@ from taccel_lab.profile import save_profile
 from tests.sensors.imported_profiles import imported
 from tests.support.commands import run
 from tests.support.synthetic_presses import synthetic_captures, write_captures
+from tests.support.variants import variants
 
 SENTENCE = "write thickness_mm under [design], radius_mm under [indenter]; [/] [red] 3/4"
 SOURCES = sorted(Path(taccel_lab.cli.__file__).parent.rglob("*.py"))
@@ -250,7 +251,9 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.parametrize("command", ["press --depth-mm 0.5", "preview", "design"])
+@pytest.mark.parametrize(
+    "command", variants(["press --depth-mm 0.5"], ["press --depth-mm 0.5", "preview", "design"])
+)
 def test_a_picture_stands_before_anything_is_compiled_or_built(
     command: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

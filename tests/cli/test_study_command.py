@@ -69,6 +69,7 @@ def test_a_study_runs_and_says_where_to_look(file: Path, cli: Cli) -> None:
     assert len(logged(root)) == 3
 
 
+@pytest.mark.slow
 def test_processes_of_the_study_file_count(file: Path, cli: Cli) -> None:
     file.write_text(STUDY, encoding="utf-8")
     cli("study", file, "--out", "two", "--json")

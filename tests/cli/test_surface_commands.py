@@ -163,6 +163,7 @@ def test_unusable_input_exits_with_2(presses: Path, cli: Cli) -> None:
     assert "6 presses come without" in told and not out[1].exists()
 
 
+@pytest.mark.slow
 def test_normals_of_captures_that_contradict_themselves_are_weak(presses: Path, cli: Cli) -> None:
     """The fit believes its labels: the check of the captures holds them against the images."""
     manifest = presses / "captures.toml"
@@ -223,7 +224,7 @@ def test_the_graver_of_two_remarks_on_one_thing_is_kept() -> None:
 
 def training(root: Path, out: Path) -> list[str]:
     words = ["calibrate", "force", str(root / "data"), "--profile", str(root / "pad")]
-    options = ["--steps", "60", "--batch", "32", "--light", "0.3", "--stiffness", "0.1"]
+    options = ["--steps", "30", "--batch", "32", "--light", "0.3", "--stiffness", "0.1"]
     return [*words, "--out", str(out), *options]
 
 
@@ -269,16 +270,16 @@ def test_an_interrupted_training_goes_on_with_the_same_command(
 
     def interrupted(self: TrainingFile, key: str, step: int, state: Mapping[str, Any]) -> None:
         save(self, key, step, state)
-        if step == 30:
+        if step == 15:
             raise KeyboardInterrupt
 
     words = training(folder, tmp_path / "new" / "p")
     with monkeypatch.context() as patch:
         patch.setattr(TrainingFile, "save", interrupted)
         patch.setattr(TrainingFile, "due", lambda self: True)
-        assert "the same command continues after step 30" in cli(*words, code=130).err
+        assert "the same command continues after step 15" in cli(*words, code=130).err
     assert [path.name for path in (tmp_path / "new").iterdir()] == [".p.training.pt"]
-    assert "continues after step 30" in cli(*words).err
+    assert "continues after step 15" in cli(*words).err
     assert {path.name for path in (tmp_path / "new").iterdir()} == {"p", "p_report"}
     whole, found = load_profile(folder / "p"), load_profile(tmp_path / "new" / "p")
     assert whole.force_weights is not None and found.force_weights is not None

@@ -108,6 +108,6 @@ def test_pressure_on_a_bonded_pad_is_that_of_a_fine_mesh() -> None:
         )
 
     coarse, found, true = peak(PressMeshOptions(3.0, core=4, rings=8))
-    fine, _, _ = peak(PressMeshOptions(8.0, core=8, rings=14))
+    fine, _, _ = peak(PressMeshOptions(6.0, core=6, rings=11))
     assert coarse == pytest.approx(fine, rel=0.05)
     np.testing.assert_allclose(found[:2], true[:2], atol=2e-6)

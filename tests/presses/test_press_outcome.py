@@ -27,7 +27,7 @@ from taccel_lab.sensors.press_mesh import press_mesh
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.signals.forces import resultant_wrench
 from taccel_lab.signals.rest_surface import rest_surface
-from tests.support.coarse_pads import COARSE, FINER, GEL, pad
+from tests.support.coarse_pads import COARSE, FINER, GEL, LINEAR, pad
 
 GRID = PixelGrid(64, 48, 0.1, 0.1)
 AT_MM = (0.5, -0.3)
@@ -177,6 +177,7 @@ def test_a_flange_far_above_the_gel_does_not_show() -> None:
             PressPath(0.2),
             GRID,
             friction_coefficient=0.0,
+            physics=LINEAR,
         )
         for tool in (plate, parse_indenter("box:3x3"))
     ]

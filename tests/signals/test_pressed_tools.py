@@ -56,6 +56,7 @@ def _press(indenter: Indenter, depth_mm: float, grid: PixelGrid) -> PressOutcome
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_wall_beside_a_punch_is_even() -> None:
     """As high everywhere along a side, and higher with every pixel away from it: no facets."""
     grid = PixelGrid(160, 160, 0.06, 0.06, 79.6, 79.7)
@@ -101,6 +102,7 @@ def test_a_side_that_is_not_along_the_pixels_is_straight() -> None:
     assert abs(np.mean(off_px)) < 0.5
 
 
+@pytest.mark.slow
 def test_facets_of_a_ball_do_not_show() -> None:
     """Chords of 0.5 mm turn by 14 degrees from one to the next, of which nothing is seen but for
     a pixel or two beside their ridges, where the gel's coarse face keeps 4 um away."""

@@ -117,7 +117,7 @@ def test_dots_are_no_dark_spots_of_the_light() -> None:
 
 
 def test_without_presses_there_are_pictures_and_photometry(tmp_path: Path) -> None:
-    found = preview_design(sensor_family("digit"), {"mid_radius_mm": 25}, presses=(), size_px=96)
+    found = preview_design(sensor_family("flat_pad"), {"thickness_mm": 3.5}, presses=(), size_px=96)
     assert found.pressed is None and found.result.simulations == 0
     assert {metric.name for metric in found.metrics} >= {"visible_fraction", "pixel_size"}
     # Nobody asked for the 32 starts of a task.
@@ -125,7 +125,7 @@ def test_without_presses_there_are_pictures_and_photometry(tmp_path: Path) -> No
     files = write_preview(found, tmp_path)
     assert set(files) == {"figures", "overview", "rest"}
     stored = json.loads(files["figures"].read_text())
-    assert stored["parameters"]["mid_radius_mm"] == 25
+    assert stored["parameters"]["thickness_mm"] == 3.5
     assert stored["photometry"]["light_rank"] == found.photometry.light_rank
     image = np.asarray(Image.open(files["rest"]))
     assert image.shape == found.rest.rgb.shape and max(image.shape) == 96

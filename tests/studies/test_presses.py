@@ -232,6 +232,7 @@ def test_edges_are_blurred_over_the_thickness() -> None:
     assert widths[1] > 1.5 * widths[0]
 
 
+@pytest.mark.slow
 def test_far_pins_are_told_apart_and_near_ones_less() -> None:
     contrasts = []
     for gap in (0.06, 3.0):
@@ -248,6 +249,7 @@ def test_far_pins_are_told_apart_and_near_ones_less() -> None:
     assert contrasts[0] < 0.45 and contrasts[1] > 0.8
 
 
+@pytest.mark.slow
 def test_friction_alone_makes_loops_that_lose_work() -> None:
     from taccel_lab.studies.metrics.hysteresis import lost_part
 

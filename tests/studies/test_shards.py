@@ -27,6 +27,7 @@ from taccel_lab.studies.table import CSV_NAME
 from tests.studies.run_fake import CHANGES, SEARCH
 from tests.support.fake_kit import evaluate_and_crash, logged, study
 from tests.support.strangers import SECRET, lure
+from tests.support.variants import variants
 
 ROOT = Path(__file__).parents[2]
 
@@ -38,7 +39,7 @@ def children_of(pid: int) -> list[int]:
     )
 
 
-@pytest.mark.parametrize("processes", [0, 2])
+@pytest.mark.parametrize("processes", variants([2], [0, 2]))
 def test_a_killed_sweep_goes_on(tmp_path: Path, processes: int) -> None:
     folder = StudyFolder(tmp_path)
     command = [sys.executable, "-m", "tests.studies.run_fake", str(tmp_path), str(processes)]
@@ -107,6 +108,7 @@ def start(folder: Path, shard: str, *words: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, cwd=ROOT)
 
 
+@pytest.mark.slow
 def test_two_processes_share_a_grid_and_a_third_run_merges(tmp_path: Path) -> None:
     runs = [start(tmp_path, f"{number}/2") for number in (1, 2)]
     assert [run.wait(120) for run in runs] == [0, 0]
@@ -207,6 +209,7 @@ def test_a_journal_whose_writer_was_killed_amid_a_line_goes_on(tmp_path: Path) -
         json.loads(line)
 
 
+@pytest.mark.slow
 def test_a_shard_that_lost_designs_says_so(tmp_path: Path) -> None:
     planned = study(evaluate_and_crash)
     outcome = run_study(planned, tmp_path, processes=1, shard=Shard(1, 1))

@@ -210,9 +210,7 @@ def test_an_unfinished_study_says_so(tmp_path: Path) -> None:
 
 def test_random_sweeps_and_single_designs_have_reports(tmp_path: Path) -> None:
     ranges = {"thickness_mm": {"min": 3, "max": 6}, "width_px": {"min": 300, "max": 700}}
-    _, values = report(
-        tmp_path / "random", parameters=ranges, sweep={"kind": "random", "count": 12}
-    )
+    _, values = report(tmp_path / "random", parameters=ranges, sweep={"kind": "random", "count": 6})
     effects = values["sensitivities"]["stiffness"]["effects"]
     assert effects["thickness_mm"]["rank"] == pytest.approx(-1)
     assert abs(effects["width_px"]["elasticity"]) < 1e-6

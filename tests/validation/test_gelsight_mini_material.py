@@ -74,6 +74,7 @@ def require_closed_loop(
     assert low < pressed_n(feats, depth, *options) < high
 
 
+@pytest.mark.slow
 def test_one_modulus_without_friction_within_three_per_cent(
     feats: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -243,7 +243,7 @@ def _resized(image: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
     ("read", "cosine", "contrast", "correlation"),
     [
         (classic_gelsight, 0.9, (0.7, 1.4), (0.9, 0.9, 0.85)),
-        (gelsight_mini, 0.85, (0.6, 1.5), (0.85, 0.85, 0.85)),
+        pytest.param(gelsight_mini, 0.85, (0.6, 1.5), (0.85, 0.85, 0.85), marks=pytest.mark.slow),
         (ninedtact, 0.95, (0.3, 2.0), (0.9, 0.9, 0.9)),
     ],
 )

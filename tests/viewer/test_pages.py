@@ -150,6 +150,7 @@ def test_sliders_of_the_design_page_change_its_numbers(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_of_many_changes_the_last_is_shown_while_files_are_written_and_closing_ends_all(
     tmp_path: Path,
 ) -> None:

@@ -265,7 +265,10 @@ def test_noise_stays_within_the_predicted_uncertainty() -> None:
     assert np.mean(np.abs(scores) < 1.96) > 0.87
 
 
-@pytest.mark.parametrize(("true", "allowed"), [("k1", {"k1"}), ("fisheye", {"fisheye"})])
+@pytest.mark.parametrize(
+    ("true", "allowed"),
+    [("k1", {"k1"}), pytest.param("fisheye", {"fisheye"}, marks=pytest.mark.slow)],
+)
 def test_the_simplest_lens_that_predicts_is_chosen(true: str, allowed: set[str]) -> None:
     found = calibrate_intrinsics(
         views_of(true, 12, 0.15, seed=4), models=["k1", "fisheye", "pinhole"], folds=3
@@ -405,6 +408,7 @@ def test_spoilt_held_out_views_leave_the_fit_bit_for_bit_as_it_is() -> None:
     assert found.heldout_all_px > 20
 
 
+@pytest.mark.slow
 def test_held_out_images_of_noise_leave_the_fit_bit_for_bit_as_it_is() -> None:
     """From images on: what is held out is decided by the manifest, not by what is found in them."""
     parameters, rng = np.array([270.0, 268.0, 158.0, 121.0, -0.1]), np.random.default_rng(3)

@@ -198,7 +198,7 @@ def test_boards_that_give_no_scale_are_refused_and_one_beside_the_middle_is_told
     assert "off_center" in {remark.code for remark in fit_on_gel([beside]).remarks}
 
 
-@pytest.mark.parametrize(("unit", "removed"), [(1, 0), (2, 21)])
+@pytest.mark.parametrize(("unit", "removed"), [(1, 0), pytest.param(2, 21, marks=pytest.mark.slow)])
 def test_scale_of_pressed_boards_of_9dtact(unit: int, removed: int) -> None:
     """Within 1 % of the scale that the authors stored; also when a third of the dots is gone."""
     folder = real_data(f"{NINE}/sensor_{unit}/camera_calibration")

@@ -82,6 +82,7 @@ def measured(captures: CaptureSet) -> tuple[LabelAgreement, Scatter]:
     return result, scatter_of_three(captures, found)
 
 
+@pytest.mark.slow
 def test_three_measurements_tell_whose_scatter_it_is() -> None:
     """Drawn presses, whose truth is known: noise of labels is not blamed on the detection."""
     rng = np.random.default_rng(6)
@@ -117,6 +118,7 @@ def test_gelsight_like_sensor() -> None:
     assert (scatter.found < 1.5 * scatter.stated).all()
 
 
+@pytest.mark.slow
 def test_gelsight_mini_with_white_balance_on() -> None:
     result, scatter = measured(
         labelled_presses("fots_calib", "labels_gelsight.csv", "mlp_calib/0000.png", 2.35, 0.0511)

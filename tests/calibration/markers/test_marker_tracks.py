@@ -92,7 +92,7 @@ def errors(tracks: MarkerTracks, true: np.ndarray) -> tuple[np.ndarray, np.ndarr
     [
         (shear, 12),
         pytest.param(shear, 8, id="0.65 pitches between frames"),
-        (twist, 12),
+        pytest.param(twist, 12, marks=pytest.mark.slow),
         pytest.param(whole, 12, marks=pytest.mark.slow),
     ],
 )

@@ -97,6 +97,7 @@ def test_an_uncertain_zero_of_the_load_cell_widens_the_interval(
     assert known.solution.sigma_of("ln_e") > 0
 
 
+@pytest.mark.slow
 def test_both_parameters_of_mooney_and_rivlin(
     mini: SensorProfile, tool: CurveTool, press_cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -200,6 +200,7 @@ def test_light_that_was_never_calibrated_is_taken_off(
     assert two["max_depth_mm"] == pytest.approx(one["max_depth_mm"], rel=0.08)
 
 
+@pytest.mark.slow
 def test_light_that_changes_within_the_image_asks_for_bands(tmp_path: Path) -> None:
     """Lamps in stripes of a quarter of the image: the same colour means another tilt beside."""
     captures, surfaces = synthetic_captures(16, noise=0.0, seed=3)
