@@ -20,6 +20,7 @@ from taccel_lab.calibration.check.block_findings import capture_findings, refusi
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.contacts.usable import usable_circles
 from taccel_lab.calibration.press_options import BallPressOptions
+from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.calibration.thickness.fit import GelThickness, gel_thickness
 from taccel_lab.profile import BackgroundBlock, Provenance, SensorProfile
 from taccel_lab.progress import Progress, silent
@@ -51,6 +52,8 @@ class BallPresses:
     """What the check of the captures says of the block, worst first."""
     remarks: tuple[Remark, ...]
     """Presses left out, and how far the circles found lie from labels."""
+    surfaces: tuple[BallSurface, ...] = ()
+    """Of the training presses in their circles, in order, where somebody made them."""
 
     @property
     def heldout(self) -> CaptureSet | None:

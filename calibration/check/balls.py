@@ -224,7 +224,9 @@ def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Remark]:
         ball_radius_mm=folder.ball_radius_mm,
         grid=grid,
         # Labels that contradict the ball are a finding of their own.
-        presses=tuple(replace(plain[i], circle=None) for i in pick),
+        presses=tuple(
+            replace(p, circle=None) if p.checked else p for p in (plain[i] for i in pick)
+        ),
         provenance={},
     )
     found = check_ball(chosen, find_contacts(chosen))

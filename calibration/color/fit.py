@@ -88,7 +88,7 @@ def calibrate_color(
     found = fit_color(
         presses.training,
         presses.circles,
-        surfaces(presses.training, presses.circles),
+        presses.surfaces,
         HeldoutSet.of(presses.captures, presses.split, surfaces),
         options=settings,
         drift=options.drift,

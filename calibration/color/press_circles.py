@@ -20,6 +20,7 @@ from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftMode
 from taccel_lab.calibration.press_options import BallPressOptions
 from taccel_lab.calibration.surfaces.ball_in_layer import layer_of, layer_surfaces
+from taccel_lab.calibration.surfaces.press_surface import BallSurface
 from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.rest_surface import rest_surface
@@ -37,11 +38,9 @@ def placed_presses(
     *,
     cache: bool = True,
 ) -> BallPresses:
-    """``ball_presses`` in the circles that the colours of the other presses give; with fewer than
-    8 of them as they are found. Errors of ``ball_presses``."""
+    """``ball_presses`` with their surfaces, in the circles that the colours of the other presses
+    give; with fewer than 8 of them as they are found. Errors of ``ball_presses``."""
     presses = ball_presses(folder, base, block, options, progress, cache=cache)
-    if len(presses.circles) < MIN_PRESSES:
-        return presses
     key = (
         "placed",
         presses.captures.grid,
@@ -50,22 +49,30 @@ def placed_presses(
         drift,
         presses.profile.gel.thickness_mm,
     )
-    circles = folder.once.of(key, lambda: _registered(presses, drift, progress))
+
+    def placed() -> tuple[list[ContactCircle], tuple[BallSurface, ...]]:
+        few = len(presses.circles) < MIN_PRESSES
+        circles = presses.circles if few else _registered(presses, drift, progress)
+        return circles, _surfaces(replace(presses, circles=circles))
+
+    circles, surfaces = folder.once.of(key, placed)
     labels = LabelPlacement.of(presses.training.presses, circles)
-    return replace(presses, circles=circles, labels=labels)
+    return replace(presses, circles=circles, labels=labels, surfaces=surfaces)
+
+
+def _surfaces(presses: BallPresses) -> tuple[BallSurface, ...]:
+    profile, training = presses.profile, presses.training
+    rest = rest_surface(profile.mesh, training.grid)
+    return tuple(layer_surfaces(training, presses.circles, layer_of(profile), rest))
 
 
 def _registered(presses: BallPresses, drift: DriftMode, progress: Progress) -> list[ContactCircle]:
     training, grid, mask = presses.training, presses.training.grid, presses.training.mask
-    surfaces = layer_surfaces(
-        training,
-        presses.circles,
-        layer_of(presses.profile),
-        rest_surface(presses.profile.mesh, grid),
-    )
     frames = [
         ColorFrame(press.name, press.image(), circle, surface, press.sha256)
-        for press, circle, surface in zip(training.presses, presses.circles, surfaces, strict=True)
+        for press, circle, surface in zip(
+            training.presses, presses.circles, _surfaces(presses), strict=True
+        )
     ]
     pairs = [(frame.image, frame.circle) for frame in frames]
     choice = choose_drift(pairs, training.background, grid, mask, drift)

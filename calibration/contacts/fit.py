@@ -17,10 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CapturedPress, CaptureSet, ContactCircle
+from taccel_lab.calibration.capture.once import Once
 from taccel_lab.calibration.contacts.color_change import (
     SUNK_RADII,
     ColorChange,
@@ -53,6 +55,7 @@ from taccel_lab.calibration.contacts.working_size import WorkingSize
 from taccel_lab.calibration.light.fit import enough_pixels
 from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError
+from taccel_lab.files.file_cache import content_key
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.progress import Progress, silent
 from taccel_lab.signals.depth_response import Channel, channel_of
@@ -95,21 +98,23 @@ def detect_contact(
     ball_radius_mm: float | None = None,
     label: ContactCircle | None = None,
     grey: Channel | None = None,
+    once: Once | None = None,
 ) -> DetectedContact:
     """Contact circle of one ball press.
 
     ``image`` and ``background`` are RGB levels, shape [height_px, width_px, 3]; ``grey`` is the
-    channel that darkens with depth, None on a sensor of coloured lamps. Raises InputError
-    naming ``name`` when the image shows no contact or no round one, or when the contact reaches out
-    of the image; where a ``label`` lies in it, the part in the image is enough.
+    channel that darkens with depth, None on a sensor of coloured lamps; ``once`` keeps where the
+    search starts for other searches in the same image. Raises InputError naming ``name`` when the
+    image shows no contact or no round one, or when the contact reaches out of the image; where a
+    ``label`` lies in it, the part in the image is enough.
     """
     if grey is not None:
         drop = channel_of(background, grey) - channel_of(image, grey)
         return find_grey_contact(drop, grid, mask=mask, name=name, label=label)
     scene = _Scene.of(background, grid, mask)
-    start = _start(lambda: image, scene, name)
+    start = _Start.of(lambda: image, scene, name, once or Once())
     if ball_radius_mm is None:
-        ball_px = start.circle.radius_px / USUAL_RATIO
+        ball_px = start.first.circle.radius_px / USUAL_RATIO
     else:
         ball_px = scene.size.length_px(ball_radius_mm)
     contacts, _ = _refine([start], [ball_px])
@@ -141,9 +146,10 @@ def find_contacts(
                     name=press.source, label=press.circle, grey=grey,
                 )  # fmt: skip
                 continue
-            start = _start(press.image, scene, press.source)
-            kept_bytes += start.change.change.nbytes
-            starts[i] = start if kept_bytes <= KEPT_BYTES else replace(start, kept=None)
+            start = _Start.of(press.image, scene, press.source, press.once)
+            change = start.change
+            kept_bytes += change.change.nbytes
+            starts[i] = replace(start, kept=change) if kept_bytes <= KEPT_BYTES else start
         except InputError as error:
             refusals[i] = Refusal(press.name, str(error), isinstance(error, CutContactError))
         progress(TASK, i + 1, len(captures.presses))
@@ -172,7 +178,7 @@ def find_contacts(
         fit,
         samples=[samples for _, samples in contacts],
         ball_px=ball_px,
-        drifts={i: start.drift for i, start in starts.items()},
+        drifts={i: start.first.drift for i, start in starts.items()},
     )
 
 
@@ -210,6 +216,13 @@ class _Scene:
         size = WorkingSize(grid)
         return cls(size, size.picture(background), size.mask(mask))
 
+    @cached_property
+    def key(self) -> str:
+        """Of all that the start of a search depends on besides the image."""
+        mask = None if self.mask is None or self.mask.all() else self.mask
+        recipe = {"background": self.background, "mask": mask, "ratio": round(self.ratio, 9)}
+        return content_key(recipe)
+
     @property
     def ratio(self) -> float:
         """Height of a pixel over its width."""
@@ -232,22 +245,35 @@ class _Scene:
 
 
 @dataclass(frozen=True)
+class _First:
+    """Where the search in a press starts, in the picture of square pixels."""
+
+    circle: ContactCircle
+    contrast_levels: float
+    beside: ContactCircle | None
+    """The light is that beside it; of the whole picture where None."""
+    drift: LightDrift
+    smoothing_px: float
+
+
+@dataclass(frozen=True)
 class _Start:
     name: str
     scene: _Scene
-    make: Callable[[], ColorChange]
-    """From the press's image."""
-    kept: ColorChange | None
-    """The same, where it is kept."""
-    drift: LightDrift
-    smoothing_px: float
-    circle: ContactCircle
-    """In the picture of square pixels."""
-    contrast_levels: float
+    read: Callable[[], np.ndarray]
+    first: _First
+    kept: ColorChange | None = None
+    """The press's change of colour, where it is kept."""
+
+    @classmethod
+    def of(cls, read: Callable[[], np.ndarray], scene: _Scene, name: str, once: Once) -> _Start:
+        """That of a press, found once; InputError when there is nothing to start from."""
+        key = ("start", scene.key)
+        return cls(name, scene, read, once.of(key, lambda: _first(read, scene, name)))
 
     @property
     def change(self) -> ColorChange:
-        return self.make() if self.kept is None else self.kept
+        return self.kept or self.scene.change(self.read(), self.first.beside)
 
 
 class _LostContactError(InputError):
@@ -258,8 +284,7 @@ class _LostContactError(InputError):
         self.start = start
 
 
-def _start(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _Start:
-    """First circle of a press; InputError when there is nothing to start from."""
+def _first(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _First:
     change = scene.change(read())
     strength = change.strength()
     center, radius = first_circle(change.change, strength)
@@ -286,16 +311,8 @@ def _start(read: Callable[[], np.ndarray], scene: _Scene, name: str) -> _Start:
         )
     turning = turning_radius(change.change, center, radius)
     radius = float(np.clip(1.05 * turning, 0.5 * radius, radius))
-    return _Start(
-        name,
-        scene,
-        lambda: scene.change(read(), beside),
-        change,
-        change.drift,
-        change.smoothing_px,
-        ContactCircle(float(center[0]), float(center[1]), radius),
-        contrast,
-    )
+    circle = ContactCircle(float(center[0]), float(center[1]), radius)
+    return _First(circle, contrast, beside, change.drift, change.smoothing_px)
 
 
 def _distance(shape: tuple[int, ...], center: np.ndarray) -> np.ndarray:
@@ -307,9 +324,9 @@ def _distance(shape: tuple[int, ...], center: np.ndarray) -> np.ndarray:
 def _refine(
     starts: Sequence[_Start], ball_px: Sequence[float]
 ) -> tuple[list[tuple[FittedContact, RingSamples]], PhotometricFit]:
-    circles = [start.circle for start in starts]
+    circles = [start.first.circle for start in starts]
     terms = MapTerms.for_presses(len(starts))
-    blur = float(np.hypot(starts[0].smoothing_px, SAMPLING_BLUR_SHARE * np.median(ball_px)))
+    blur = float(np.hypot(starts[0].first.smoothing_px, SAMPLING_BLUR_SHARE * np.median(ball_px)))
     fit, samples = None, []
     for rounds in ROUNDS:
         samples = [
@@ -379,7 +396,7 @@ def _accept(
     return DetectedContact(
         circle=own,
         radius_sigma_px=float(sigma[2]),
-        contrast_levels=start.contrast_levels,
+        contrast_levels=start.first.contrast_levels,
         center_sigma_px=float(np.sqrt((sigma[0] ** 2 + sigma[1] ** 2) / 2)),
         explained=contact.explained,
         visible=samples.visible,

@@ -69,10 +69,37 @@ class MapTerms:
         self, nx: np.ndarray, ny: np.ndarray, drop: np.ndarray, u: np.ndarray, v: np.ndarray
     ) -> np.ndarray:
         """Terms of the map, shape [n, term_count]; the arguments have shape [n]."""
-        powers_x, powers_y = [np.ones_like(nx)], [np.ones_like(ny)]
+        return self._columns(self._powers(nx), self._powers(ny), drop, u, v)
+
+    def slopes(
+        self, nx: np.ndarray, ny: np.ndarray, u: np.ndarray, v: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """How the terms change with each of ``nx``, ``ny`` and ``drop``, shape as of ``values``."""
+        x, y, still = self._powers(nx), self._powers(ny), np.zeros_like(nx)
+        along_x, along_y = (
+            [still, *(k * power for k, power in enumerate(powers[:-1], start=1))]
+            for powers in (x, y)
+        )
+        by_nx = self._columns(along_x, y, still, u, v)
+        by_drop = np.zeros_like(by_nx)
+        sunk = self._sunk(np.ones_like(nx), u, v)
+        by_drop[:, -len(sunk) :] = np.stack(sunk).T
+        return by_nx, self._columns(x, along_y, still, u, v), by_drop
+
+    def _powers(self, values: np.ndarray) -> list[np.ndarray]:
+        powers = [np.ones_like(values)]
         for _ in range(self.degree):
-            powers_x.append(powers_x[-1] * nx)
-            powers_y.append(powers_y[-1] * ny)
+            powers.append(powers[-1] * values)
+        return powers
+
+    def _columns(
+        self,
+        powers_x: Sequence[np.ndarray],
+        powers_y: Sequence[np.ndarray],
+        drop: np.ndarray,
+        u: np.ndarray,
+        v: np.ndarray,
+    ) -> np.ndarray:
         columns = []
         for total in range(1, self.degree + 1):
             for i in range(total + 1):
@@ -80,10 +107,11 @@ class MapTerms:
                 columns.append(term)
                 if total <= self.place_degree:
                     columns += [term * u, term * v]
-        columns.append(drop)
-        if self.drop_place:
-            columns += [drop * u, drop * v]
+        columns += self._sunk(drop, u, v)
         return np.stack(columns).T  # A fifth of the time of a copy with the terms side by side.
+
+    def _sunk(self, drop: np.ndarray, u: np.ndarray, v: np.ndarray) -> list[np.ndarray]:
+        return [drop, drop * u, drop * v] if self.drop_place else [drop]
 
 
 @dataclass
@@ -179,20 +207,27 @@ class _JointFit:
         self.sums = np.zeros(len(self.presses))
         self.total = 0.0
 
-    def design(self, press: _State, shape: np.ndarray, blur_px: float) -> np.ndarray:
-        """Terms of the map at the samples of a press, were its circle ``shape``."""
+    def design(self, press: _State) -> np.ndarray:
+        """Terms of the map at the samples of a press."""
         s = press.samples
-        du, dv = s.u_px - shape[0], s.v_px - shape[1]
+        return self.terms.values(*self._leaning(press), s.unit_u, s.unit_v)
+
+    def _leaning(
+        self, press: _State, moved: tuple[float, ...] = (0.0, 0.0, 0.0), blurred_px: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Slopes and sinking at the samples of a press, were its circle and the blur others."""
+        s, (u_px, v_px, radius_px) = press.samples, press.shape + moved
+        du, dv = s.u_px - u_px, s.v_px - v_px
         distance = np.hypot(du, dv) + 1e-9
-        law = slope_law(shape[2], press.ball_px, blur_px, 1.5 * s.reach_px, self.sink_in)
-        normal, drop = law.at(distance)
-        return self.terms.values(
-            normal * du / distance, normal * dv / distance, drop, s.unit_u, s.unit_v
+        law = slope_law(
+            radius_px, press.ball_px, self.blur_px + blurred_px, 1.5 * s.reach_px, self.sink_in
         )
+        normal, drop = law.at(distance)
+        return normal * du / distance, normal * dv / distance, drop
 
     def round(self, number: int) -> float:
         """One round over map, presses and blur; the largest step of a circle [px]."""
-        designs = [self.design(press, press.shape, self.blur_px) for press in self.presses]
+        designs = [self.design(press) for press in self.presses]
         self.map = self._solve_map(designs)
         blur_step = 0.04 * self.blur_px
         pieces = []
@@ -265,24 +300,30 @@ class _JointFit:
 
     def _jacobian(self, press: _State, model: np.ndarray, blur_step: float) -> np.ndarray:
         """Change of the modelled colours with u, v, radius, offsets, gains and blur."""
+        nx, ny, _ = self._leaning(press)
+        s = press.samples
+        by_leaning = [terms @ self.map for terms in self.terms.slopes(nx, ny, s.unit_u, s.unit_v)]
         columns = []
-        for k in range(3):
-            step = np.zeros(3)
-            step[k] = STEP_PX
-            ahead = self.design(press, press.shape + step, self.blur_px)
-            behind = self.design(press, press.shape - step, self.blur_px)
-            columns.append(((ahead - behind) @ self.map) * press.gain / (2 * STEP_PX))
+        for moved, blurred_px, step in (
+            ((STEP_PX, 0.0, 0.0), 0.0, STEP_PX),
+            ((0.0, STEP_PX, 0.0), 0.0, STEP_PX),
+            ((0.0, 0.0, STEP_PX), 0.0, STEP_PX),
+            ((0.0, 0.0, 0.0), blur_step, blur_step),
+        ):
+            ahead = self._leaning(press, moved, blurred_px)
+            behind = self._leaning(press, tuple(-x for x in moved), -blurred_px)
+            by_step = sum(
+                ((a - b) / (2 * step))[:, None] * change
+                for a, b, change in zip(ahead, behind, by_leaning, strict=True)
+            )
+            columns.append(by_step * press.gain)
         each = np.eye(3)
-        count = len(model)
-        blurred = self.design(press, press.shape, self.blur_px + blur_step)
-        sharper = self.design(press, press.shape, self.blur_px - blur_step)
-        by_blur = ((blurred - sharper) @ self.map) * press.gain / (2 * blur_step)
         return np.concatenate(
             [
-                np.stack(columns, axis=-1),
-                np.broadcast_to(each, (count, 3, 3)),
+                np.stack(columns[:3], axis=-1),
+                np.broadcast_to(each, (len(model), 3, 3)),
                 model[:, :, None] * each,
-                by_blur[:, :, None],
+                columns[3][:, :, None],
             ],
             axis=-1,
         )

@@ -34,7 +34,7 @@ def seen_contact(
         try:
             return detect_contact(
                 press.image(), background, own, mask=mask, name=press.source, label=press.circle,
-                grey=grey,
+                grey=grey, once=press.once,
             )  # fmt: skip
         except InputError as fault:
             return fault

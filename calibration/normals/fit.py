@@ -62,7 +62,6 @@ from taccel_lab.calibration.surfaces.ball_in_layer import (
     deeper_per_mm,
     depth_share,
     layer_of,
-    layer_surfaces,
     sunk_share,
 )
 from taccel_lab.calibration.surfaces.bonded_layer import BondedLayer
@@ -106,14 +105,13 @@ def calibrate_normals(
     training, circles = presses.training, presses.circles
     profile = presses.profile
     pad, rest = layer_of(profile), rest_surface(profile.mesh, training.grid)
-    surfaces = layer_surfaces(training, circles, pad, rest)
     typical_mm = float(np.median([circle.radius_px for circle in circles]))
     typical_mm *= training.grid.mm_per_px_x
     by_gel = sunk_share(thickness_interval(profile), typical_mm, training.ball_radius_mm, pad)
     found = fit_normals(
         training,
         circles,
-        surfaces,
+        presses.surfaces,
         presses.heldout,
         split=presses.split,
         rest_normals=None if rest.is_flat else rest.normals,

@@ -65,7 +65,7 @@ BETA = 0.5
 """How far large expected errors keep their weight in the loss; 0 is the likelihood itself, which
 gives up on what is hard, 1 least squares, which lets the hardest pixels rule."""
 MOST_SYNTHETIC = 10_000
-"""Synthetic presses; each takes half a second."""
+"""Synthetic presses; each takes a tenth of a second."""
 WARM_UP = 0.15
 """Share of the steps in which the learning rate rises."""
 
@@ -81,7 +81,7 @@ class InverseFitOptions(NormalTraining):
     """Whether the variation of the change across the two wider windows is a feature."""
     members: int = 4
     hidden: tuple[int, ...] = (64, 64, 64)
-    batch_pixels: int = 1024
+    batch_pixels: int = 768
     """Pixels a member sees in a step."""
     learning_rate: float = 6e-3
     synthetic_pixels: int = 4000
@@ -234,7 +234,8 @@ class _Training:
         whole = join([*samples, *synthetic_presses])
         self.synthetic = sum(len(part.features) for part in synthetic_presses)
         self.inputs = torch.from_numpy(config.normalise(whole.features))
-        self.still = torch.from_numpy(config.normalise(config.at_rest(whole.features)))
+        still = config.normalise(config.at_rest(whole.features[:1]))[0]
+        self.still = torch.from_numpy(still[: config.varying_count])
         self.normals = torch.from_numpy(whole.normals)
         self.checks, self.circles_rad = checks, circles_rad
         members, count = options.members, len(samples)
@@ -256,19 +257,22 @@ class _Training:
         self.best = [(w.detach().clone(), b.detach().clone()) for w, b in self.layers]
 
     def run(self, progress: Progress) -> None:
-        options, chord = self.options, torch.empty(0)
+        options = self.options
+        tilt = wanted = torch.empty(0)
 
         def loss() -> torch.Tensor:
-            nonlocal chord
+            nonlocal tilt, wanted
             batch = torch.stack([self._draw(pool) for pool in self.pools])
-            tilt, error = tilt_and_error(self.layers, self.inputs[batch], self.still[batch])
+            inputs = self.inputs[batch]
+            still = inputs.clone()
+            still[..., : len(self.still)] = self.still
+            tilt, error = tilt_and_error(self.layers, inputs, still)
             wanted = self.normals[batch]
-            chord = chord_of(tilt, wanted)
             return slope_loss(tilt, error, wanted)
 
         def after_step(step: int, _: torch.Tensor) -> None:
             if step % CHECK_EVERY == 0 or step == options.steps:
-                train_deg = float(np.degrees(chord.detach().mean().item()))
+                train_deg = float(np.degrees(chord_of(tilt.detach(), wanted).mean().item()))
                 self.curve.append((step, train_deg, self._keep_best(step)))
                 progress(TASK, step, options.steps)
 

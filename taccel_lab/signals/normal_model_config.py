@@ -119,6 +119,11 @@ class NormalModelConfig:
     def input_count(self) -> int:
         return len(self.features)
 
+    @property
+    def varying_count(self) -> int:
+        """Features, the first ones, that are those of a change of colour, not of the place."""
+        return 3 * len(self.scales_px) + 6 * len(self.slope_scales_px)
+
     def layer_sizes(self) -> list[tuple[int, int]]:
         """(outputs, inputs) of each layer of one member."""
         widths = [self.input_count, *self.hidden, OUTPUTS]
@@ -187,6 +192,5 @@ class NormalModelConfig:
     def at_rest(self, features: np.ndarray) -> np.ndarray:
         """The raw features of the same pixels without any change of colour, same shape."""
         still = features.copy()
-        count = 3 * len(self.scales_px) + 6 * len(self.slope_scales_px)
-        still[..., :count] = 0.0
+        still[..., : self.varying_count] = 0.0
         return still
