@@ -33,6 +33,7 @@ from taccel_lab.calibration.depth.result import DepthCalibration
 from taccel_lab.calibration.markers.result import MarkerCalibration
 from taccel_lab.calibration.material.result import MaterialCalibration
 from taccel_lab.calibration.normals.result import NormalCalibration
+from taccel_lab.calibration.profiles import Profiles
 from taccel_lab.calibration.recorded import with_session
 from taccel_lab.calibration.report.profile_page import profile_page
 from taccel_lab.calibration.report.remarks import BLOCK
@@ -240,19 +241,19 @@ def _calibrate(
     chosen = _chosen(only, options)
     if not isinstance(folder, CaptureFolder):
         folder = load_capture_folder(folder)
-    raw, profile = folder, base_profile(base, folder)
-    extended = None if base is None else profile
+    raw, profiles = folder, Profiles.of(base_profile(base, folder))
+    extended = None if base is None else profiles.final
     kept = None
     if unfinished is not None:
-        key = calibration_key(raw, profile, only, options)
+        key = calibration_key(raw, profiles.final, only, options)
         kept = UnfinishedCalibration.open(unfinished, key)
-    ready = _readiness(capture_check(with_measured_scale(folder, profile), progress))
+    ready = _readiness(capture_check(with_measured_scale(folder, profiles.basis), progress))
     outcomes: list[BlockOutcome] = []
     results: dict[str, CalibrationResult] = {}
     maps, rectified, notes = None, None, ()
     on_gel = any(board.entry.on_gel for board in raw.boards)
-    if kept is not None and kept.profile is not None:
-        profile = kept.profile
+    if kept is not None and kept.profiles is not None:
+        profiles = kept.profiles
     for block in chosen:
         state, message = ready[block.name]
         if block.name == "scale" and rectified is not None:
@@ -264,8 +265,8 @@ def _calibrate(
             outcome, result = kept.outcomes[block.name], None
         else:
             if block.name not in _MEASURE_SCALE:
-                folder = with_measured_scale(folder, profile)
-            outcome, result, profile = _fit(block, folder, profile, options, progress)
+                folder = with_measured_scale(folder, profiles.basis)
+            outcome, result, profiles = _fit(block, folder, profiles, options, progress)
         if rectified is not None:  # In a folder that goes: the user knows what it was made of.
             known = outcome.message.replace(str(folder.root), str(raw.root))
             outcome = replace(outcome, message=known)
@@ -274,7 +275,7 @@ def _calibrate(
         if result is not None:
             results[block.name] = result
         if kept is not None and block.name not in kept.outcomes:
-            outcome = kept.add(outcome, profile, maps)
+            outcome = kept.add(outcome, profiles, maps)
         outcomes.append(outcome)
         if block.name == "camera" and maps is not None and raw.background is not None:
             rectified = TemporaryDirectory(prefix="taccel_lab_")
@@ -288,7 +289,7 @@ def _calibrate(
             kept.remove()
         lines = "\n".join(f"  {o.name}: {o.message}" for o in outcomes)
         raise InputError(f"{raw.source}: nothing could be calibrated\n{lines}")
-    profile = with_session(extended, profile, raw)
+    profile = with_session(extended, profiles.final, raw)
     return Calibration(profile, tuple(outcomes), results, maps, notes, rectified, kept)
 
 
@@ -323,22 +324,22 @@ def _readiness(check: CaptureCheck) -> dict[str, tuple[BlockState | None, str]]:
 def _fit(
     block: CalibrationBlock,
     folder: CaptureFolder,
-    base: SensorProfile,
+    profiles: Profiles,
     options: Mapping[str, Any],
     progress: Progress,
-) -> tuple[BlockOutcome, Any, SensorProfile]:
-    """How it ended, the result (None where it was rejected) and the profile after it."""
+) -> tuple[BlockOutcome, Any, Profiles]:
+    """How it ended, the result (None where it was rejected) and the profiles after it."""
 
     def block_progress(task: str, done: int, total: int) -> None:
         progress(f"{block.name}: {task}", done, total)
 
     started = time.perf_counter()
     try:
-        result = block.fit(folder, base, options.get(block.name), block_progress)
-        profile, page = result.apply_to(base), block.page(result, folder)
+        result = block.fit(folder, profiles.basis, options.get(block.name), block_progress)
+        after, page = profiles.after(result), block.page(result, folder)
     except InputError as error:
         seconds = time.perf_counter() - started
-        return BlockOutcome(block.name, BlockState.REFUSED, str(error), seconds), None, base
+        return BlockOutcome(block.name, BlockState.REFUSED, str(error), seconds), None, profiles
     seconds = time.perf_counter() - started
     verdict = str(judge(result.remarks))
-    return BlockOutcome(block.name, BlockState.DONE, verdict, seconds, page), result, profile
+    return BlockOutcome(block.name, BlockState.DONE, verdict, seconds, page), result, after

@@ -2,21 +2,23 @@
 """What a calibration of several blocks has finished: kept until all of it is, so that the same call
 goes on after a kill.
 
-The folder holds ``profile`` (usable as it is), the report of each finished block and the maps of a
-rectification. It is written anew, whole, after each block.
+The folder holds ``profile`` (usable as it is), ``basis`` where that differs (``Profiles``), the
+report of each finished block and the maps of a rectification. It is written anew, whole, after each
+block.
 """
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from taccel_lab.calibration.block_outcome import BlockOutcome, BlockState
 from taccel_lab.calibration.camera.rectification import RectificationMaps
 from taccel_lab.calibration.capture.folder import CaptureFolder
+from taccel_lab.calibration.profiles import Profiles
 from taccel_lab.errors import InputError
 from taccel_lab.files.atomic_file import write_json
 from taccel_lab.files.file_cache import content_key
@@ -26,7 +28,8 @@ from taccel_lab.profile import SensorProfile, load_profile, save_profile
 from taccel_lab.report.page import write_page
 from taccel_lab.version import __version__
 
-_STATE, _PROFILE, _REPORT, _MAPS = "calibration.json", "profile", "report", "maps.npz"
+_STATE, _REPORT, _MAPS = "calibration.json", "report", "maps.npz"
+_PROFILE, _BASIS = "profile", "basis"
 
 
 def calibration_key(
@@ -67,7 +70,7 @@ class UnfinishedCalibration:
     key: str
     outcomes: dict[str, BlockOutcome] = field(default_factory=dict)
     """By name of the block, in order."""
-    profile: SensorProfile | None = None
+    profiles: Profiles | None = None
     """After the last of them that gave one."""
     maps: RectificationMaps | None = None
 
@@ -97,15 +100,17 @@ class UnfinishedCalibration:
                 written=page if page.is_dir() else None,
             )
         if (folder / _PROFILE).is_dir():
-            kept.profile = load_profile(folder / _PROFILE)
+            kept.profiles = Profiles.of(load_profile(folder / _PROFILE))
+            if (folder / _BASIS).is_dir():
+                kept.profiles = replace(kept.profiles, basis=load_profile(folder / _BASIS))
         if (folder / _MAPS).is_file():
             kept.maps = RectificationMaps.load(folder / _MAPS)
         return kept
 
     def add(
-        self, outcome: BlockOutcome, profile: SensorProfile, maps: RectificationMaps | None
+        self, outcome: BlockOutcome, profiles: Profiles, maps: RectificationMaps | None
     ) -> BlockOutcome:
-        """Keep how a block ended, with its page, the profile after it and the maps so far; returns
+        """Keep how a block ended, with its page, the profiles after it and the maps so far; returns
         the outcome with the place of its page."""
         kept = BlockOutcome(
             outcome.name,
@@ -115,7 +120,7 @@ class UnfinishedCalibration:
             outcome.page,
             None if outcome.page is None else self.folder / _REPORT / outcome.name,
         )
-        self.outcomes[outcome.name], self.profile, self.maps = kept, profile, maps
+        self.outcomes[outcome.name], self.profiles, self.maps = kept, profiles, maps
         with atomic_directory(self.folder) as staging:
             for earlier in self.outcomes.values():
                 place = staging / _REPORT / earlier.name
@@ -123,7 +128,9 @@ class UnfinishedCalibration:
                     write_page(outcome.page, place)
                 elif earlier.written is not None:
                     shutil.copytree(earlier.written, place)
-            save_profile(profile, staging / _PROFILE)
+            save_profile(profiles.final, staging / _PROFILE)
+            if profiles.basis is not profiles.final:
+                save_profile(profiles.basis, staging / _BASIS)
             if maps is not None:
                 maps.save(staging / _MAPS)
             blocks = {name: item.figures() for name, item in self.outcomes.items()}

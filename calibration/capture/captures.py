@@ -64,6 +64,11 @@ class ContactCircle:
         ratio = grid.mm_per_px_y / grid.mm_per_px_x
         return math.hypot(self.u_px - other.u_px, (self.v_px - other.v_px) * ratio)
 
+    def up_to_equator(self, ball_radius_mm: float, grid: PixelGrid) -> ContactCircle:
+        """The circle, no larger than the ball, with the slack that circles have."""
+        most_px = EQUATOR_SLACK * ball_radius_mm / grid.mm_per_px_x
+        return replace(self, radius_px=min(self.radius_px, most_px))
+
     def untouched(self, grid: PixelGrid) -> np.ndarray:
         """Pixels where the gel is at rest, as far as colour tells, bool, [height_px, width_px]."""
         return self.distance_px(grid) > UNTOUCHED_RADII * self.radius_px

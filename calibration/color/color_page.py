@@ -113,6 +113,9 @@ def _summary(result: ColorCalibration) -> str:
             f"{score['crop_psnr_db']:.1f} dB in the crop around the contact and "
             f"{score['disc_l1']:.2f} levels of error inside it."
         )
+        if result.final is not None:
+            presses = len(result.final.disc_l1_train)
+            parts.append(f"The profile's colours were fitted to all {presses} presses after that.")
     else:
         parts.append("No press was held out, so there are no figures of presses it never saw.")
     return " ".join(parts)

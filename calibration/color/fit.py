@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Captures and the surfaces of their presses to the profile blocks ``background`` and ``color``.
 
-All that is chosen or fitted rests on the training presses; then the model is frozen, and the
-held-out presses are read, placed and scored (``taccel_lab.calibration.color.heldout``).
+All that is chosen rests on the training presses; then the model is frozen, and the held-out
+presses are read, placed and scored (``taccel_lab.calibration.color.heldout``). Last, the same fit
+is made to all presses: profiles get that one, with the scores of the first.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from taccel_lab.calibration.color.heldout import (
 from taccel_lab.calibration.color.network_fit import ColorFit, fit_color_model
 from taccel_lab.calibration.color.options import ColorOptions, ColorTraining
 from taccel_lab.calibration.color.press_circles import placed_presses
+from taccel_lab.calibration.color.registration import MIN_PRESSES, place_by
 from taccel_lab.calibration.color.remarks import color_remarks
 from taccel_lab.calibration.color.result import ColorCalibration, PressScore
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
@@ -185,8 +187,17 @@ class _Fitting:
             self.progress(SCORING, 0, 1)
             held, failures = score_heldout(heldout, fit, shift)
             self.progress(SCORING, 1, 1)
+        every = list(self.frames)
+        if heldout is not None:
+            every += self._frames_of(heldout, held, fit)
+        final = None
+        if len(every) > len(self.frames):
+            final = fit_color_model(
+                every, captures.background, grid, self.options, mask=mask, progress=self.progress
+            )
         return ColorCalibration(
             fit=fit,
+            final=final,
             heldout=held,
             failures=failures,
             split=None if heldout is None else heldout.split,
@@ -194,12 +205,41 @@ class _Fitting:
             noise_floor_l1=self._noise_floor(),
             captures=captures,
             surface_provider=", ".join(sorted({surface.provider for surface in surfaces})),
-            valid_region=_valid_region(self.frames, fit.model),
+            valid_region=_valid_region(every, (final or fit).model),
             circles=circles,
             drift_choice=self.drift_choice,
             table=table,
             table_scores=[] if table is None else self._table_scores(table, fit, held),
         )
+
+    def _frames_of(
+        self, heldout: HeldoutSet, held: Sequence[HeldoutPress], fit: ColorFit
+    ) -> list[ColorFrame]:
+        """Held-out presses as the last fit takes them: placed by the colours of the training
+        presses, as these were by each other. One that is rendered no better than the bare
+        background shows something else."""
+        captures, grid = self.captures, self.captures.grid
+        hashes = {press.name: press.sha256 for press in heldout.captures.presses}
+        frames = [
+            ColorFrame(press.name, press.captured, press.placed, press.surface, hashes[press.name])
+            for press in held
+            if press.score.crop_psnr_db > press.background_only.crop_psnr_db
+        ]
+        if not frames or len(self.frames) < MIN_PRESSES:
+            return frames
+        found = place_by(fit, self.frames, frames, captures.background, grid, captures.mask)
+        chosen = {frame.name: circle for frame, circle in zip(frames, found, strict=True)}
+        presses = tuple(press for press in heldout.captures.presses if press.name in chosen)
+        circles = [
+            chosen[press.name].up_to_equator(press.radius_mm or captures.ball_radius_mm, grid)
+            for press in presses
+        ]
+        surfaces = heldout.surfaces(replace(heldout.captures, presses=presses), circles)
+        by_name = {frame.name: frame for frame in frames}
+        return [
+            replace(by_name[press.name], circle=circle, surface=surface)
+            for press, circle, surface in zip(presses, circles, surfaces, strict=True)
+        ]
 
     def _choose_drift(self) -> None:
         if self.drift is None:

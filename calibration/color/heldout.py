@@ -18,7 +18,6 @@ from typing import Literal
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import (
-    EQUATOR_SLACK,
     CapturedPress,
     CaptureSet,
     ContactCircle,
@@ -171,9 +170,8 @@ class _HeldoutScoring:
 
     def _start(self, press: CapturedPress, image: np.ndarray) -> ContactCircle:
         """Where the label puts a press; without a label, where its contact is found."""
-        ball_px = (press.radius_mm or self.captures.ball_radius_mm) / self.grid.mm_per_px_x
         found = place_heldout(press, image, self.captures, self.shift)
-        return replace(found, radius_px=min(found.radius_px, EQUATOR_SLACK * ball_px))
+        return found.up_to_equator(press.radius_mm or self.captures.ball_radius_mm, self.grid)
 
     def _surfaces(
         self, presses: Sequence[CapturedPress], circles: Sequence[ContactCircle]

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from taccel_lab.calibration.ball_presses import BallPresses, ball_presses
-from taccel_lab.calibration.capture.captures import EQUATOR_SLACK, ContactCircle
+from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.capture.folder import CaptureFolder
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.registration import MIN_PRESSES, register_presses
@@ -85,9 +85,7 @@ def _registered(presses: BallPresses, drift: DriftMode, progress: Progress) -> l
         remove_drift=choice.remove and not (dark and drift == "auto"),
         progress=lambda done, total: progress(REGISTERING, done, total),
     ).circles
-    balls = [press.radius_mm or training.ball_radius_mm for press in training.presses]
-    most_px = [EQUATOR_SLACK * ball / grid.mm_per_px_x for ball in balls]
     return [
-        replace(circle, radius_px=min(circle.radius_px, most))
-        for circle, most in zip(found, most_px, strict=True)
+        circle.up_to_equator(press.radius_mm or training.ball_radius_mm, grid)
+        for press, circle in zip(training.presses, found, strict=True)
     ]

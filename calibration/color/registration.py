@@ -25,7 +25,7 @@ from taccel_lab.calibration.color.frames import (
     join_samples,
     samples_at,
 )
-from taccel_lab.calibration.color.network_fit import rest_background
+from taccel_lab.calibration.color.network_fit import ColorFit, rest_background
 from taccel_lab.calibration.color.training import train
 from taccel_lab.calibration.contacts.refine import refine_circle
 from taccel_lab.calibration.surfaces.moved_press import MovedPress
@@ -113,6 +113,25 @@ def register_presses(
         circles = [job.place(i, fits[i % FOLDS], circles[i], start[i]) for i in range(len(frames))]
         tell()
     return Registration(circles, scale)
+
+
+def place_by(
+    fit: ColorFit,
+    frames: Sequence[ColorFrame],
+    others: Sequence[ColorFrame],
+    background: np.ndarray,
+    grid: PixelGrid,
+    mask: np.ndarray | None = None,
+) -> list[ContactCircle]:
+    """Circles of ``others`` as the colours of ``frames`` have them, which ``fit`` was fitted to."""
+    job = _Job([*frames, *others], background, grid, mask, fit.options)
+    circles = []
+    for i, frame in enumerate(others, len(frames)):
+        circle = frame.circle
+        for _ in range(ROUNDS):
+            circle = job.place(i, fit.model, circle, frame.circle)
+        circles.append(circle)
+    return circles
 
 
 def _best_scale(

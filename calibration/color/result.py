@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,10 @@ class ColorCalibration(ResultSummary):
     """Result of ``calibrate_color``."""
 
     fit: ColorFit
+    """To the training presses: all figures are of it."""
+    final: ColorFit | None
+    """To all presses, once the held-out ones were scored; what a profile gets. None where no
+    held-out press can be used."""
     heldout: list[HeldoutPress]
     """Presses that were held out and could be rendered."""
     failures: list[HeldoutFailure]
@@ -59,7 +63,7 @@ class ColorCalibration(ResultSummary):
     surface_provider: str
     """What made the surfaces."""
     valid_region: dict[str, tuple[float, float]]
-    """Range of contact positions, tilts and displacements in the training presses."""
+    """Range of contact positions, tilts and displacements in the presses of the last fit."""
     circles: tuple[ContactCircle, ...]
     """Circles that the surfaces belong to, of the training presses in order."""
     drift_choice: DriftChoice | None = None
@@ -77,6 +81,12 @@ class ColorCalibration(ResultSummary):
     def train_names(self) -> list[str]:
         """Names of the training presses in order."""
         return [press.name for press in self.captures.presses]
+
+    @property
+    def scored(self) -> ColorCalibration:
+        """With the model that the figures are of alone: what later blocks build on, whose held-out
+        presses are the same."""
+        return self if self.final is None else replace(self, final=None)
 
     @property
     def drift_corrected(self) -> bool:
@@ -131,6 +141,7 @@ class ColorCalibration(ResultSummary):
             "train_disc_l1": self.fit.disc_l1_train,
             "loss_curve": self.fit.loss_curve,
             "fit_seconds": self.fit.seconds,
+            "profile_presses": len(self._last.disc_l1_train),
             "drift_removed": self.drift_corrected,
         }
         if self.gel is not None:
@@ -161,17 +172,22 @@ class ColorCalibration(ResultSummary):
             profile = self.gel.apply_to(profile)
         # An old background or model may be of another image size; both are replaced.
         profile = profile.without("background", "color")
+        fit = self._last
         return profile.with_block(
-            BackgroundBlock(provenance=self._background_provenance()), self.fit.background
+            BackgroundBlock(provenance=self._background_provenance()), fit.background
         ).with_block(
             ColorBlock(
-                architecture=self.fit.model.config.to_dict(), provenance=self._color_provenance()
+                architecture=fit.model.config.to_dict(), provenance=self._color_provenance()
             ),
-            self.fit.model.weights,
+            fit.model.weights,
         )
 
+    @property
+    def _last(self) -> ColorFit:
+        return self.final or self.fit
+
     def _inputs(self) -> dict[str, str]:
-        return {"background": self.captures.background_sha256} | self.fit.inputs
+        return {"background": self.captures.background_sha256} | self._last.inputs
 
     def _source(self) -> str:
         return source_of(self.captures.provenance, self.captures.source)
@@ -182,7 +198,7 @@ class ColorCalibration(ResultSummary):
             residuals["far_field_l1_levels"] = self.noise_floor_l1
         return Provenance(
             kind="calibrated",
-            method="captured background; averaged with the untouched parts of the training presses",
+            method="captured background; averaged with the untouched parts of the presses",
             source=self._source(),
             inputs=self._inputs(),
             residuals=residuals,
@@ -228,4 +244,6 @@ class ColorCalibration(ResultSummary):
                 f"{self.split.by} (SHA-256 of their names {self.split.sha256[:16]}), placed by "
                 f"{self.placement}, {len(self.failures)} failed"
             )
+        if self.final is not None:
+            parts.append(f"scored so, then fitted to all {len(self.final.disc_l1_train)} presses")
         return "; ".join(parts)

@@ -122,13 +122,22 @@ def calibrate_normals(
         labels=presses.labels,
         background=profile.background_rgb,
         pad=pad,
-        colors=ColorModel.from_profile(profile),
+        colors=None if _knows(profile, presses.heldout) else ColorModel.from_profile(profile),
         scale_share=stated_scale_share(profile.camera),
         thickness_share=by_gel,
         progress=progress,
     )
     remarks = joined(presses.findings, (*presses.remarks, *found.remarks))
     return replace(found, gel=presses.gel, remarks=(*presses.lost, *remarks))
+
+
+def _knows(profile: SensorProfile, heldout: CaptureSet | None) -> bool:
+    """Whether the colours of a profile were fitted to held-out presses: synthetic presses in them
+    would pass on what they know."""
+    if profile.color is None or heldout is None:
+        return False
+    seen = set(profile.color.provenance.inputs.values())
+    return any(press.sha256 in seen for press in heldout.presses)
 
 
 def fit_normals(

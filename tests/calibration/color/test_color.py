@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
+from taccel_lab.calibration.block_outcome import BlockOutcome, BlockState
 from taccel_lab.calibration.capture import CaptureSet, ContactCircle
 from taccel_lab.calibration.color.evaluate import crop_slices, psnr_db, score_image, ssim
 from taccel_lab.calibration.color.fit import fit_color
@@ -29,7 +30,9 @@ from taccel_lab.calibration.color.untouched_light import (
     too_little_left,
 )
 from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.profiles import Profiles
 from taccel_lab.calibration.surfaces import BallSurface
+from taccel_lab.calibration.unfinished import UnfinishedCalibration
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile import load_profile, save_profile
@@ -45,6 +48,7 @@ from tests.support.synthetic_presses import (
     synthetic_captures,
     tiny_profile,
     true_surfaces,
+    with_images,
 )
 
 QUICK = ColorFitOptions(
@@ -150,7 +154,7 @@ def test_blocks_go_through_a_profile(tmp_path: Path) -> None:
     captures, surfaces = synthetic_captures(12)
     options = dataclasses.replace(QUICK, steps=60)
     result = calibrated(captures, surfaces, options=options)
-    save_profile(result.apply_to(tiny_profile(GRID)), tmp_path / "profile")
+    save_profile(result.scored.apply_to(tiny_profile(GRID)), tmp_path / "profile")
     loaded = load_profile(tmp_path / "profile")
     assert loaded.color is not None and loaded.color_weights is not None
     model = ColorModel(ColorModelConfig.from_dict(loaded.color.architecture), loaded.color_weights)
@@ -167,6 +171,50 @@ def test_blocks_go_through_a_profile(tmp_path: Path) -> None:
     fitted = {press.name for press in captures.presses} - set(result.split.heldout_names)
     assert set(loaded.color.provenance.inputs) == {"background", *fitted}
     assert result.split.sha256[:16] in loaded.color.provenance.method
+
+
+def test_a_profile_gets_the_fit_to_all_presses_with_the_scores_of_the_first() -> None:
+    captures, surfaces = synthetic_captures(12)
+    result = calibrated(captures, surfaces, options=dataclasses.replace(QUICK, steps=60))
+    last, scored = (item.apply_to(tiny_profile(GRID)) for item in (result, result.scored))
+    assert last.color is not None and scored.color is not None and last.color_weights is not None
+    names = {press.name for press in captures.presses}
+    assert set(last.color.provenance.inputs) == {"background", *names}
+    assert "then fitted to all 12 presses" in last.color.provenance.method
+    assert result.final is not None and result.scored.final is None
+    for name, weight in last.color_weights.items():
+        assert np.array_equal(weight, result.final.model.weights[name])
+        assert not np.array_equal(weight, result.fit.model.weights[name])
+    for name, value in scored.color.provenance.residuals.items():
+        if name.startswith("heldout"):
+            assert last.color.provenance.residuals[name] == value
+    assert calibrated(captures, surfaces, options=QUICK, holdout_every=0).final is None
+
+
+def test_an_image_without_its_press_is_not_in_the_last_fit() -> None:
+    captures, surfaces = synthetic_captures(12)
+    empty = captures.split(4).heldout[0]
+    image = np.round(captures.background).astype(np.uint8)
+    spoilt = with_images(captures, {empty: image})
+    result = calibrated(spoilt, surfaces, options=dataclasses.replace(QUICK, steps=60))
+    names = {press.name for press in captures.presses}
+    assert result.final is not None
+    assert set(result.final.inputs) == names - {captures.presses[empty].name}
+
+
+def test_later_blocks_build_on_the_model_that_was_scored(tmp_path: Path) -> None:
+    captures, surfaces = synthetic_captures(12)
+    result = calibrated(captures, surfaces, options=dataclasses.replace(QUICK, steps=20))
+    profiles = Profiles.of(tiny_profile(GRID)).after(result)
+    kept = UnfinishedCalibration.open(tmp_path / "kept", "key")
+    kept.add(BlockOutcome("color", BlockState.DONE, "good"), profiles, None)
+    again = UnfinishedCalibration.open(tmp_path / "kept", "key").profiles
+    assert again is not None
+    for found in (profiles, again):
+        assert found.basis.color is not None and found.final.color is not None
+        seen = set(found.basis.color.provenance.inputs)
+        assert seen == {"background", *result.train_names}
+        assert set(found.final.color.provenance.inputs) > seen
 
 
 def test_light_that_changes_within_the_image_asks_for_bands() -> None:

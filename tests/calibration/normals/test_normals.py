@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taccel_lab.calibration.capture import ContactCircle
+from taccel_lab.calibration.capture import ContactCircle, load_capture_folder
+from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.normals.ball_normals import ball_center_px, ball_normals
 from taccel_lab.calibration.normals.fit import (
     READING,
     READING_BALLS,
     READING_HELDOUT,
+    calibrate_normals,
     fit_normals,
 )
 from taccel_lab.calibration.normals.network_fit import TASK, InverseFitOptions, fit_normal_model
@@ -51,7 +53,10 @@ from tests.support.synthetic_presses import (
     known_change,
     synthetic_captures,
     tiny_profile,
+    without_check,
+    write_captures,
 )
+from tests.support.synthetic_presses import calibrated as fit_colors
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -384,3 +389,30 @@ def test_an_untouched_image_is_not_touched(synthetic: NormalCalibration, tmp_pat
     image = flat_background() + 6.0 * np.linspace(-1, 1, GRID.width_px)[None, :, None]
     found = reader.read(np.clip(image + rng.normal(0, 1, image.shape), 0, 255))
     assert found.figures(reader.profile.grid())["touched_mm2"] == 0.0
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_synthetic_presses_do_not_take_colours_that_have_seen_held_out_ones(
+    seen: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    captures, surfaces = synthetic_captures(8)
+    without_check(monkeypatch)
+    folder = load_capture_folder(write_captures(tmp_path / "captures", captures))
+    held = set(captures.split(4).heldout_names)
+    files = {p.name: p.sha256 for p in folder.presses if (p.name in held) == seen}
+    options = ColorFitOptions(hidden=(8,), steps=1)
+    base = fit_colors(captures, surfaces, options=options).apply_to(flat_profile(GRID, 3.0))
+    assert base.color is not None and base.color_weights is not None
+    provenance = base.color.provenance.model_copy(update={"inputs": files})
+    block = base.color.model_copy(update={"provenance": provenance})
+    base = base.without("color").with_block(block, base.color_weights)
+    given: list[object] = []
+
+    def fit(*_: object, colors: object, **__: object) -> None:
+        given.append(colors)
+        raise InputError("looked at")
+
+    monkeypatch.setattr("taccel_lab.calibration.normals.fit.fit_normals", fit)
+    with pytest.raises(InputError, match="looked at"):
+        calibrate_normals(folder, base)
+    assert (given[0] is None) == seen
