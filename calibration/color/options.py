@@ -18,7 +18,7 @@ class ColorTraining:
     that changes within parts of the image. 0 to 8; 0 gives the network the position alone."""
     steps: int = 2000
     """Optimiser steps of the fit."""
-    batch_pixels: int = 512
+    batch_pixels: int = 1024
     """Batch size in pixels; it sets the time of a fit."""
     seed: int = 0
     """Seed of the pixel draw, the initial weights and the batches."""

@@ -81,7 +81,7 @@ class InverseFitOptions(NormalTraining):
     """Whether the variation of the change across the two wider windows is a feature."""
     members: int = 4
     hidden: tuple[int, ...] = (64, 64, 64)
-    batch_pixels: int = 768
+    batch_pixels: int = 1024
     """Pixels a member sees in a step."""
     learning_rate: float = 6e-3
     synthetic_pixels: int = 4000
