@@ -228,17 +228,17 @@ class _Fitting:
         if not frames or len(self.frames) < MIN_PRESSES:
             return frames
         found = place_by(fit, self.frames, frames, captures.background, grid, captures.mask)
-        chosen = {frame.name: circle for frame, circle in zip(frames, found, strict=True)}
-        presses = tuple(press for press in heldout.captures.presses if press.name in chosen)
+        names = {frame.name for frame in frames}
+        # In the order of the frames: scores keep that of the captures.
+        presses = tuple(press for press in heldout.captures.presses if press.name in names)
         circles = [
-            chosen[press.name].up_to_equator(press.radius_mm or captures.ball_radius_mm, grid)
-            for press in presses
+            circle.up_to_equator(press.radius_mm or captures.ball_radius_mm, grid)
+            for circle, press in zip(found, presses, strict=True)
         ]
         surfaces = heldout.surfaces(replace(heldout.captures, presses=presses), circles)
-        by_name = {frame.name: frame for frame in frames}
         return [
-            replace(by_name[press.name], circle=circle, surface=surface)
-            for press, circle, surface in zip(presses, circles, surfaces, strict=True)
+            replace(frame, circle=circle, surface=surface)
+            for frame, circle, surface in zip(frames, circles, surfaces, strict=True)
         ]
 
     def _choose_drift(self) -> None:
