@@ -192,8 +192,15 @@ class _Fitting:
             every += self._frames_of(heldout, held, fit)
         final = None
         if len(every) > len(self.frames):
+            # On the background of the first fit, which normals are read against, too.
             final = fit_color_model(
-                every, captures.background, grid, self.options, mask=mask, progress=self.progress
+                every,
+                captures.background,
+                grid,
+                self.options,
+                mask=mask,
+                rest_image=fit.background,
+                progress=self.progress,
             )
         return ColorCalibration(
             fit=fit,

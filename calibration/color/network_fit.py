@@ -51,18 +51,21 @@ def fit_color_model(
     options: ColorFitOptions = ColorFitOptions(),
     *,
     mask: np.ndarray | None = None,
+    rest_image: np.ndarray | None = None,
     progress: Progress = silent,
 ) -> ColorFit:
     """Fit the colour model to ``frames``.
 
     ``background`` is the untouched sensor, RGB levels, shape [height_px, width_px, 3]; pixels
-    where ``mask`` is false are never used. Deterministic for a seed on one thread.
+    where ``mask`` is false are never used. ``rest_image`` is the one to render on, that of
+    ``rest_background`` when None. Deterministic for a seed on one thread.
     """
     started = time.perf_counter()
     if not frames:
         raise InputError("the colour fit needs at least one press")
     drifts = {frame.name: frame_drift(frame, background, grid, mask, options) for frame in frames}
-    rest_image = rest_background(frames, background, drifts, grid, mask)
+    if rest_image is None:
+        rest_image = rest_background(frames, background, drifts, grid, mask)
     samples = draw_samples(frames, rest_image, drifts, grid, mask, options)
     trained = train(samples, grid, options, progress=progress)
     model = ColorModel(trained.model.config, trained.model.weights, steepest_deg(samples))

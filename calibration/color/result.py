@@ -186,8 +186,8 @@ class ColorCalibration(ResultSummary):
     def _last(self) -> ColorFit:
         return self.final or self.fit
 
-    def _inputs(self) -> dict[str, str]:
-        return {"background": self.captures.background_sha256} | self._last.inputs
+    def _inputs(self, fit: ColorFit) -> dict[str, str]:
+        return {"background": self.captures.background_sha256} | fit.inputs
 
     def _source(self) -> str:
         return source_of(self.captures.provenance, self.captures.source)
@@ -198,9 +198,9 @@ class ColorCalibration(ResultSummary):
             residuals["far_field_l1_levels"] = self.noise_floor_l1
         return Provenance(
             kind="calibrated",
-            method="captured background; averaged with the untouched parts of the presses",
+            method="captured background; averaged with the untouched parts of the training presses",
             source=self._source(),
-            inputs=self._inputs(),
+            inputs=self._inputs(self.fit),
             residuals=residuals,
             valid_region={"level": (0.0, 255.0)},
         )
@@ -219,7 +219,7 @@ class ColorCalibration(ResultSummary):
             kind="calibrated",
             method=self._method(),
             source=self._source(),
-            inputs=self._inputs(),
+            inputs=self._inputs(self._last),
             residuals=residuals,
             spread=spread,
             valid_region=self.valid_region,

@@ -182,6 +182,8 @@ def test_a_profile_gets_the_fit_to_all_presses_with_the_scores_of_the_first() ->
     assert set(last.color.provenance.inputs) == {"background", *names}
     assert "then fitted to all 12 presses" in last.color.provenance.method
     assert result.final is not None and result.scored.final is None
+    # Normals are read against the same background as they were fitted to.
+    np.testing.assert_array_equal(last.background_rgb, scored.background_rgb)
     for name, weight in last.color_weights.items():
         assert np.array_equal(weight, result.final.model.weights[name])
         assert not np.array_equal(weight, result.fit.model.weights[name])
