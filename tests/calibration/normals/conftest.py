@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 
@@ -31,14 +32,21 @@ PAD = BondedLayer(4.0, 0.48)
 Clean = tuple[CaptureSet, list[BallSurface], NormalCalibration]
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _colors_of_synthetic_presses_are_fitted_shortly() -> Iterator[None]:
+@contextmanager
+def short_color_fits() -> Iterator[None]:
     """What presses of other tools are drawn with takes ten times as long as the networks here."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             "taccel_lab.calibration.normals.fit.ColorFitOptions",
             lambda seed: replace(SHORT_FIT, seed=seed),
         )
+        yield
+
+
+@pytest.fixture(autouse=True)
+def _colors_of_synthetic_presses_are_fitted_shortly() -> Iterator[None]:
+    """In this folder's tests alone: files of other folders may run in the same process."""
+    with short_color_fits():
         yield
 
 
@@ -58,14 +66,15 @@ def calibrated(
     settings = {"options": QUICK} | changes
     split = captures.split(4)
     training = captures.only(split.train)
-    return fit_normals(
-        training,
-        circles_of(training),
-        None if surfaces is None else [surfaces[i] for i in split.train],
-        captures.only(split.heldout),
-        split=split,
-        **settings,  # type: ignore[arg-type]
-    )
+    with short_color_fits():  # fixtures of the whole run come before those of a test
+        return fit_normals(
+            training,
+            circles_of(training),
+            None if surfaces is None else [surfaces[i] for i in split.train],
+            captures.only(split.heldout),
+            split=split,
+            **settings,  # type: ignore[arg-type]
+        )
 
 
 def with_images(captures: CaptureSet, change: object) -> CaptureSet:
