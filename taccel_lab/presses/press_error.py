@@ -23,20 +23,20 @@ if TYPE_CHECKING:
 
 # What 19 of 20 presses of the battery keep to ---------------------------------------------------
 
-MESH_SHARE = {Ball: 0.015, TriangleMesh: 0.06}
+MESH_SHARE = {Ball: 0.01, TriangleMesh: 0.05}
 """Of the force, by the default mesh: smooth tools, and tools that may have rims."""
-HEIGHT_SHARE = {Ball: 0.005, TriangleMesh: 0.018}
+HEIGHT_SHARE = {Ball: 0.005, TriangleMesh: 0.014}
 """Of the heights, root mean square, over the depth."""
-COARSE_HEIGHT_ORDER = 6
-"""How that falls with the number of elements along a side on meshes coarser than the default's."""
 LINEAR_SHARE = 0.6
 """Of the force by linear elements on the default mesh."""
-MESH_ORDER = 2
-"""How the error of a mesh falls with the number of its elements along a side."""
+MESH_ORDER, COARSE_ORDER, COARSE_HEIGHT_ORDER = 2, 5, 7
+"""How errors fall with the number of elements along a side: on finer meshes than the default, and
+those of force and heights on coarser ones."""
 DHAT_SHARE, DHAT_POWER = 0.035, 0.6
 """Of the force, by dhat: a power of dhat over the depth."""
-PATH_SHARE, PATH_MM = 0.02, 0.2
-"""Of the force, by steps of that length under friction; it goes with their length."""
+PATH_SHARE, PATH_STEP = 0.03, 0.3
+"""Of the force, by steps under friction 1 that are longer than that part of the depth; shorter ones
+add less. Under rims it does not show: their gel sticks."""
 
 
 @dataclass(frozen=True)
@@ -74,17 +74,21 @@ def expected_error(
     else:
         cells = mesh.outline.cell_count / usual.outline.cell_count
     finer = cells ** (1 / 3)
+    order, height_order = MESH_ORDER, MESH_ORDER
+    if finer < 1:
+        order, height_order = COARSE_ORDER, COARSE_HEIGHT_ORDER
     if physics.element is Element.LINEAR:
         by_mesh = LINEAR_SHARE / finer
     else:
-        by_mesh = MESH_SHARE[kind] / finer**MESH_ORDER
+        by_mesh = MESH_SHARE[kind] / finer**order
     depth = np.maximum(depth_m, 0.0)
     touched = np.maximum(depth, physics.dhat_m)
     dhat = DHAT_SHARE * (physics.dhat_m / touched) ** DHAT_POWER
-    path = PATH_SHARE * (friction > 0) * np.minimum(1e3 * step_m / PATH_MM, 1.0)
+    path = np.minimum(step_m / (PATH_STEP * touched), 1.0) * PATH_SHARE * min(friction, 1.0)
+    if kind is TriangleMesh:
+        path = np.zeros_like(path)
     return PressError(
-        (by_mesh + dhat + path) * np.abs(force_n),
-        HEIGHT_SHARE[kind] / finer ** (COARSE_HEIGHT_ORDER if finer < 1 else MESH_ORDER) * depth,
+        (by_mesh + dhat + path) * np.abs(force_n), HEIGHT_SHARE[kind] / finer**height_order * depth
     )
 
 
