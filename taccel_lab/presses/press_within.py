@@ -28,6 +28,8 @@ nothing has been compared yet."""
 PAIR_SHARE, FIRST_ORDER_SHARE = 1.0, 1 / (2**0.5 - 1)
 """Error of the finer of two meshes over their difference: of second order, and the most that three
 meshes may show, which is that of first order."""
+SECOND_ORDER_SHARE = 0.5
+"""What second order leaves of a change on the next mesh."""
 PAIR_REST, PAIR_HEIGHT_REST = 0.007, 0.002
 """What two meshes may have in common, of the force and over the depth of the heights; it falls with
 the number of elements along a side."""
@@ -196,7 +198,7 @@ def press_within(
         predicted = MESH_COST * (clock() - begun)
         now = _reading(outcome, seen)
         change, last_change = now - before, change
-        by_mesh = _pair_share(float(last_change[0]), float(change[0])) * change
+        by_mesh = _by_mesh(last_change, change)
         best = _found(outcome, used, by_mesh, by_dhat, by_path)
         before = now
     refinement = Refinement(
@@ -236,13 +238,21 @@ def _found(
     )
 
 
-def _pair_share(last_change: float, change: float) -> float:
-    """Error of the finest mesh over its change, by how much smaller that is than the one before
-    (Richardson); ``last_change`` is 0 where there was none."""
-    if not last_change * change > 0:
-        return PAIR_SHARE
-    times = last_change / change
-    return float(np.clip(1 / max(times - 1, 1e-9), PAIR_SHARE, FIRST_ORDER_SHARE))
+def _by_mesh(last_change: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Errors of the finest mesh as in ``_reading``, by how much smaller the change of the force is
+    than the one before (Richardson); ``last_change`` is 0 where there was none.
+
+    Forces that went down and come up again do not converge yet: under rims the two errors of a
+    mesh, too stiff and too far from the rim, may just cancel. The last change says little then, and
+    the force may be off by what second order leaves of the one before.
+    """
+    last, now = float(last_change[0]), float(change[0])
+    if last * now > 0:
+        share = 1 / max(last / now - 1, 1e-9)
+        return float(np.clip(share, PAIR_SHARE, FIRST_ORDER_SHARE)) * change
+    found = PAIR_SHARE * change
+    found[0] = max(abs(found[0]), SECOND_ORDER_SHARE * abs(last))
+    return found
 
 
 def _force_n(outcome: PressOutcome) -> float:
