@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The assembly of a sensor: gel on its window, window in the housing's seat, camera and LEDs."""
+"""The assembly of a sensor: gel on its window, window in the housing's seat, cameras and LEDs."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from taccel_lab.cad.parts.outline import base_outline
 from taccel_lab.cad.parts.part import Part
 from taccel_lab.cad.parts.placeholders import (
     camera_location,
+    camera_names,
     camera_part,
     led_location,
     led_names,
@@ -34,7 +35,7 @@ def sensor_assembly(
     *,
     window: Window | None = None,
     housing: HousingShape | None = None,
-    camera: DesignedCamera | None = None,
+    cameras: tuple[DesignedCamera, ...] = (),
     leds: tuple[Light, ...] = (),
     view_mm: tuple[float, float] = (0.0, 0.0),
 ) -> Assembly:
@@ -42,8 +43,8 @@ def sensor_assembly(
 
     ``gel`` are the gel's layers, core first, as modelled in the gel frame; ``thickness_mm`` lies
     between its apex and what it is glued to. The window's joint "bond" meets the gel's "back", the
-    window's "seat" the housing's, camera and LEDs sit on joints of the housing (of the gel when
-    there is none). ``view_mm`` is what the camera sees: a separate face on a plate's front, and
+    window's "seat" the housing's, cameras and LEDs sit on joints of the housing (of the gel when
+    there is none). ``view_mm`` is what the cameras see: a separate face on a plate's front, and
     what the seat must leave open.
     """
     layers = tuple(_own_copy(part) for part in gel)
@@ -63,14 +64,14 @@ def sensor_assembly(
         parts.append(pane)
     holder = parts[0].solid
     if housing is not None:
-        made = _housed(housing, layers, outline, lowest, pane, window, view_mm, camera, leds)
+        made = _housed(housing, layers, outline, lowest, pane, window, view_mm, cameras, leds)
         parts += [made.housing, made.cover]
         notes += made.notes
         holder = made.housing.solid
         joint(holder, "cover").connect_to(joint(made.cover.solid, "cover"))
-    if camera is not None:
-        body = camera_part()
-        joint(holder, "camera", camera_location(camera)).connect_to(joint(body.solid, "projection"))
+    for camera, camera_name in zip(cameras, camera_names(len(cameras)), strict=True):
+        body, at = camera_part(camera_name), camera_location(camera)
+        joint(holder, camera_name, at).connect_to(joint(body.solid, "projection"))
         parts.append(body)
     for led, led_name in zip(leds, led_names(leds), strict=True):
         body = led_part(led, led_name)
@@ -92,7 +93,7 @@ def _housed(
     pane: Part | None,
     window: Window | None,
     view_mm: tuple[float, float],
-    camera: DesignedCamera | None,
+    cameras: tuple[DesignedCamera, ...],
     leds: tuple[Light, ...],
 ) -> HousingParts:
     """Housing and cover made for gel and window, joined seat to seat."""
@@ -108,7 +109,7 @@ def _housed(
     else:
         ledge = _ledge_mm(ledge_on, view_mm)
     made = housing_parts(
-        shape, GelSeat(resting, tuple(outlines), ledge_on, ledge), camera, leds
+        shape, GelSeat(resting, tuple(outlines), ledge_on, ledge), cameras, leds
     )  # fmt: skip
     seat = joint(made.housing.solid, "seat", Location((0, 0, resting)))
     if pane is None:

@@ -35,6 +35,8 @@ _SPELLED = {
     "ambient": "ambient light",
 }
 """Words of names, as people say them."""
+MOST_EACH = 64
+"""Values of one parameter at most."""
 _Group = TypeVar("_Group", bound="ParameterSet")
 
 
@@ -52,20 +54,29 @@ class Parameter:
     choices: tuple[str, ...] = ()
     zero_means: str = ""
     """When not empty, 0 is allowed besides [minimum, maximum] and means this."""
+    each: str = ""
+    """What there may be several of, such as ``LED``: the value is then one for all of them, or a
+    tuple of one each. Empty where there is one only."""
     group: str = ""
     """Heading under which it is listed: the ``parameter_group`` of the class that declares it."""
 
     def allowed(self) -> str:
         """The allowed values in words."""
         unit = f" {self.unit}" if self.unit and self.unit != "1" else ""
+        each = f"; one for each {self.each} with commas" if self.each else ""
         if self.choices:
-            return "one of " + ", ".join(self.choices)
+            return "one of " + ", ".join(self.choices) + each
         text = f"{self.minimum:g} to {self.maximum:g}{unit}"
-        return f"0 ({self.zero_means}) or {text}" if self.zero_means else text
+        return (f"0 ({self.zero_means}) or {text}" if self.zero_means else text) + each
+
+    @property
+    def whole(self) -> bool:
+        """Whether values are whole numbers."""
+        return isinstance(self.default, int)
 
     def worded(self, value: Any) -> str:
         """The value as one says it: ``thickness 2 mm``, ``Shore 00 45``, ``rim fillet``."""
-        text = f"{value:.4g}" if isinstance(value, float) else f"{value}"
+        text = value_text(value)
         if self.unit.startswith("Shore"):
             return f"{self.unit} {text}"
         unit = "" if self.unit in ("", "1") else f" {self.unit}"
@@ -95,7 +106,21 @@ class Parameter:
         return self.words + ("" if bare else f" [{self.unit}]")
 
     def check(self, value: Any) -> Any:
-        """Return ``value`` as the parameter's own type; raise InputError when it is not allowed."""
+        """Return ``value`` as the parameter's own type; raise InputError when it is not allowed.
+
+        Several values, a tuple or list, become a tuple where the parameter takes one for ``each``.
+        """
+        if self.each and isinstance(value, (tuple, list)):
+            if not 1 <= len(value) <= MOST_EACH:
+                raise InputError(
+                    f"{self.name} has {len(value)} values; allowed: 1 to {MOST_EACH}, one for each "
+                    f"{self.each}"
+                )
+            found = tuple(self._check_one(one) for one in value)
+            return found[0] if len(found) == 1 else found
+        return self._check_one(value)
+
+    def _check_one(self, value: Any) -> Any:
         if self.choices:
             if value not in self.choices:
                 raise InputError(
@@ -114,7 +139,7 @@ class Parameter:
         return checked
 
     def _number(self, value: Any) -> int | float:
-        whole = isinstance(self.default, int)
+        whole = self.whole
         is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
         # `float` of a whole number of 400 digits fails; no bound is that far.
         is_finite = is_number and abs(value) <= sys.float_info.max
@@ -128,7 +153,7 @@ class Parameter:
 
 
 def parameter(
-    default: float | int | str,
+    default: float | int | str | tuple[float | str, ...],
     *,
     unit: str = "1",
     description: str,
@@ -137,6 +162,7 @@ def parameter(
     maximum: float | None = None,
     choices: Sequence[str] = (),
     zero_means: str = "",
+    each: str = "",
 ) -> Any:
     """Declare a dataclass field that carries its bounds, unit and source."""
     if not choices and (minimum is None or maximum is None):
@@ -149,6 +175,7 @@ def parameter(
         "maximum": maximum,
         "choices": tuple(choices),
         "zero_means": zero_means,
+        "each": each,
     }
     return dataclasses.field(default=default, metadata={_KEY: details})
 
@@ -157,7 +184,7 @@ def parameter(
 class _Restated:
     """What ``restated`` was given, until the class and the name are known."""
 
-    default: float | int | str | None
+    default: float | int | str | tuple[float | str, ...] | None
     of: type[ParameterSet] | None
     name: str
     changes: dict[str, Any]
@@ -189,7 +216,7 @@ class _Restated:
 
 
 def restated(
-    default: float | int | str | None = None,
+    default: float | int | str | tuple[float | str, ...] | None = None,
     *,
     of: type[ParameterSet] | None = None,
     name: str = "",
@@ -274,19 +301,20 @@ class ParameterSet:
         return dataclasses.replace(self, **overrides)  # type: ignore[type-var]
 
     def values(self) -> dict[str, Any]:
-        """Name -> value."""
-        return {name: getattr(self, name) for name in self.parameters()}
+        """Name -> value; several values as a list, as in files."""
+        return {name: _listed(getattr(self, name)) for name in self.parameters()}
 
     def describe(self) -> dict[str, dict[str, Any]]:
         """Name -> value, default, bounds, unit, description and source, ready for JSON."""
         return {
             name: {
-                "value": getattr(self, name),
-                "default": spec.default,
+                "value": _listed(getattr(self, name)),
+                "default": _listed(spec.default),
                 "minimum": spec.minimum,
                 "maximum": spec.maximum,
                 "choices": list(spec.choices) or None,
                 "zero_means": spec.zero_means or None,
+                "each": spec.each or None,
                 "unit": spec.unit,
                 "group": spec.group,
                 "description": spec.description,
@@ -304,15 +332,34 @@ def _inherited_fields(cls: type[ParameterSet]) -> dict[str, Any]:
     return found
 
 
-def parse_overrides(items: Sequence[str]) -> dict[str, float | str]:
-    """Read ``name=value`` words into a dict, numbers as such; InputError as ``parse_words``."""
-    result: dict[str, float | str] = {}
-    for name, text in parse_words(items).items():
-        try:
-            result[name] = number(text)
-        except ValueError:
-            result[name] = text
-    return result
+def parse_overrides(items: Sequence[str]) -> dict[str, Any]:
+    """Read ``name=value`` words into a dict, see ``parse_value``; InputError as ``parse_words``."""
+    return {name: parse_value(text) for name, text in parse_words(items).items()}
+
+
+def parse_value(text: str) -> float | str | list[float | str]:
+    """The number or text that ``text`` is, or the list of those between its commas."""
+    if "," in text:
+        return [_one_value(part.strip()) for part in text.split(",")]
+    return _one_value(text)
+
+
+def value_text(value: Any) -> str:
+    """As ``parse_value`` reads it: ``2.5``, ``fillet``, ``-90,30,150``."""
+    if isinstance(value, (tuple, list)):
+        return ",".join(value_text(one) for one in value)
+    return f"{value:.4g}" if isinstance(value, float) else f"{value}"
+
+
+def _one_value(text: str) -> float | str:
+    try:
+        return number(text)
+    except ValueError:
+        return text
+
+
+def _listed(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
 
 
 def parse_words(items: Sequence[str]) -> dict[str, str]:

@@ -215,4 +215,5 @@ def profile_digest(profile: SensorProfile) -> str:
             arrays[key] = value
         elif value is not None:
             arrays |= {f"{key}.{name}": array for name, array in value.items()}
-    return content_key({"blocks": blocks, **arrays})
+    views = {name: profile_digest(profile.seen_by(name)) for name in profile.views}
+    return content_key({"blocks": blocks, **arrays, **({"views": views} if views else {})})

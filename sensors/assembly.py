@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from taccel_lab.geometry import Region
-from taccel_lab.sensors.base import FamilyParameters
+from taccel_lab.sensors.base import FamilyParameters, all_optics
 
 if TYPE_CHECKING:
     from build123d import Face, Solid
@@ -39,7 +39,7 @@ def sensor_parts(
         pad.thickness_mm,
         window=None if optics is None else optics.window,
         housing=parameters.housing(),
-        camera=None if optics is None else optics.camera,
+        cameras=tuple(design.camera for design in all_optics(parameters)),
         leds=() if optics is None else optics.lights,
         view_mm=_view_mm(gel),
     )

@@ -64,6 +64,11 @@ class FamilyParameters(ParameterSet, ABC):
         """Camera, lights, coating and window; None while the family has no optical model."""
         return None
 
+    def views(self) -> Mapping[str, FamilyParameters]:
+        """The same sensor through each further camera, by its name; ``grid`` and ``optics`` are of
+        the first camera."""
+        return {}
+
     def markers(self) -> MarkerGrid | None:
         """Dots painted on the contact face; None for a sensor without."""
         return None
@@ -80,6 +85,12 @@ class FamilyParameters(ParameterSet, ABC):
                 if name in found and found[name]["value"] == INCOMPRESSIBLE:
                     found[name]["source"] = "incompressible, as the formula of the hardness has it"
         return found
+
+
+def all_optics(parameters: FamilyParameters) -> list[OpticalDesign]:
+    """What each camera of a sensor sees, the first one's first; nothing without optics."""
+    found = [seen.optics() for seen in (parameters, *parameters.views().values())]
+    return [design for design in found if design is not None]
 
 
 @dataclass(frozen=True)
@@ -123,6 +134,8 @@ class SensorFamily:
             found = self.parameters_type().with_values(values)
             for part in ("pad", "grid", "layer_materials", "optics", "markers", "housing"):
                 getattr(found, part)()
+            for view in found.views().values():
+                view.optics()
         except InputError as error:
             raise InputError(f"sensor {self.name}: {error}") from error
         return found

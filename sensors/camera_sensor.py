@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The usual sensor: gel on a window, LEDs around it, one camera behind.
+"""The usual sensor: gel on a window, LEDs around it, a camera or several behind.
 
 Each part (material, lights, coating, window, markers, housing) is a set of parameters by itself;
-the sensor has them all, and the camera looks through them. A family derives from
+the sensor has them all, and the cameras look through them. A family derives from
 ``CameraSensorParameters``, adds the dimensions of its gel, restates the shared parameters whose
 figures it knows and says which lights stand where.
 """
@@ -34,7 +34,7 @@ MIN_SEEN_SHARE = 0.45
 
 @dataclass(frozen=True)
 class CameraSensorParameters(CameraParameters, FamilyParameters):
-    """Parameters of a sensor with one camera: its own, and those of its parts."""
+    """Parameters of a sensor with cameras behind its gel: theirs, and those of its parts."""
 
     groups: ClassVar = (
         MaterialParameters,
@@ -110,6 +110,7 @@ class CameraSensorParameters(CameraParameters, FamilyParameters):
         window = self.window()
         if window is not None:
             self._check_camera(window)
+        self._check_view()
         media, ambient = self.group(WindowParameters), self.group(LightParameters).ambient
         return OpticalDesign(
             camera=self.camera(),
@@ -129,6 +130,22 @@ class CameraSensorParameters(CameraParameters, FamilyParameters):
                 f"or the window (window_thickness_mm = {window.thickness_mm:g}); allowed: "
                 f"above {solid:g} mm"
             )
+
+    def _check_view(self) -> None:
+        """The middle of the image lies over the gel."""
+        grid, bounds = self.grid(), self._built_pad.bounds_mm()
+        for axis, places in (("x", grid.x_mm()), ("y", grid.y_mm())):
+            middle = float(places[0] + places[-1]) / 2
+            low, high = bounds[:, "xy".index(axis)].tolist()
+            if not low <= middle <= high:
+                raise InputError(
+                    f"camera_{axis}_mm and camera_tilt_{axis}_deg put the image's middle at "
+                    f"{axis} = {middle:.4g} mm; the gel reaches from {low:.4g} to {high:.4g} mm"
+                )
+
+    def views(self) -> dict[str, CameraSensorParameters]:
+        """The sensor through its second camera, third camera and so on."""
+        return {f"camera_{k + 1}": self.seen_by(k) for k in range(1, self.camera_count())}
 
     def markers(self) -> MarkerGrid | None:
         """The dots, as far as there is gel for them."""

@@ -51,6 +51,10 @@ def derived_figures(parameters: FamilyParameters) -> list[DerivedFigure]:
         ),
         DerivedFigure("gel in the image", 100 * share_in_image(parameters), "% of its plan"),
     ]
+    if views := parameters.views():
+        figures.append(DerivedFigure("cameras", 1 + len(views)))
+        shared = 100 * share_in_image(parameters, *views.values())
+        figures.append(DerivedFigure("gel in all images", shared, "% of its plan"))
     design, markers, housing = parameters.optics(), parameters.markers(), parameters.housing()
     if design is not None:
         x, y = field_of_view_deg(design.camera)
@@ -100,8 +104,17 @@ def describe_sensor(parameters: FamilyParameters) -> dict[str, Any]:
         "layers": {name: asdict(material) for name, material in materials},
         "image": asdict(parameters.grid()),
         "optics": None if design is None else asdict(design),
+        "views": {name: _view(seen) for name, seen in parameters.views().items()},
         "markers": None if markers is None else asdict(markers),
         "housing": None if housing is None else asdict(housing),
+    }
+
+
+def _view(parameters: FamilyParameters) -> dict[str, Any]:
+    design = parameters.optics()
+    return {
+        "image": asdict(parameters.grid()),
+        "camera": None if design is None else asdict(design.camera),
     }
 
 
@@ -144,17 +157,19 @@ def pad_volume_mm3(pad: Pad) -> float:
     return float(np.nansum(height) * cell)
 
 
-def share_in_image(parameters: FamilyParameters) -> float:
-    """Part of the gel's plan that the tactile image shows, 0..1."""
-    pad, grid = parameters.pad(), parameters.grid()
+def share_in_image(parameters: FamilyParameters, *views: FamilyParameters) -> float:
+    """Part of the gel's plan that the tactile image shows, 0..1; that of further ``views``, too."""
+    pad = parameters.pad()
     low, high = pad.bounds_mm()
     steps = (np.arange(200) + 0.5) / 200
     axes = [low[k] + steps * (high[k] - low[k]) for k in range(2)]
     xy = np.stack(np.meshgrid(*axes), axis=-1)
     gel = np.isfinite(pad.top_mm(xy))
-    uv = grid.pixel_from_gel(xy)
-    inside = ((uv >= -0.5) & (uv <= np.array([grid.width_px, grid.height_px]) - 0.5)).all(axis=-1)
-    return float((gel & inside).sum() / gel.sum())
+    seen = gel.copy()
+    for grid in (one.grid() for one in (parameters, *views)):
+        uv, last = grid.pixel_from_gel(xy), np.array([grid.width_px, grid.height_px]) - 0.5
+        seen &= ((uv >= -0.5) & (uv <= last)).all(axis=-1)
+    return float(seen.sum() / gel.sum())
 
 
 def field_of_view_deg(camera: DesignedCamera) -> tuple[float, float]:

@@ -83,6 +83,12 @@ def imported_profile(
     for key, block in base.blocks().items():
         if key not in ("sensor", "gel", "material", "camera"):
             profile = profile.with_block(assumed(block))
+    for name in base.views:
+        view = profile.with_block(assumed(base.seen_by(name).camera))
+        optics = base.seen_by(name).optics
+        if optics is not None:
+            view = view.with_block(assumed(optics))
+        profile = profile.with_view(name, view)
     return profile
 
 

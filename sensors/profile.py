@@ -33,6 +33,7 @@ from taccel_lab.profile import (
     SensorProfile,
     WindowBlock,
     load_profile,
+    split_view,
 )
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
@@ -96,27 +97,42 @@ def designed_profile(
             ),
             provenance=origin.of("material"),
         ),
-        camera=CameraBlock.from_grid(parameters.grid(), origin.of("camera", names=_GRID)),
+        camera=_camera_block(parameters, origin),
         mesh=mesh,
     )
     for block in _optional_blocks(parameters, origin):
         profile = profile.with_block(block)
+    for name, seen in parameters.views().items():
+        view = profile.with_block(profile.sensor.replace(parameters=seen.values()))
+        view = view.with_block(_camera_block(seen, origin))
+        optics = _optics_block(seen, origin)
+        profile = profile.with_view(name, view if optics is None else view.with_block(optics))
     return profile
+
+
+def _camera_block(parameters: FamilyParameters, origin: _Origin) -> CameraBlock:
+    return CameraBlock.from_grid(parameters.grid(), origin.of("camera", names=_GRID))
+
+
+def _optics_block(parameters: FamilyParameters, origin: _Origin) -> OpticsBlock | None:
+    design = parameters.optics()
+    if design is None:
+        return None
+    crop = {}
+    if isinstance(parameters, CameraParameters):
+        crop = {
+            "raw_px": (parameters.raw_width_px, parameters.raw_height_px),
+            "crop": (parameters.crop_x, parameters.crop_y),
+        }
+    return OpticsBlock.from_design(design, origin.of("camera", "window", "lights"), **crop)
 
 
 def _optional_blocks(parameters: FamilyParameters, origin: _Origin) -> list[Block]:
     blocks: list[Block] = []
     design, markers, housing = parameters.optics(), parameters.markers(), parameters.housing()
-    if design is not None:
-        crop = {}
-        if isinstance(parameters, CameraParameters):
-            crop = {
-                "raw_px": (parameters.raw_width_px, parameters.raw_height_px),
-                "crop": (parameters.crop_x, parameters.crop_y),
-            }
-        blocks.append(
-            OpticsBlock.from_design(design, origin.of("camera", "window", "lights"), **crop)
-        )
+    optics = _optics_block(parameters, origin)
+    if design is not None and optics is not None:
+        blocks.append(optics)
         leds = tuple(LightEntry(**asdict(light)) for light in design.lights)
         blocks.append(LightsBlock(led=leds, provenance=origin.of("lights")))
         blocks.append(CoatingBlock(**asdict(design.coating), provenance=origin.of("coating")))
@@ -191,7 +207,11 @@ def stock_sensor(name: str) -> SensorProfile:
 
 
 def load_sensor(name: str) -> SensorProfile:
-    """A profile, see ``profile_folder``, or the default design of a catalogue sensor."""
+    """A profile, see ``profile_folder``, or the default design of a catalogue sensor; the view of
+    one of its cameras is ``NAME@VIEW``."""
+    sensor, view = split_view(name)
+    if view is not None:
+        return load_sensor(sensor).seen_by(view)
     if name in sensor_families():
         return catalogue_profile(name)
     folder = profile_folder(name)

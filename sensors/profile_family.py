@@ -86,7 +86,11 @@ def profile_family(profile: SensorProfile, name: str, like: SensorFamily) -> Pro
     """The sensor of ``profile``, which is called ``name``; ``like``: see ``like_name``."""
     imported = profile.sensor.family == IMPORTED
     known = like.parameters_type.parameters()
-    values = {key: value for key, value in profile.sensor.parameters.items() if key in known}
+    values: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value
+        for key, value in profile.sensor.parameters.items()
+        if key in known
+    }
     if profile.material.provenance.kind in _MEASURED:
         values |= _measured(profile.material, known)
     # A profile of a hardness says the Poisson's ratio that it was made with, whatever that is.

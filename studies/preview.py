@@ -44,6 +44,8 @@ class DesignPreview:
     photometry: Photometry
     pressed: PreviewImage | None
     """At full depth of the first press; None without presses."""
+    further: Mapping[str, PreviewImage]
+    """Pictures of further cameras: ``rest_NAME``, and ``pressed_NAME`` where one is pressed."""
     rest_of_press: PreviewImage | None
     """The same sensor untouched, on the mesh of the press."""
     record: PressRecord | None
@@ -116,6 +118,13 @@ def preview_design(
         on_press = look(record)
         rest_of_press = on_press.render(record.rest_m)
         pressed = on_press.render(record.positions_m(record.down.stop - 1))
+    further = {}
+    for name, seen in parameters.views().items():
+        view = partial(view_model, seen, size_px=size_px, enlarged=True, device=device)
+        further[f"rest_{name}"] = view().render()
+        if record is not None:
+            last = record.positions_m(record.down.stop - 1)
+            further[f"pressed_{name}"] = view(record).render(last)
     light = model.light_field()
     return DesignPreview(
         family=family,
@@ -124,6 +133,7 @@ def preview_design(
         light=light,
         photometry=photometry(parameters, device),
         pressed=pressed,
+        further=further,
         rest_of_press=rest_of_press,
         record=record,
         result=result,
@@ -140,7 +150,7 @@ def write_preview(preview: DesignPreview, folder: Path) -> dict[str, Path]:
     files = {"figures": folder / "preview.json", "overview": folder / "overview.png"}
     write_json(files["figures"], preview.to_json())
     save_figure(draw_preview(preview), files["overview"])
-    images = {"rest": preview.rest, "pressed": preview.pressed}
+    images = {"rest": preview.rest, "pressed": preview.pressed, **preview.further}
     for name, image in images.items():
         if image is not None:
             files[name] = folder / f"{name}.png"

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taccel_lab.report.style import BLUE, GREY, INK, LIGHT, ORANGE, in_report_style, save_figure
+from taccel_lab.sensors.base import all_optics
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,8 +82,9 @@ def _draw_section(
         row = points[away < away.min() + 1e-6]
         z = pad.top_mm(row)
         ax.plot(row[:, axis], z, "o", ms=3, color=INK, zorder=5)
+    for seen in all_optics(parameters):
+        _draw_sight(ax, axis, pad, seen)
     if design is not None:
-        _draw_sight(ax, axis, pad, design)
         for light in design.lights:
             _draw_light(ax, axis, light)
     _dimension(ax, axis, pad, design)
@@ -288,7 +290,7 @@ def _draw_front(
     from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
 
     low, high = pad.bounds_mm()
-    housing, grid, markers = parameters.housing(), parameters.grid(), parameters.markers()
+    housing, markers = parameters.housing(), parameters.markers()
     if housing is not None:
         (x, y), (cx, cy), r = housing.size_mm[:2], housing.offset_mm, housing.corner_radius_mm
         ax.add_patch(
@@ -310,18 +312,19 @@ def _draw_front(
     if np.nanmin(height) < -0.05:
         lines = ax.contour(x, y, height, levels=6, colors=[ORANGE], linewidths=0.6, linestyles="-")
         ax.clabel(lines, fmt="%.2g", fontsize=7)
-    corner = grid.gel_from_pixel(np.array([-0.5, -0.5]))
-    ax.add_patch(
-        Rectangle(
-            (float(corner[0]), float(corner[1])),
-            grid.width_px * grid.mm_per_px_x,
-            grid.height_px * grid.mm_per_px_y,
-            fill=False,
-            edgecolor=BLUE,
-            lw=1.2,
-            ls="--",
+    for grid in (seen.grid() for seen in (parameters, *parameters.views().values())):
+        corner = grid.gel_from_pixel(np.array([-0.5, -0.5]))
+        ax.add_patch(
+            Rectangle(
+                (float(corner[0]), float(corner[1])),
+                grid.width_px * grid.mm_per_px_x,
+                grid.height_px * grid.mm_per_px_y,
+                fill=False,
+                edgecolor=BLUE,
+                lw=1.2,
+                ls="--",
+            )
         )
-    )
     if markers is not None:
         for point in markers.points_mm():
             ax.add_patch(Circle((point[0], point[1]), markers.radius_mm, color=INK))

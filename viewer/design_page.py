@@ -17,6 +17,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.report.live_page import PageOptions, live_page, viser_module
 from taccel_lab.report.page_text import PageText, add_html_note, add_note
 from taccel_lab.scene import sphere_mesh
+from taccel_lab.sensors.base import all_optics
 from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.design_answer import PICTURES, Choice, DesignAnswer, DesignAnswers
 from taccel_lab.viewer.design_controls import DesignControls
@@ -246,10 +247,11 @@ class DesignPage:
         elif piece == "solid":
             assert answer.mesh is not None
             self._draw()
-            design = answer.parameters.optics()
-            if design is not None:
+            seen = all_optics(answer.parameters)
+            if seen:
+                design, further = seen[0], [one.camera for one in seen[1:]]
                 back = 1e3 * float(answer.mesh.nodes_m[:, 2].min())
-                draw_optics(self._server, design, back, None)
+                draw_optics(self._server, design, back, None, further)
         elif piece == "quality":
             self._quality.content = quality_table(answer)
         elif piece == "drawing":

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taccel_lab.geometry import Region, TetMesh
-from taccel_lab.profile.optical_design import Light, OpticalDesign
+from taccel_lab.profile.optical_design import DesignedCamera, Light, OpticalDesign
 
 if TYPE_CHECKING:
     from viser import ViserServer
@@ -24,13 +25,17 @@ CAD_PARTS = ("housing", "cover")
 
 
 def draw_sensor(
-    server: ViserServer, mesh: TetMesh, design: OpticalDesign | None, image: np.ndarray | None
+    server: ViserServer,
+    mesh: TetMesh,
+    design: OpticalDesign | None,
+    image: np.ndarray | None,
+    further: Sequence[DesignedCamera] = (),
 ) -> None:
-    """Draw gel, window, LEDs and camera, in place of earlier ones; ``image``: what it sees."""
+    """Draw gel, window, LEDs and cameras, in place of earlier ones; see ``draw_optics``."""
     with server.atomic():
         draw_gel(server, mesh)
         if design is not None:
-            draw_optics(server, design, 1e3 * float(mesh.nodes_m[:, 2].min()), image)
+            draw_optics(server, design, 1e3 * float(mesh.nodes_m[:, 2].min()), image, further)
 
 
 def draw_gel(server: ViserServer, mesh: TetMesh) -> None:
@@ -49,10 +54,15 @@ def draw_gel(server: ViserServer, mesh: TetMesh) -> None:
 
 
 def draw_optics(
-    server: ViserServer, design: OpticalDesign, back_mm: float, image: np.ndarray | None
+    server: ViserServer,
+    design: OpticalDesign,
+    back_mm: float,
+    image: np.ndarray | None,
+    further: Sequence[DesignedCamera] = (),
 ) -> None:
-    """Window, LEDs and camera; ``back_mm``: z of the gel's back."""
-    for name in ("/leds", "/window"):
+    """Window, LEDs and cameras; ``back_mm``: z of the gel's back; ``further`` cameras are drawn
+    without an image."""
+    for name in ("/leds", "/window", "/cameras"):
         earlier = server.scene.get_handle_by_name(name)
         if earlier is not None:
             earlier.remove()
@@ -60,16 +70,23 @@ def draw_optics(
         _draw_window(server, design, back_mm)
         for k, light in enumerate(design.lights):
             _draw_led(server, f"/leds/{k}", light)
-        camera = design.camera
-        x, y, z, w = camera.rotation
-        server.scene.add_camera_frustum(
-            "/camera",
-            fov=2 * float(np.arctan(camera.height_px / 2 / camera.fy_px)),
-            aspect=camera.width_px / camera.height_px,
-            scale=FRUSTUM_SHARE * float(np.linalg.norm(camera.position_mm)),
-            thickness=0.15, color=(0, 114, 178), image=image,
-            wxyz=(w, x, y, z), position=camera.position_mm,
-        )  # fmt: skip
+        _draw_camera(server, "/camera", design.camera, image)
+        for k, camera in enumerate(further):
+            _draw_camera(server, f"/cameras/{k}", camera, None)
+
+
+def _draw_camera(
+    server: ViserServer, name: str, camera: DesignedCamera, image: np.ndarray | None
+) -> None:
+    x, y, z, w = camera.rotation
+    server.scene.add_camera_frustum(
+        name,
+        fov=2 * float(np.arctan(camera.height_px / 2 / camera.fy_px)),
+        aspect=camera.width_px / camera.height_px,
+        scale=FRUSTUM_SHARE * float(np.linalg.norm(camera.position_mm)),
+        thickness=0.15, color=(0, 114, 178), image=image,
+        wxyz=(w, x, y, z), position=camera.position_mm,
+    )  # fmt: skip
 
 
 def _draw_window(server: ViserServer, design: OpticalDesign, back_mm: float) -> None:

@@ -45,7 +45,9 @@ def fill_profile_page(server: ViserServer, profile: SensorProfile) -> threading.
     look_at(server, 1e3 * profile.mesh.nodes_m, distance=2.6)
     rgb = profile.background_rgb
     image = None if rgb is None else np.clip(np.round(rgb), 0, 255).astype(np.uint8)
-    draw_sensor(server, profile.mesh, design, image)
+    optics = [view.optics for view in profile.views.values()]
+    further = [one.camera() for one in optics if one is not None]
+    draw_sensor(server, profile.mesh, design, image, further)
     if image is not None:
         panel.show(SensorImages(image[None]), 0)
 
@@ -57,7 +59,7 @@ def fill_profile_page(server: ViserServer, profile: SensorProfile) -> threading.
             markers = None if profile.markers is None else profile.markers.grid()
             size = design.camera.size_within(VIEW_PX)
             seen = OpticalModel(design, profile.mesh, size_px=size, markers=markers).render().rgb
-            draw_sensor(server, profile.mesh, design, seen)
+            draw_sensor(server, profile.mesh, design, seen, further)
             panel.show(SensorImages(seen[None]), 0)
         if profile.sensor.family in sensor_families():
             family = sensor_family(profile.sensor.family)

@@ -3,7 +3,7 @@
 
 Front to back: a pocket that takes window and gel with clearance, the seat (a ledge on which the
 window's back rests) round an opening to look through, the hollow with screw bosses in its corners,
-and the cover, with an aperture for the camera and holes over the bosses.
+and the cover, with an aperture for each camera and holes over the bosses.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class HousingParts:
 def housing_parts(
     shape: HousingShape,
     seat: GelSeat,
-    camera: DesignedCamera | None = None,
+    cameras: tuple[DesignedCamera, ...] = (),
     leds: tuple[Light, ...] = (),
 ) -> HousingParts:
     """Build housing and cover in the gel frame; raises InputError naming the bound that is broken.
@@ -92,9 +92,9 @@ def housing_parts(
     cover = prism(
         rounded_rectangle((x, y), shape.corner_radius_mm, back, shape.offset_mm), shape.wall_mm
     )
-    body, cover, bosses = _with_bosses(shape, seat, body, cover, camera, leds)
+    body, cover, bosses = _with_bosses(shape, seat, body, cover, cameras, leds)
     notes = () if bosses else ("no room for screw bosses: glue or clip the cover",)
-    for room in _bought_parts_room(shape, camera, leds):
+    for room in _bought_parts_room(shape, cameras, leds):
         body, cover = _one(body - room), _one(cover - room)
     housing = Part(
         name="housing",
@@ -156,7 +156,7 @@ def _with_bosses(
     seat: GelSeat,
     body: Solid,
     cover: Solid,
-    camera: DesignedCamera | None,
+    cameras: tuple[DesignedCamera, ...],
     leds: tuple[Light, ...],
 ) -> tuple[Solid, Solid, int]:
     """Posts in the corners of the hollow, the largest that block neither light nor view."""
@@ -164,7 +164,7 @@ def _with_bosses(
     floor = shape.back_z_mm + shape.wall_mm
     height = min(_BOSS_HEIGHT_MM, seat.z_mm - shape.wall_mm - floor)
     keep = [grown(seat.ledge_outline, -seat.ledge_mm, 0.0)]
-    rooms = _bought_parts_room(shape, camera, leds)
+    rooms = _bought_parts_room(shape, cameras, leds)
     for diameter, pilot in _BOSSES_MM:
         reach = [size / 2 - shape.wall_mm - 0.4 * diameter for size in (x, y)]
         centers = [
@@ -196,12 +196,12 @@ def _with_bosses(
 
 
 def _bought_parts_room(
-    shape: HousingShape, camera: DesignedCamera | None, leds: tuple[Light, ...]
+    shape: HousingShape, cameras: tuple[DesignedCamera, ...], leds: tuple[Light, ...]
 ) -> list[Solid]:
-    """What camera and LEDs need, the camera also its way in from behind."""
+    """What cameras and LEDs need, the cameras also their way in from behind."""
     spare = CLEARANCE_MM
     rooms = [led_location(led) * led_part(led, spare_mm=spare).solid for led in leds]
-    if camera is not None:
+    for camera in cameras:
         solid = camera_part(spare_mm=spare).solid
         board = [size + 2 * spare for size in BOARD_MM[:2]]
         corner = Plane((-board[0] / 2, -board[1] / 2, 0))

@@ -47,7 +47,12 @@ def led_names(lights: Sequence[Light]) -> list[str]:
     return names
 
 
-def camera_part(*, spare_mm: float = 0.0) -> Part:
+def camera_names(count: int) -> list[str]:
+    """A name for each of some cameras: ``camera``, ``camera_2`` and so on."""
+    return ["camera" if k == 0 else f"camera_{k + 1}" for k in range(count)]
+
+
+def camera_part(name: str = "camera", *, spare_mm: float = 0.0) -> Part:
     """The camera placeholder in its own frame, ``spare_mm`` larger on every side but the front."""
     radius, length = LENS_DIAMETER_MM / 2 + spare_mm, LENS_LENGTH_MM
     lens = Solid.make_cylinder(radius, length, Plane((0, 0, -length)))
@@ -56,7 +61,7 @@ def camera_part(*, spare_mm: float = 0.0) -> Part:
     solid = (lens + board).solids()[0]
     names = tuple("lens_front" if abs(face.center().Z) < 1e-6 else "side" for face in solid.faces())
     return Part(
-        name="camera",
+        name=name,
         solid=solid,
         face_names=names,
         color=(0.16, 0.17, 0.20),

@@ -1,21 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The camera behind the gel and the tactile image that is made of its pictures."""
+"""The cameras behind the gel and the tactile images that are made of their pictures."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, Self
+
+import numpy as np
 
 from taccel_lab.cad.parameters import ParameterSet, parameter
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile.optical_design import DesignedCamera
+from taccel_lab.profile.optical_design import DesignedCamera, Quaternion, rotation_matrix
 from taccel_lab.sensors.base import NO_FIGURE
+
+Each = float | tuple[float, ...]
+"""One value for all, or one for each."""
+_CENTRED = "assumption: one camera over the middle, straight"
 
 
 @dataclass(frozen=True)
 class CameraParameters(ParameterSet):
-    """The camera over the middle of the gel, and the tactile image that is made of its pictures.
+    """The camera behind the gel, and the tactile image that is made of its pictures.
+
+    Further cameras of the same kind are there where a parameter has a value for each; all else is
+    said of the first one, and ``seen_by`` makes another one the first.
 
     The scale of the tactile image, at the apex, and the focal length describe the same thing, seen
     from the image and from the lens; ``scale_from`` says which of them rules: the image, the lens
@@ -100,10 +111,45 @@ class CameraParameters(ParameterSet):
         0.0, minimum=0.05, maximum=20, unit="mm", zero_means="unknown, all in focus",
         source=NO_FIGURE, description="diameter of the entrance pupil",
     )  # fmt: skip
+    camera_x_mm: float | tuple[float, ...] = parameter(
+        0.0, minimum=-50, maximum=50, unit="mm", source=_CENTRED, each="camera",
+        description="place of the centre of projection along x, from the middle of the gel",
+    )  # fmt: skip
+    camera_y_mm: float | tuple[float, ...] = parameter(
+        0.0, minimum=-50, maximum=50, unit="mm", source=_CENTRED, each="camera",
+        description="the same along y",
+    )  # fmt: skip
+    camera_tilt_x_deg: float | tuple[float, ...] = parameter(
+        0.0, minimum=-45, maximum=45, unit="deg", source=_CENTRED, each="camera",
+        description="angle by which the optical axis leans towards +x from the gel's normal",
+    )  # fmt: skip
+    camera_tilt_y_deg: float | tuple[float, ...] = parameter(
+        0.0, minimum=-45, maximum=45, unit="deg", source=_CENTRED, each="camera",
+        description="the same towards +y",
+    )  # fmt: skip
     lens_distortion: ClassVar[tuple[float, ...]] = ()
     """Of ``DesignedCamera``, with the family's own ``lens_model``."""
-    camera_offset_mm: ClassVar[tuple[float, float]] = (0.0, 0.0)
-    """Gel xy of the centre of projection."""
+
+    def camera_count(self) -> int:
+        """Cameras; InputError where two parameters speak of different numbers of them."""
+        counts = {
+            name: len(value)
+            for name, spec in self.parameters().items()
+            if spec.each == "camera" and isinstance(value := getattr(self, name), tuple)
+        }
+        if len(set(counts.values())) > 1:
+            said = ", ".join(f"{name} has {count}" for name, count in counts.items())
+            raise InputError(f"parameters state different numbers of cameras: {said}")
+        return max(counts.values(), default=1)
+
+    def seen_by(self, number: int) -> Self:
+        """The same sensor with the camera of that number, from 0, and no other."""
+        own: dict[str, Any] = {
+            name: _of(getattr(self, name), number)
+            for name, spec in self.parameters().items()
+            if spec.each == "camera"
+        }
+        return dataclasses.replace(self, **own)
 
     def apparent_distance_mm(self) -> float:
         """Distance at which the camera sees the apex [mm]; nearer than it is, through media."""
@@ -145,15 +191,16 @@ class CameraParameters(ParameterSet):
             )
         u, v = self._principal_point_px()
         fx, fy = self.focal_lengths_px()
-        offset_x, offset_y = self.camera_offset_mm
         distance = self.apparent_distance_mm()
+        place = np.array([*self._place_mm(), -distance])
+        aside_x, aside_y, ahead = (-place @ rotation_matrix(self._rotation())).tolist()
         return PixelGrid(
             width_px=self.width_px,
             height_px=self.height_px,
-            mm_per_px_x=x,
-            mm_per_px_y=y,
-            center_u_px=u - fx * offset_x / distance,
-            center_v_px=v - fy * offset_y / distance,
+            mm_per_px_x=x * (ahead / distance),
+            mm_per_px_y=y * (ahead / distance),
+            center_u_px=u + fx * aside_x / ahead,
+            center_v_px=v + fy * aside_y / ahead,
         )
 
     def view_mm(self) -> tuple[float, float]:
@@ -173,15 +220,33 @@ class CameraParameters(ParameterSet):
             fy_px=fy,
             cx_px=u,
             cy_px=v,
-            position_mm=(*self.camera_offset_mm, -self.camera_distance_mm),
+            position_mm=(*self._place_mm(), -self.camera_distance_mm),
+            rotation=self._rotation(),
             model=self.lens_model,  # type: ignore[arg-type]
             distortion=self.lens_distortion if own_lens else (),
             focus_mm=self.apparent_distance_mm(),
             aperture_mm=self.aperture_mm,
         )
 
+    def _place_mm(self) -> tuple[float, float]:
+        return _of(self.camera_x_mm, 0), _of(self.camera_y_mm, 0)
+
+    def _rotation(self) -> Quaternion:
+        """Least turn from the gel's normal to the optical axis, gel_from_camera, x y z w."""
+        x, y = (
+            math.tan(math.radians(_of(one, 0)))
+            for one in (self.camera_tilt_x_deg, self.camera_tilt_y_deg)
+        )
+        length = math.sqrt(1 + x * x + y * y)
+        size = math.hypot(x, y, 1 + length)
+        return (-y / size, x / size, 0.0, (1 + length) / size)
+
     def _principal_point_px(self) -> tuple[float, float]:
         return (
             (self.width_px - 1) / 2 + self.principal_x_px,
             (self.height_px - 1) / 2 + self.principal_y_px,
         )
+
+
+def _of(value: Each, number: int) -> float:
+    return value[number] if isinstance(value, tuple) else value

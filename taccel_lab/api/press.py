@@ -18,6 +18,7 @@ from taccel_lab.camera.gel_camera import camera_of, face_of
 from taccel_lab.presses import PHYSICS, Accuracy, profile_material, simulate_press
 from taccel_lab.presses.press_depth import deepest_mm
 from taccel_lab.presses.press_force import ROUGH_TOLERANCE, press_to_force
+from taccel_lab.presses.press_surface import FurtherView
 from taccel_lab.presses.press_within import AS_IT_IS, press_within
 from taccel_lab.signals.rest_surface import rest_surface
 
@@ -62,6 +63,10 @@ def run_press(
     options, started = plan.options, time.perf_counter()
     camera = camera_of(plan.profile)
     rest = rest_surface(plan.profile.mesh, face_of(camera))
+    views = {}
+    for name in plan.profile.views:
+        further = camera_of(plan.profile.seen_by(name))
+        views[name] = FurtherView(further, rest_surface(plan.profile.mesh, face_of(further)))
     finished: list[PressOutcome] = []
 
     def simulate(
@@ -85,6 +90,7 @@ def run_press(
             progress=progress,
             keep_states=options.states,
             stopped=finished.append,
+            views=views,
         )
         if options.mesh == "profile":
             # Nobody has measured what that mesh does.

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from taccel_lab.api.press_photo import LIKE
 from taccel_lab.exporters.image_files import eight_bit
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.presses.press_error import plus_minus
-from taccel_lab.presses.press_files import write_press
+from taccel_lab.presses.press_files import VIEWS, write_press, write_seen
 from taccel_lab.presses.press_image import PREDICTED_PX, painted_images, predicted_images
 from taccel_lab.presses.press_markers import PressMarkers
 from taccel_lab.processes.beside import Call, at_once
@@ -97,6 +97,12 @@ class Press(Summary):
         )
         return None if predicted is None else predicted[0]
 
+    def seen_by(self, name: str) -> Press:
+        """Return the press as one of the sensor's cameras shows it."""
+        profile = self.plan.profile.seen_by(name)
+        outcome = self.outcome.seen_by(name) if name in self.outcome.views else self.outcome
+        return replace(self, plan=replace(self.plan, profile=profile), outcome=outcome)
+
     @cached_property
     def markers(self) -> PressMarkers | None:
         """Dots of the gel at rest and now, [mm] and [px]; None for a gel without."""
@@ -147,6 +153,11 @@ class Press(Summary):
         }
         rgb, frames = self._painted
         write_press(folder, self.outcome, plan.profile, rgb, about, plan.indenter, frames, call)
+        for name in self.outcome.views:
+            seen = self.seen_by(name)
+            inner = folder / VIEWS / name
+            inner.mkdir(parents=True)
+            write_seen(inner, seen.outcome, seen.plan.profile, seen._painted[0], call)
         if plan.photo is not None and self.like is not None:
             assert rgb is not None
             figure = plan.photo.draw(rgb, plan.profile, self.like["psnr_db"])

@@ -12,7 +12,7 @@ import numpy as np
 
 from taccel_lab.exporters.image_files import eight_bit, write_rgb
 from taccel_lab.files.atomic_file import write_json
-from taccel_lab.geometry import PixelGrid, Region
+from taccel_lab.geometry import Region
 from taccel_lab.geometry.vtu import write_mesh_vtu
 from taccel_lab.presses.press_image import PREDICTED_PX, predicted_images
 from taccel_lab.presses.press_markers import MARKERS, PressMarkers
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from taccel_lab.presses.indenter import Indenter
     from taccel_lab.profile import SensorProfile
 
+VIEWS = "views"
+"""Folder with a folder for each further camera: what ``write_seen`` writes."""
 STATES_PX = 320
 """Longest side of the pictures that the optical model predicts of all steps."""
 
@@ -64,35 +66,9 @@ def write_press(
             optical model predicts.
         call: Draws and compresses, see ``Beside``.
     """
-    grid = profile.grid()
     # First, so that another process draws while this one follows the light.
-    _draw_figures(folder, outcome, grid, about["indenter"], call)
-    arrays: dict[str, Any] = {
-        "height_m": outcome.height_m,
-        "rest_height_m": outcome.rest_height_m,
-        "normals": outcome.normals,
-        "rest_normals": outcome.rest_normals,
-        "contact_mask": outcome.contact_mask,
-        "contact_forces_n": outcome.contact_forces_n,
-        "contact_pressures_pa": outcome.contact_pressures_pa,
-    }
-    seen: np.ndarray | None = None
-    if rgb is not None:
-        seen = arrays["rgb"] = eight_bit(rgb)
-        call(save_drawing, folder / "image.png", draw_image, rgb, grid)
-        call(write_rgb, folder / "image_raw.png", rgb)
-    else:
-        predicted = predicted_images(profile, outcome, outcome.positions_m[None], PREDICTED_PX)
-        if predicted is not None:
-            seen = predicted[0]
-            call(write_rgb, folder / "predicted.png", seen)
-    markers = PressMarkers.of(profile, outcome.mesh, outcome.positions_m[None])
-    if markers is not None:
-        arrays |= markers.arrays()
-        markers.write_csv(folder / MARKERS)
-        places = markers.image_px, markers.rest_px, markers.places_px[-1]
-        call(save_drawing, folder / "markers.png", draw_markers, seen, *places)
-    call(partial(np.savez_compressed, **arrays), folder / "signals.npz")
+    _draw_loads(folder, outcome, about["indenter"], call)
+    markers = write_seen(folder, outcome, profile, rgb, call)
     write_mesh_vtu(
         folder / "gel.vtu",
         outcome.mesh,
@@ -128,11 +104,48 @@ def write_press(
     )
 
 
-def _draw_figures(
-    folder: Path, outcome: PressOutcome, grid: PixelGrid, label: str, call: Call
-) -> None:
+def write_seen(
+    folder: Path,
+    outcome: PressOutcome,
+    profile: SensorProfile,
+    rgb: np.ndarray | None,
+    call: Call = at_once,
+) -> PressMarkers | None:
+    """Write what a camera shows of a press: ``signals.npz``, its pictures and its dots, which are
+    returned; arguments as of ``write_press``."""
+    grid = profile.grid()
     call(save_drawing, folder / "height_map.png", draw_height_map, outcome.height_m, grid)
     call(save_drawing, folder / "normals.png", draw_normals, outcome.normals, grid)
+    arrays: dict[str, Any] = {
+        "height_m": outcome.height_m,
+        "rest_height_m": outcome.rest_height_m,
+        "normals": outcome.normals,
+        "rest_normals": outcome.rest_normals,
+        "contact_mask": outcome.contact_mask,
+        "contact_forces_n": outcome.contact_forces_n,
+        "contact_pressures_pa": outcome.contact_pressures_pa,
+    }
+    seen: np.ndarray | None = None
+    if rgb is not None:
+        seen = arrays["rgb"] = eight_bit(rgb)
+        call(save_drawing, folder / "image.png", draw_image, rgb, grid)
+        call(write_rgb, folder / "image_raw.png", rgb)
+    else:
+        predicted = predicted_images(profile, outcome, outcome.positions_m[None], PREDICTED_PX)
+        if predicted is not None:
+            seen = predicted[0]
+            call(write_rgb, folder / "predicted.png", seen)
+    markers = PressMarkers.of(profile, outcome.mesh, outcome.positions_m[None])
+    if markers is not None:
+        arrays |= markers.arrays()
+        markers.write_csv(folder / MARKERS)
+        places = markers.image_px, markers.rest_px, markers.places_px[-1]
+        call(save_drawing, folder / "markers.png", draw_markers, seen, *places)
+    call(partial(np.savez_compressed, **arrays), folder / "signals.npz")
+    return markers
+
+
+def _draw_loads(folder: Path, outcome: PressOutcome, label: str, call: Call) -> None:
     call(
         save_drawing,
         folder / "contact_pressure.png",

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from taccel_lab.presses.press import PressEnv
 from taccel_lab.presses.press_error import plus_minus
 from taccel_lab.presses.press_path import PressPath
 from taccel_lab.presses.press_states import PressStates
-from taccel_lab.presses.press_surface import PressSurface, press_surface
+from taccel_lab.presses.press_surface import FurtherView, PressSurface, press_surface
 from taccel_lab.scene import Material, MaterialField
 from taccel_lab.signals.rest_surface import RestSurface
 from taccel_lab.signals.tactile_image import tactile_image
@@ -97,6 +97,8 @@ class PressOutcome(Summary):
     """All steps, where they were to be kept."""
     stopped: PressStop | None = None
     """Where and why the press ended before its path did."""
+    views: Mapping[str, PressSurface] = field(default_factory=dict)
+    """What further cameras show at the end, by name."""
 
     def summary(self) -> tuple[str, list[tuple[str, str]]]:
         """Depth, force with its estimated error, and what the last step ended with."""
@@ -106,6 +108,10 @@ class PressOutcome(Summary):
             ("gel", f"{self.mesh.node_count} nodes, {self.mesh.tet_count} tets"),
             ("last step", final.report.summary()),
         ]
+
+    def seen_by(self, name: str) -> PressOutcome:
+        """Return the outcome with the pixels of one of ``views``, without states."""
+        return replace(self, **vars(self.views[name]), views={}, states=None)
 
     @property
     def last(self) -> StepReport:
@@ -172,6 +178,7 @@ def simulate_press(
     progress: Callable[[int, int, PressStep], None] | None = None,
     keep_states: bool = False,
     stopped: Callable[[PressOutcome], None] | None = None,
+    views: Mapping[str, FurtherView] | None = None,
 ) -> PressOutcome:
     """Press once, read everything. Errors as of ``PressEnv``; see there for the arguments. An
     indenter with a texture must go deeper than that is on the mean.
@@ -182,7 +189,8 @@ def simulate_press(
     ``grid``: the pixels, laid over the gel, or the camera that they are of. ``designed_rest`` is
     the pad's contact face on ``face_of(grid)`` where ``mesh`` draws it more coarsely,
     see ``RestSurface.left_out_by``. ``progress`` gets step, step count and outcome.
-    ``keep_states`` keeps gel, loads and pixels of every step, at 0.1 to 0.3 s each.
+    ``keep_states`` keeps gel, loads and pixels of every step, at 0.1 to 0.3 s each. ``views`` are
+    further cameras, by name, whose pixels are read at the end.
     """
     env = PressEnv(
         mesh,
@@ -216,7 +224,11 @@ def simulate_press(
             progress(done, total, steps[-1])
 
     def read(stop: PressStop | None = None) -> PressOutcome:
-        return _read(env, path, steps, outputs, pixels(), states, stop)
+        seen = {
+            name: press_surface(env, indenter, one.camera, one.designed_rest)
+            for name, one in (views or {}).items()
+        }
+        return _read(env, path, steps, outputs, pixels(), seen, states, stop)
 
     try:
         env.follow(path, keep)
@@ -238,6 +250,7 @@ def _read(
     steps: list[PressStep],
     outputs: Outputs,
     seen: PressSurface,
+    views: Mapping[str, PressSurface],
     states: PressStates | None,
     stop: PressStop | None,
 ) -> PressOutcome:
@@ -257,14 +270,9 @@ def _read(
         von_mises_pa=outputs.von_mises.numpy()[0, : env.model.soft_count].copy(),
         indenter_pose=env.poses[0, 0],
         setback_m=float(env.setback_m[0]),
-        height_m=seen.height_m,
-        rest_height_m=seen.rest_height_m,
-        normals=seen.normals,
-        rest_normals=seen.rest_normals,
-        contact_mask=seen.contact_mask,
-        contact_radius_m=seen.contact_radius_m,
         smallest_volume_ratio=float(smallest_ratios(env.solver.elastic, env.state.positions)[0]),
-        fine_force_n=seen.fine_force_n,
         states=states,
         stopped=stop,
+        views=views,
+        **vars(seen),
     )

@@ -38,6 +38,15 @@ class PressSurface:
     """Force against the press of the contact with a texture [N]; None without one."""
 
 
+@dataclass(frozen=True)
+class FurtherView:
+    """Another camera that looks at a press."""
+
+    camera: View
+    designed_rest: RestSurface | None = None
+    """See ``simulate_press``, on this camera's pixels over the gel."""
+
+
 def press_surface(
     env: PressEnv,
     indenter: Indenter,

@@ -5,6 +5,7 @@ from taccel_lab.profile.io import Finding as Finding
 from taccel_lab.profile.io import load_profile as load_profile
 from taccel_lab.profile.io import require_profile_folder as require_profile_folder
 from taccel_lab.profile.io import save_profile as save_profile
+from taccel_lab.profile.io import split_view as split_view
 from taccel_lab.profile.io import validate_profile as validate_profile
 from taccel_lab.profile.optics_blocks import CoatingBlock as CoatingBlock
 from taccel_lab.profile.optics_blocks import HousingBlock as HousingBlock
@@ -29,3 +30,5 @@ from taccel_lab.profile.schema import MaterialBlock as MaterialBlock
 from taccel_lab.profile.schema import Provenance as Provenance
 from taccel_lab.profile.schema import SensorBlock as SensorBlock
 from taccel_lab.profile.sensor_profile import SensorProfile as SensorProfile
+from taccel_lab.profile.sensor_view import MAIN_VIEW as MAIN_VIEW
+from taccel_lab.profile.sensor_view import SensorView as SensorView

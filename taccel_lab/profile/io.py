@@ -20,8 +20,11 @@ from taccel_lab.profile.blocks import BLOCK_TYPES, OPTIONAL_BLOCKS
 from taccel_lab.profile.migrate import migrate
 from taccel_lab.profile.schema import SCHEMA_VERSION, Block
 from taccel_lab.profile.sensor_profile import ARRAY_FIELDS, SensorProfile
+from taccel_lab.profile.sensor_view import OWN_KEYS, VIEW_KEYS, SensorView, require_view_name
 
 PROFILE_FILE = "profile.toml"
+_VIEWS = "views"
+"""Table of further cameras, and the folder that holds a folder of each."""
 
 _DECODERS: dict[str, Callable[[bytes], Any]] = {
     "gel": arrays.decode_mesh,
@@ -66,10 +69,15 @@ def save_profile(
     An earlier profile there is replaced; a folder that holds anything else is rejected. With
     ``only``, blocks of these keys alone are written: ``load_profile`` needs ``onto`` for them.
     """
-    import tomli_w
-
     path = Path(path)
     require_profile_folder(path)
+    with atomic_directory(path, check=require_profile_folder) as staging:
+        _write(profile, staging, only)
+
+
+def _write(profile: SensorProfile, folder: Path, only: Collection[str] | None) -> None:
+    import tomli_w
+
     blocks = {key: b for key, b in profile.blocks().items() if only is None or key in only}
     files = {
         _ARRAY_FILES[key]: _ENCODERS[key](getattr(profile, ARRAY_FIELDS[key]))
@@ -82,11 +90,17 @@ def save_profile(
     }
     for key, block in blocks.items():
         document[key] = _toml_table(block)
+    if only is None and profile.views:
+        document[_VIEWS] = {}
+        for name in profile.views:
+            seen = folder / _VIEWS / name
+            seen.mkdir(parents=True)
+            _write(profile.seen_by(name), seen, VIEW_KEYS)
+            document[_VIEWS][name] = _sha256((seen / PROFILE_FILE).read_bytes())
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
     text = _HEADER + tomli_w.dumps(document)
-    with atomic_directory(path, check=require_profile_folder) as staging:
-        for name, data in files.items():
-            (staging / name).write_bytes(data)
-        (staging / PROFILE_FILE).write_text(text, encoding="utf-8", newline="\n")
+    (folder / PROFILE_FILE).write_text(text, encoding="utf-8", newline="\n")
 
 
 MOST_LINES = 12
@@ -94,23 +108,34 @@ MOST_LINES = 12
 
 
 def load_profile(path: Path | str, onto: SensorProfile | None = None) -> SensorProfile:
-    """Read and check the profile folder ``path``.
+    """Read and check the profile folder ``path``; ``FOLDER@NAME`` is one of its views.
 
     Blocks that the folder lacks are those of ``onto``, where one is given. Raises InputError that
     names each wrong file and key: nothing is repaired or assumed.
     """
+    path, view = split_view(path)
     profile, findings = _read(Path(path), onto)
     errors = [finding for finding in findings if finding.severity == "error"]
     if errors or profile is None:
         more = len(errors) - MOST_LINES
         lines = [str(finding) for finding in errors[:MOST_LINES]]
         raise InputError("\n".join([*lines, f"and {more} more"] if more > 0 else lines))
-    return profile
+    return profile if view is None else profile.seen_by(view)
+
+
+def split_view(name: Path | str) -> tuple[str, str | None]:
+    """``out/profile@left`` as the name of a sensor and of its view; no view where nothing is said
+    of one, or a file or folder has that very name."""
+    text = str(name)
+    sensor, at, view = text.rpartition("@")
+    if not (at and sensor and view) or "/" in view or Path(text).exists():
+        return text, None
+    return sensor, view
 
 
 def validate_profile(path: Path | str) -> list[Finding]:
     """Everything wrong (errors) or odd (warnings) with the profile folder; empty when sound."""
-    return _read(Path(path))[1]
+    return _read(Path(split_view(path)[0]))[1]
 
 
 def _toml_table(block: Block) -> dict[str, Any]:
@@ -144,15 +169,27 @@ def require_profile_folder(path: Path | str) -> None:
         raise InputError(f"{path} is a file; a profile is a folder")
     if not path.is_dir():
         return
-    known = {PROFILE_FILE, *_ARRAY_FILES.values()}
-    foreign = sorted(entry.name for entry in path.iterdir() if entry.name not in known)
+    foreign = sorted(str(entry.relative_to(path)) for entry in _foreign(path))
     if foreign:
         shown = ", ".join(foreign[:3]) + (" ..." if len(foreign) > 3 else "")
         raise InputError(f"{path} holds files that are not part of a profile ({shown}); not saved")
 
 
+def _foreign(path: Path, *, view: bool = False) -> list[Path]:
+    """What is no part of a profile in a folder, or in that of a view."""
+    known = {PROFILE_FILE, *_ARRAY_FILES.values()}
+    found = [entry for entry in path.iterdir() if entry.name not in known]
+    views = path / _VIEWS
+    if view or not views.is_dir():
+        return found
+    found = [entry for entry in found if entry != views]
+    for entry in views.iterdir():
+        found += _foreign(entry, view=True) if entry.is_dir() else [entry]
+    return found
+
+
 def _read(
-    path: Path, onto: SensorProfile | None = None
+    path: Path, onto: SensorProfile | None = None, keys: Collection[str] | None = None
 ) -> tuple[SensorProfile | None, list[Finding]]:
     findings: list[Finding] = []
 
@@ -174,12 +211,13 @@ def _read(
         hashes = {}
     parts: dict[str, Any] = {}
     try:
-        _refuse_unknown_tables(document)
+        _refuse_unknown_tables(document, keys)
     except InputError as problem:
         error(toml_path, problem)
     for block_type in BLOCK_TYPES:
+        needed = onto is None if keys is None else block_type.key in OWN_KEYS
         try:
-            block = _read_block(block_type, document, optional=onto is not None)
+            block = _read_block(block_type, document, optional=not needed)
         except InputError as problem:
             error(toml_path, problem)
             continue
@@ -199,17 +237,50 @@ def _read(
         if name not in used:
             error(toml_path, f"files.{name}: no block refers to this file")
     for entry in sorted(path.iterdir()):
-        if entry.name != PROFILE_FILE and entry.name not in used:
+        read = entry.name in (PROFILE_FILE, *used) or (entry.name == _VIEWS in document)
+        if not read:
             findings.append(Finding("warning", str(entry), "not part of the profile; not read"))
 
     if any(finding.severity == "error" for finding in findings):
         return None, findings
     try:
         profile = SensorProfile(**parts) if onto is None else replace(onto, **parts)
-        return profile, findings
+        seen, more = _read_views(path, document.get(_VIEWS, {}), profile)
+        findings += more
+        if any(finding.severity == "error" for finding in more):
+            return None, findings
+        return replace(profile, views=seen) if seen else profile, findings
     except InputError as problem:
         error(path, problem)
         return None, findings
+
+
+def _read_views(
+    path: Path, stated: object, profile: SensorProfile
+) -> tuple[dict[str, SensorView], list[Finding]]:
+    """Further cameras of a profile, and what is wrong with them."""
+    if not isinstance(stated, dict):
+        raise InputError(f"views: must be a table of names and SHA-256 (found {stated!r})")
+    # What a view lacks it has not from the main camera.
+    bare = profile.without(*(key for key in VIEW_KEYS if key not in OWN_KEYS))
+    views: dict[str, SensorView] = {}
+    findings: list[Finding] = []
+    for name, digest in stated.items():
+        folder = path / _VIEWS / require_view_name(name)
+        try:
+            _read_file(folder / PROFILE_FILE, digest)
+        except InputError as problem:
+            findings.append(Finding("error", str(folder / PROFILE_FILE), str(problem)))
+            continue
+        seen, more = _read(folder, bare, VIEW_KEYS)
+        findings += more
+        if seen is not None:
+            views[name] = SensorView.of(seen)
+    if (path / _VIEWS).is_dir() and stated:
+        for entry in sorted((path / _VIEWS).iterdir()):
+            if entry.name not in stated:
+                findings.append(Finding("warning", str(entry), "not part of the profile; not read"))
+    return views, findings
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -221,8 +292,10 @@ def _read_toml(path: Path) -> dict[str, Any]:
     return read_toml(toml_path)
 
 
-def _refuse_unknown_tables(document: dict[str, Any]) -> None:
-    allowed = ["schema_version", "files", *(block.key for block in BLOCK_TYPES)]
+def _refuse_unknown_tables(document: dict[str, Any], keys: Collection[str] | None) -> None:
+    allowed = ["schema_version", "files", *(keys or (block.key for block in BLOCK_TYPES))]
+    if keys is None:
+        allowed.append(_VIEWS)
     unknown = [key for key in document if key not in allowed]
     if unknown:
         names = ", ".join(unknown)

@@ -86,6 +86,11 @@ def _add_absolute_errors(document: Document) -> Document:
     return document
 
 
+def _add_views(document: Document) -> Document:
+    """Version 10 adds further cameras and bent light guides: a profile of version 9 has neither."""
+    return {**document, "schema_version": 10}
+
+
 STEPS: Mapping[int, Step] = {
     1: _add_optics_and_layers,
     2: _add_responses,
@@ -95,6 +100,7 @@ STEPS: Mapping[int, Step] = {
     6: _add_force,
     7: _add_sessions,
     8: _add_absolute_errors,
+    9: _add_views,
 }
 
 

@@ -17,6 +17,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.profile.bounds import Bound, require_finite, require_within
 
 Triple = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+"""x, y, z, w."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class DesignedCamera:
     cy_px: float
     position_mm: Triple
     """Centre of projection in the gel frame."""
-    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
     """gel_from_camera, quaternion x, y, z, w; the camera looks along its +z, x right, y down."""
     model: Literal["pinhole", "fisheye"] = "pinhole"
     """pinhole: OpenCV's rational model; fisheye: OpenCV's (Kannala and Brandt) model."""
@@ -73,12 +75,17 @@ class DesignedCamera:
 
     def gel_from_camera(self) -> np.ndarray:
         """Rotation matrix that turns directions of the camera into the gel frame, [3, 3]."""
-        x, y, z, w = self.rotation
-        return np.array([
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ])  # fmt: skip
+        return rotation_matrix(self.rotation)
+
+
+def rotation_matrix(quaternion: Quaternion) -> np.ndarray:
+    """The matrix, [3, 3], of a unit quaternion."""
+    x, y, z, w = quaternion
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import numpy as np
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile.blocks import BLOCK_TYPES
 from taccel_lab.profile.sensor_profile import SensorProfile
+from taccel_lab.profile.sensor_view import MAIN_VIEW
 
 
 def quarter_turned(profile: SensorProfile) -> SensorProfile:
@@ -22,7 +23,7 @@ def quarter_turned(profile: SensorProfile) -> SensorProfile:
 
     The block ``sensor`` stays: its parameters describe the sensor as it lay.
     """
-    lying = profile.without(
+    lying = profile.seen_by(MAIN_VIEW).without(
         "background", "color", "normals", "depth_response", "perturbation", "force"
     )
     changes: dict[str, Any] = {"mesh": _mesh(lying.mesh)}
@@ -30,7 +31,10 @@ def quarter_turned(profile: SensorProfile) -> SensorProfile:
         found = getattr(lying, block.key)
         if found is not None and block.key in _TURNS:
             changes[block.key] = found.replace(**_TURNS[block.key](found))
-    return dataclasses.replace(lying, **changes)
+    turned = dataclasses.replace(lying, **changes)
+    for name in profile.views:
+        turned = turned.with_view(name, quarter_turned(profile.seen_by(name)))
+    return turned
 
 
 def _xy(values: Any) -> tuple[float, ...]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The blocks of a sensor profile, schema version 8; those of its optics are in ``optics_blocks``,
+"""The blocks of a sensor profile; those of its optics are in ``optics_blocks``,
 those of how it answers a touch in ``response_blocks``.
 
 Every block is frozen, refuses unknown keys, checks its ``bounds`` and says where it comes from
@@ -39,7 +39,7 @@ from taccel_lab.geometry import PixelGrid
 from taccel_lab.profile.bounds import out_of_bounds, require_within
 from taccel_lab.version import __version__
 
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 
 Sha256 = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]

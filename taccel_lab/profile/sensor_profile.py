@@ -39,6 +39,7 @@ from taccel_lab.profile.schema import (
     MaterialBlock,
     SensorBlock,
 )
+from taccel_lab.profile.sensor_view import MAIN_VIEW, MOST_VIEWS, SensorView, require_view_name
 from taccel_lab.summary import Summary
 
 if TYPE_CHECKING:
@@ -88,6 +89,8 @@ class SensorProfile(Summary):
     force: ForceBlock | None = None
     force_weights: Mapping[str, np.ndarray] | None = None
     """Weights of the model from image to force by name."""
+    views: Mapping[str, SensorView] = dataclasses.field(default_factory=dict)
+    """Further cameras by name, see ``seen_by``; all else here is of the main camera."""
 
     def __post_init__(self) -> None:
         self._check_mesh()
@@ -95,10 +98,36 @@ class SensorProfile(Summary):
         self._check_background()
         for key in ("color", "normals", "force"):
             self._check_weights(key)
+        self._check_views()
 
     def grid(self) -> PixelGrid:
         """Return the pixel grid of the tactile image."""
         return self.camera.grid()
+
+    def view_names(self) -> tuple[str, ...]:
+        """Return the names of all cameras, ``main`` first."""
+        return (MAIN_VIEW, *self.views)
+
+    def seen_by(self, name: str) -> SensorProfile:
+        """Return the sensor with one of its cameras and no other: an ordinary profile.
+
+        Gel, material, window, coating, lights, markers and housing are shared.
+        """
+        if name == MAIN_VIEW:
+            return dataclasses.replace(self, views={}) if self.views else self
+        if name not in self.views:
+            raise InputError(
+                f"{self.sensor.name} has no view {name!r}; known: {', '.join(self.view_names())}"
+            )
+        return dataclasses.replace(self, views={}, **self.views[name].parts())
+
+    def with_view(self, name: str, seen: SensorProfile) -> SensorProfile:
+        """Return a profile with the camera of ``seen`` and what was fitted to its images under that
+        name; ``main`` puts it in the place of the profile's own."""
+        view = SensorView.of(seen)
+        if name == MAIN_VIEW:
+            return dataclasses.replace(self, **view.parts())
+        return dataclasses.replace(self, views={**self.views, name: view})
 
     def untouched(
         self, given: np.ndarray | None = None, name: str = "the background"
@@ -141,6 +170,8 @@ class SensorProfile(Summary):
                 f"{camera.mm_per_px_y:.4g} mm",
             ),
         ]
+        if self.views:
+            rows.append(("views", ", ".join(self.view_names())))
         for key, block in self.blocks().items():
             if key == "sensor":
                 continue
@@ -224,6 +255,22 @@ class SensorProfile(Summary):
                 f"the mesh has tets of layer {highest}, but material.layers states {stated} of them"
             )
         check_mesh_size(self.mesh, self.gel.thickness_mm)
+
+    def _check_views(self) -> None:
+        if len(self.views) >= MOST_VIEWS:
+            raise InputError(f"views: {len(self.views)} of them; allowed: up to {MOST_VIEWS - 1}")
+        for name in self.views:
+            require_view_name(name)
+        given, found = dict(self.views), {}
+        for name, view in given.items():
+            try:
+                seen = dataclasses.replace(self, views={}, **view.parts())
+            except InputError as fault:
+                lines = str(fault).splitlines()
+                raise InputError("\n".join(f"views.{name}: {line}" for line in lines)) from None
+            # Arrays are from here on copies that nobody can write.
+            found[name] = SensorView.of(seen)
+        object.__setattr__(self, "views", found)
 
     def _check_view(self) -> None:
         """The middle of the image lies over the gel."""

@@ -34,7 +34,7 @@ LEDS = (led("red", 0.0), led("green", math.pi), led("blue", math.pi / 2))
 def small_sensor(**changes: object) -> Assembly:
     """The sensor, with some of sensor_assembly's arguments changed."""
     options: dict[str, object] = {
-        "window": WINDOW, "housing": HOUSING, "camera": CAMERA, "leds": LEDS,
+        "window": WINDOW, "housing": HOUSING, "cameras": (CAMERA,), "leds": LEDS,
         "view_mm": VIEW_MM, **changes,
     }  # fmt: skip
     gel = (gel_part(labelled_solid(PAD)),)

@@ -311,7 +311,7 @@ def test_a_fin_of_no_thickness_is_refused_with_its_place(tmp_path: Path) -> None
 
 
 def test_one_body_of_an_assembly_is_chosen_by_name(tmp_path: Path) -> None:
-    sensor = small_sensor(housing=None, camera=None, leds=())
+    sensor = small_sensor(housing=None, cameras=(), leds=())
     path = tmp_path / "assembly.step"
     write_assembly_step(sensor.parts[:2], path, name="sensor")
     with pytest.raises(InputError, match=r"2 solids; one is needed.*gel_pad"):

@@ -278,6 +278,12 @@ def _replace_output(given: Path, out: Path) -> None:
 READERS: dict[str, Reader] = {
     "profile": Reader(profiles.whole, _show_profile, seal=profiles.seal),
     "profile-old": Reader(profiles.old, _show_profile, seal=profiles.seal),
+    "profile-views": Reader(
+        profiles.with_views,
+        _show_profile,
+        ("*/views/*", "*/profile.toml"),
+        seal=profiles.seal_views,
+    ),
     "depth": Reader(profiles.with_pictures, _read_depth, ("*.png",)),
     "read": Reader(profiles.with_pictures, _read_recorded, ("*.png",)),
     "force": Reader(

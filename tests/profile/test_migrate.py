@@ -163,6 +163,13 @@ def test_version_8_tells_the_error_of_the_reading_alone_and_says_so() -> None:
     assert "does not say how uncertain" in by_grey.figures(profile.grid())["warnings"][0]
 
 
+def test_version_9_has_one_camera() -> None:
+    """The stored folder is that of version 8."""
+    profile = old(9)
+    assert profile.view_names() == ("main",)
+    assert profile.blocks() == load_profile(OLD / "v8").blocks()
+
+
 def test_an_encoding_is_kept_by_a_round_trip(tmp_path: Path) -> None:
     profile = load_profile(OLD / "v3")
     assert profile.color is not None and profile.color_weights is not None

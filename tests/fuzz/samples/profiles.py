@@ -68,15 +68,32 @@ def old(given: Path) -> None:
     shutil.copytree(_OLD / "v3", given / "profile")
 
 
-def seal(given: Path) -> None:
-    """Let ``profile.toml`` state the hashes of the files as they are now."""
-    path = given / "profile" / "profile.toml"
+def with_views(given: Path) -> None:
+    """A profile with a further camera."""
+    profile = _profile()
+    save_profile(profile.with_view("left", profile), given / "profile")
+
+
+def seal_views(given: Path) -> None:
+    """Let ``profile.toml`` state the hashes of the views and their files as they are now."""
+    seal(given / "profile" / "views", "left")
+    path, view = (given / "profile" / one for one in ("profile.toml", "views/left/profile.toml"))
+    if isfile(path) and not path.is_symlink() and isfile(view) and view.stat().st_size < 1 << 24:
+        text = path.read_bytes().decode("utf-8", errors="surrogateescape")
+        digest = hashlib.sha256(view.read_bytes()).hexdigest()
+        text = re.sub(r'left = "[0-9a-f]{64}"', f'left = "{digest}"', text)
+        path.write_bytes(text.encode("utf-8", errors="surrogateescape"))
+
+
+def seal(given: Path, name: str = "profile") -> None:
+    """Let the ``profile.toml`` of a folder state the hashes of the files as they are now."""
+    path = given / name / "profile.toml"
     if not isfile(path) or path.is_symlink() or path.stat().st_size > 1 << 24:
         return
     text = path.read_bytes().decode("utf-8", errors="surrogateescape")
 
     def hashed(match: re.Match[str]) -> str:
-        file = given / "profile" / match[1]
+        file = given / name / match[1]
         # No error where a link leads to what is no file name at all, as Path.is_file has.
         if not isfile(file) or file.stat().st_size > 1 << 24:
             return match[0]

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each camera of a sensor has of its own: pixels, optics, and what was fitted to its images.
+
+Gel, material, window, coating, lights, markers and housing are there once, whoever looks at them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taccel_lab.errors import InputError
+from taccel_lab.profile.optics_blocks import OpticsBlock
+from taccel_lab.profile.response_blocks import (
+    DepthResponseBlock,
+    ForceBlock,
+    NormalsBlock,
+    PerturbationBlock,
+)
+from taccel_lab.profile.schema import BackgroundBlock, CameraBlock, ColorBlock, SensorBlock
+
+if TYPE_CHECKING:
+    from taccel_lab.profile.sensor_profile import SensorProfile
+
+MAIN_VIEW = "main"
+"""Name of the view that a profile holds itself."""
+MOST_VIEWS = 16
+_NAME = re.compile(r"[a-z0-9][a-z0-9_]{0,39}")
+
+
+@dataclass(frozen=True, eq=False)
+class SensorView:
+    """A further camera of a sensor; fields as of ``SensorProfile``."""
+
+    sensor: SensorBlock
+    """Of this camera: how its images were recorded, and its own parameters."""
+    camera: CameraBlock
+    optics: OpticsBlock | None = None
+    background: BackgroundBlock | None = None
+    background_rgb: np.ndarray | None = None
+    color: ColorBlock | None = None
+    color_weights: Mapping[str, np.ndarray] | None = None
+    normals: NormalsBlock | None = None
+    normal_weights: Mapping[str, np.ndarray] | None = None
+    depth_response: DepthResponseBlock | None = None
+    perturbation: PerturbationBlock | None = None
+    force: ForceBlock | None = None
+    force_weights: Mapping[str, np.ndarray] | None = None
+
+    @classmethod
+    def of(cls, profile: SensorProfile) -> SensorView:
+        """The main view of a profile, such as one that was calibrated with this camera's images."""
+        return cls(**{name: getattr(profile, name) for name in _FIELDS})
+
+    def parts(self) -> dict[str, Any]:
+        """Blocks and arrays by their field of ``SensorProfile``."""
+        return {name: getattr(self, name) for name in _FIELDS}
+
+
+_FIELDS = tuple(f.name for f in dataclasses.fields(SensorView))
+VIEW_KEYS = tuple(name for name in _FIELDS if not name.endswith(("_rgb", "_weights")))
+"""Blocks of a view."""
+OWN_KEYS = ("sensor", "camera")
+"""Those that every view has."""
+
+
+def require_view_name(name: object) -> str:
+    """Refuse what cannot be the name of a further view: it is a folder, and ``main`` is taken."""
+    if not isinstance(name, str) or not _NAME.fullmatch(name) or name == MAIN_VIEW:
+        raise InputError(
+            f"views: {str(name)[:60]!r} is no name of a view; allowed: up to 40 of a-z, 0-9 and _, "
+            f"but not {MAIN_VIEW}, the profile's own camera"
+        )
+    return name
