@@ -39,6 +39,8 @@ class GelMaterial:
     """Coulomb friction coefficient."""
     young_interval_pa: tuple[float, float] | None = None
     """Between which the modulus lies, where it stands for a Shore hardness; None otherwise."""
+    branches: tuple[tuple[float, float], ...] = ()
+    """Relative modulus and time [s] of each Maxwell branch."""
 
 
 class FamilyParameters(ParameterSet, ABC):

@@ -18,6 +18,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 from taccel_lab.profile import (
     Block,
+    BranchEntry,
     CameraBlock,
     CoatingBlock,
     GelBlock,
@@ -85,6 +86,10 @@ def designed_profile(
             young_modulus_pa=gel.young_modulus_pa,
             poisson_ratio=gel.poisson_ratio,
             density_kg_m3=gel.density_kg_m3,
+            branches=tuple(
+                BranchEntry(relative_modulus=modulus, time_s=time_s)
+                for modulus, time_s in gel.branches
+            ),
             friction_coefficient=gel.friction_coefficient,
             layers=tuple(
                 LayerMaterial(

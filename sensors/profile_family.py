@@ -197,6 +197,13 @@ def _parameters_type(
 
 def _measured(block: MaterialBlock, known: Mapping[str, Parameter]) -> dict[str, Any]:
     found = {name: read(block) for name, read in _MATERIAL.items() if name in known}
+    if len(block.branches) > 1:
+        raise InputError(
+            f"material.branches of the profile has {len(block.branches)} branches; the parameters "
+            "of a sensor state one"
+        )
+    for branch in block.branches:
+        found |= {"maxwell_modulus": branch.relative_modulus, "maxwell_time_s": branch.time_s}
     return found | {name: 0.0 for name in HARDNESSES if name in known}
 
 

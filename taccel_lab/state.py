@@ -126,6 +126,10 @@ class State(Summary):
     wrenches: wp.array | None = None
     """Force [N] and torque about the centre of mass [N m] on each affine body in world axes, vec3d,
     shape [env_count, affine_count, 2]. See ``load``."""
+    viscous_inverses: wp.array | None = None
+    """Inverse of the viscous deformation, F_v^-1, of each Maxwell branch at each point of its
+    elements, mat33d, shape [env_count, point_count]; groups of ``Model.elastic`` one after the
+    other, and in them branches. In scenes with such materials only."""
     unsearched: wp.array | None = None
     """1 where the next step first searches for bodies that overlap, int32, [env_count]; everywhere
     when None."""
@@ -145,6 +149,8 @@ class State(Summary):
             found += self.history.arrays()
         if self.joints is not None:
             found += self.joints.arrays()[1:]
+        if self.viscous_inverses is not None:
+            found.append(self.viscous_inverses)
         return found
 
     def asked(self) -> list[wp.array]:
@@ -185,6 +191,7 @@ class State(Summary):
             poses=rows(self.poses),
             history=part(self.history),
             joints=part(self.joints),
+            viscous_inverses=None if self.viscous_inverses is None else rows(self.viscous_inverses),
         )
 
     @in_turn
@@ -230,11 +237,14 @@ class State(Summary):
         copy_rows(mask, mask, self.unsearched)
 
     def complete(self, model: Model) -> None:
-        """Add what steps of a model need and the state does not have: no past, joints at rest."""
+        """Add what steps of a model need and the state does not have: no past, joints at rest,
+        no viscous strain."""
         if self.history is None and model.scene.time.bdf2:
             self.history = StepHistory.empty(model)
         if self.joints is None and model.scene.joints:
             self.joints = JointState.at_rest(model)
+        if self.viscous_inverses is None and model.viscous_point_count:
+            self.viscous_inverses = no_viscous_strain(model)
         if self.unsearched is None:
             self.unsearched = wp.full(model.env_count, 1, dtype=wp.int32, device=model.device)
             self.separate = None
@@ -279,6 +289,12 @@ class State(Summary):
                 copy_rows(mask, value, array)
 
 
+def no_viscous_strain(model: Model) -> wp.array:
+    """``State.viscous_inverses`` of gels that were never strained: identities."""
+    shape = (model.env_count, model.viscous_point_count, 3, 3)
+    return wp.array(np.broadcast_to(np.eye(3), shape), dtype=wp.mat33d, device=model.device)
+
+
 def as_poses(model: Model, poses: np.ndarray) -> np.ndarray:
     """Check poses (x, y, z [m], quaternion x, y, z, w), shape [env_count, kinematic_count, 7]."""
     value = host_values(poses, "poses", (model.env_count, len(model.kinematic), 7))
@@ -316,6 +332,12 @@ def check_state(state: State, model: Model) -> None:
             )
         if array.shape != shape:
             raise InputError(f"{name} of the state have shape {array.shape}, expected {shape}")
+    inverses, count = state.viscous_inverses, model.viscous_point_count
+    if inverses is not None and inverses.shape != (model.env_count, count):
+        raise InputError(
+            f"viscous_inverses of the state have shape {inverses.shape}, expected "
+            f"{(model.env_count, count)}: the state is one of gels of another material"
+        )
 
 
 @in_turn
@@ -352,6 +374,8 @@ def _size(state: State) -> str:
         parts.append((state.joints.targets.shape[1], "joints"))
     if state.history is not None:
         parts.append((1, "step before the last"))
+    if state.viscous_inverses is not None:
+        parts.append((state.viscous_inverses.shape[1], "points of Maxwell branches"))
     more = ", ".join(f"{count} {name}" for count, name in parts)
     return f"{envs} environments, {nodes} nodes, {more}"
 

@@ -85,14 +85,14 @@ class Gel:
         return replace(self, material=material)
 
     def unit_material(self) -> MaterialBlock:
-        """The material at 1 MPa, its layers in proportion, without damping."""
+        """The material at 1 MPa, its layers in proportion, without damping and relaxed."""
         scale = UNIT_MODULUS_PA / self.material.young_modulus_pa
         layers = tuple(
             layer.replace(young_modulus_pa=layer.young_modulus_pa * scale)
             for layer in self.material.layers
         )
         return self.material.replace(
-            young_modulus_pa=UNIT_MODULUS_PA, damping_time_s=0.0, layers=layers
+            young_modulus_pa=UNIT_MODULUS_PA, damping_time_s=0.0, branches=(), layers=layers
         )
 
     def recipe(self) -> dict[str, Any]:

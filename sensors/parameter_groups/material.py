@@ -56,6 +56,16 @@ class MaterialParameters(ParameterSet):
         description="Coulomb friction coefficient between gel and indenter",
     )  # fmt: skip
 
+    maxwell_modulus: float = parameter(
+        0.0, minimum=0.001, maximum=100, source=NO_FIGURE, zero_means="the gel does not relax",
+        description="modulus that a sudden strain adds at first, over that of the relaxed gel; a "
+        "profile may have three such branches",
+    )  # fmt: skip
+    maxwell_time_s: float = parameter(
+        1.0, minimum=0.001, maximum=1e5, unit="s", source=NO_FIGURE,
+        description="time in which that falls to 1/e",
+    )  # fmt: skip
+
     def material(self) -> GelMaterial:
         """The gel's material: a hardness, where one is given, goes before the modulus."""
         pa, interval = self.young_modulus_mpa * 1e6, None
@@ -70,6 +80,7 @@ class MaterialParameters(ParameterSet):
             poisson_ratio=self.poisson_ratio,
             density_kg_m3=self.density_kg_m3,
             friction_coefficient=self.friction,
+            branches=((self.maxwell_modulus, self.maxwell_time_s),) if self.maxwell_modulus else (),
         )
 
 

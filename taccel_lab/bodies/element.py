@@ -14,3 +14,8 @@ class Element(StrEnum):
     QUADRATIC = "quadratic"
     """Ten nodes, with one pressure a tet: free of volumetric locking up to nu = 0.499. Middle nodes
     are added to the edges of the mesh, whose tets stay straight at rest."""
+
+    @property
+    def point_count(self) -> int:
+        """Points of a tet at which its material is evaluated."""
+        return 4 if self is Element.QUADRATIC else 1

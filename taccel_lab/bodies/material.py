@@ -10,6 +10,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from taccel_lab.bodies.maxwell import MaxwellBranch, check_branches
 from taccel_lab.errors import InputError
 
 _YOUNG_PA = (1e2, 1e12)
@@ -97,8 +98,12 @@ class Material:
     damping_time_s: float = 0.0
     """Viscous stress over elastic stress for a strain rate of one strain a second; for small
     strains Rayleigh's factor of the stiffness matrix. 0 switches damping off."""
+    branches: tuple[MaxwellBranch, ...] = ()
+    """Stress that a strain adds at first and that fades; the moduli are those of the relaxed
+    solid."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "branches", check_branches(self.branches))
         check_young(self.young_modulus_pa)
         check_poisson(self.poisson_ratio)
         check_density(self.density_kg_m3)
@@ -168,8 +173,11 @@ class MaterialField:
     """Mooney-Rivlin only: c01 / (c10 + c01), shape [tet_count]."""
     damping_time_s: float = 0.0
     """As in Material; one number for the body."""
+    branches: tuple[MaxwellBranch, ...] = ()
+    """As in Material; those of the whole body."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "branches", check_branches(self.branches))
         _check_damping(self.damping_time_s)
         names = ("young_modulus_pa", "poisson_ratio", "density_kg_m3", "mooney_ratio")
         arrays = {name: np.array(getattr(self, name), dtype=np.float64) for name in names}

@@ -13,6 +13,7 @@ import warp as wp
 from taccel_lab.bodies.bodies import SoftBody
 from taccel_lab.bodies.element import Element
 from taccel_lab.bodies.material import MaterialModel
+from taccel_lab.bodies.maxwell import MaxwellBranch
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import QuadraticMesh, Region
 from taccel_lab.model.carried import CarriedBlocks
@@ -45,6 +46,8 @@ class ElementArrays:
     element: Element
     damped: bool
     """Whether any element has a damping time."""
+    branches: tuple[MaxwellBranch, ...]
+    """Maxwell branches that its bodies share."""
     bodies: list[tuple[int, int, int]]
     """(soft body, first element, the one after the last) of each body in the group."""
     elements: wp.array
@@ -94,6 +97,11 @@ class ElementArrays:
     @property
     def element_count(self) -> int:
         return self.elements.shape[0]
+
+    @property
+    def point_count(self) -> int:
+        """Points at which the material of the group is evaluated."""
+        return self.element_count * self.element.point_count
 
     @property
     def nodes_per_element(self) -> int:
@@ -214,12 +222,13 @@ def build_element_groups(
     or follow rows of an affine body, and nodes that are prescribed to move, bool, [node_count].
     ``ElementArrays.set_gather`` comes later, with the matrix.
     """
-    members: dict[tuple[MaterialModel, Element, bool], list[int]] = {}
+    members: dict[tuple[MaterialModel, Element, bool, tuple[MaxwellBranch, ...]], list[int]] = {}
     for index, body in enumerate(bodies):
-        damped = body.material.damping_time_s > 0
-        members.setdefault((body.material.model, body.element, damped), []).append(index)
+        solid = body.material
+        kind = (solid.model, body.element, solid.damping_time_s > 0, solid.branches)
+        members.setdefault(kind, []).append(index)
     groups, written = [], []
-    for (law, element, damped), indices in members.items():
+    for (law, element, damped, branches), indices in members.items():
         connectivity = np.concatenate([parts[i].elements + starts[i] for i in indices])
         ends = np.cumsum([0] + [len(parts[i].elements) for i in indices])
         rests = [shape_gradients(parts[i].rest_m, parts[i].elements) for i in indices]
@@ -256,6 +265,7 @@ def build_element_groups(
                 law=law,
                 element=element,
                 damped=damped,
+                branches=branches,
                 bodies=[(i, *ranged) for i, ranged in zip(indices, whole, strict=True)],
                 elements=put(connectivity, wp.int32),
                 shape_gradients=put(

@@ -398,6 +398,12 @@ class Model(Summary):
         return self.scene_masses
 
     @property
+    def viscous_point_count(self) -> int:
+        """Points of all Maxwell branches of all elements: the length of
+        ``State.viscous_inverses``."""
+        return sum(len(group.branches) * group.point_count for group in self.elastic)
+
+    @property
     def kinematic(self) -> list[BodyRange]:
         """The kinematic bodies, in the order of ``State.poses``."""
         return [body for body in self.bodies if body.kind is BodyKind.KINEMATIC]

@@ -21,6 +21,7 @@ from taccel_lab.profile.response_blocks import PerturbationBlock as Perturbation
 from taccel_lab.profile.schema import SCHEMA_VERSION as SCHEMA_VERSION
 from taccel_lab.profile.schema import BackgroundBlock as BackgroundBlock
 from taccel_lab.profile.schema import Block as Block
+from taccel_lab.profile.schema import BranchEntry as BranchEntry
 from taccel_lab.profile.schema import CameraBlock as CameraBlock
 from taccel_lab.profile.schema import ColorBlock as ColorBlock
 from taccel_lab.profile.schema import FittedWith as FittedWith

@@ -63,6 +63,10 @@ _TABLE: dict[str, dict[str, Bound]] = {
         "mooney_ratio": _SHARE,
         "damping_time_s": Bound(0, 1e4, "s", "gels settle within hours"),
     },
+    "material.branches": {
+        "relative_modulus": Bound(1e-3, 100, "", "less is not measured, more is no solid"),
+        "time_s": Bound(1e-3, 1e5, "s", "cameras take 1,000 frames a second, gels settle in a day"),
+    },
     "material.layers": {
         **_SOLID,
         "young_modulus_pa": Bound(2e3, 5e9, "Pa", "a skin may be a film of PET, 3 GPa"),
@@ -140,6 +144,9 @@ _TABLE: dict[str, dict[str, Bound]] = {
         "friction_coefficient": _SOLID["friction_coefficient"],
     },
 }
+MOST_BRANCHES = 3
+"""Of a viscoelastic gel: each is one more evaluation of all elements, and three span as many
+decades of time."""
 BOUNDS: Mapping[str, Mapping[str, Bound]] = MappingProxyType(_TABLE)
 """By the table of ``profile.toml`` and the key in it; of lists and triples each entry."""
 

@@ -36,7 +36,7 @@ from taccel_lab.files.strict_model import (
     describe_errors,
 )
 from taccel_lab.geometry import PixelGrid
-from taccel_lab.profile.bounds import out_of_bounds, require_within
+from taccel_lab.profile.bounds import MOST_BRANCHES, out_of_bounds, require_within
 from taccel_lab.version import __version__
 
 SCHEMA_VERSION = 10
@@ -201,6 +201,15 @@ class LayerMaterial(_Solid):
     name: Name
 
 
+class BranchEntry(StrictModel):
+    """A Maxwell branch of the gel (``bodies.maxwell.MaxwellBranch``)."""
+
+    relative_modulus: Number
+    """Over the modulus of the relaxed gel."""
+    time_s: Number
+    """Relaxation time [s]."""
+
+
 class FittedWith(StrictModel):
     """The presses that a material was fitted with: only like ones reproduce what it was fitted to.
 
@@ -234,6 +243,9 @@ class MaterialBlock(Block, _Solid):
     """Mooney-Rivlin only: c01 / (c10 + c01)."""
     damping_time_s: Number = 0.0
     """Viscous over elastic stress at a strain rate of one a second [s]."""
+    branches: tuple[BranchEntry, ...] = Field(default=(), max_length=MOST_BRANCHES)
+    """Maxwell branches of the gel and of its layers, three at most; ``young_modulus_pa`` is the
+    modulus of the relaxed gel."""
     friction_coefficient: Number
     """Coulomb friction between the gel and what presses on it."""
     layers: tuple[LayerMaterial, ...] = ()

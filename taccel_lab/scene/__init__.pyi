@@ -17,6 +17,7 @@ from taccel_lab.bodies.mass_properties import StatedMass as StatedMass
 from taccel_lab.bodies.material import Material as Material
 from taccel_lab.bodies.material import MaterialField as MaterialField
 from taccel_lab.bodies.material import MaterialModel as MaterialModel
+from taccel_lab.bodies.maxwell import MaxwellBranch as MaxwellBranch
 from taccel_lab.bodies.primitives import Ball as Ball
 from taccel_lab.bodies.primitives import TriangleMesh as TriangleMesh
 from taccel_lab.bodies.primitives import box_mesh as box_mesh

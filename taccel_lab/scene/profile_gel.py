@@ -10,6 +10,7 @@ import numpy as np
 
 from taccel_lab.bodies.bodies import SoftBody
 from taccel_lab.bodies.material import Material, MaterialField, MaterialModel
+from taccel_lab.bodies.maxwell import MaxwellBranch
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import TetMesh
 
@@ -42,7 +43,7 @@ def profile_material(block: MaterialBlock, mesh: TetMesh) -> Material | Material
         InputError: The mesh has a layer that the block states no material for.
     """
     solids = (block, *block.layers)
-    # Layers share the law and the damping of the gel, as the solver asks of one body.
+    # Layers share the law, damping and branches of the gel, as the solver asks of one body.
     materials = [
         Material(
             solid.young_modulus_pa,
@@ -51,10 +52,16 @@ def profile_material(block: MaterialBlock, mesh: TetMesh) -> Material | Material
             model=MaterialModel(block.model),
             mooney_ratio=block.mooney_ratio,
             damping_time_s=block.damping_time_s,
+            branches=profile_branches(block),
         )
         for solid in solids
     ]
     return layered_material(materials, mesh)
+
+
+def profile_branches(block: MaterialBlock) -> tuple[MaxwellBranch, ...]:
+    """Maxwell branches of a profile's gel."""
+    return tuple(MaxwellBranch(entry.relative_modulus, entry.time_s) for entry in block.branches)
 
 
 def layered_material(layers: Sequence[Material], mesh: TetMesh) -> Material | MaterialField:
@@ -65,7 +72,7 @@ def layered_material(layers: Sequence[Material], mesh: TetMesh) -> Material | Ma
         mesh: Gel pad.
 
     Raises:
-        InputError: Fewer materials than layers, or layers whose model or damping differ.
+        InputError: Fewer materials than layers, or layers whose model, damping or branches differ.
     """
     used = np.unique(mesh.tet_layers)
     if len(layers) <= used[-1]:
@@ -73,7 +80,7 @@ def layered_material(layers: Sequence[Material], mesh: TetMesh) -> Material | Ma
     first = layers[used[0]]
     if len(used) == 1:
         return first
-    for name in ("model", "damping_time_s"):
+    for name in ("model", "damping_time_s", "branches"):
         found = {getattr(layers[layer], name) for layer in used}
         if len(found) > 1:
             raise InputError(f"layers of one gel must share {name}, got {sorted(found)}")
@@ -81,4 +88,9 @@ def layered_material(layers: Sequence[Material], mesh: TetMesh) -> Material | Ma
         name: np.array([getattr(layer, name) for layer in layers])[mesh.tet_layers]
         for name in ("young_modulus_pa", "poisson_ratio", "density_kg_m3", "mooney_ratio")
     }
-    return MaterialField(model=first.model, damping_time_s=first.damping_time_s, **values)
+    return MaterialField(
+        model=first.model,
+        damping_time_s=first.damping_time_s,
+        branches=first.branches,
+        **values,
+    )

@@ -220,7 +220,6 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
     system = newton_system(run.model, s.linear, s.displacements)
     in_any_order = newton_systems(run.model, s.linear, s.displacements)
     bits_count = s.linear.in_any_order
-    elements = [*s.elastic, *s.viscosity]
 
     def aim() -> None:
         run.decide(
@@ -261,7 +260,7 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
         begin_rhs(run.model, p.phases.active, s.reduced, s.linear.rhs, keep=bits_count)
 
     def of_elements() -> None:
-        for part in elements:
+        for part in s.elements:
             part.write_hessians(p.phases.active, x, p.curvature.psd_mode)
 
     def of_contact(part: NewtonSystem) -> None:
@@ -276,14 +275,14 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
             s.affine.add_hessian(p.phases.active, x, system, p.curvature.psd_mode)
 
     def gather() -> None:
-        for part in elements:
+        for part in s.elements:
             part.gather_hessians(p.phases.active, system)
         for term in (s.joints, s.inertia):
             if term is not None:
                 term.add_hessian(p.phases.active, x, system)
 
     def gather_rim() -> None:
-        for part in elements:
+        for part in s.elements:
             part.gather_rim(p.prescribed.moving, system)
 
     # What adds by atomics first; what gathers in order adds to that.

@@ -235,6 +235,8 @@ def _begin_potentials(run: StepLaunches) -> None:
         s.inertia.begin_step(x, state.velocities, s.dts, state.history, fresh)
     for part in s.viscosity:
         part.begin_step(x, s.dts, fresh)
+    for part in s.maxwell:
+        part.begin_step(x, state.viscous_inverses, s.dts, fresh, run.p.roster.again)
     if s.joints is not None:
         s.joints.begin_step(x, state.poses, s.dts, fresh)
         wp.copy(run.p.balance.rounding, s.joints.rounding_n)
@@ -273,4 +275,6 @@ def end_step(run: StepLaunches) -> None:
         )
     else:
         measure_velocities(p.roster.done, s.origin, state.positions, s.dts, state.velocities)
+    for part in s.maxwell:
+        part.end_step(p.roster.done, state.viscous_inverses)
     s.rows.write(p.roster.done, p.roster.writes)

@@ -23,8 +23,8 @@ class Control:
     """Targets of the drives of joints [rad, m, rad/s or m/s], [env_count, joint_count], in the
     order of the scene; they stay until changed, as ``state.joints.targets``."""
     dt_s: float | None = None
-    """Length of the step [s]; the scene's when None. Not of a quasi-static
-    scene, whose steps have none."""
+    """Length of the step [s]; the scene's when None. Steps of a quasi-static scene have one only
+    where a material relaxes."""
     forces: Any = None
     """Forces on nodes [N], [env_count, node_count, 3]; they stay until changed, see
     ``State.load``."""

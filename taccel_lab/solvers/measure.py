@@ -97,8 +97,7 @@ def _begin_gradient_kernel(
 
 def _stiff(run: StepLaunches) -> list[ElementSum]:
     """Elements of whose forces rounding may make more than the tolerance."""
-    parts = (*run.s.elastic, *run.s.viscosity)
-    return [part for part in parts if part.rounds_above(run.rules.absolute_tolerance)]
+    return [part for part in run.s.elements if part.rounds_above(run.rules.absolute_tolerance)]
 
 
 def element_rounding(run: StepLaunches) -> wp.array | None:
@@ -133,10 +132,8 @@ def evaluate_gradient(run: StepLaunches, mask: wp.array, take_trial: bool = Fals
     if s.joints is not None:
         s.joints.set_frames(state.poses)
 
-    elements = [*s.elastic, *s.viscosity]
-
     def of_elements() -> None:
-        for part in elements:
+        for part in s.elements:
             part.write_forces(mask, x)
 
     def of_others() -> None:
@@ -148,7 +145,7 @@ def evaluate_gradient(run: StepLaunches, mask: wp.array, take_trial: bool = Fals
         s.contact.add_gradient(mask, x, s.contact_gradient, run.p.balance.min_distance)
 
     run.together([of_elements, of_others, of_contact, lambda: add_friction(run, mask)])
-    for part in elements:
+    for part in s.elements:
         part.gather_forces(mask, s.gradient)
     measure_residual(run, mask)
 

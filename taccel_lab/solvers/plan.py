@@ -43,7 +43,11 @@ class Plan:
 
 def _count(number: int, what: str) -> str:
     """A number of things, whose plural is given."""
-    one = {"bodies": "body", "bonded nodes": "bonded node"}.get(what, what.removesuffix("s"))
+    one = {
+        "bodies": "body",
+        "bonded nodes": "bonded node",
+        "Maxwell branches": "Maxwell branch",
+    }.get(what, what.removesuffix("s"))
     return f"{number:,} {what if number != 1 else one}"
 
 
@@ -74,6 +78,11 @@ def make_plan(solver: SolverParts) -> Plan:
             "damping",
             bool(solver.viscosity),
             "a material has a damping time" if solver.viscosity else "no damping time",
+        ),
+        (
+            "relaxation",
+            bool(solver.maxwell),
+            _count(len(solver.maxwell), "Maxwell branches") if solver.maxwell else "no branch",
         ),
         (
             "inertia",

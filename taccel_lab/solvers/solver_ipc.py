@@ -291,8 +291,11 @@ class SolverIPC(SolverParts):
         targets = state.poses if poses is None else poses_array(model, poses)
         dt = model.scene.time.dt_s
         if control.dt_s is not None:
-            if self.inertia is None:
-                raise InputError("dt_s of a step needs quasi_static=False: otherwise it has none")
+            if self.inertia is None and not self.maxwell:
+                raise InputError(
+                    "dt_s of a step needs quasi_static=False or a material with Maxwell branches: "
+                    "otherwise it has none"
+                )
             check_dt(control.dt_s)
             dt = float(control.dt_s)
         drives = None

@@ -26,7 +26,7 @@ from taccel_lab.model import Model
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.env_progress import EnvProgress, follow_after, make_rules
 from taccel_lab.solvers.state_rows import StateRows
-from taccel_lab.state import State, StepHistory
+from taccel_lab.state import State, StepHistory, no_viscous_strain
 
 
 class SolverParts:
@@ -43,6 +43,10 @@ class SolverParts:
         """Those whose energy bears elements that are inside out, at the start and at the end."""
         self.inertia = None if scene.time.quasi_static else InertiaPotential(model)
         self.viscosity = self._viscosity()
+        self.maxwell = self._maxwell()
+        """One for each Maxwell branch of a group of elements."""
+        self.elements = [*self.elastic, *self.viscosity, *self.maxwell]
+        """All potentials of elements."""
         self.affine = None
         if scene.affine_bodies:
             from taccel_lab.ipc.potentials.affine import AffinePotential
@@ -98,6 +102,7 @@ class SolverParts:
             poses=wp.zeros(poses, dtype=wp.transformd, device=device),
             history=StepHistory.empty(model) if scene.time.bdf2 else None,
             joints=None if self.joints is None else self.joints.state,
+            viscous_inverses=no_viscous_strain(model) if self.maxwell else None,
         )
         """What a step works on: read from a user's state when the step begins, written to it when
         the step is over."""
@@ -164,7 +169,7 @@ class SolverParts:
 
     def _scratch(self) -> Scratch:
         """Memory of the elements, which are idle during a solve."""
-        idle = [part.idle_memory for part in [*self.elastic, *self.viscosity]]
+        idle = [part.idle_memory for part in self.elements]
         return Scratch(max(idle, key=lambda memory: memory.capacity) if idle else None)
 
     def _extra_room(self) -> int:
@@ -188,6 +193,18 @@ class SolverParts:
 
         return [ViscousPotential(self.model, group) for group in groups]
 
+    def _maxwell(self) -> list:
+        if not self.model.viscous_point_count:
+            return []
+        from taccel_lab.ipc.potentials.elements.maxwell import MaxwellPotential
+
+        parts, first = [], 0
+        for group in self.model.elastic:
+            for branch in group.branches:
+                parts.append(MaxwellPotential(self.model, group, branch, first))
+                first += group.point_count
+        return parts
+
     @property
     def potentials(self) -> dict[str, Potential]:
         """Terms of the energy by name, without contact and friction."""
@@ -196,6 +213,8 @@ class SolverParts:
             terms["elastic" if i == 0 else f"elastic {i + 1}"] = part
         for i, part in enumerate(self.viscosity):
             terms["viscous" if i == 0 else f"viscous {i + 1}"] = part
+        for i, part in enumerate(self.maxwell):
+            terms["Maxwell branch" if i == 0 else f"Maxwell branch {i + 1}"] = part
         terms |= {
             "inertia": self.inertia,
             "affine": self.affine,

@@ -18,7 +18,7 @@ from taccel_lab.state import State
 
 wp.set_module_options({"enable_backward": False})
 
-_MOST = 12
+_MOST = 13
 """Arrays of a state, at most."""
 
 

@@ -119,7 +119,7 @@ class StepLaunches:
         s = self.s
 
         def of_elements() -> None:
-            for part in [*s.elastic, *s.viscosity]:
+            for part in s.elements:
                 part.write_energies(mask, positions)
 
         def of_others() -> None:

@@ -66,10 +66,15 @@ class Tangent:
             who: Environments to look at, bool, [env_count]; all when None.
 
         Raises:
-            InputError: A scene with inertia, damping or affine bodies.
+            InputError: A scene with inertia, damping, Maxwell branches or affine bodies.
         """
         model = solver.model
         check_state(state, model)
+        if solver.maxwell:
+            raise InputError(
+                "gradients need elastic gels: the force of a material with Maxwell branches "
+                "depends on its past, which they do not follow"
+            )
         if solver.inertia is not None or solver.affine is not None or solver.viscosity:
             raise InputError(
                 "gradients need quasi-static steps of elastic gels and tools that are moved: "

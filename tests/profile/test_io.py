@@ -183,6 +183,14 @@ def test_any_changed_byte_is_found(
         ({"window": {"refractive_index": 9.0}}, r"window\..*refractive_index: must lie in"),
         ({"markers": {"radius_mm": 1.5}}, r"markers\..*radius_mm: must lie in"),
         ({"housing": {"wall_mm": 0.0}}, r"housing\.wall_mm: must lie in"),
+        (
+            {"material": {"branches": [{"relative_modulus": 0.0, "time_s": 1.0}]}},
+            r"material\.branches\.0\.relative_modulus: must lie in",
+        ),
+        (
+            {"material": {"branches": [{"relative_modulus": 0.1, "time_s": 1.0}] * 4}},
+            r"material\.branches: .*at most 3",
+        ),
         ({"material": {"layers": []}}, "tets of layer 1, but material.layers states 0"),
         ({"gel": {"colour": "red"}}, r"gel\.colour: unknown key"),
         ({"gel": {"file": "../mesh.npz"}}, r"gel\.file: .*mesh\.npz"),

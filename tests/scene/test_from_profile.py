@@ -14,8 +14,8 @@ from taccel_lab.geometry import TetMesh
 from taccel_lab.geometry.tet_mesh import boundary_faces
 from taccel_lab.outputs import Outputs
 from taccel_lab.presses import profile_material
-from taccel_lab.profile import LayerMaterial, MaterialBlock, Provenance
-from taccel_lab.scene import Ball, Element, Material, MaterialField, SoftBody
+from taccel_lab.profile import BranchEntry, LayerMaterial, MaterialBlock, Provenance
+from taccel_lab.scene import Ball, Element, Material, MaterialField, MaxwellBranch, SoftBody
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.signals.markers import MarkerLayout
@@ -163,6 +163,13 @@ def test_each_tet_has_the_moduli_of_its_layer() -> None:
 def test_a_mesh_of_one_layer_is_uniform(layer: int, young: float) -> None:
     found = profile_material(material(SKIN), two_tets([layer, layer]))
     assert isinstance(found, Material) and found.young_modulus_pa == young
+
+
+def test_all_layers_relax_as_the_gel() -> None:
+    branch = BranchEntry(relative_modulus=0.2, time_s=3.0)
+    block = material(SKIN).replace(branches=(branch,))
+    for layers in ([1, 0], [1, 1]):
+        assert profile_material(block, two_tets(layers)).branches == (MaxwellBranch(0.2, 3.0),)
 
 
 def test_a_layer_without_material_is_refused() -> None:

@@ -73,6 +73,24 @@ def test_a_profile_of_a_hardness_keeps_its_ratio(tmp_path: Path, ratio: float | 
     assert material.young_interval_pa is not None
 
 
+def test_a_branch_is_a_parameter_and_a_measured_one_stays(tmp_path: Path) -> None:
+    profile = catalogue_profile("digit", {"maxwell_modulus": 0.3, "maxwell_time_s": 2.0})
+    (branch,) = profile.material.branches
+    assert (branch.relative_modulus, branch.time_s) == (0.3, 2.0)
+    assert not catalogue_profile("digit").material.branches
+    measured = profile.material.replace(
+        provenance=Provenance(kind="measured", method="relaxometer", source="bench"),
+        branches=(branch.replace(time_s=5.0),),
+    )
+    save_profile(profile.with_block(measured), tmp_path / "profile")
+    found = sensor_family(str(tmp_path / "profile")).parameters().material()
+    assert found.branches == ((0.3, 5.0),)
+    two = measured.replace(branches=(branch, branch.replace(time_s=20.0)))
+    save_profile(profile.with_block(two), tmp_path / "profile")
+    with pytest.raises(InputError, match="2 branches"):
+        sensor_family(str(tmp_path / "profile"))
+
+
 def test_camera_and_material_can_be_set_and_the_gel_stays(folder: Path) -> None:
     family = sensor_family(str(folder))
     defaults = family.parameters()

@@ -13,6 +13,7 @@ from taccel_lab.scene import (
     AffineBody,
     KinematicBody,
     Material,
+    MaxwellBranch,
     PositionDrive,
     PrismaticJoint,
     RevoluteJoint,
@@ -37,30 +38,42 @@ def poses(steps: np.ndarray | list[int]) -> np.ndarray:
     )
 
 
+RELAXING = (MaxwellBranch(0.5, 8e-3), MaxwellBranch(0.2, 0.1))
+
+
 def make(
-    quasi_static: bool, scheme: TimeScheme = TimeScheme.EULER, **settings: object
+    quasi_static: bool,
+    scheme: TimeScheme = TimeScheme.EULER,
+    branches: tuple[MaxwellBranch, ...] = (),
+    **settings: object,
 ) -> tuple[SolverIPC, State]:
     time = TimeStepping(quasi_static=quasi_static, dt_s=5e-3, scheme=scheme)
-    scene = gel_above_a_table(time, ENVS, damping_time_s=0.0 if quasi_static else 1e-3)
+    damping = 0.0 if quasi_static else 1e-3
+    scene = gel_above_a_table(time, ENVS, damping_time_s=damping, branches=branches)
     solver = SolverIPC(scene.finalize(), SolverConfig(dhat_m=1e-4, **settings))  # type: ignore[arg-type]
     return solver, initial_state(solver.model, poses([0] * ENVS))
 
 
 @pytest.mark.parametrize("iterations", [1, 3])
 @pytest.mark.parametrize(
-    ("quasi_static", "scheme"),
-    [(True, TimeScheme.EULER), (False, TimeScheme.EULER), (False, TimeScheme.BDF2)],
+    ("quasi_static", "scheme", "branches"),
+    [
+        (True, TimeScheme.EULER, ()),
+        (True, TimeScheme.EULER, RELAXING),
+        (False, TimeScheme.EULER, ()),
+        (False, TimeScheme.BDF2, ()),
+    ],
 )
 def test_the_pace_of_an_environment_changes_no_bit(
-    quasi_static: bool, scheme: TimeScheme, iterations: int
+    quasi_static: bool, scheme: TimeScheme, branches: tuple[MaxwellBranch, ...], iterations: int
 ) -> None:
     """Of BDF2, too, which meets an impact here and begins that step anew."""
-    solver, state = make(quasi_static, scheme)
+    solver, state = make(quasi_static, scheme, branches)
     for step in range(1, STEPS + 1):
         assert solver.step(state, poses([step] * ENVS)).converged.all()
     expected, forces = state.positions.numpy(), solver.contact_gradient.numpy()
 
-    solver, state = make(quasi_static, scheme)
+    solver, state = make(quasi_static, scheme, branches)
     ready = ReadySteps(solver, state, iterations)
     taken, calls = np.zeros(ENVS, dtype=int), 0
     while (taken < STEPS).any():

@@ -22,7 +22,7 @@ from taccel_lab.scene import Material, Scene, SoftBody, TimeScheme
 from taccel_lab.signals import SignalTactile
 from taccel_lab.solvers import Control, EnvStatus, ReadySteps, SolverIPC
 from taccel_lab.state import State, initial_state
-from tests.solvers.test_ready_steps import DT_S, ENVS, asked, finger, make, poses
+from tests.solvers.test_ready_steps import DT_S, ENVS, RELAXING, asked, finger, make, poses
 from tests.support.variants import variants
 
 STEPS = 4
@@ -39,6 +39,7 @@ def ask_press(solver: SolverIPC, step: int) -> np.ndarray:
 
 CASES: dict[str, tuple[Callable[[], Made], Callable[[SolverIPC, int], Any]]] = {
     "press": (lambda: make(True), ask_press),
+    "relaxing gel": (lambda: make(True, branches=RELAXING), ask_press),
     "impact by BDF2": (lambda: make(False, TimeScheme.BDF2), ask_press),
     "mechanism": (finger, ask_finger),
 }

@@ -48,9 +48,9 @@ class ElementData:
     damping_times: wp.array(dtype=wp.float64)
     """Viscous over elastic stress per strain rate [s], shape [element_count]; of a viscous
     potential only."""
-    start_strains: wp.array3d(dtype=wp.mat33d)
-    """Green strain at the start of the step, shape [env_count, element_count, point_count]; of a
-    viscous potential only."""
+    starts: wp.array3d(dtype=wp.mat33d)
+    """What a viscous potential keeps of the start of the step: Green strain (``viscosity``) or
+    inverse viscous deformation (``maxwell``), shape [env_count, element_count, point_count]."""
     rates: wp.array(dtype=wp.float64)
     """1 / dt [1/s], shape [env_count]; of a viscous potential only."""
 

@@ -58,8 +58,8 @@ wp.set_module_options({"enable_backward": False})
 
 @dataclass(frozen=True)
 class PointLaw:
-    """What happens at a quadrature point. ``start`` is the Green strain at the start of the step
-    there, zero unless viscous; ``d`` the ElementData, ``i`` the place of the element's moduli."""
+    """What happens at a quadrature point. ``start`` is what ``ElementData.starts`` has of it, zero
+    unless viscous; ``d`` the ElementData, ``i`` the place of the element's moduli."""
 
     name: str
     start: Any
@@ -70,7 +70,7 @@ class PointLaw:
     dilatation: Any
     """``(f, start)``."""
     dilatation_slope: Any
-    """``(f)``."""
+    """``(f, start)``."""
     volumetric: Any
     """``(e)``: u, u', u''."""
     volumetric_modulus: Any
@@ -163,9 +163,8 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         q = int(0)
         while q < 4:
             f = point_deformation(env, tet, q, common, positions, d)
-            slope += wp.float64(0.25) * shape_gradients(
-                env, tet, q, OTHER, OWN_LESS_OTHER, dilatation_slope(f), d
-            )
+            turn = dilatation_slope(f, start_of(env, tet, q, d))
+            slope += wp.float64(0.25) * shape_gradients(env, tet, q, OTHER, OWN_LESS_OTHER, turn, d)
             q += 1
         return slope
 
@@ -264,7 +263,7 @@ def create_quadratic_kernels(law: PointLaw) -> ElementKernels:
         while q < 4:
             f = point_deformation(env, tet, q, common, positions, d)
             start = start_of(env, tet, q, d)
-            p = piola(f, start, d, i) + pressure * dilatation_slope(f)
+            p = piola(f, start, d, i) + pressure * dilatation_slope(f, start)
             total += p
             if q == 0:
                 own_0 = p

@@ -60,13 +60,14 @@ def _whole_pressure(pressure: wp.float64, mu: wp.float64, mode: int) -> wp.float
 
 
 @cache
-def elastic_quadratic_kernels(model: MaterialModel) -> ElementKernels:
-    """The kernels of an elastic law."""
+def elastic_point_law(model: MaterialModel) -> PointLaw:
+    """What an elastic law makes at a point of the deformation there."""
     law = LAWS[model]
     shape_energy = law.shape_energy
     shape_piola = law.shape_piola
     pressed = law.pressed_hessian
     law_dilatation = law.dilatation
+    law_slope = law.dilatation_slope
     even = law.dilatation is volume_growth
     pressure_of_matrix = _pressure_of_matrix if even else _whole_pressure
 
@@ -81,6 +82,10 @@ def elastic_quadratic_kernels(model: MaterialModel) -> ElementKernels:
     @wp.func
     def dilatation(f: wp.mat33d, start: wp.mat33d) -> wp.float64:
         return law_dilatation(f)
+
+    @wp.func
+    def dilatation_slope(f: wp.mat33d, start: wp.mat33d) -> wp.mat33d:
+        return law_slope(f)
 
     @wp.func
     def principal(
@@ -104,18 +109,22 @@ def elastic_quadratic_kernels(model: MaterialModel) -> ElementKernels:
 
         hessian = quickest
 
-    return create_quadratic_kernels(
-        PointLaw(
-            name=model.value,
-            start=_no_start,
-            energy=energy,
-            piola=piola,
-            dilatation=dilatation,
-            dilatation_slope=law.dilatation_slope,
-            volumetric=law.volumetric,
-            volumetric_modulus=law.volumetric_modulus,
-            scale=_one,
-            hessian=hessian,
-            guarded=needs_none if model in BEARS_INVERSION else needs_guard,
-        )
+    return PointLaw(
+        name=model.value,
+        start=_no_start,
+        energy=energy,
+        piola=piola,
+        dilatation=dilatation,
+        dilatation_slope=dilatation_slope,
+        volumetric=law.volumetric,
+        volumetric_modulus=law.volumetric_modulus,
+        scale=_one,
+        hessian=hessian,
+        guarded=needs_none if model in BEARS_INVERSION else needs_guard,
     )
+
+
+@cache
+def elastic_quadratic_kernels(model: MaterialModel) -> ElementKernels:
+    """The kernels of an elastic law."""
+    return create_quadratic_kernels(elastic_point_law(model))

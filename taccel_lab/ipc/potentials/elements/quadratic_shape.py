@@ -25,11 +25,9 @@ from taccel_lab.ipc.potentials.elements.data import ElementData
 
 wp.set_module_options({"enable_backward": False})
 
-POINT_COUNT = 4
-"""Quadrature points: point q has barycentric coordinate (5 + 3 sqrt(5)) / 20 at corner q and
-(5 - sqrt(5)) / 20 at the others, exact for quadratic integrands [Zienkiewicz and Taylor 2000, table
-9.2]."""
 OTHER = wp.constant(wp.float64((5.0 - 5.0**0.5) / 20.0))
+"""Of four quadrature points q has barycentric coordinate (5 + 3 sqrt(5)) / 20 at corner q and this
+one at the others, exact for quadratic integrands [Zienkiewicz and Taylor 2000, table 9.2]."""
 OWN_LESS_OTHER = wp.constant(wp.float64(5.0**0.5 / 5.0))
 
 mat44i = wp.types.matrix(shape=(4, 4), dtype=wp.int32)

@@ -45,7 +45,6 @@ from taccel_lab.ipc.potentials.elements.quadratic_kernels import (
     create_quadratic_kernels,
 )
 from taccel_lab.ipc.potentials.elements.quadratic_shape import (
-    POINT_COUNT,
     needs_none,
     quadratic_deformation,
 )
@@ -78,7 +77,7 @@ def _linear_start_kernel(
     if mask:
         if mask[env] == 0:
             return
-    d.start_strains[env, tet, q] = green_strain(linear_deformation(env, tet, positions, d))
+    d.starts[env, tet, q] = green_strain(linear_deformation(env, tet, positions, d))
 
 
 @wp.kernel
@@ -92,7 +91,7 @@ def _viscous_energy_kernel(
     if active[env] == 0:
         return
     f = linear_deformation(env, tet, positions, d)
-    gained = green_strain(f) - d.start_strains[env, tet, 0]
+    gained = green_strain(f) - d.starts[env, tet, 0]
     volume = d.volumes[env % d.volumes.shape[0], tet]
     stress = _linear_stress(gained, d, env, tet)
     energies[env, tet] = wp.float64(0.5) * volume * wp.ddot(stress, gained)
@@ -113,7 +112,7 @@ def _viscous_gradient_kernel(
     if tet >= 0:
         rest = env % d.volumes.shape[0]
         f = linear_deformation(env, tet, positions, d)
-        gained = green_strain(f) - d.start_strains[env, tet, 0]
+        gained = green_strain(f) - d.starts[env, tet, 0]
         p = d.volumes[rest, tet] * (f * _linear_stress(gained, d, env, tet))
         for i in range(4):
             put_force(stage, lane, i, p * d.gradients[rest, tet, i])
@@ -136,7 +135,7 @@ def _viscous_hessian_kernel(
     if tet >= 0:
         rest = env % d.volumes.shape[0]
         f = linear_deformation(env, tet, positions, d)
-        gained = green_strain(f) - d.start_strains[env, tet, 0]
+        gained = green_strain(f) - d.starts[env, tet, 0]
         stress = lifted_matrix(_linear_stress(gained, d, env, tet), psd_modes[env])
         at = modulus_index(env, tet, d)
         mu = _share(env, tet, d) * d.moduli.mu[at]
@@ -168,12 +167,12 @@ def _quadratic_start_kernel(
     if mask:
         if mask[env] == 0:
             return
-    d.start_strains[env, tet, q] = green_strain(quadratic_deformation(env, tet, q, positions, d))
+    d.starts[env, tet, q] = green_strain(quadratic_deformation(env, tet, q, positions, d))
 
 
 @wp.func
 def _point_start(env: int, tet: int, q: int, d: ElementData) -> wp.mat33d:
-    return d.start_strains[env, tet, q]
+    return d.starts[env, tet, q]
 
 
 @wp.func
@@ -195,6 +194,11 @@ def _point_piola(f: wp.mat33d, start: wp.mat33d, d: ElementData, i: int) -> wp.m
 @wp.func
 def _point_dilatation(f: wp.mat33d, start: wp.mat33d) -> wp.float64:
     return wp.trace(green_strain(f) - start)
+
+
+@wp.func
+def _point_slope(f: wp.mat33d, start: wp.mat33d) -> wp.mat33d:
+    return strain_trace_slope(f)
 
 
 @wp.func
@@ -235,7 +239,7 @@ def _quadratic_kernels() -> ElementKernels:
             energy=_point_energy,
             piola=_point_piola,
             dilatation=_point_dilatation,
-            dilatation_slope=strain_trace_slope,
+            dilatation_slope=_point_slope,
             volumetric=half_square,
             volumetric_modulus=_point_modulus,
             scale=_share,
@@ -258,9 +262,9 @@ class ViscousPotential(ElementSum):
         quadratic = group.element is Element.QUADRATIC
         super().__init__(model, group, _quadratic_kernels() if quadratic else _LINEAR)
         self._start = _quadratic_start_kernel if quadratic else _linear_start_kernel
-        device, point_count = model.device, POINT_COUNT if quadratic else 1
+        device, point_count = model.device, group.element.point_count
         self.data.damping_times = group.damping_times
-        self.data.start_strains = wp.zeros(
+        self.data.starts = wp.zeros(
             (*self.energies.shape, point_count), dtype=wp.mat33d, device=device
         )
         self.data.rates = wp.zeros(model.env_count, dtype=wp.float64, device=device)
@@ -280,7 +284,7 @@ class ViscousPotential(ElementSum):
             launch(_reciprocal_kernel, m.env_count, inputs=[dts, self.data.rates], device=m.device)
         launch(
             self._start,
-            dim=self.data.start_strains.shape,
+            dim=self.data.starts.shape,
             inputs=[mask, positions, self.data],
             device=m.device,
         )
