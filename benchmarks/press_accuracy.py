@@ -232,6 +232,7 @@ def outcome_of(case: PressCase, accuracy: str, device: str) -> PressCaseOutcome:
             asked,
             lambda at: press(case, physics, at, device),
             physics.dhat_m,
+            case.indenter().shape,
             rubs=case.friction > 0,
             budget_s=BUDGET_S,
             clock=clock,

@@ -111,6 +111,7 @@ def run_press(
                 share,
                 lambda at: simulate(plan.physics, options.path(depth_mm), progress, at),
                 plan.physics.dhat_m,
+                plan.indenter.shape,
                 rubs=plan.friction > 0,
                 budget_s=options.budget_s,
             )

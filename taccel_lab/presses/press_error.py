@@ -49,6 +49,11 @@ class PressError:
     """Of the heights of the contact face, root mean square [m], shape [env_count]."""
 
 
+def tool_kind(shape: Ball | TriangleMesh) -> type[Ball] | type[TriangleMesh]:
+    """That of smooth tools, or of tools that may have rims."""
+    return Ball if isinstance(shape, Ball) else TriangleMesh
+
+
 def expected_error(
     physics: PressPhysics,
     shape: Ball | TriangleMesh,
@@ -68,7 +73,7 @@ def expected_error(
         friction: Largest coefficient.
     """
     mesh, usual = physics.mesh, DEFAULT_PRESS_MESH
-    kind = Ball if isinstance(shape, Ball) else TriangleMesh
+    kind = tool_kind(shape)
     if kind is Ball:
         cells = mesh.cell_count / usual.cell_count
     else:

@@ -17,20 +17,22 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.errors import SimulationError
+from taccel_lab.presses.press_error import tool_kind
 from taccel_lab.presses.press_outcome import PressOutcome
+from taccel_lab.scene import Ball, TriangleMesh
 
 COARSE, FINER, FINEST = 0.5**0.5, 2**0.5, 4.0
 """Elements along a side over those of the default: of the first mesh, of each next one over the one
 before, and of the last."""
-COARSE_SHARE = 0.15
+COARSE_SHARE = {Ball: 0.15, TriangleMesh: 0.25}
 """What 19 of 20 presses keep to on the first mesh, of the force and over the depth of the heights:
-nothing has been compared yet."""
+nothing has been compared yet. Of smooth tools, and of tools that may have rims."""
 PAIR_SHARE, FIRST_ORDER_SHARE = 1.0, 1 / (2**0.5 - 1)
 """Error of the finer of two meshes over their difference: of second order, and the most that three
 meshes may show, which is that of first order."""
 SECOND_ORDER_SHARE = 0.5
 """What second order leaves of a change on the next mesh."""
-PAIR_REST, PAIR_HEIGHT_REST = 0.007, 0.002
+PAIR_REST, PAIR_HEIGHT_REST = {Ball: 0.007, TriangleMesh: 0.012}, 0.002
 """What two meshes may have in common, of the force and over the depth of the heights; it falls with
 the number of elements along a side."""
 NEARER = 4.0
@@ -133,6 +135,7 @@ def press_within(
     share: float,
     press: PressAt,
     dhat_m: float,
+    shape: Ball | TriangleMesh,
     *,
     rubs: bool,
     budget_s: float,
@@ -144,6 +147,7 @@ def press_within(
         share: Relative error of the force [1].
         press: Does a press.
         dhat_m: Largest contact range [m].
+        shape: What presses.
         rubs: Whether there is friction, so that the steps matter.
         budget_s: No finer press than the default's is begun that would presumably end later, and no
             press at all once it is over [s].
@@ -153,7 +157,7 @@ def press_within(
         The finest press, with the stated errors of force and heights, and how it was refined.
         SimulationError as of the first presses; where a finer one fails, the one before is taken.
     """
-    started, count = clock(), 0
+    started, count, kind = clock(), 0, tool_kind(shape)
 
     def pressed(at: Resolution) -> PressOutcome:
         nonlocal count
@@ -170,8 +174,9 @@ def press_within(
     by_path = np.zeros_like(before)
     if rubs:
         by_path = 2.0 * (before - _reading(pressed(replace(used, steps=2)), seen))
-    best = _found(outcome, used, COARSE_SHARE * before, by_dhat, by_path)
-    best = replace(best, height_m=COARSE_SHARE * 1e-3 * outcome.path.depth_mm)
+    coarse = COARSE_SHARE[kind]
+    best = _found(outcome, used, coarse * before, by_dhat, by_path, rest=0.0)
+    best = replace(best, height_m=coarse * 1e-3 * outcome.path.depth_mm)
     if best.parts.total > share:
         dhat = min(1.0, PART * share / max(best.parts.dhat, 1e-12))
         steps = math.ceil(best.parts.path / (PART * share) - 1e-9)
@@ -199,7 +204,7 @@ def press_within(
         now = _reading(outcome, seen)
         change, last_change = now - before, change
         by_mesh = _by_mesh(last_change, change)
-        best = _found(outcome, used, by_mesh, by_dhat, by_path)
+        best = _found(outcome, used, by_mesh, by_dhat, by_path, PAIR_REST[kind])
         before = now
     refinement = Refinement(
         share, best.parts, best.used, best.height_m, count, clock() - started, shortfall
@@ -225,16 +230,18 @@ def _found(
     by_mesh: np.ndarray,
     by_dhat: np.ndarray,
     by_path: np.ndarray,
+    rest: float,
 ) -> _Found:
-    """Errors of a press by causes, each as in ``_reading``."""
-    force, rest = abs(_force_n(outcome)), (1.0 if used.mesh >= 1 else 0.0) / used.mesh
+    """Errors of a press by causes, each as in ``_reading``; ``rest`` of the force on the default's
+    mesh are left over."""
+    force = abs(_force_n(outcome))
     mesh, dhat, path = (float(abs(part[0])) / force for part in (by_mesh, by_dhat, by_path))
     heights = sum(_rms(part[1:]) for part in (by_mesh, by_dhat, by_path))
     return _Found(
         outcome,
         used,
-        Parts(mesh + PAIR_REST * rest, dhat, path),
-        heights + PAIR_HEIGHT_REST * rest * 1e-3 * outcome.path.depth_mm,
+        Parts(mesh + rest / used.mesh, dhat, path),
+        heights + PAIR_HEIGHT_REST / used.mesh * 1e-3 * outcome.path.depth_mm,
     )
 
 

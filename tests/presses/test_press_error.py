@@ -18,6 +18,7 @@ from taccel_lab.presses.press_error import expected_error
 from taccel_lab.presses.press_within import (
     MOST_STEPS,
     SMALLEST_DHAT_M,
+    Refinement,
     Resolution,
     press_within,
 )
@@ -55,6 +56,7 @@ def test_so_are_percentages_that_no_press_keeps(text: str) -> None:
 # What presses keep to by rule ---------------------------------------------------------------------
 
 
+BALL = Ball(4e-3)
 RIMS = TriangleMesh(np.zeros((3, 3)), np.array([[0, 1, 2]]))
 
 
@@ -65,7 +67,7 @@ def share(
     friction: float = 0.0,
     shape: object = None,
 ) -> float:
-    shape = shape or Ball(4e-3)
+    shape = shape or BALL
     one = np.ones(1)
     found = expected_error(PHYSICS[grade], shape, 2 * one, depth_m * one, step_m * one, friction)  # type: ignore[arg-type]
     return float(found.force_n[0]) / 2
@@ -155,9 +157,16 @@ class Presses:
             raise SimulationError("the gel folded")
         return outcome(at, TRUE_N * (1 + self.off(at)))
 
-    def within(self, wanted: float, *, rubs: bool = True, budget_s: float = 1e9):
+    def within(
+        self,
+        wanted: float,
+        shape: Ball | TriangleMesh = BALL,
+        *,
+        rubs: bool = True,
+        budget_s: float = 1e9,
+    ) -> tuple[PressOutcome, Refinement]:
         return press_within(
-            wanted, self, DHAT_M, rubs=rubs, budget_s=budget_s, clock=lambda: self.now
+            wanted, self, DHAT_M, shape, rubs=rubs, budget_s=budget_s, clock=lambda: self.now
         )
 
 
@@ -230,6 +239,6 @@ def test_meshes_that_contradict_each_other_prove_nothing() -> None:
     forces_n = {0.71: 1.0395, 1.0: 0.8739, 1.41: 0.8786, 2.0: 0.8296, 2.83: 0.826, 4.0: 0.825}
     presses = Presses(0.0, 0.0, 0.0)
     presses.off = lambda at: forces_n[round(at.mesh, 2)] / TRUE_N - 1  # type: ignore[method-assign]
-    found, refined = presses.within(0.03, rubs=False)
+    found, refined = presses.within(0.03, RIMS, rubs=False)
     assert refined.used.mesh > 1.5 and refined.shortfall is None
     assert abs(found.steps[-1].wrench[2] - 0.825) <= found.force_error_n
