@@ -152,7 +152,10 @@ def _groups(specs: dict[str, Parameter]) -> list[str]:
 def _cells(spec: Parameter, value: Any) -> tuple[Any, ...]:
     from rich.text import Text
 
+    from taccel_lab.cad.parameters import value_text
+
     meaning = Text(spec.description)
-    source = spec.source if value == spec.default else f"set; the default is {spec.default}"
+    default = value_text(spec.default)
+    source = spec.source if value_text(value) == default else f"set; the default is {default}"
     meaning.append(f"\n{source}", style="dim")
-    return Text(spec.name, style="cyan"), Text(str(value)), Text(spec.allowed()), meaning
+    return Text(spec.name, style="cyan"), Text(value_text(value)), Text(spec.allowed()), meaning
