@@ -152,10 +152,11 @@ def _groups(specs: dict[str, Parameter]) -> list[str]:
 def _cells(spec: Parameter, value: Any) -> tuple[Any, ...]:
     from rich.text import Text
 
-    from taccel_lab.cad.parameters import value_text
-
     meaning = Text(spec.description)
-    default = value_text(spec.default)
-    source = spec.source if value_text(value) == default else f"set; the default is {default}"
+    shown, default = (
+        ",".join(map(str, one)) if isinstance(one, (tuple, list)) else str(one)
+        for one in (value, spec.default)
+    )
+    source = spec.source if shown == default else f"set; the default is {default}"
     meaning.append(f"\n{source}", style="dim")
-    return Text(spec.name, style="cyan"), Text(value_text(value)), Text(spec.allowed()), meaning
+    return Text(spec.name, style="cyan"), Text(shown), Text(spec.allowed()), meaning
