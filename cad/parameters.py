@@ -54,6 +54,9 @@ class Parameter:
     choices: tuple[str, ...] = ()
     zero_means: str = ""
     """When not empty, 0 is allowed besides [minimum, maximum] and means this."""
+    pattern: str = ""
+    """Text that is allowed besides the choices, as a regular expression; see ``pattern_words``."""
+    pattern_words: str = ""
     each: str = ""
     """What there may be several of, such as ``LED``: the value is then one for all of them, or a
     tuple of one each. Empty where there is one only."""
@@ -65,7 +68,8 @@ class Parameter:
         unit = f" {self.unit}" if self.unit and self.unit != "1" else ""
         each = f"; one for each {self.each} with commas" if self.each else ""
         if self.choices:
-            return "one of " + ", ".join(self.choices) + each
+            also = f", or {self.pattern_words}" if self.pattern else ""
+            return "one of " + ", ".join(self.choices) + also + each
         text = f"{self.minimum:g} to {self.maximum:g}{unit}"
         return (f"0 ({self.zero_means}) or {text}" if self.zero_means else text) + each
 
@@ -76,7 +80,7 @@ class Parameter:
 
     def worded(self, value: Any) -> str:
         """The value as one says it: ``thickness 2 mm``, ``Shore 00 45``, ``rim fillet``."""
-        text = value_text(value)
+        text = value_text(value, 4)
         if self.unit.startswith("Shore"):
             return f"{self.unit} {text}"
         unit = "" if self.unit in ("", "1") else f" {self.unit}"
@@ -122,7 +126,8 @@ class Parameter:
 
     def _check_one(self, value: Any) -> Any:
         if self.choices:
-            if value not in self.choices:
+            like = self.pattern and isinstance(value, str) and re.fullmatch(self.pattern, value)
+            if value not in self.choices and not like:
                 raise InputError(
                     f"{self.name} = {shown(value)} is not allowed; use {self.allowed()}"
                 )
@@ -162,9 +167,11 @@ def parameter(
     maximum: float | None = None,
     choices: Sequence[str] = (),
     zero_means: str = "",
+    pattern: tuple[str, str] = ("", ""),
     each: str = "",
 ) -> Any:
-    """Declare a dataclass field that carries its bounds, unit and source."""
+    """Declare a dataclass field that carries its bounds, unit and source; ``pattern``: a regular
+    expression of further choices, and what that is in words."""
     if not choices and (minimum is None or maximum is None):
         raise TypeError("a numeric parameter needs a minimum and a maximum")
     details = {
@@ -175,6 +182,8 @@ def parameter(
         "maximum": maximum,
         "choices": tuple(choices),
         "zero_means": zero_means,
+        "pattern": pattern[0],
+        "pattern_words": pattern[1],
         "each": each,
     }
     return dataclasses.field(default=default, metadata={_KEY: details})
@@ -344,11 +353,11 @@ def parse_value(text: str) -> float | str | list[float | str]:
     return _one_value(text)
 
 
-def value_text(value: Any) -> str:
+def value_text(value: Any, digits: int = 9) -> str:
     """As ``parse_value`` reads it: ``2.5``, ``fillet``, ``-90,30,150``."""
     if isinstance(value, (tuple, list)):
-        return ",".join(value_text(one) for one in value)
-    return f"{value:.4g}" if isinstance(value, float) else f"{value}"
+        return ",".join(value_text(one, digits) for one in value)
+    return f"{value:.{digits}g}" if isinstance(value, float) else f"{value}"
 
 
 def _one_value(text: str) -> float | str:

@@ -22,7 +22,7 @@ class ProfileShow:
     """Show what a sensor profile holds and where each block comes from, a line a block."""
 
     profile: Positional[Path]
-    """Profile folder."""
+    """Profile folder; FOLDER@NAME is one of its views."""
     full: bool = False
     """Print every value with its sources, residuals and remarks."""
     json: bool = False
@@ -34,7 +34,8 @@ class ProfileShow:
 
         profile = load_profile(self.profile)
         if self.json:
-            print_json(_as_dict(profile))
+            views = {name: _as_dict(profile.seen_by(name)) for name in profile.views}
+            print_json({**_as_dict(profile), **({"views": views} if views else {})})
         elif self.full:
             _print_tables(profile)
         else:
@@ -63,8 +64,9 @@ class ProfileValidate:
         if all(finding.severity != "error" for finding in findings):
             profile = load_profile(self.profile)
             findings += [
-                Finding("error", f"{self.profile}: {key}", fault)
-                for key, fault in network_faults(profile).items()
+                Finding("error", f"{self.profile}: {prefix}{key}", fault)
+                for prefix, view in _views(profile)
+                for key, fault in network_faults(view).items()
             ]
             findings += [
                 Finding("error", str(self.profile), fault) for fault in parameter_faults(profile)
@@ -160,6 +162,14 @@ class ProfileReport:
         console.print(f"wrote {self.out / 'report.html'}")
 
 
+def _views(profile: SensorProfile) -> list[tuple[str, SensorProfile]]:
+    """Each view of a profile, with what begins the place of a fault in it."""
+    from taccel_lab.profile import MAIN_VIEW
+
+    further = [(f"views.{name}.", profile.seen_by(name)) for name in profile.views]
+    return [("", profile.seen_by(MAIN_VIEW)), *further]
+
+
 def _print_comparison(found: ProfileComparison) -> None:
     from rich.table import Table
     from rich.text import Text
@@ -231,6 +241,9 @@ def _print_overview(profile: SensorProfile, folder: Path) -> None:
         )
     console = results()
     console.print(table)
+    for name in profile.views:
+        words = f"a further camera, {name}: taccel-lab profile show {folder}@{name}"
+        console.print(Text(words), soft_wrap=True)
     for session in profile.sensor.recorded:
         when = "" if session.begun is None else f" on {session.begun:%Y-%m-%d}"
         short = "; a quick session, see --full for what that leaves out" if session.left_out else ""

@@ -153,6 +153,10 @@ def _cells(spec: Parameter, value: Any) -> tuple[Any, ...]:
     from rich.text import Text
 
     meaning = Text(spec.description)
-    source = spec.source if value == spec.default else f"set; the default is {spec.default}"
+    shown, default = (
+        ",".join(map(str, one)) if isinstance(one, (tuple, list)) else str(one)
+        for one in (value, spec.default)
+    )
+    source = spec.source if shown == default else f"set; the default is {default}"
     meaning.append(f"\n{source}", style="dim")
-    return Text(spec.name, style="cyan"), Text(str(value)), Text(spec.allowed()), meaning
+    return Text(spec.name, style="cyan"), Text(shown), Text(spec.allowed()), meaning

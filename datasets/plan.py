@@ -306,10 +306,11 @@ class DatasetPlan:
 
 
 def _load_profile(name: str, base: Path) -> SensorProfile:
+    from taccel_lab.profile import split_view
     from taccel_lab.sensors.profile import load_sensor
 
-    beside = base / name
-    return load_sensor(str(beside) if beside.is_dir() else name)
+    beside = base / split_view(name)[0]
+    return load_sensor(str(base / name) if beside.is_dir() else name)
 
 
 def _tool(text: str, base: Path) -> str:

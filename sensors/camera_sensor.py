@@ -4,7 +4,7 @@
 Each part (material, lights, coating, window, markers, housing) is a set of parameters by itself;
 the sensor has them all, and the cameras look through them. A family derives from
 ``CameraSensorParameters``, adds the dimensions of its gel, restates the shared parameters whose
-figures it knows and says which lights stand where.
+figures it knows.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ import numpy as np
 from taccel_lab.cad.parts.housing_shape import HousingShape
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.errors import InputError
-from taccel_lab.profile.optical_design import Light, MarkerGrid, OpticalDesign, Triple, Window
+from taccel_lab.profile.optical_design import Light, MarkerGrid, OpticalDesign, Window
 from taccel_lab.sensors.base import FamilyParameters, GelMaterial
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
 from taccel_lab.sensors.parameter_groups.coating import CoatingParameters
 from taccel_lab.sensors.parameter_groups.housing import HousingParameters
-from taccel_lab.sensors.parameter_groups.lights import BLUE, GREEN, RED, LightParameters
+from taccel_lab.sensors.parameter_groups.lights import LightParameters
 from taccel_lab.sensors.parameter_groups.markers import MarkerParameters
 from taccel_lab.sensors.parameter_groups.material import MaterialParameters
 from taccel_lab.sensors.parameter_groups.window import WindowParameters
@@ -49,25 +49,13 @@ class CameraSensorParameters(CameraParameters, FamilyParameters):
     """Centre of the housing in gel xy."""
 
     def lights(self) -> tuple[Light, ...]:
-        """The LEDs of the family, made with ``led``, where ``led_count`` asks for no ring."""
-        return ()
+        """LEDs and exits of light guides."""
+        return self.group(LightParameters).lights()
 
     @cached_property
     def _built_pad(self) -> Pad:
         # Made once for all that asks for its extents; a pad is checked when it is made.
         return self.pad()
-
-    def led(self, angle_deg: float, rgb: Triple, name: str) -> Light:
-        """The LED, or strip, seen at ``angle_deg`` from +x towards +y."""
-        return self.group(LightParameters).led(angle_deg, rgb, name)
-
-    def led_triple(self, red_deg: float, green_deg: float, blue_deg: float) -> tuple[Light, ...]:
-        """One LED of each colour."""
-        return (
-            self.led(red_deg, RED, "red"),
-            self.led(green_deg, GREEN, "green"),
-            self.led(blue_deg, BLUE, "blue"),
-        )
 
     def material(self) -> GelMaterial:
         """The gel's material."""
@@ -110,11 +98,11 @@ class CameraSensorParameters(CameraParameters, FamilyParameters):
         window = self.window()
         if window is not None:
             self._check_camera(window)
-        self._check_view()
+        self._check_axis()
         media, ambient = self.group(WindowParameters), self.group(LightParameters).ambient
         return OpticalDesign(
             camera=self.camera(),
-            lights=self.group(LightParameters).ring() or self.lights(),
+            lights=self.lights(),
             coating=self.group(CoatingParameters).coating(),
             window=window,
             gel_refractive_index=media.gel_index,
@@ -131,16 +119,16 @@ class CameraSensorParameters(CameraParameters, FamilyParameters):
                 f"above {solid:g} mm"
             )
 
-    def _check_view(self) -> None:
-        """The middle of the image lies over the gel."""
-        grid, bounds = self.grid(), self._built_pad.bounds_mm()
-        for axis, places in (("x", grid.x_mm()), ("y", grid.y_mm())):
-            middle = float(places[0] + places[-1]) / 2
+    def _check_axis(self) -> None:
+        """The optical axis meets the gel."""
+        bounds = self._built_pad.bounds_mm()
+        for axis, met in zip("xy", self.axis_meets_mm(), strict=True):
             low, high = bounds[:, "xy".index(axis)].tolist()
-            if not low <= middle <= high:
+            if not low <= met <= high:
                 raise InputError(
-                    f"camera_{axis}_mm and camera_tilt_{axis}_deg put the image's middle at "
-                    f"{axis} = {middle:.4g} mm; the gel reaches from {low:.4g} to {high:.4g} mm"
+                    f"camera_{axis}_mm and camera_tilt_{axis}_deg let the optical axis meet the "
+                    f"face at {axis} = {met:.4g} mm; the gel reaches from {low:.4g} to {high:.4g} "
+                    "mm"
                 )
 
     def views(self) -> dict[str, CameraSensorParameters]:

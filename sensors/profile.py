@@ -59,6 +59,8 @@ def designed_profile(
     mesher: str,
 ) -> SensorProfile:
     """Profile with all blocks that the family describes; each states what it rests on."""
+    for seen in (parameters, *parameters.views().values()):
+        _require_view(seen)
     origin = _Origin(family, parameters)
     pad, materials = parameters.pad(), parameters.layer_materials()
     gel = materials[0]
@@ -113,6 +115,20 @@ def designed_profile(
         optics = _optics_block(seen, origin)
         profile = profile.with_view(name, view if optics is None else view.with_block(optics))
     return profile
+
+
+def _require_view(parameters: FamilyParameters) -> None:
+    """The middle of the image lies over the gel, as a profile has it; says so in parameters."""
+    grid, bounds = parameters.grid(), parameters.pad().bounds_mm()
+    for axis, places in (("x", grid.x_mm()), ("y", grid.y_mm())):
+        middle = float(places[0] + places[-1]) / 2
+        low, high = bounds[:, "xy".index(axis)].tolist()
+        if isinstance(parameters, CameraParameters) and not low <= middle <= high:
+            raise InputError(
+                f"principal_{axis}_px, camera_{axis}_mm and camera_tilt_{axis}_deg put the image's "
+                f"middle at {axis} = {middle:.4g} mm; the gel reaches from {low:.4g} to {high:.4g} "
+                "mm"
+            )
 
 
 def _camera_block(parameters: FamilyParameters, origin: _Origin) -> CameraBlock:

@@ -42,6 +42,7 @@ _BUILT_IN = (
     "gelsight_wedge",
     "ninedtact",
     "rtac",
+    "stereo_pad",
 )
 """Folders of this package, each with a module ``family`` and its ``FAMILY``."""
 

@@ -142,7 +142,8 @@ def _start(axis: Axis) -> float:
     value = axis.start
     if value is None:
         default = axis.parameter.default
-        value = default if axis.low <= float(default) <= axis.high else None
+        known = isinstance(default, (int, float)) and axis.low <= default <= axis.high
+        value = default if known else None
     if value is None:
         return 0.5
     return min(max(axis.unit_of(float(value)), 0.0), 1.0)

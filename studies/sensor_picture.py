@@ -85,7 +85,7 @@ def _draw_section(
     for seen in all_optics(parameters):
         _draw_sight(ax, axis, pad, seen)
     if design is not None:
-        for light in design.lights:
+        for light in _pieces(design):
             _draw_light(ax, axis, light)
     _dimension(ax, axis, pad, design)
     ax.set_aspect("equal")
@@ -248,6 +248,10 @@ def _draw_light(ax: Axes, axis: int, light: Light) -> None:
     )
 
 
+def _pieces(design: OpticalDesign) -> list[Light]:
+    return [piece for light in design.lights for piece in light.straight_pieces()]
+
+
 def _light_color(light: Light) -> tuple[float, float, float]:
     rgb = np.array(light.rgb) / max(light.rgb)
     if rgb.min() > 0.9:
@@ -328,7 +332,7 @@ def _draw_front(
     if markers is not None:
         for point in markers.points_mm():
             ax.add_patch(Circle((point[0], point[1]), markers.radius_mm, color=INK))
-    for light in design.lights if design is not None else ():
+    for light in _pieces(design) if design is not None else ():
         px, py, _ = light.position_mm
         ax.plot([px], [py], "s", ms=6, color=_light_color(light), mec=INK, mew=0.6)
     ax.set_aspect("equal")

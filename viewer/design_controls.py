@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from taccel_lab.cad.parameters import Parameter
+from taccel_lab.cad.parameters import Parameter, parse_value, value_text
 from taccel_lab.report.page_text import Note, PageText, add_html_note
 from taccel_lab.viewer.arrows import round_length
 
@@ -39,6 +39,8 @@ class DesignControls:
         self._handles: dict[str, Any] = {}
         self._initial: dict[str, Any] = {}
         self._notes: dict[str, Note] = {}
+        self._texts: set[str] = set()
+        """Parameters with a value for each of several things, which are written with commas."""
         self._silent = False
         self._changed = changed
         groups: dict[str, list[Parameter]] = {}
@@ -58,6 +60,9 @@ class DesignControls:
             # A slider shows a default that is not one of its places; unmoved, it is the default.
             if value == self._initial[name][0]:
                 value = self._initial[name][1]
+            elif name in self._texts:
+                value = parse_value(value)
+                value = tuple(value) if isinstance(value, list) else value
             if value != parameter.default:
                 found[name] = value
         return found
@@ -71,7 +76,8 @@ class DesignControls:
         self._silent = True
         for name, handle in self._handles.items():
             value = overrides.get(name, self._known[name].default)
-            handle.value = self._initial[name][0] if value == self._initial[name][1] else value
+            shown = value_text(value) if name in self._texts else value
+            handle.value = self._initial[name][0] if value == self._initial[name][1] else shown
         self._silent = False
         self._changed("")
 
@@ -99,8 +105,11 @@ class DesignControls:
 
     def _add(self, server: ViserServer, parameter: Parameter, value: Any) -> None:
         hint = f"{parameter.description}. Allowed: {parameter.allowed()}. {parameter.source}"
-        if parameter.choices:
-            handle: Any = server.gui.add_dropdown(
+        if isinstance(value, (tuple, list)):
+            self._texts.add(parameter.name)
+            handle: Any = server.gui.add_text(parameter.label, value_text(value), hint=hint)
+        elif parameter.choices:
+            handle = server.gui.add_dropdown(
                 parameter.label, parameter.choices, initial_value=value, hint=hint
             )
         else:

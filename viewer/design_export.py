@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from taccel_lab.cad.parameters import value_text
 from taccel_lab.errors import InputError
 from taccel_lab.files.output_folder import atomic_directory
 from taccel_lab.files.toml_file import read_toml
@@ -75,9 +76,6 @@ def command_line(family: SensorFamily, overrides: Mapping[str, Any], out: Path) 
     """What does the same without the page."""
     words = ["taccel-lab", "design", family.name, "--out", str(out / "everything")]
     if overrides:
-        values = (
-            f"{name}={value:.9g}" if isinstance(value, float) else f"{name}={value}"
-            for name, value in overrides.items()
-        )
+        values = (f"{name}={value_text(value)}" for name, value in overrides.items())
         words += ["--set", *values]
     return shlex.join(words)

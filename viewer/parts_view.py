@@ -68,7 +68,8 @@ def draw_optics(
             earlier.remove()
     with server.atomic():
         _draw_window(server, design, back_mm)
-        for k, light in enumerate(design.lights):
+        pieces = [piece for light in design.lights for piece in light.straight_pieces()]
+        for k, light in enumerate(pieces):
             _draw_led(server, f"/leds/{k}", light)
         _draw_camera(server, "/camera", design.camera, image)
         for k, camera in enumerate(further):

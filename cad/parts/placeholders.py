@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from build123d import Location, Plane, Solid
+from build123d import Axis, Face, Location, Plane, Solid, Vector
 
 from taccel_lab.cad.parts.part import Part, Rgb
 from taccel_lab.profile.optical_design import DesignedCamera, Light
@@ -72,10 +72,14 @@ def camera_part(name: str = "camera", *, spare_mm: float = 0.0) -> Part:
 
 
 def led_part(light: Light, name: str = "led", *, spare_mm: float = 0.0) -> Part:
-    """The LED placeholder in its own frame, ``spare_mm`` larger on every side but the front."""
+    """The placeholder of an LED or a light guide's exit in its own frame, ``spare_mm`` larger on
+    every side but the front."""
     x, y = (max(size, LEAST_LED_MM) + 2 * spare_mm for size in light.size_mm)
     depth = LED_DEPTH_MM + spare_mm
-    solid = Solid.make_box(x, y, depth, Plane((-x / 2, -y / 2, -depth)))
+    if light.arc_deg:
+        solid = _bent_exit(light, y, depth)
+    else:
+        solid = Solid.make_box(x, y, depth, Plane((-x / 2, -y / 2, -depth)))
     names = tuple("emitting" if face.center().Z > -1e-6 else "side" for face in solid.faces())
     red, green, blue = (value / max(light.rgb) for value in light.rgb)
     color: Rgb = (red, green, blue)
@@ -87,3 +91,14 @@ def led_part(light: Light, name: str = "led", *, spare_mm: float = 0.0) -> Part:
         material="LED, placeholder",
         placeholder=True,
     )
+
+
+def _bent_exit(light: Light, height_mm: float, depth_mm: float) -> Solid:
+    """The exit's section, behind its face, turned about the gel's z axis; in the light's frame."""
+    place, ahead = Vector(*light.position_mm), Vector(*light.direction)
+    around = Vector(0, 0, 1).cross(place)
+    across = around - ahead * around.dot(ahead)
+    middle = Plane(place - ahead * (depth_mm / 2), x_dir=ahead, z_dir=across)
+    section = Face.make_rect(depth_mm, height_mm, middle)
+    begun = section.rotate(Axis.Z, -light.arc_deg / 2)
+    return led_location(light).inverse() * Solid.revolve(begun, light.arc_deg, Axis.Z)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.geometry import PixelGrid
+from taccel_lab.profile.optical_design import Light, Triple
 from taccel_lab.sensors.registry import known_sensor
 
 GENERIC = ("flat_pad",)
@@ -64,7 +65,7 @@ def sensor_facts(name: str, design: Mapping[str, Any] | None = None) -> SensorFa
         view_mm=float(view),
         image_px=(grid.width_px, grid.height_px),
         drop_mm=_drop_mm(pad, size, grid),
-        handedness=_handedness([(lamp.rgb, lamp.position_mm) for lamp in lamps]),
+        handedness=_handedness([(lamp.rgb, _middle_mm(lamp)) for lamp in lamps]),
         has_markers=parameters.markers() is not None,
         is_grey=grey,
     )
@@ -77,6 +78,11 @@ def _drop_mm(pad: Any, size_mm: np.ndarray, grid: PixelGrid) -> float:
     sides = np.array([[0.0, 0.0], [x, 0.0], [-x, 0.0], [0.0, y], [0.0, -y]])
     heights = pad.top_mm(sides)
     return float(heights[0] - heights[1:].min())
+
+
+def _middle_mm(lamp: Light) -> Triple:
+    """Where most of a lamp's light comes from: of a whole ring from no side."""
+    return (0.0, 0.0, lamp.position_mm[2]) if lamp.arc_deg >= 360 else lamp.position_mm
 
 
 def _handedness(

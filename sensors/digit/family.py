@@ -10,7 +10,7 @@ from typing import ClassVar
 from taccel_lab.cad.parameters import parameter, restated
 from taccel_lab.cad.parts.digit_pad import DigitPad, flatter_radius
 from taccel_lab.cad.parts.height_pad import MIN_WALL_MM
-from taccel_lab.profile.optical_design import Light, Window
+from taccel_lab.profile.optical_design import Window
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.camera_sensor import CameraSensorParameters
 from taccel_lab.sensors.parameter_groups.window import WindowParameters
@@ -73,6 +73,11 @@ class DigitParameters(CameraSensorParameters):
         source="acrylic of digit-design: 6.15 in its CAD, 5.5 as shipped, 4 in the build guide; "
         "4 to 6.2 are accepted",
     )  # fmt: skip
+    led_angle_deg: float | tuple[float, ...] = restated(
+        (-45.0, -135.0, 90.0),
+        source="fit: shading of 12 presses of FOTS has red -64, green -141 and blue 86 deg, "
+        "TACTO 30, 150 and 270 deg; these lie between",
+    )
     led_x_mm: float = restated(9.7, source=_LIGHT_FIT)
     led_y_mm: float = restated(12.6, source=_LIGHT_FIT)
     led_depth_mm: float = restated(8.0, source=_LIGHT_FIT)
@@ -121,14 +126,6 @@ class DigitParameters(CameraSensorParameters):
             size_mm=(self.width_mm - 0.1, self.length_mm),
             refractive_index=self.group(WindowParameters).window_index,
         )
-
-    def lights(self) -> tuple[Light, ...]:
-        """One LED of each colour, where ball presses of FOTS have them.
-
-        Least squares of the shading of 12 presses: blue 86, green -141, red -64 deg; TACTO has them
-        at 30, 150 and 270 deg. In between lie -45 and -135.
-        """
-        return self.led_triple(-45.0, -135.0, 90.0)
 
 
 FAMILY = SensorFamily(

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from taccel_lab.cad.parameters import restated
-from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
@@ -35,16 +34,16 @@ class FlatPadParameters(RectangleSensorParameters):
     focal_px: float = restated(
         347.7, source="24.0 mm seen through window and gel (20.9 mm) over 0.06 mm/px"
     )
+    led_angle_deg: float | tuple[float, ...] = restated(
+        (-90.0, 30.0, 150.0),
+        source="assumption: one LED of each colour, 120 degrees apart, as in most sensors",
+    )
     led_x_mm: float = restated(14.0, source=_STAND_IN)
     led_y_mm: float = restated(14.0, source=_STAND_IN)
     led_size_mm: float = restated(2.0, source=_STAND_IN)
     window_thickness_mm: float = restated(6.0, source=_STAND_IN)
     housing_x_mm: float = restated(34.0, source=_STAND_IN)
     housing_y_mm: float = restated(34.0, source=_STAND_IN)
-
-    def lights(self) -> tuple[Light, ...]:
-        """One LED of each colour, 120 degrees apart, as in most photometric sensors."""
-        return self.led_triple(-90.0, 30.0, 150.0)
 
 
 FAMILY = SensorFamily(

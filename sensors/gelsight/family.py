@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 from taccel_lab.cad.parameters import parameter, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
@@ -61,6 +60,11 @@ class GelSightParameters(RectangleSensorParameters):
     focal_px: float = restated(
         658.4, source="24.0 mm, an assumption, seen through window and gel (19.4 mm) over mm_per_px"
     )
+    led_angle_deg: float | tuple[float, ...] = restated(
+        (-5.0, -116.0, 127.0),
+        source="fit: shading of 48 ball presses of Taxim has red -5 +- 7, green -116 +- 8 and "
+        "blue 127 +- 8 deg",
+    )
     led_x_mm: float = restated(14.0, source=_LIGHT_FIT)
     led_y_mm: float = restated(12.6, source=_LIGHT_FIT)
     led_depth_mm: float = restated(13.0, source=_LIGHT_FIT)
@@ -79,13 +83,6 @@ class GelSightParameters(RectangleSensorParameters):
             rim=self.rim,
             rim_mm=self.rim_mm,
         )
-
-    def lights(self) -> tuple[Light, ...]:
-        """One LED of each colour, where 48 ball presses of Taxim's data show them.
-
-        Least squares of the shading give red -5 +- 7, green -116 +- 8, blue 127 +- 8 deg.
-        """
-        return self.led_triple(-5.0, -116.0, 127.0)
 
 
 FAMILY = SensorFamily(

@@ -9,7 +9,6 @@ from taccel_lab.cad.parameters import parameter, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.cad.parts.height_pad import MIN_WALL_MM
 from taccel_lab.errors import InputError
-from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
@@ -56,6 +55,10 @@ class GelSight40Parameters(RectangleSensorParameters):
         "of Taccel has the eye at 24.5 mm, where 60 deg show less",
     )  # fmt: skip
     focal_px: float = restated(346.4, source=f"{_TACCEL}: cam_fov 60 deg over 400 px")
+    led_angle_deg: float | tuple[float, ...] = restated(
+        (0.0, -120.0, 120.0),
+        source="assumption: one LED of each colour, 120 degrees apart, as in the classic GelSight",
+    )
     led_x_mm: float = restated(20.5, source=_LIGHTS)
     led_y_mm: float = restated(23.7, source=_LIGHTS)
     led_depth_mm: float = restated(10.0, source=_LIGHTS)
@@ -88,10 +91,6 @@ class GelSight40Parameters(RectangleSensorParameters):
             wall_mm=self.thickness_mm - self.bevel_height_mm,
             bond_sides="yes",
         )
-
-    def lights(self) -> tuple[Light, ...]:
-        """One LED of each colour, 120 degrees apart, as in the classic GelSight."""
-        return self.led_triple(0.0, -120.0, 120.0)
 
 
 FAMILY = SensorFamily(

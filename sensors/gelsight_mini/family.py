@@ -14,9 +14,7 @@ from typing import ClassVar
 from taccel_lab.cad.parameters import parameter, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
 from taccel_lab.errors import InputError
-from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
-from taccel_lab.sensors.parameter_groups.lights import BLUE, GREEN, RED
 from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
 _GEL = "measured on gelsight_mini.step of FEATS (feats-ai/feats, MIT)"
@@ -95,6 +93,11 @@ class GelSightMiniParameters(RectangleSensorParameters):
         "gelsight_ansys_sim uses 412.9 / 402.8 px, ManiSkill-ViTac and TacEx 340 / 325 px: "
         "pictures of other scales",
     )
+    led_angle_deg: float | tuple[float, ...] = restated(
+        (-90.0, 0.0, 90.0),
+        source="fit: ball presses of three units (ruihangao, gs_sdk, Taxim) have red -93 to -104, "
+        "green 2 to 7 and blue 79 to 85 deg; other units have these sides turned by 90 deg",
+    )
     led_x_mm: float = restated(13.0, source=_LIGHT_FIT)
     led_y_mm: float = restated(11.0, source=_LIGHT_FIT)
     led_depth_mm: float = restated(12.0, source=_LIGHT_FIT)
@@ -136,18 +139,6 @@ class GelSightMiniParameters(RectangleSensorParameters):
             )
         except InputError as error:
             raise InputError(f"{error} (wall_mm is thickness_mm less rim_drop_mm)") from error
-
-    def lights(self) -> tuple[Light, ...]:
-        """Strips along three sides, where ball presses of three units show them.
-
-        Least squares of the shading: red -93 to -104, green 2 to 7, blue 79 to 85 deg (captures of
-        ruihangao, gs_sdk and Taxim). Other units have the same three sides turned by 90 deg.
-        """
-        return (
-            self.led(-90, RED, "red, top"),
-            self.led(0, GREEN, "green, right"),
-            self.led(90, BLUE, "blue, bottom"),
-        )
 
 
 FAMILY = SensorFamily(

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from taccel_lab.cad.parameters import restated
-from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
@@ -38,6 +37,10 @@ class GelSightR15Parameters(RectangleSensorParameters):
     focal_px: float = restated(
         183.1, source="20.343 mm seen through window and gel (16.1 mm) over 0.0877 mm/px"
     )
+    led_angle_deg: float | tuple[float, ...] = restated(
+        (0.0, -120.0, 120.0),
+        source="assumption: one LED of each colour, 120 degrees apart, as in the classic GelSight",
+    )
     led_x_mm: float = restated(12.5, source=_LIGHT_FIT)
     led_y_mm: float = restated(16.5, source=_LIGHT_FIT)
     led_depth_mm: float = restated(12.0, source=_LIGHT_FIT)
@@ -47,10 +50,6 @@ class GelSightR15Parameters(RectangleSensorParameters):
     window_thickness_mm: float = restated(9.5, source="assumption: as the classic GelSight's")
     housing_x_mm: float = restated(30.0, source=_NOT_PUBLISHED)
     housing_y_mm: float = restated(38.0, source=_NOT_PUBLISHED)
-
-    def lights(self) -> tuple[Light, ...]:
-        """One LED of each colour, 120 degrees apart, as in the classic GelSight."""
-        return self.led_triple(0.0, -120.0, 120.0)
 
 
 FAMILY = SensorFamily(

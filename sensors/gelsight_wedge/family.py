@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from taccel_lab.cad.parameters import restated
-from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
 from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
@@ -48,6 +47,10 @@ class GelSightWedgeParameters(RectangleSensorParameters):
     window_thickness_mm: float = restated(
         8.0, source=f"{_NOT_PUBLISHED}; middle of the wedge of acrylic"
     )
+    led_angle_deg: float | tuple[float, ...] = restated(
+        (0.0, -120.0, 120.0),
+        source="assumption: one LED of each colour, 120 degrees apart, as in the classic GelSight",
+    )
     led_x_mm: float = restated(18.0, source=_LIGHTS)
     led_y_mm: float = restated(15.6, source=_LIGHTS)
     led_depth_mm: float = restated(9.5, source=_LIGHTS)
@@ -58,10 +61,6 @@ class GelSightWedgeParameters(RectangleSensorParameters):
     housing_y_mm: float = restated(32.0, source=_NOT_PUBLISHED)
     housing_z_mm: float = restated(42.0, source=f"{_NOT_PUBLISHED}; holds the unfolded path")
     housing_front_mm: float = restated(5.5, source="assumption: level with the back of the gel")
-
-    def lights(self) -> tuple[Light, ...]:
-        """One LED of each colour, 120 degrees apart, as in the classic GelSight."""
-        return self.led_triple(0.0, -120.0, 120.0)
 
 
 FAMILY = SensorFamily(

@@ -8,9 +8,7 @@ from typing import ClassVar
 
 from taccel_lab.cad.parameters import restated
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import GelMaterial, SensorFamily
-from taccel_lab.sensors.parameter_groups.lights import WHITE
 from taccel_lab.sensors.parameter_groups.material import SkinParameters
 from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
@@ -75,6 +73,11 @@ class NineDTactParameters(RectangleSensorParameters):
     ambient: float = restated(
         2.0, source="fit: the authors' backgrounds are nearly even, so most light is scattered"
     )
+    led_angle_deg: float | tuple[float, ...] = restated(
+        (0.0, 90.0, 180.0, 270.0),
+        source="assumption: white LEDs on four sides",
+    )
+    led_colors: str | tuple[str, ...] = restated("white", source="9DTact: white LEDs")
     led_x_mm: float = restated(9.0, source="assumption: white LEDs round the aperture of 12 mm")
     led_y_mm: float = restated(9.0, source="assumption: white LEDs round the aperture of 12 mm")
     led_tilt_deg: float = restated(0.0, source="assumption: LEDs face the gel")
@@ -100,10 +103,6 @@ class NineDTactParameters(RectangleSensorParameters):
             self.material(),
             self.group(SkinParameters).skin_material(self.material()),
         )
-
-    def lights(self) -> tuple[Light, ...]:
-        """White LEDs on four sides."""
-        return tuple(self.led(90.0 * k, WHITE, f"white {k}") for k in range(4))
 
 
 FAMILY = SensorFamily(

@@ -112,19 +112,19 @@ class CameraParameters(ParameterSet):
         source=NO_FIGURE, description="diameter of the entrance pupil",
     )  # fmt: skip
     camera_x_mm: float | tuple[float, ...] = parameter(
-        0.0, minimum=-50, maximum=50, unit="mm", source=_CENTRED, each="camera",
+        0.0, minimum=-30, maximum=30, unit="mm", source=_CENTRED, each="camera",
         description="place of the centre of projection along x, from the middle of the gel",
     )  # fmt: skip
     camera_y_mm: float | tuple[float, ...] = parameter(
-        0.0, minimum=-50, maximum=50, unit="mm", source=_CENTRED, each="camera",
+        0.0, minimum=-30, maximum=30, unit="mm", source=_CENTRED, each="camera",
         description="the same along y",
     )  # fmt: skip
     camera_tilt_x_deg: float | tuple[float, ...] = parameter(
-        0.0, minimum=-45, maximum=45, unit="deg", source=_CENTRED, each="camera",
+        0.0, minimum=-30, maximum=30, unit="deg", source=_CENTRED, each="camera",
         description="angle by which the optical axis leans towards +x from the gel's normal",
     )  # fmt: skip
     camera_tilt_y_deg: float | tuple[float, ...] = parameter(
-        0.0, minimum=-45, maximum=45, unit="deg", source=_CENTRED, each="camera",
+        0.0, minimum=-30, maximum=30, unit="deg", source=_CENTRED, each="camera",
         description="the same towards +y",
     )  # fmt: skip
     lens_distortion: ClassVar[tuple[float, ...]] = ()
@@ -202,6 +202,13 @@ class CameraParameters(ParameterSet):
             center_u_px=u + fx * aside_x / ahead,
             center_v_px=v + fy * aside_y / ahead,
         )
+
+    def axis_meets_mm(self) -> tuple[float, float]:
+        """Gel xy at which the optical axis meets the contact face, as the camera sees it [mm]."""
+        x, y, z = rotation_matrix(self._rotation())[:, 2].tolist()
+        ahead = self.apparent_distance_mm() / z
+        at_x, at_y = self._place_mm()
+        return at_x + ahead * x, at_y + ahead * y
 
     def view_mm(self) -> tuple[float, float]:
         """What the tactile image shows of the gel, along x and y [mm]."""

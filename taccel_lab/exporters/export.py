@@ -75,6 +75,9 @@ def export_profile(
         write = partial(taxim_folder.export_taxim, table=Path(table))
     with atomic_directory(out) as folder:
         record = write(profile, folder)
+        if profile.views and "views" not in record.carries:
+            names = ", ".join(f"FOLDER@{name}" for name in profile.views)
+            record.left_out["views"] = f"these are files of one camera; export {names} besides"
         files = sorted(
             str(path.relative_to(folder))
             for path in folder.rglob("*")

@@ -40,7 +40,9 @@ def export_tacto(profile: SensorProfile, folder: Path) -> ExportRecord:
 
     camera = required(profile, "optics", "a TACTO configuration", effective_camera(profile))
     block = required(profile, "lights", "a TACTO configuration", profile.lights)
-    lights, moved_mm = merged_lights(list(block.lights()))
+    lights, moved_mm = merged_lights(
+        [piece for light in block.lights() for piece in light.straight_pieces()]
+    )
     rotation = LINK_FROM_GEL @ camera.gel_from_camera @ _GL_FROM_OPTICAL
     angles = [round(float(deg_from_rad(a)), 9) + 0.0 for a in euler_xyz(rotation)]
     gel, errors = _gel(profile)

@@ -19,7 +19,7 @@ from taccel_lab.exporters.frames import LINK_FROM_GEL, euler_xyz, turn
 from taccel_lab.exporters.mesh_files import gel_surface, housing_box, write_stl
 from taccel_lab.exporters.record import ExportRecord
 from taccel_lab.geometry import TetMesh
-from taccel_lab.profile import HousingBlock, SensorProfile
+from taccel_lab.profile import MAIN_VIEW, HousingBlock, SensorProfile
 from taccel_lab.profile.units import m_from_mm
 
 PEER = "URDF 1.0 (ROS, PyBullet, Isaac Sim, yourdfpy)"
@@ -62,13 +62,16 @@ def export_urdf(profile: SensorProfile, folder: Path) -> ExportRecord:
     _add_joint(robot, "gel", np.zeros(3), np.eye(3))
     _add_inertial(ElementTree.SubElement(robot, "link", name="gel_frame"), FRAME_MASS)
     _add_joint(robot, "gel_frame", np.zeros(3), LINK_FROM_GEL)
-    if profile.optics is not None:
-        camera = profile.optics.camera()
-        frame = ElementTree.SubElement(robot, "link", name="camera_optical_frame")
-        _add_inertial(frame, FRAME_MASS)
+    for name in profile.view_names():
+        optics = profile.seen_by(name).optics
+        if optics is None:
+            continue
+        camera = optics.camera()
+        link = f"{'camera' if name == MAIN_VIEW else name}_optical_frame"
+        _add_inertial(ElementTree.SubElement(robot, "link", name=link), FRAME_MASS)
         _add_joint(
             robot,
-            "camera_optical_frame",
+            link,
             LINK_FROM_GEL @ m_from_mm(np.array(camera.position_mm)),
             LINK_FROM_GEL @ camera.gel_from_camera(),
         )
@@ -98,6 +101,8 @@ def export_urdf(profile: SensorProfile, folder: Path) -> ExportRecord:
         )
     if profile.optics is not None:
         record.carries["optics"] = "pose of the camera"
+        if profile.views:
+            record.carries["views"] = "poses of further cameras, NAME_optical_frame"
         record.left_out["optics.intrinsics"] = "URDF has no place for them; see the opencv export"
     record.leave_out_missing(profile, "housing", "optics")
     record.no_place_for(profile, "color", "markers", "lights")

@@ -72,7 +72,7 @@ class OpticalModel:
             markers: Dots on the contact face.
             refraction: Whether sight lines and light bend at window and gel.
             shadows: Whether the face casts shadows on itself.
-            samples: Points at most that stand for an area light.
+            samples: Points at most that stand for an LED; see ``sample_lights``.
             level: Median grey level of the untouched gel, by which exposure is set; one for each
                 channel to match a real sensor.
             gamma: Exponent of the camera's response.

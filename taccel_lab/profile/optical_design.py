@@ -8,7 +8,7 @@ at the apex of the contact face): the camera sits at negative z and looks along 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -17,6 +17,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.profile.bounds import Bound, require_finite, require_within
 
 Triple = tuple[float, float, float]
+_PIECE_DEG = 45.0
 Quaternion = tuple[float, float, float, float]
 """x, y, z, w."""
 
@@ -90,7 +91,8 @@ def rotation_matrix(quaternion: Quaternion) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Light:
-    """A rectangular LED (a point when its size is zero) with a cos^n lobe."""
+    """A rectangular LED (a point when its size is zero) or exit of a light guide, with a cos^n
+    lobe."""
 
     position_mm: Triple
     direction: Triple
@@ -102,16 +104,55 @@ class Light:
     lobe: float = 1.0
     """Exponent n of the lobe cos^n; 1 is a Lambertian emitter."""
     name: str = ""
+    arc_deg: float = 0.0
+    """Angle about the gel's z axis over which the exit of a bent light guide reaches, with its
+    middle at ``position_mm``: it has that in place of a width. 0 of a straight face."""
 
     def __post_init__(self) -> None:
         require_finite("light position_mm", self.position_mm, 3)
         require_finite("light direction", self.direction, 3)
         if abs(math.hypot(*self.direction) - 1) > 1e-6:
             raise InputError(f"light direction must have unit length, got {self.direction}")
+        require_finite("light arc_deg", (self.arc_deg,))
+        if not 0 <= self.arc_deg <= 360:
+            raise InputError(f"light arc_deg must lie in [0, 360], got {self.arc_deg:g}")
+        if self.arc_deg and (self.size_mm[0] or not math.hypot(*self.position_mm[:2])):
+            raise InputError(
+                "a light with arc_deg lies beside the gel's z axis, and its size_mm is 0 wide, got "
+                f"{self.size_mm} at {self.position_mm}"
+            )
         require_finite("light rgb", self.rgb, 3)
         if min(self.rgb) < 0 or max(self.rgb) <= 0:
             raise InputError(f"light rgb must be >= 0 with at least one above, got {self.rgb}")
         require_within("light", self)
+
+    def straight_pieces(self) -> tuple[Light, ...]:
+        """The light itself, or straight ones that stand for a bent exit, for who knows no arcs."""
+        if not self.arc_deg:
+            return (self,)
+        count = math.ceil(self.arc_deg / _PIECE_DEG)
+        part = math.radians(self.arc_deg / count)
+        width = part * math.hypot(*self.position_mm[:2])
+        red, green, blue = (power / count for power in self.rgb)
+        return tuple(
+            replace(
+                self,
+                position_mm=_turned(self.position_mm, (k + 0.5 - count / 2) * part),
+                direction=_turned(self.direction, (k + 0.5 - count / 2) * part),
+                rgb=(red, green, blue),
+                size_mm=(width, self.size_mm[1]),
+                arc_deg=0.0,
+                name=f"{self.name} {k}",
+            )
+            for k in range(count)
+        )
+
+
+def _turned(vector: Triple, angle: float) -> Triple:
+    """Turned about z, from x towards y."""
+    x, y, z = vector
+    c, s = math.cos(angle), math.sin(angle)
+    return c * x - s * y, s * x + c * y, z
 
 
 @dataclass(frozen=True)

@@ -157,6 +157,7 @@ class LightEntry(StrictModel):
     rgb: Triple
     size_mm: tuple[Number, Number] = (0.0, 0.0)
     lobe: Number = 1.0
+    arc_deg: Number = 0.0
 
     @model_validator(mode="after")
     def _check_light(self) -> Self:

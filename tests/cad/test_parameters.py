@@ -17,6 +17,7 @@ from taccel_lab.cad.parameters import (
     parameter,
     parse_overrides,
     restated,
+    value_text,
 )
 from taccel_lab.errors import InputError
 
@@ -31,6 +32,36 @@ class Box(ParameterSet):
         0.0, minimum=5, maximum=9, unit="mm", description="r", source="none", zero_means="flat"
     )
     style: str = parameter("round", choices=("round", "square"), description="s", source="none")
+
+
+@dataclass(frozen=True)
+class Shelf(ParameterSet):
+    depth_mm: float | tuple[float, ...] = parameter(
+        (2.0, 3.0), minimum=1, maximum=4, unit="mm", description="d", source="none", each="board",
+    )  # fmt: skip
+    color: str | tuple[str, ...] = parameter(
+        "red", choices=("red", "blue"), pattern=("#[0-9a-f]{6}", "#rrggbb"), description="c",
+        source="none", each="board",
+    )  # fmt: skip
+
+
+def test_a_value_for_each_is_written_with_commas() -> None:
+    words = ["depth_mm=1.5, 2,4", "color=red,#00ff00"]
+    shelf = Shelf().with_values(parse_overrides(words))
+    assert (shelf.depth_mm, shelf.color) == ((1.5, 2.0, 4.0), ("red", "#00ff00"))
+    assert shelf.values() == {"depth_mm": [1.5, 2.0, 4.0], "color": ["red", "#00ff00"]}
+    assert Shelf().with_values(shelf.values()) == shelf
+    text = [f"{name}={value_text(value)}" for name, value in shelf.values().items()]
+    assert Shelf().with_values(parse_overrides(text)) == shelf
+    assert Shelf().with_values({"depth_mm": [2.5]}).depth_mm == 2.5
+    assert Shelf().describe()["depth_mm"]["source"] == "none"
+    depth, color = Shelf.parameters()["depth_mm"], Shelf.parameters()["color"]
+    assert depth.allowed() == "1 to 4 mm; one for each board with commas"
+    assert color.allowed() == "one of red, blue, or #rrggbb; one for each board with commas"
+    assert depth.worded((1.5, 2.0)) == "depth 1.5,2 mm"
+    for wrong in ([], [2.0, 5.0], [2.0, [3.0]], [2.0, True]):
+        with pytest.raises(InputError, match="depth_mm"):
+            Shelf().with_values({"depth_mm": wrong})
 
 
 def test_words_become_the_parameters_own_type() -> None:

@@ -208,6 +208,17 @@ def test_units_differ_as_measured_and_the_first_is_the_profile(profile: Path) ->
     assert held_out == {4, 5}
 
 
+def test_a_view_of_a_profile_beside_the_file_is_a_sensor(tmp_path: Path) -> None:
+    profile = small_profile()
+    bare = profile.without("background", "color", "normals", "perturbation", "force")
+    grid = bare.camera.replace(width_px=24, height_px=18, center_u_px=12.0, center_v_px=9.0)
+    save_profile(profile.with_view("right", bare.with_block(grid)), tmp_path / "two")
+    sensors = [{"profile": "two@right", "units": 1}]
+    spec = DatasetSpec.checked(table("two@right", sensors=sensors, **NO_IMAGES), "small.toml")
+    made = DatasetPlan(spec, tmp_path)
+    assert made.profiles[0].grid() == grid.grid()
+
+
 def test_motions_end_where_they_should() -> None:
     motion = TouchMotion("shear", 0.5, shear_mm=0.7, direction_deg=30.0)
     commands = motion.commands()

@@ -45,6 +45,24 @@ def test_frames(robot: Any, mini: SensorProfile) -> None:
     np.testing.assert_allclose(robot.get_transform("gel", "sensor_link"), np.eye(4), atol=1e-12)
 
 
+def test_further_cameras_have_frames_or_are_named_as_left_out(
+    mini: SensorProfile, tmp_path: Path
+) -> None:
+    assert mini.optics is not None
+    place, turn = (4.0, 0.0, -20.0), (0.0, -0.6, 0.0, 0.8)
+    moved = mini.optics.replace(position_mm=place, rotation=turn)
+    both = mini.with_view("right", mini.with_block(moved))
+    document = export_profile(both, "urdf", tmp_path / "urdf")
+    assert "views" in document["carries"]
+    yourdfpy = pytest.importorskip("yourdfpy")
+    robot = yourdfpy.URDF.load(str(tmp_path / "urdf" / "sensor.urdf"))
+    found = robot.get_transform("right_optical_frame", "gel_frame")
+    np.testing.assert_allclose(1e3 * found[:3, 3], place, atol=1e-6)
+    np.testing.assert_allclose(found[:3, :3], moved.camera().gel_from_camera(), atol=1e-6)
+    document = export_profile(both, "opencv", tmp_path / "opencv")
+    assert document["left_out"]["views"].endswith("export FOLDER@right besides")
+
+
 def test_meshes_lie_in_the_link(folder: Path, mini: SensorProfile) -> None:
     gel = pyvista.read(folder / "meshes" / "gel.stl")
     assert isinstance(gel, pyvista.PolyData) and gel.is_manifold

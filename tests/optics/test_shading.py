@@ -100,8 +100,8 @@ def test_area_light_converges_to_its_form_factor() -> None:
     for samples in (1, 8, 512):
         field = model(design(light), refraction=False, samples=samples).light_field()
         errors.append(abs(float(field.irradiance()[15, 20, 0]) / expected - 1))
-    assert errors[0] > 0.1
-    assert errors[1] < errors[0] / 5
+    # A face larger than a quarter of its distance is cut into more cells than are asked for.
+    assert max(errors) < 0.01
     assert errors[2] < 1e-3
 
 

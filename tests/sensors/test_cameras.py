@@ -18,7 +18,8 @@ from taccel_lab.errors import InputError
 from taccel_lab.presses.press_markers import PressMarkers
 from taccel_lab.profile import SensorProfile
 from taccel_lab.sensors.assembly import sensor_parts
-from taccel_lab.sensors.derived import describe_sensor
+from taccel_lab.sensors.camera_sensor import CameraSensorParameters
+from taccel_lab.sensors.derived import derived_figures, describe_sensor
 from taccel_lab.sensors.profile import catalogue_profile
 from taccel_lab.sensors.registry import profile_sensor, sensor_family
 from taccel_lab.studies.preview import preview_design, write_preview
@@ -97,6 +98,17 @@ def test_eyes_that_squint_see_the_middle_in_their_middle() -> None:
     assert abs(toed) < 0.25 * abs(shift)
 
 
+def test_the_catalogues_stereo_sensor_looks_at_its_middle() -> None:
+    parameters = sensor_family("stereo_pad").parameters()
+    (other,) = parameters.views().values()
+    for view in (parameters, other):
+        assert isinstance(view, CameraSensorParameters)
+        assert view.axis_meets_mm() == pytest.approx((0, 0), abs=0.02)
+    figures = {figure.name: figure.value for figure in derived_figures(parameters)}
+    assert figures["cameras"] == 2
+    assert 50 < float(figures["gel in all images"]) < float(figures["gel in the image"])
+
+
 def test_numbers_of_cameras_agree_and_all_of_them_see_the_gel() -> None:
     family = sensor_family("flat_pad")
     assert not family.parameters().views()
@@ -105,12 +117,17 @@ def test_numbers_of_cameras_agree_and_all_of_them_see_the_gel() -> None:
     assert three.views()["camera_3"].values()["camera_x_mm"] == 5.0
     with pytest.raises(InputError, match=r"camera_x_mm has 2, camera_y_mm has 3"):
         family.parameters({"camera_x_mm": [0, 1], "camera_y_mm": [0, 1, 2]})
-    with pytest.raises(InputError, match=r"camera_x_mm and camera_tilt_x_deg put .* x = 20 mm"):
+    with pytest.raises(InputError, match=r"camera_x_mm and camera_tilt_x_deg let .* x = 20 mm"):
         family.parameters({"camera_x_mm": [0, 20]})
-    with pytest.raises(InputError, match=r"camera_x_mm = 60 is above its bound"):
-        family.parameters({"camera_x_mm": [0, 60]})
+    with pytest.raises(InputError, match=r"camera_x_mm = 31 is above its bound"):
+        family.parameters({"camera_x_mm": [0, 31]})
     with pytest.raises(InputError, match=r"camera_x_mm has 65 values; allowed: 1 to 64"):
         family.parameters({"camera_x_mm": [0] * 65})
+
+
+def test_an_image_beside_the_gel_is_refused_in_names_that_can_be_set() -> None:
+    with pytest.raises(InputError, match=r"principal_x_px, camera_x_mm .* at x = -60 mm"):
+        catalogue_profile("flat_pad", {"principal_x_px": 200, "mm_per_px": 0.3})
 
 
 def test_a_profile_keeps_its_cameras_and_is_a_sensor_by_them(stereo: SensorProfile) -> None:

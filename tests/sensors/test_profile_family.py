@@ -116,7 +116,7 @@ def test_camera_and_material_can_be_set_and_the_gel_stays(folder: Path) -> None:
 @pytest.mark.parametrize(
     "like",
     ["digit", "digit_360", "flat_pad", "gelsight", "gelsight_40", "gelsight_mini", "gelsight_r15",
-     "gelsight_wedge", "9dtact", "rtac"],
+     "gelsight_wedge", "9dtact", "rtac", "stereo_pad"],
 )  # fmt: skip
 def test_a_gel_can_be_like_every_sensor_of_the_catalogue(like: str) -> None:
     found = profile_parameters(imported(like))

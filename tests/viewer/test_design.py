@@ -169,7 +169,7 @@ def test_refusals_are_those_of_the_family() -> None:
 @pytest.mark.parametrize("name", sorted(sensor_families()))
 def test_sliders_reach_the_bounds_of_every_parameter(name: str) -> None:
     for parameter in sensor_family(name).parameters_type.parameters().values():
-        if parameter.choices:
+        if parameter.choices or isinstance(parameter.default, tuple):
             continue
         low, high, step = slider_places(parameter)
         assert parameter.minimum is not None and parameter.maximum is not None

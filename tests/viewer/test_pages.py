@@ -23,6 +23,7 @@ from taccel_lab.report.live_page import PageOptions, live_page, page_address
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.viewer.camera_place import look_at
 from taccel_lab.viewer.design_answer import Choice, DesignAnswer, DesignAnswers
+from taccel_lab.viewer.design_controls import DesignControls
 from taccel_lab.viewer.design_page import DesignPage
 from taccel_lab.viewer.gel_states import Field, GelStates, SensorImages
 from taccel_lab.viewer.gel_view import GelView
@@ -257,3 +258,18 @@ def test_ctrl_c_closes_a_page_with_exit_code_0(tmp_path: Path) -> None:
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0
     assert "Traceback" not in line
+
+
+def test_values_of_each_led_and_camera_are_written_with_commas() -> None:
+    given = {"led_tilt_deg": (40.0, 80.0), "thickness_mm": 5.0}
+    with live_page("Design", HERE) as server:
+        controls = DesignControls(server, sensor_family("stereo_pad"), given, lambda _: None)
+        assert controls.overrides() == given
+        controls.set("camera_x_mm", "-6, 6")
+        assert controls.overrides() == {**given, "camera_x_mm": (-6.0, 6.0)}
+        controls.set("led_tilt_deg", "55")
+        assert controls.overrides()["led_tilt_deg"] == 55.0
+        controls.set_all({"camera_x_mm": (-5.0, 5.0)})
+        assert controls.overrides() == {"camera_x_mm": (-5.0, 5.0)}
+        controls.set_all({})
+        assert controls.overrides() == {}

@@ -11,9 +11,7 @@ from dataclasses import dataclass
 
 from taccel_lab.cad.parameters import parameter, restated
 from taccel_lab.cad.parts.gel_pad import GelPad
-from taccel_lab.profile.optical_design import Light
 from taccel_lab.sensors.base import SensorFamily
-from taccel_lab.sensors.parameter_groups.lights import BLUE, GREEN, RED, WHITE
 from taccel_lab.sensors.rectangle_sensor import RectangleSensorParameters
 
 _DRAWING = "our drawing 1207, revision B"
@@ -41,6 +39,9 @@ class MySensorParameters(RectangleSensorParameters):
     mm_per_px: float = restated(0.05, source="ruler on the gel: 24.0 x 18.0 mm")
     camera_distance_mm: float = restated(26.0, source=_DRAWING)
     window_thickness_mm: float = restated(3.0, source=f"{_DRAWING}: acrylic 3 mm")
+    # One value for all LEDs, or one for each: 0 deg is right in the image, 90 deg is down.
+    led_angle_deg: float | tuple[float, ...] = restated((0.0, 90.0, 180.0, -90.0), source=_DRAWING)
+    led_colors: str | tuple[str, ...] = restated(("red", "green", "blue", "white"), source=_DRAWING)
     led_x_mm: float = restated(13.0, source=_DRAWING)
     led_y_mm: float = restated(10.5, source=_DRAWING)
     led_depth_mm: float = restated(9.0, source=_DRAWING)
@@ -54,15 +55,6 @@ class MySensorParameters(RectangleSensorParameters):
     def pad(self) -> GelPad:
         """The gel; GelPad refuses dimensions that cannot be built and names the bound."""
         return self.gel_pad(rim="fillet", rim_mm=self.edge_mm)
-
-    def lights(self) -> tuple[Light, ...]:
-        """One LED a side; 0 deg is +x, right in the image, and 90 deg is +y, down."""
-        return (
-            self.led(0, RED, "red, right"),
-            self.led(90, GREEN, "green, bottom"),
-            self.led(180, BLUE, "blue, left"),
-            self.led(-90, WHITE, "white, top"),
-        )
 
 
 FAMILY = SensorFamily(
