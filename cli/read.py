@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 from tyro.conf import Positional
+
+from taccel_lab.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,9 @@ class Read:
     """Camera of a data set that has several, by its name or the end of it: left_tactile/rgb."""
     background: Path | None = None
     """Image of the untouched sensor, if newer than the profile's."""
+    fps: float | None = None
+    """Frames a second, for a gel that relaxes: forces then follow from frame to frame. Otherwise
+    their intervals reach from a long press to a sudden one."""
     json: bool = False
     """Print the rows as JSON."""
 
@@ -47,6 +53,8 @@ class Read:
         from taccel_lab.sensors.profile import profile_folder, stock_sensor
         from taccel_lab.version import __version__
 
+        if self.fps is not None and not (math.isfinite(self.fps) and self.fps > 0):
+            raise InputError(f"--fps must be above 0, got {self.fps:g}")
         start_warp()
         require_replaceable(self.out)
         profile, own = stock_sensor(self.profile), profile_folder(self.profile)
@@ -59,6 +67,7 @@ class Read:
             "profile": self.profile if own is None else file_sha256(own / "profile.toml"),
             "source": [str(self.source), recording.camera, recording.names],
             "background": None if self.background is None else file_sha256(self.background),
+            "fps": self.fps,
         }
         console = notes()
 
@@ -66,7 +75,7 @@ class Read:
             if done % 50 == 0 or done == total:
                 console.print(f"{task}: {done} of {total}")
 
-        rows = read_recorded(recording, reader, self.out, recipe, bar)
+        rows = read_recorded(recording, reader, self.out, recipe, bar, self.fps)
         if self.json:
             print_json({"out": str(self.out), "frames": rows})
             return

@@ -153,8 +153,16 @@ class LiveReader:
         assert reader is not None
         return DETAILS[-1], reader
 
-    def read(self, image: np.ndarray) -> LiveReading:
-        """Read the next frame, RGB uint8, of the profile's size."""
+    @property
+    def relaxes(self) -> bool:
+        """Whether forces depend on the frames before, and on their times."""
+        return bool(self.profile.material.branches) and self.pressure is not None
+
+    def read(self, image: np.ndarray, time_s: float | None = None) -> LiveReading:
+        """Read the next frame, RGB uint8, of the profile's size.
+
+        ``time_s``: when it was taken, for gels that relax; None where that is not known.
+        """
         stages: dict[str, float] = {}
         surface, press, figures, refused = None, None, {}, ""
         if self.surface is not None:
@@ -173,7 +181,7 @@ class LiveReader:
             if self.pressure is not None and not refused:
                 with _timed(stages, "pressure"):
                     press = self.pressure.read(
-                        surface.rise_m, surface.height_sigma_m, surface.reading_sigma_m
+                        surface.rise_m, surface.height_sigma_m, surface.reading_sigma_m, time_s
                     )
                 figures |= press.figures()
         places = rest = seen = None

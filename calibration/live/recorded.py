@@ -55,6 +55,7 @@ def read_recorded(
     out: Path,
     recipe: dict[str, Any],
     progress: Progress = silent,
+    fps: float | None = None,
 ) -> list[dict[str, Any]]:
     """Write ``readings.csv``, ``readings.json`` and ``readings.png`` into ``out``; returns rows.
 
@@ -64,6 +65,8 @@ def read_recorded(
         out: Folder that appears whole at the end. Until then rows are kept in a hidden file beside.
         recipe: What the rows depend on; rows that were kept by another recipe are read again.
         progress: Told after each frame.
+        fps: Frames a second, which the force of a gel that relaxes depends on; None where that is
+            not known: each frame is then read by itself.
 
     Raises:
         InputError: No frame can be read.
@@ -78,11 +81,14 @@ def read_recorded(
         if not before:
             kept.write(json.dumps({"key": key}) + "\n")
         for number, (name, image) in enumerate(recording.frames()):
+            time_s = None if fps is None else number / fps
             if number < before:
-                if reader.tracker is not None and isinstance(image, np.ndarray):
+                if time_s is not None and reader.relaxes:
+                    _row(reader, image, name, time_s)  # Its force hangs on the frames before.
+                elif reader.tracker is not None and isinstance(image, np.ndarray):
                     reader.tracker.advance(image)  # Markers are followed from frame to frame.
                 continue
-            row = {"frame": number, "name": name, **_row(reader, image, name)}
+            row = {"frame": number, "name": name, **_row(reader, image, name, time_s)}
             rows.append(row)
             kept.write(json.dumps(row) + "\n")
             kept.flush()
@@ -134,7 +140,9 @@ def _kept(path: Path, key: str) -> list[dict[str, Any]]:
     return rows
 
 
-def _row(reader: LiveReader, image: np.ndarray | InputError, name: str) -> dict[str, Any]:
+def _row(
+    reader: LiveReader, image: np.ndarray | InputError, name: str, time_s: float | None
+) -> dict[str, Any]:
     if isinstance(image, InputError):
         return {"refused": str(image)}
     if image.shape != reader.background.shape:
@@ -143,7 +151,7 @@ def _row(reader: LiveReader, image: np.ndarray | InputError, name: str) -> dict[
             "refused": f"frame {name} is {image.shape[1]}x{image.shape[0]} px; the profile's "
             f"camera has {width}x{height} px"
         }
-    return figures_of(reader.read(image), reader)
+    return figures_of(reader.read(image, time_s), reader)
 
 
 def figures_of(reading: LiveReading, reader: LiveReader) -> dict[str, Any]:

@@ -158,7 +158,7 @@ def live_session(
             _require_size(shot.image, result.reader.background)
             tell(hangs or " ".join(result.remarks))
             start, start_cpu = time.perf_counter(), time.thread_time()
-            reading = result.reader.read(shot.image)
+            reading = result.reader.read(shot.image, shot.time_s)
             result.last = reading
             stages = {"wait": arrived - waited, "frame": start - arrived, **reading.stages_s}
             drawn = time.perf_counter()

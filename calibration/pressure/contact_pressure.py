@@ -14,6 +14,10 @@ The interval of the force is that of a face lower and higher by the height's sta
 everywhere, of the interval of the thickness, of the layer's own error against finite elements
 (``LAYER_SHARE``) and of the modulus, taken as independent. Friction between gel and tool is not
 seen; the layer's error holds for coefficients of 0 to 1.
+
+A gel that relaxes pushes back harder at first (``overstress``). Of one image nobody knows how long
+it was held: the interval then reaches from the relaxed gel to a sudden press. A tool that goes back
+may push less than either. Frames whose times are known tell all of it.
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.calibration.normals.read_surface import pressed_in
+from taccel_lab.calibration.pressure.overstress import Overstress
 from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, BondedLayer, pressure_under
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
@@ -52,6 +57,8 @@ STEEPEST_REST = 0.5
 DEEPEST_SHARE = 0.4
 """Part of the thickness below which strains are small enough for the stated error."""
 NORMAL_95 = 1.96
+UNKNOWN_SHARE = 0.01
+"""Part of a force from which on a remark says that its time is not known."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +131,11 @@ class PressureReader:
         size = grid.width_px * pixel[0], grid.height_px * pixel[1]
         step = max(*pixel, min(gel.thickness_mm / STEPS_PER_THICKNESS, max(size) / LEAST_STEPS))
         self._coarse = grid.resized(*(max(2, round(side / step)) for side in size))
+        self._overstress: Overstress | None = None
+        if material.branches:
+            self._overstress = Overstress(
+                [(b.relative_modulus, b.time_s) for b in material.branches]
+            )
         self._last: np.ndarray | None = None
         self._sigma: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -132,6 +144,7 @@ class PressureReader:
         rise_m: np.ndarray,
         height_sigma_m: np.ndarray | None = None,
         reading_sigma_m: np.ndarray | None = None,
+        time_s: float | None = None,
     ) -> ContactPressure:
         """What presses the face so.
 
@@ -140,6 +153,8 @@ class PressureReader:
             height_sigma_m: Its standard deviation [m], shape [h, w]. When None, that of the last
                 frame that had one is taken.
             reading_sigma_m: That of the reading alone, likewise.
+            time_s: When the frame was taken [s], for a gel that relaxes; None where it does not
+                follow the frame before.
         """
         if height_sigma_m is not None:
             alone = height_sigma_m if reading_sigma_m is None else reading_sigma_m
@@ -148,7 +163,10 @@ class PressureReader:
         inside = self._small(touched.astype(np.float32)) >= 0.5
         if not inside.any():
             self._last = None
-            return self._found(np.zeros(inside.shape), (0.0, 0.0), ())
+            zero = np.zeros(inside.shape)
+            if self._overstress is not None:
+                self._overstress.follow(zero, time_s)
+            return self._found(zero, (0.0, 0.0), ())
         rise = self._small(1e3 * rise_m)
         gap = np.where(inside, rise, FAR_MM)
         reading_mm = 0.0
@@ -164,7 +182,42 @@ class PressureReader:
         interval = None
         if self._sigma is not None:
             interval = self._interval(pressure, gap, self._sigma[0], film)
-        return self._found(pressure, interval, self._limits(rise, pressure))
+        limits = self._limits(rise, pressure)
+        if self._overstress is None:
+            return self._found(pressure, interval, limits)
+        total, interval, said = self._with_overstress(self._overstress, pressure, interval, time_s)
+        return self._found(total, interval, (*limits, *said))
+
+    def _with_overstress(
+        self,
+        overstress: Overstress,
+        relaxed: np.ndarray,
+        interval: tuple[float, float] | None,
+        time_s: float | None,
+    ) -> tuple[np.ndarray, tuple[float, float] | None, tuple[str, ...]]:
+        """Pressure and interval of a gel that relaxes, from those of its relaxed layer, and what is
+        not known of it."""
+        added, unknown = overstress.follow(relaxed, time_s)
+        total = np.maximum(relaxed + added, 0.0)
+        force, relaxed_n = self._force_n(total), self._force_n(relaxed)
+        doubt_n = self._force_n(np.array([unknown]))
+        if interval is not None:
+            # Errors of modulus, layer and height scale with the force; not below the relaxed one,
+            # of which little may be left on a way back.
+            low, high = max(force - doubt_n, 0.0), force + doubt_n
+            scale = max(relaxed_n, 1e-12)
+            interval = (
+                max(low - (relaxed_n - interval[0]) * max(1.0, low / scale), 0.0),
+                high + (interval[1] - relaxed_n) * max(1.0, high / scale),
+            )
+        said = ()
+        if doubt_n > UNKNOWN_SHARE * force:
+            said = (
+                "how long the gel was held is not known: a sudden press takes "
+                f"{1 + overstress.most:.3g} times the force of a long one, and the interval holds "
+                "both",
+            )
+        return total, interval, said
 
     def _interval(
         self, pressure: np.ndarray, gap: np.ndarray, sigma: np.ndarray, film: float

@@ -54,6 +54,13 @@ class PressOptions:
     """Largest motion of a step [mm]."""
     step_deg: float = 2.0
     """Largest turn of a step [deg]."""
+    speed_mm_s: float | None = None
+    """Speed of the indenter, of a gel that relaxes (maxwell_modulus) [mm/s]. Default: 1."""
+    hold_s: float = 0.0
+    """Then rest at full depth for so long, of a gel that relaxes [s]: the force falls."""
+    unload: bool = False
+    """Then go back to first touch: image and force are those after it, and press.json has the
+    loop of force over depth."""
     accuracy: str = "default"
     """fast, default, reference, or the largest error of the force, such as 3%. The three are fixed
     settings: each states the error that 19 of 20 such presses keep to. A percentage refines mesh,
@@ -105,11 +112,22 @@ class PressOptions:
         return None if isinstance(asked, Accuracy) else asked
 
     def path(self, depth_mm: float, aside: bool = True) -> PressPath:
-        """Return the path to a depth [mm], then its shear and twist."""
+        """Return the path to a depth [mm], then with ``aside`` its shear and twist, hold and way
+        back."""
         from taccel_lab.presses import PressPath
+        from taccel_lab.presses.press_path import SPEED_MM_S
 
         shear_mm, twist_deg = (self.shear_mm, self.twist_deg) if aside else ((0.0, 0.0), 0.0)
-        return PressPath(depth_mm, shear_mm, twist_deg, self.step_mm, self.step_deg)
+        return PressPath(
+            depth_mm,
+            shear_mm,
+            twist_deg,
+            self.step_mm,
+            self.step_deg,
+            back=self.unload and aside,
+            speed_mm_s=SPEED_MM_S if self.speed_mm_s is None else self.speed_mm_s,
+            hold_s=self.hold_s if aside else 0.0,
+        )
 
     def read_texture(self) -> Texture | None:
         """Read the texture of the indenter's surface; InputError for an image that is none."""
@@ -129,6 +147,11 @@ class PressOptions:
         from taccel_lab.scene import Element
 
         grade = parse_accuracy(self.accuracy)
+        if self.unload and not isinstance(grade, Accuracy):
+            raise InputError(
+                f"--accuracy {self.accuracy} is of the force at the end, which --unload takes "
+                "away: give fast, default or reference"
+            )
         if not isinstance(grade, Accuracy):
             if (self.mesh, self.element) != ("focused", None):
                 raise InputError(
@@ -168,6 +191,9 @@ class PressWords(TypedDict, total=False):
     shear_mm: tuple[float, float]
     twist_deg: float
     friction: float | None
+    speed_mm_s: float | None
+    hold_s: float
+    unload: bool
     step_mm: float
     step_deg: float
     accuracy: str

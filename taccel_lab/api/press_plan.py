@@ -66,6 +66,11 @@ class PressPlan:
             options = replace(options, depth_mm=photo.depth_mm, at_mm=photo.at_mm)
         plan = cls(name, profile, indenter, options, physics, friction, photo)
         options.path(plan.first_mm)
+        if (options.hold_s or options.speed_mm_s is not None) and not profile.material.branches:
+            raise InputError(
+                f"the gel of {name} does not relax, so that time changes nothing: leave out "
+                "--hold-s and --speed-mm-s, or give its material branches"
+            )
         check_depth(plan.first_mm, profile)
         indenter.require_size(plan.first_mm)
         ColorModel.from_profile(profile)

@@ -27,7 +27,7 @@ from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.presses.press_depth import MAX_DEPTH_FRACTION
 from taccel_lab.presses.press_error import PressError, expected_error
 from taccel_lab.presses.press_frame import PressFrames
-from taccel_lab.presses.press_path import PressPath
+from taccel_lab.presses.press_path import SPEED_MM_S, PressPath
 from taccel_lab.presses.touch import first_touch_m, gel_below_m, require_resolved
 from taccel_lab.scene import (
     Ball,
@@ -39,7 +39,7 @@ from taccel_lab.scene import (
     TriangleMesh,
 )
 from taccel_lab.signals.forces import resultant_wrench
-from taccel_lab.solvers import EnvStatus, SolverConfig, SolverIPC, StepReport
+from taccel_lab.solvers import Control, EnvStatus, SolverConfig, SolverIPC, StepReport
 from taccel_lab.state import initial_state
 
 START_CLEARANCE_M = 5e-6
@@ -50,6 +50,8 @@ ball's force is off by 1.5 times as much."""
 FIRST_SETBACK = 0.8
 """What an indenter is held back by in the step that brings it into contact, as a part of dhat: the
 mean gap of balls of 1.5 to 8 mm, 0.2 mm deep, is 0.77 to 0.83. What comes out else is corrected."""
+SHORTEST_S = 1e-6
+"""Of a step in which a gel relaxes."""
 SETBACK_ROUNDS = 4
 """How often a step is corrected for the mean gap that it had."""
 
@@ -119,6 +121,8 @@ class PressEnv:
         self.mesh = soft.nodal_mesh
         """The gel with all its nodes: what ``positions`` belong to."""
         self.model = Scene(soft, (body,), env_count).finalize(device)
+        self.relaxes = self.model.viscous_point_count > 0
+        """Whether forces depend on how long a step takes."""
         # Overlaps at the start are looked for below, with the place in the message.
         self.solver = SolverIPC(self.model, replace(config or physics.solver(), check_start=False))
         rest = self.model.rest_positions.numpy()[:, : self.model.soft_count]
@@ -213,14 +217,17 @@ class PressEnv:
         depth_mm: np.ndarray | float,
         shear_mm: np.ndarray | tuple[float, float] = (0.0, 0.0),
         twist_deg: float = 0.0,
+        dt_s: float | None = None,
     ) -> StepReport:
         """Move the indenters to a depth [mm] (scalar or [env_count]), sideways and turned.
+
+        ``dt_s``: how long that takes, for a gel that relaxes; by ``SPEED_MM_S`` when None.
 
         Raises:
             InputError: A depth past the gel's thickness.
             SimulationError: An environment did not converge even in small steps.
         """
-        report = self.try_to(depth_mm, shear_mm, twist_deg)
+        report = self.try_to(depth_mm, shear_mm, twist_deg, dt_s=dt_s)
         if not report.converged.all():
             env = int(np.flatnonzero(~report.converged)[0])
             raise SimulationError(self.failure(env, report, depth_mm))
@@ -232,6 +239,7 @@ class PressEnv:
         shear_mm: np.ndarray | tuple[float, float] = (0.0, 0.0),
         twist_deg: np.ndarray | float = 0.0,
         stay: np.ndarray | None = None,
+        dt_s: float | None = None,
     ) -> StepReport:
         """Move as ``move_to`` does, but an environment that does not converge is left where it was,
         for the caller to see in the report. Those of ``stay`` (bool, [env_count]) are not stepped.
@@ -241,10 +249,16 @@ class PressEnv:
         shear_m = np.asarray(shear_mm, dtype=np.float64) * 1e-3
         shear_m = np.broadcast_to(shear_m, (len(self.at_m), 2))
         deep, aside = np.maximum(self.depth_m, 0.0), self._shear_m
-        report = self._step(self.checked_depth_m(depth_mm), shear_m, np.radians(twist_deg), stay)
+        target_m = self.checked_depth_m(depth_mm)
+        if self.relaxes and dt_s is None:
+            way_m = np.hypot(target_m - deep, np.linalg.norm(shear_m - aside, axis=1))
+            moving = way_m if stay is None else way_m[~stay]
+            dt_s = max(1e3 * float(moving.max(initial=0.0)) / SPEED_MM_S, SHORTEST_S)
+        report = self._step(target_m, shear_m, np.radians(twist_deg), stay, dt_s)
         done = report.converged & (True if stay is None else ~stay)
         length_m = np.hypot(self.depth_m - deep, np.linalg.norm(shear_m - aside, axis=1))
-        self._step_m = np.where(done, length_m, self._step_m)
+        # A hold rubs no more than the step before it did.
+        self._step_m = np.where(done & (length_m > 0), length_m, self._step_m)
         self._shear_m = np.where(done[:, None], shear_m, aside)
         return report
 
@@ -254,6 +268,7 @@ class PressEnv:
         shear_m: np.ndarray,
         twist_rad: np.ndarray | float,
         stay: np.ndarray | None,
+        dt_s: float | None,
     ) -> StepReport:
         """One step, taken again where the mean gap came out other than the indenter was held back
         by. ``depth_m`` [env_count], ``shear_m`` [env_count, 2], ``twist_rad`` one or [env_count].
@@ -280,7 +295,7 @@ class PressEnv:
                 copy_rows(mask, rubbing, self.solver.friction_gradient)
 
         try:
-            return self._settle(depth_m, shear_m, twist_rad, resting, put_back)
+            return self._settle(depth_m, shear_m, twist_rad, resting, put_back, dt_s)
         except BaseException as error:
             # After an interrupt what the steps before had reached is whole and can be read.
             put_back(np.ones_like(resting), forces=not isinstance(error, Exception))
@@ -293,6 +308,7 @@ class PressEnv:
         twist_rad: np.ndarray | float,
         resting: np.ndarray,
         put_back: Callable[[np.ndarray], None],
+        dt_s: float | None,
     ) -> StepReport:
         """Step until the mean gap is what the indenter is held back by; ``put_back`` where that
         fails. ``resting`` (bool, [env_count]) are left alone."""
@@ -302,7 +318,8 @@ class PressEnv:
             target = self._poses(depth_m, shear_m, twist_rad)
             target[resting] = self.poses[resting]
             again = report is not None
-            found = self.solver.step(self.state, target, who=~resting, again=again)
+            control = Control(target, dt_s=dt_s)
+            found = self.solver.step(self.state, control, who=~resting, again=again)
             report = report.followed_by(found) if report is not None else found
             resting |= ~found.converged
             gap = self._mean_gap_m()
@@ -335,10 +352,11 @@ class PressEnv:
     ) -> list[StepReport]:
         """Go along a path in all environments; ``progress`` gets step, step count and report."""
         self.checked_depth_m(path.depth_mm)
-        waypoints = path.waypoints()
+        waypoints, durations = path.waypoints(), path.durations_s()
         reports = []
         for i, (depth, shear, twist) in enumerate(waypoints):
-            reports.append(self.move_to(depth, shear, twist))
+            dt_s = max(durations[i], SHORTEST_S) if self.relaxes else None
+            reports.append(self.move_to(depth, shear, twist, dt_s))
             if progress is not None:
                 progress(i + 1, len(waypoints), reports[-1])
         return reports

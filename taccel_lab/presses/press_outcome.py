@@ -18,7 +18,7 @@ from taccel_lab.presses.indenter import Indenter
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressPhysics
 from taccel_lab.presses.press import PressEnv
 from taccel_lab.presses.press_error import plus_minus
-from taccel_lab.presses.press_path import PressPath
+from taccel_lab.presses.press_path import HOLD_STEPS, PressPath
 from taccel_lab.presses.press_states import PressStates
 from taccel_lab.presses.press_surface import FurtherView, PressSurface, press_surface
 from taccel_lab.scene import Material, MaterialField
@@ -41,6 +41,8 @@ class PressStep:
     wrench: np.ndarray
     """Force [N] and moment about the gel's origin [N m] of the gel on the indenter, [6]."""
     report: StepReport
+    time_s: float | None = None
+    """Since first touch [s]; None of a gel that does not relax."""
 
 
 @dataclass(frozen=True)
@@ -143,8 +145,10 @@ class PressOutcome(Summary):
             "fine_force_n": self.fine_force_n,
             "smallest_volume_ratio": self.smallest_volume_ratio,
             "stopped": None if self.stopped is None else asdict(self.stopped),
+            **self._loop(),
             "steps": [
                 {
+                    **({} if step.time_s is None else {"time_s": step.time_s}),
                     "depth_mm": step.depth_mm,
                     "shear_mm": step.shear_mm,
                     "twist_deg": step.twist_deg,
@@ -160,6 +164,22 @@ class PressOutcome(Summary):
                 for step in self.steps
             ],
         }
+
+    def _loop(self) -> dict[str, Any]:
+        """How the force fell in a hold, and the work [mJ] of the normal force of a way down and
+        back; of presses that have them."""
+        found: dict[str, Any] = {}
+        forces = np.array([0.0] + [step.wrench[2] for step in self.steps])
+        depths = np.array([0.0] + [step.depth_mm for step in self.steps])
+        first = len(self.path.way_there())
+        if self.path.hold_s > 0 and len(self.steps) >= first + HOLD_STEPS:
+            before, after = float(forces[first]), float(forces[first + HOLD_STEPS])
+            found["hold"] = {"from_n": before, "to_n": after, "seconds": self.path.hold_s}
+        if self.path.back and self.stopped is None:
+            works = 0.5 * (forces[1:] + forces[:-1]) * np.diff(depths)
+            done, lost = float(works[works > 0].sum()), float(works.sum())
+            found["loop"] = {"work_mj": done, "lost_mj": lost, "lost_share": lost / done}
+        return found
 
 
 def simulate_press(
@@ -209,6 +229,7 @@ def simulate_press(
             f"{1e3 * texture.mean_depth_m:.3g} mm below its highest points: press deeper"
         )
     waypoints = path.waypoints()
+    times = np.cumsum(path.durations_s()) if env.relaxes else None
     steps: list[PressStep] = []
     states = PressStates() if keep_states else None
     outputs = Outputs(env.solver)
@@ -217,7 +238,8 @@ def simulate_press(
         return press_surface(env, indenter, grid, designed_rest)
 
     def keep(done: int, total: int, report: StepReport) -> None:
-        steps.append(PressStep(*waypoints[done - 1], env.wrench[0].copy(), report))
+        time_s = None if times is None else float(times[done - 1])
+        steps.append(PressStep(*waypoints[done - 1], env.wrench[0].copy(), report, time_s))
         if states is not None:
             states.add(env, outputs.update(env.state), pixels)
         if progress is not None:

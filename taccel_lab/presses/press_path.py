@@ -6,10 +6,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from taccel_lab.bodies.scene_description import LONGEST_HOLD_S
 from taccel_lab.errors import InputError
 
+SPEED_MM_S = 1.0
+"""Of an indenter of which nothing is known: as by hand."""
+HOLD_STEPS = 8
+"""Steps of a hold; their ends lie evenly over the root of time, as a force falls fast at first."""
 MAX_STEPS = 10_000
 """Longest path: a step length mistaken for another unit would keep a machine busy for days."""
+
+
+Waypoint = tuple[float, tuple[float, float], float]
+"""Depth [mm], shear [mm], twist [deg]."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +37,15 @@ class PressPath:
     """Largest turn in one step."""
     back: bool = False
     """Whether the indenter then goes back the way it came, to first touch."""
+    speed_mm_s: float = SPEED_MM_S
+    """Of all motions [mm/s]; a turn by ``step_deg`` takes as long as ``step_mm``. Only of gels that
+    relax."""
+    hold_s: float = 0.0
+    """How long the indenter then rests at full depth [s], before it goes back."""
 
     def __post_init__(self) -> None:
         values = (self.depth_mm, *self.shear_mm, self.twist_deg, self.step_mm, self.step_deg)
+        values += (self.speed_mm_s, self.hold_s)
         if not all(math.isfinite(v) for v in values):
             raise InputError(f"a press path must be finite numbers, got {values}")
         if self.depth_mm <= 0:
@@ -41,6 +56,10 @@ class PressPath:
             raise InputError(f"shear must lie within +-20 mm, got {self.shear_mm}")
         if abs(self.twist_deg) > 180:
             raise InputError(f"twist must lie within +-180 deg, got {self.twist_deg:g}")
+        if not 1e-4 <= self.speed_mm_s <= 1e3:
+            raise InputError(f"speed must lie in [1e-4, 1e3] mm/s, got {self.speed_mm_s:g}")
+        if not 0 <= self.hold_s <= LONGEST_HOLD_S:
+            raise InputError(f"hold must lie in [0, {LONGEST_HOLD_S:g}] s, got {self.hold_s:g}")
         if self.step_mm <= 0 or self.step_deg <= 0:
             raise InputError(
                 f"step_mm and step_deg must be above 0, got {self.step_mm:g} and {self.step_deg:g}"
@@ -62,8 +81,8 @@ class PressPath:
         down, turns = min(self.step_mm, far), min(self.step_deg, abs(self.twist_deg) or 1.0)
         return replace(self, step_mm=down / times, step_deg=turns / times)
 
-    def waypoints(self) -> list[tuple[float, tuple[float, float], float]]:
-        """(depth [mm], shear [mm], twist [deg]) at the end of each step."""
+    def way_there(self) -> list[Waypoint]:
+        """Return the waypoints down and aside, before a hold."""
         down = max(1, math.ceil(self.depth_mm / self.step_mm - 1e-9))
         side = max(
             math.ceil(math.hypot(*self.shear_mm) / self.step_mm - 1e-9),
@@ -75,6 +94,29 @@ class PressPath:
             t = (i + 1) / side
             shear = (self.shear_mm[0] * t, self.shear_mm[1] * t)
             path.append((self.depth_mm, shear, self.twist_deg * t))
-        if self.back:
-            path += [*reversed(path[:-1]), (0.0, (0.0, 0.0), 0.0)]
         return path
+
+    def waypoints(self) -> list[Waypoint]:
+        """Depth [mm], shear [mm] and twist [deg] at the end of each step."""
+        there = self.way_there()
+        held = [there[-1]] * (HOLD_STEPS if self.hold_s > 0 else 0)
+        back = [*reversed(there[:-1]), (0.0, (0.0, 0.0), 0.0)] if self.back else []
+        return [*there, *held, *back]
+
+    def durations_s(self) -> list[float]:
+        """Return how long each step takes [s]."""
+        at = (0.0, (0.0, 0.0), 0.0)
+        held, found = 0, []
+        for depth, shear, twist in self.waypoints():
+            aside_mm = math.dist(shear, at[1])
+            steps = max(
+                math.hypot(depth - at[0], aside_mm) / self.step_mm,
+                abs(twist - at[2]) / self.step_deg,
+            )
+            duration = steps * self.step_mm / self.speed_mm_s
+            if (depth, shear, twist) == at:
+                held += 1
+                duration = self.hold_s * (held**2 - (held - 1) ** 2) / HOLD_STEPS**2
+            found.append(duration)
+            at = (depth, shear, twist)
+        return found

@@ -276,5 +276,5 @@ def end_step(run: StepLaunches) -> None:
     else:
         measure_velocities(p.roster.done, s.origin, state.positions, s.dts, state.velocities)
     for part in s.maxwell:
-        part.end_step(p.roster.done, state.viscous_inverses)
+        part.end_step(state.positions, state.viscous_inverses, p.roster.done)
     s.rows.write(p.roster.done, p.roster.writes)

@@ -19,7 +19,7 @@ from weakref import ref
 import numpy as np
 import warp as wp
 
-from taccel_lab.bodies.scene_description import check_dt
+from taccel_lab.bodies.scene_description import LONGEST_HOLD_S, check_dt
 from taccel_lab.errors import InputError
 from taccel_lab.ipc.device.ragged_lists import grow_all
 from taccel_lab.ipc.potentials.external import ExternalLoad
@@ -296,7 +296,7 @@ class SolverIPC(SolverParts):
                     "dt_s of a step needs quasi_static=False or a material with Maxwell branches: "
                     "otherwise it has none"
                 )
-            check_dt(control.dt_s)
+            check_dt(control.dt_s, 10.0 if self.inertia is not None else LONGEST_HOLD_S)
             dt = float(control.dt_s)
         drives = None
         if control.joint_targets is not None:

@@ -20,13 +20,14 @@ from taccel_lab.scene import (
     Scene,
     SoftBody,
     TimeStepping,
+    box_mesh,
 )
 from taccel_lab.solvers import Control, EnvStatus
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.solvers.tangent import Tangent
 from taccel_lab.state import State, initial_state
-from tests.support.blocks import block_mesh, pose
+from tests.support.blocks import block_mesh, everywhere, pose
 
 YOUNG, NU = 1e5, 0.45
 MU, LAM = YOUNG / (2 * (1 + NU)), YOUNG * NU / ((1 + NU) * (1 - 2 * NU))
@@ -37,6 +38,7 @@ AT_ONCE_S = 1e-6
 KINDS = list(Element)
 NO_BODIES = np.zeros((1, 0, 7))
 EXACT = SolverConfig(absolute_tolerance_n=1e-13)
+TIGHT = SolverConfig(relative_tolerance=1e-8)
 
 
 class HeldCube:
@@ -58,15 +60,15 @@ class HeldCube:
         self.stretch = 1.0
 
     def step(self, stretch: float, dt_s: float) -> float:
-        """As a step does: hold for that time, if any, then stretch along z at once, within
-        ``AT_ONCE_S``. Returns the pull on the top face over its area [Pa]."""
+        """Hold for that time, if any, then stretch along z within ``AT_ONCE_S``. Returns the pull
+        on the top face over its area [Pa]."""
         if dt_s:
             self._solve(dt_s)
         if stretch != self.stretch:
             x = self.rest * [1, 1, stretch]
             self.state.positions = wp.array(x[None], dtype=wp.vec3d)
             self.stretch = stretch
-            self._solve(AT_ONCE_S)
+        self._solve(AT_ONCE_S)
         return float(self.solver.gradient.numpy()[0, self.top, 2].sum()) / SIDE**2
 
     def _solve(self, dt_s: float) -> None:
@@ -85,46 +87,71 @@ def test_held_strain_relaxes_as_the_closed_form(element: Element, stretch: float
     """F_e = F^(exp(-t / tau)) in each branch, whatever the steps; of small strains the pull is a
     sum of exponentials."""
     cube = HeldCube(BRANCHES, element)
-    time = AT_ONCE_S
+    time = 0.0
     for dt in (0.0, 0.1, 0.1, 1.0, 5.0, 10.0):
         found = cube.step(stretch, dt)
-        time += dt
+        time += dt + AT_ONCE_S
         expected = stress(stretch)
         for branch in BRANCHES:
             elastic = stretch ** np.exp(-time / branch.time_s)
             # P = g P(F_e) F_v^-T.
             expected += branch.relative_modulus * stress(elastic) * elastic / stretch
-        assert found == pytest.approx(expected, rel=1e-9)
+        # The step that reads it is 5e-6 of the shortest time long.
+        assert found == pytest.approx(expected, rel=5e-6)
         if stretch == 0.999:
             series = 1 + sum(b.relative_modulus * np.exp(-time / b.time_s) for b in BRANCHES)
             assert found == pytest.approx(series * stress(stretch), rel=1e-3)
 
 
-def harmonic(steps: int, omega: float, stretch: float = 1e-4) -> complex:
-    """Complex modulus over that of the relaxed solid, of the third cycle."""
-    cube = HeldCube(ONE)
+class Punched:
+    """A glued block under a plate that covers it, without friction."""
+
+    def __init__(self, branches: tuple[MaxwellBranch, ...]) -> None:
+        mesh = block_mesh((2, 2, 2), (SIDE, SIDE, SIDE))
+        body = SoftBody(mesh, Material(YOUNG, NU, branches=branches), element=Element.LINEAR)
+        plate = KinematicBody(box_mesh((4e-3, 4e-3, 1e-3)))
+        self.model = Scene(body, plate).finalize()
+        config = SolverConfig(dhat_m=2e-6, relative_tolerance=1e-9)
+        self.solver = SolverIPC(self.model, config)
+        self.state = initial_state(self.model, self._plate(-5e-6))
+
+    def _plate(self, depth_m: float) -> np.ndarray:
+        return everywhere(1, pose(0, 0, 0.5e-3 - depth_m))
+
+    def press(self, depth_m: float, dt_s: float | None) -> float:
+        """Force [N] at the end of a step to that depth."""
+        report = self.solver.step(self.state, Control(self._plate(depth_m), dt_s=dt_s))
+        assert report.converged.all(), report.summary()
+        return float(force(self.solver)[0])
+
+
+MEAN_M, SWING_M = 3e-5, 2e-6
+
+
+def harmonic(steps: int, omega: float, branches: tuple[MaxwellBranch, ...] = ONE) -> complex:
+    """Force over depth [N/m] of the third cycle about a depth at which the gel has relaxed."""
+    block = Punched(branches)
+    dt = 2 * np.pi / omega / steps if branches else None
+    for hold in (1e-3, 10.0, 10.0):
+        block.press(MEAN_M, hold if branches else None)
     phase = 2 * np.pi * np.arange(1, 3 * steps + 1) / steps
-    pulls = [
-        cube.step(float(np.exp(stretch * np.sin(p))), 2 * np.pi / omega / steps) for p in phase
-    ]
-    last = np.exp(-1j * phase[-steps:])
-    return complex(np.dot(pulls[-steps:], last) / (stretch * (np.sin(phase[-steps:]) @ last))) / (
-        2 * MU + LAM
-    )
+    forces = [block.press(MEAN_M + SWING_M * np.sin(p), dt) for p in phase]
+    turn = np.exp(-1j * phase[-steps:])
+    return complex(np.dot(forces[-steps:], turn) / (SWING_M * (np.sin(phase[-steps:]) @ turn)))
 
 
-@pytest.mark.parametrize("omega", [0.5, 1.0, 4.0])
+@pytest.mark.parametrize("omega", [0.5, 4.0])
 def test_a_harmonic_strain_has_the_loss_angle(omega: float) -> None:
-    """E* = 1 + g i w tau / (1 + i w tau); the error halves with the step."""
+    """E* = E (1 + g i w tau / (1 + i w tau)); a step half as long has a quarter of the error."""
     branch = ONE[0]
     turn = 1j * omega * branch.time_s
     expected = 1 + branch.relative_modulus * turn / (1 + turn)
-    found = [harmonic(steps, omega) for steps in (20, 40)]
-    errors = [abs(value - expected) for value in found]
-    assert errors[1] < 0.04
-    assert errors[0] / errors[1] == pytest.approx(2, rel=0.1)
-    extrapolated = 2 * found[1] - found[0]
-    assert np.angle(extrapolated) == pytest.approx(np.angle(expected), rel=0.03)
+    relaxed = harmonic(8, omega, ())
+    coarse, finer, fine = (harmonic(steps, omega) / relaxed for steps in (8, 16, 64))
+    assert abs(fine) == pytest.approx(abs(expected), rel=5e-3)
+    assert np.angle(fine) == pytest.approx(np.angle(expected), rel=0.01)
+    assert abs(coarse - fine) < 0.03
+    assert abs(coarse - fine) / abs(finer - fine) == pytest.approx(4.2, rel=0.15)
 
 
 @pytest.mark.parametrize("amplitude", [1e-3, 0.3])
@@ -173,7 +200,7 @@ class Column:
 
 
 def test_a_held_force_creeps_as_the_closed_form() -> None:
-    """u(t) = u (1 - g / (1 + g) exp(-t / ((1 + g) tau))), to first order in the step."""
+    """u(t) = u (1 - g / (1 + g) exp(-t / ((1 + g) tau))); half the step, a quarter of the error."""
     solid = Column((MaxwellBranch(1e-6, 1.0),), None).rise(1.0)
     share, tau = ONE[0].relative_modulus, ONE[0].time_s
     errors = []
@@ -185,9 +212,8 @@ def test_a_held_force_creeps_as_the_closed_form() -> None:
         times = dt * np.arange(1, steps + 1)
         expected = 1 - share / (1 + share) * np.exp(-times / ((1 + share) * tau))
         errors.append(np.abs(found - expected).max())
-    assert errors[1] < 5e-3
-    assert errors[0] / errors[1] == pytest.approx(2, rel=0.1)
-    assert Column(ONE, None).rise(1e-6) < 0.7 * solid
+    assert errors[1] < 5e-4
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.15)
 
 
 def test_a_falling_body_that_turns_has_no_stress() -> None:
@@ -228,8 +254,8 @@ def ball(env_count: int, *depths_m: float) -> np.ndarray:
 
 
 def force(solver: SolverIPC) -> np.ndarray:
-    """Of the gel on the ball along z [N], [env_count]."""
-    return solver.contact_gradient.numpy()[..., 2].sum(axis=1)
+    """Of the gel on the tool along z [N], [env_count]."""
+    return solver.contact_gradient.numpy()[:, : solver.model.soft_count, 2].sum(axis=1)
 
 
 def steps(solver: SolverIPC, state: State, depths: list[float]) -> None:
@@ -301,7 +327,8 @@ def test_a_step_in_halves_relaxes_for_its_whole_time() -> None:
 
 
 def test_environments_have_their_own_past_and_moduli() -> None:
-    """One that is reset is as new; one twice as stiff has twice the force."""
+    """One that is reset is as new, and stiffer when it is pressed faster; one twice as stiff has
+    twice the force."""
     model = pressed(3)
     model.set_body(model.bodies[0].name, young_modulus_pa=np.array([1, 1, 2]) * YOUNG)
     solver, state = SolverIPC(model), initial_state(model, ball(3, -1e-4))
@@ -311,23 +338,28 @@ def test_environments_have_their_own_past_and_moduli() -> None:
     found = state.viscous_inverses.numpy().copy()
     np.testing.assert_array_equal(found[1], np.broadcast_to(np.eye(3), found[1].shape))
     np.testing.assert_allclose(found[0], found[2], atol=1e-3)
-    steps(solver, state, PATH[2:3])
+    for depth in PATH[:3]:
+        control = Control(ball(3, depth), dt_s=1e-3)
+        report = solver.step(state, control, who=np.array([False, True, False]))
+        assert report.converged[1], report.summary()
     forces = force(solver)
-    assert forces[1] > 1.1 * forces[0]
+    assert 1.02 * forces[0] < forces[1] < 1.06 * forces[0]
     assert forces[2] == pytest.approx(2 * forces[0], rel=0.01)
 
 
-def test_a_step_that_is_taken_again_does_not_relax_again() -> None:
+def test_a_step_that_is_taken_again_relaxes_for_its_own_time() -> None:
+    """To other targets and back: it ends where it had ended."""
     model = pressed()
-    solver, state = SolverIPC(model), initial_state(model, ball(1, -1e-4))
+    solver, state = SolverIPC(model, TIGHT), initial_state(model, ball(1, -1e-4))
     steps(solver, state, PATH[:3])
     assert state.viscous_inverses is not None
     before, first = state.viscous_inverses.numpy().copy(), force(solver)[0]
-    for depth in (3.1e-4, 3e-4):
+    for depth in (3.2e-4, 3e-4):
         report = solver.step(state, Control(ball(1, depth), dt_s=0.4), again=True)
         assert report.converged.all(), report.summary()
-        np.testing.assert_array_equal(state.viscous_inverses.numpy().copy(), before)
-    assert force(solver)[0] == pytest.approx(first, rel=1e-3)
+        change = np.abs(state.viscous_inverses.numpy() - before).max()
+        assert change > 1e-4 if depth > 3e-4 else change < 1e-6
+    assert force(solver)[0] == pytest.approx(first, rel=1e-5)
 
 
 def test_a_scene_without_branches_has_nothing_of_it() -> None:

@@ -14,12 +14,14 @@ from taccel_lab.calibration.capture.camera.recording import Recording
 from taccel_lab.calibration.live.reader import LiveReader
 from taccel_lab.calibration.live.recorded import read_recorded
 from taccel_lab.errors import InputError
+from taccel_lab.profile import BranchEntry
 from tests.calibration.depth.test_depth import grey_unit
 
 
-def folder_and_reader(folder: Path) -> LiveReader:
+def folder_and_reader(folder: Path, branches: tuple[BranchEntry, ...] = ()) -> LiveReader:
     """Images of untouched gel, a press, a torn file and untouched gel again."""
     captures, profile = grey_unit()
+    profile = profile.with_block(profile.material.replace(branches=branches))
     rest = np.asarray(captures.background)
     folder.mkdir()
     for number, image in ((0, rest), (2, captures.presses[2].image()), (10, rest)):
@@ -55,6 +57,33 @@ def test_a_folder_becomes_a_table_and_goes_on_after_a_kill(
     assert "frame_3.png" in table[2]["refused"]
     assert {path.name for path in out.iterdir()} >= {"readings.json", "readings.png"}
     assert not list(tmp_path.glob(".out.readings*"))
+
+
+def test_a_gel_that_relaxes_is_followed_and_an_interrupt_changes_nothing(tmp_path: Path) -> None:
+    """At two frames a second a branch of 0.5 s has relaxed by exp(-1) of an even rise."""
+    branches = (BranchEntry(relative_modulus=0.5, time_s=0.5),)
+
+    def stop(task: str, done: int, total: int) -> None:
+        if done == 1:
+            raise KeyboardInterrupt
+
+    def rows(name: str, fps: float | None, interrupt: bool = False) -> list[dict]:
+        folder = tmp_path / name
+        reader = folder_and_reader(folder, branches if name != "plain" else ())
+        out, recording = tmp_path / f"{name} out", Recording.of(folder)
+        if interrupt:
+            with pytest.raises(KeyboardInterrupt):
+                read_recorded(recording, reader, out, {"of": 1}, stop, fps)
+            reader = folder_and_reader(tmp_path / "other", branches)
+        return read_recorded(recording, reader, out, {"of": 1}, fps=fps)
+
+    plain, alone, timed = rows("plain", None), rows("alone", None), rows("timed", 2.0)
+    relaxed = plain[1]["force_n"]
+    assert alone[1]["force_n"] == pytest.approx(1.25 * relaxed, rel=1e-6)
+    assert alone[1]["force_low_n"] == pytest.approx(plain[1]["force_low_n"], rel=1e-6)
+    assert timed[1]["force_n"] == pytest.approx((1 + 0.5 * -np.expm1(-1.0)) * relaxed, rel=0.02)
+    again = rows("again", 2.0, interrupt=True)
+    assert [row.get("force_n") for row in again] == [row.get("force_n") for row in timed]
 
 
 def test_what_holds_no_frames_is_refused(tmp_path: Path) -> None:

@@ -51,6 +51,8 @@ class ElementData:
     starts: wp.array3d(dtype=wp.mat33d)
     """What a viscous potential keeps of the start of the step: Green strain (``viscosity``) or
     inverse viscous deformation (``maxwell``), shape [env_count, element_count, point_count]."""
+    shares: wp.array(dtype=wp.float64)
+    """What a Maxwell branch counts by in the step, shape [env_count]; of quadratic ones only."""
     rates: wp.array(dtype=wp.float64)
     """1 / dt [1/s], shape [env_count]; of a viscous potential only."""
 

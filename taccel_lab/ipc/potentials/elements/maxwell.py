@@ -1,21 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Relaxation of soft bodies: one branch of a generalised Maxwell solid, at finite strain.
 
-    E = g V psi(F_e),  F_e = F F_v^-1
+    E = c g V psi(F_e),  F_e = F F_v^-1
 
 with psi the law of the solid, g the relative modulus of the branch and F_v its viscous deformation
 [Reese and Govindjee 1998, A theory of finite viscoelasticity and numerical aspects]. F_v is a
 constant of the step, so that E is an elastic energy: F_v^-1 alone distinguishes its kernels from
 those of the solid. A turned body turns F_e from the left, of which psi depends on no turn.
 
-When a step of length dt begins, F is held and F_e relaxes in its logarithm, which is exact there:
+At held F, logarithmic strains of F_e fade by exp(-t / tau) [the exponential map: Weber and Anand
+1990]. A step of length dt does that in two parts, with h = dt / tau, a = exp(-h), c = (1 - a) / h:
 
-    F_v^-1  <-  F_v^-1 U_e^(a - 1),  U_e^2 = F_e^T F_e,  a = exp(-dt / tau)
+    F_v^-1  <-  F_v^-1 U_e^(s - 1),  U_e^2 = F_e^T F_e
 
-[the exponential map: Weber and Anand 1990]. Logarithmic strains of F_e shrink by ``a``, of volume
-and of shape alike, so that psi falls, whatever dt: a step dissipates, as the elastic step after it
-does. Held strain relaxes exactly; a strain that grows is taken to grow at the end of the step,
-which is of first order in dt. Steps that are taken again begin with F_v^-1 as it was left.
+with s = a / c at the F where it begins, and s = c at the F where it ends. For small strains this is
+exact where a strain grows evenly over the step [Simo and Hughes 1998, 10.3], however long that is;
+otherwise of second order in dt. Both factors are below 1, and so is c: psi falls in both parts, a
+step that ends where it began dissipates all that it should, and no step gains energy.
+
+A step that is taken again to another end begins with the F_v^-1 that it had.
 """
 
 from __future__ import annotations
@@ -49,26 +52,44 @@ _LEAST_SQUARE = wp.constant(wp.float64(1e-12))
 
 
 @wp.func
-def _relaxed(f: wp.mat33d, inverse: wp.mat33d, kept: wp.float64) -> wp.mat33d:
-    """F_v^-1 after F was held until the part ``kept`` of the logarithmic strain is left; as it was
-    where F is inside out, which has none."""
+def _even_share(h: wp.float64) -> wp.float64:
+    """c = (1 - exp(-h)) / h: what is left of a strain that grew evenly."""
+    if h < wp.float64(1e-4):
+        return wp.float64(1.0) - wp.float64(0.5) * h + h * h / wp.float64(6.0)
+    return (wp.float64(1.0) - wp.exp(-h)) / h
+
+
+@wp.func
+def _relaxed(f: wp.mat33d, inverse: wp.mat33d, left: wp.float64) -> wp.mat33d:
+    """F_v^-1 when the part ``left`` of the logarithmic strain is left; as it was where F is inside
+    out, which has none."""
     elastic = f * inverse
-    if kept == wp.float64(1.0) or not (wp.determinant(elastic) > wp.float64(0.0)):
+    if not (wp.determinant(elastic) > wp.float64(0.0)):
         return inverse
     squares, v = symmetric_eigen_3x3(wp.transpose(elastic) * elastic)
-    power = wp.float64(0.5) * (kept - wp.float64(1.0))
+    power = wp.float64(0.5) * (left - wp.float64(1.0))
     shrink = wp.vec3d()
     for k in range(3):
         shrink[k] = wp.pow(wp.max(squares[k], _LEAST_SQUARE), power)
     return inverse * (v * wp.diag(shrink) * wp.transpose(v))
 
 
+@wp.kernel
+def _begin_shares_kernel(
+    mask: wp.array(dtype=wp.int32),
+    again: wp.array(dtype=wp.int32),
+    dts: wp.array(dtype=wp.float64),
+    time: wp.float64,
+    shares: wp.array(dtype=wp.float64),  # out
+):
+    env = wp.tid()
+    if mask[env] != 0 and again[env] == 0:
+        shares[env] = _even_share(dts[env] / time)
+
+
 @wp.func
-def _kept(dt: wp.float64, time: wp.float64, again: int) -> wp.float64:
-    kept = wp.float64(1.0)
-    if again == 0:
-        kept = wp.exp(-dt / time)
-    return kept
+def _left_at_begin(dt: wp.float64, time: wp.float64, share: wp.float64) -> wp.float64:
+    return wp.exp(-dt / time) / share
 
 
 @wp.kernel
@@ -80,20 +101,27 @@ def _begin_linear_kernel(
     first: int,
     dts: wp.array(dtype=wp.float64),
     time: wp.float64,
-    d: ElementData,
+    modulus: wp.float64,
+    solid: ElementData,
     inverses: wp.array3d(dtype=wp.mat33d),  # out
     gradients: wp.array3d(dtype=wp.vec3d),  # out
+    volumes: wp.array2d(dtype=wp.float64),  # out
 ):
-    """F_v^-1 of the step, and F_v^-T b in place of the rest gradients b: F_e = sum_i x_i b_i^T."""
+    """F_v^-1 of the step; F_v^-T b in place of the rest gradients b, as F_e = sum_i x_i b_i^T; and
+    c g V in place of the volumes, which energies are linear in."""
     env, tet = wp.tid()
-    if mask[env] == 0:
+    if mask[env] == 0 or again[env] != 0:
         return
-    f = linear_deformation(env, tet, positions, d)
-    inverse = _relaxed(f, kept_inverses[env, first + tet], _kept(dts[env], time, again[env]))
+    share = _even_share(dts[env] / time)
+    f = linear_deformation(env, tet, positions, solid)
+    kept = kept_inverses[env, first + tet]
+    inverse = _relaxed(f, kept, _left_at_begin(dts[env], time, share))
     inverses[env, tet, 0] = inverse
     turn = wp.transpose(inverse)
+    rest = env % solid.volumes.shape[0]
     for i in range(4):
-        gradients[env, tet, i] = turn * d.gradients[env % d.volumes.shape[0], tet, i]
+        gradients[env, tet, i] = turn * solid.gradients[rest, tet, i]
+    volumes[env, tet] = share * modulus * solid.volumes[rest, tet]
 
 
 @wp.kernel
@@ -105,27 +133,43 @@ def _begin_quadratic_kernel(
     first: int,
     dts: wp.array(dtype=wp.float64),
     time: wp.float64,
-    d: ElementData,
+    solid: ElementData,
     inverses: wp.array3d(dtype=wp.mat33d),  # out
+):
+    env, tet, q = wp.tid()
+    if mask[env] == 0 or again[env] != 0:
+        return
+    left = _left_at_begin(dts[env], time, _even_share(dts[env] / time))
+    f = quadratic_deformation(env, tet, q, positions, solid)
+    kept = kept_inverses[env, first + tet * inverses.shape[2] + q]
+    inverses[env, tet, q] = _relaxed(f, kept, left)
+
+
+@wp.kernel
+def _end_kernel(
+    mask: wp.array(dtype=wp.int32),
+    positions: wp.array2d(dtype=wp.vec3d),
+    inverses: wp.array3d(dtype=wp.mat33d),
+    first: int,
+    shares: wp.array(dtype=wp.float64),
+    solid: ElementData,
+    kept_inverses: wp.array2d(dtype=wp.mat33d),  # out
 ):
     env, tet, q = wp.tid()
     if mask[env] == 0:
         return
-    f = quadratic_deformation(env, tet, q, positions, d)
-    inverse = kept_inverses[env, first + tet * inverses.shape[2] + q]
-    inverses[env, tet, q] = _relaxed(f, inverse, _kept(dts[env], time, again[env]))
+    f = wp.mat33d()
+    if inverses.shape[2] == 1:
+        f = linear_deformation(env, tet, positions, solid)
+    else:
+        f = quadratic_deformation(env, tet, q, positions, solid)
+    relaxed = _relaxed(f, inverses[env, tet, q], shares[env])
+    kept_inverses[env, first + tet * inverses.shape[2] + q] = relaxed
 
 
-@wp.kernel
-def _keep_kernel(
-    mask: wp.array(dtype=wp.int32),
-    inverses: wp.array3d(dtype=wp.mat33d),
-    first: int,
-    kept_inverses: wp.array2d(dtype=wp.mat33d),  # out
-):
-    env, tet, q = wp.tid()
-    if mask[env] != 0:
-        kept_inverses[env, first + tet * inverses.shape[2] + q] = inverses[env, tet, q]
+@wp.func
+def _share(env: int, tet: int, d: ElementData) -> wp.float64:
+    return d.shares[env]
 
 
 @wp.func
@@ -169,6 +213,7 @@ def _quadratic_kernels(model: MaterialModel) -> ElementKernels:
             law,
             name=f"maxwell.{law.name}",
             start=_point_inverse,
+            scale=_share,
             energy=energy,
             piola=piola,
             dilatation=dilatation,
@@ -196,23 +241,22 @@ class MaxwellPotential(ElementSum):
         super().__init__(model, group, kernels)
         self._branch, self._first = branch, first
         device, envs = model.device, model.env_count
-        eye = np.broadcast_to(
-            np.eye(3), (envs, group.element_count, group.element.point_count, 3, 3)
-        )
-        self._inverses = wp.array(eye, dtype=wp.mat33d, device=device)
+        count, points = group.element_count, group.element.point_count
+        eyes = np.broadcast_to(np.eye(3), (envs, count, points, 3, 3))
+        self._inverses = wp.array(eyes, dtype=wp.mat33d, device=device)
+        self._shares = wp.ones(envs, dtype=wp.float64, device=device)
         self._solid = ElementData()
         self._solid.nodes, self._solid.volumes = group.elements, group.volumes
         self._solid.gradients = group.shape_gradients
         # Energies are linear in volume times moduli; the moduli stay those of the group.
-        volumes = branch.relative_modulus * group.volumes.numpy()
         if self._quadratic:
-            self.data.starts = self._inverses
+            self.data.starts, self.data.shares = self._inverses, self._shares
+            volumes = branch.relative_modulus * group.volumes.numpy()
+            self.data.volumes = wp.array(volumes, dtype=wp.float64, device=device)
         else:
-            # Gradients differ by environment, and are looked up as volumes are.
-            volumes = np.tile(volumes, (envs // len(volumes), 1))
-            rest = np.tile(group.shape_gradients.numpy(), (envs // group.volumes.shape[0], 1, 1, 1))
-            self.data.gradients = wp.array(rest, dtype=wp.vec3d, device=device)
-        self.data.volumes = wp.array(volumes, dtype=wp.float64, device=device)
+            # Both differ by environment, and are looked up in one way.
+            self.data.gradients = wp.zeros((envs, count, 4), dtype=wp.vec3d, device=device)
+            self.data.volumes = wp.zeros((envs, count), dtype=wp.float64, device=device)
 
     def begin_step(
         self,
@@ -229,25 +273,45 @@ class MaxwellPotential(ElementSum):
             kept_inverses: ``State.viscous_inverses``; only read.
             dts: Length of the step [s], float64, [env_count].
             mask: int32, [env_count].
-            again: Where the step before is taken again, and has relaxed, int32, [env_count].
+            again: Where the step before is taken again, which goes on as it began, int32,
+                [env_count].
         """
-        quadratic = self._quadratic
+        branch, device = self._branch, self.model.device
         launch(
-            _begin_quadratic_kernel if quadratic else _begin_linear_kernel,
-            dim=self._inverses.shape if quadratic else self.energies.shape,
-            inputs=[mask, again, positions, kept_inverses, self._first, dts]
-            + [self._branch.time_s, self._solid],
-            outputs=[self._inverses] if quadratic else [self._inverses, self.data.gradients],
-            device=self.model.device,
+            _begin_shares_kernel,
+            dim=self.model.env_count,
+            inputs=[mask, again, dts, branch.time_s],
+            outputs=[self._shares],
+            device=device,
         )
+        inputs = [mask, again, positions, kept_inverses, self._first, dts, branch.time_s]
+        if self._quadratic:
+            launch(
+                _begin_quadratic_kernel,
+                dim=self._inverses.shape,
+                inputs=[*inputs, self._solid],
+                outputs=[self._inverses],
+                device=device,
+            )
+        else:
+            launch(
+                _begin_linear_kernel,
+                dim=self.energies.shape,
+                inputs=[*inputs, branch.relative_modulus, self._solid],
+                outputs=[self._inverses, self.data.gradients, self.data.volumes],
+                device=device,
+            )
 
-    def end_step(self, mask: wp.array, kept_inverses: wp.array) -> None:
-        """Write F_v^-1 of the step to ``State.viscous_inverses``, in the environments of ``mask``
-        (int32, [env_count])."""
+    def end_step(self, positions: wp.array, kept_inverses: wp.array, mask: wp.array) -> None:
+        """Relax at the deformation of the end and write ``State.viscous_inverses``, in the
+        environments of ``mask`` (int32, [env_count]).
+
+        ``positions``: nodes at the end [m], vec3d, [env_count, node_count].
+        """
         launch(
-            _keep_kernel,
+            _end_kernel,
             dim=self._inverses.shape,
-            inputs=[mask, self._inverses, self._first],
+            inputs=[mask, positions, self._inverses, self._first, self._shares, self._solid],
             outputs=[kept_inverses],
             device=self.model.device,
         )

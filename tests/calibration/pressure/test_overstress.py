@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forces of gels that relax: the recursion against its integral, readings against presses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+import taccel_lab as tl
+from taccel_lab.api.press_result import Press
+from taccel_lab.calibration.pressure.contact_pressure import ContactPressure, PressureReader
+from taccel_lab.calibration.pressure.overstress import Overstress
+from taccel_lab.profile import BranchEntry, SensorProfile
+from taccel_lab.sensors.profile import catalogue_profile
+
+BRANCHES = ((0.4, 2.0), (0.2, 0.3))
+SIGMA_M = 5e-6
+
+
+def test_the_recursion_is_the_integral() -> None:
+    """Of a pressure that grows, rests and falls in straight lines, at uneven times."""
+    times = np.array([0.0, 0.1, 0.15, 0.8, 1.0, 3.0, 3.2, 9.0])
+    values = np.array([0.0, 1.0, 1.5, 2.0, 2.0, 2.0, 0.5, 0.5])
+    made = Overstress(BRANCHES)
+    for number, (time, value) in enumerate(zip(times, values, strict=True)):
+        found, unknown = made.follow(np.full((2, 3), value), float(time))
+        expected = 0.0
+        for k in range(number):
+            rate = (values[k + 1] - values[k]) / (times[k + 1] - times[k])
+            for modulus, tau in BRANCHES:
+                part = quad(lambda s: np.exp((s - time) / tau), times[k], times[k + 1])[0]  # noqa: B023
+                expected += modulus * rate * part
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+        assert unknown == 0
+
+
+def test_what_a_first_frame_leaves_open_fades() -> None:
+    made, pressure = Overstress(BRANCHES), np.full((2, 2), 3.0)
+    found, unknown = made.follow(pressure, 10.0)
+    np.testing.assert_allclose(found, 0.5 * made.most * pressure)
+    assert unknown == pytest.approx(0.5 * made.most * 12.0)
+    found, unknown = made.follow(pressure, 12.0)
+    left = sum(0.5 * modulus * np.exp(-2.0 / tau) for modulus, tau in BRANCHES)
+    np.testing.assert_allclose(found, left * pressure)
+    assert unknown == pytest.approx(left * 12.0)
+    # Without its time a frame is a first one, whatever was before.
+    assert made.follow(pressure, None)[1] == made.follow(pressure, 20.0)[1] > unknown
+
+
+@pytest.fixture(scope="module")
+def gel() -> SensorProfile:
+    values = {
+        "thickness_mm": 4.0, "length_x_mm": 24.0, "length_y_mm": 24.0, "young_modulus_mpa": 0.3,
+        "width_px": 120, "height_px": 90, "mm_per_px": 0.12,
+    }  # fmt: skip
+    profile = catalogue_profile("flat_pad", values)
+    branches = tuple(BranchEntry(relative_modulus=g, time_s=tau) for g, tau in BRANCHES)
+    return profile.with_block(profile.material.replace(branches=branches))
+
+
+@pytest.fixture(scope="module")
+def held(gel: SensorProfile) -> Press:
+    """Down at 0.5 mm/s, 5 s of rest, and back."""
+    return tl.press(
+        gel, "sphere:4", depth_mm=0.5, step_mm=0.1, speed_mm_s=0.5, hold_s=5.0, unload=True,
+        friction=0.0, accuracy="fast", states=True,
+    )  # fmt: skip
+
+
+def readings(gel: SensorProfile, held: Press, timed: bool) -> list[ContactPressure]:
+    reader = PressureReader(gel, gel.grid())
+    sigma = np.full((gel.camera.height_px, gel.camera.width_px), SIGMA_M)
+    found, states = [], held.outcome.states
+    assert states is not None
+    if timed:
+        reader.read(np.zeros(sigma.shape), sigma, sigma, 0.0)
+    for step, seen in zip(held.outcome.steps, states.surfaces, strict=True):
+        rise = seen.height_m - seen.rest_height_m
+        found.append(reader.read(rise, sigma, sigma, step.time_s if timed else None))
+    return found
+
+
+def test_frames_with_times_read_the_force_of_a_hold(gel: SensorProfile, held: Press) -> None:
+    """Down, while it rests and on the way back; the rest is the layer's own error."""
+    true = np.array([step.wrench[2] for step in held.outcome.steps])
+    found = readings(gel, held, timed=True)
+    read = np.array([one.force_n for one in found])
+    for force, one in zip(true, found, strict=True):
+        assert one.force_interval_n is not None
+        low, high = one.force_interval_n
+        assert low <= force <= high
+        assert not any("held" in text for text in one.remarks)
+    pressed = true > 0.3 * true.max()
+    np.testing.assert_allclose(read[pressed], true[pressed], rtol=0.06)
+    assert read[-1] < 0.1 * read.max(), "the dent that is left needs no force"
+
+
+def test_an_image_alone_holds_the_sudden_and_the_long_press(
+    gel: SensorProfile, held: Press
+) -> None:
+    """Down and while it rests; the interval is wider by what time may have done."""
+    rests = len(held.outcome.path.way_there()) + 8
+    true = [step.wrench[2] for step in held.outcome.steps][:rests]
+    alone, timed = (readings(gel, held, timed)[:rests] for timed in (False, True))
+    for force, one, known in zip(true, alone, timed, strict=True):
+        assert one.force_interval_n is not None and known.force_interval_n is not None
+        low, high = one.force_interval_n
+        assert low <= force <= high
+        assert high / low > 1.3 * known.force_interval_n[1] / known.force_interval_n[0]
+        assert any("1.6 times the force of a long one" in text for text in one.remarks)

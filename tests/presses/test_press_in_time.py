@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Presses of gels that relax: speed, hold and way back; of other gels time changes nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import taccel_lab as tl
+from taccel_lab.errors import InputError
+from taccel_lab.geometry import PixelGrid
+from taccel_lab.presses import PressOutcome, PressPath, parse_indenter, simulate_press
+from taccel_lab.presses.press_path import HOLD_STEPS
+from taccel_lab.scene import Material, MaxwellBranch
+from tests.support.blocks import block_mesh
+from tests.support.coarse_pads import LINEAR
+
+MESH = block_mesh((6, 6, 3), (8e-3, 8e-3, 3e-3))
+GEL = Material(1.5e5, 0.46)
+BRANCH = MaxwellBranch(0.4, 2.0)
+RELAXING = replace(GEL, branches=(BRANCH,))
+GRID = PixelGrid(16, 16, 0.4, 0.4)
+PATH = PressPath(0.5)
+
+
+def pressed(path: PressPath, material: Material = RELAXING) -> PressOutcome:
+    return simulate_press(
+        MESH, material, parse_indenter("sphere:3"), (0.0, 0.0), path, GRID,
+        friction_coefficient=0.0, physics=LINEAR,
+    )  # fmt: skip
+
+
+def forces(outcome: PressOutcome) -> np.ndarray:
+    return np.array([step.wrench[2] for step in outcome.steps])
+
+
+def test_a_hold_is_where_the_indenter_is_and_takes_its_time() -> None:
+    path = replace(PATH, shear_mm=(0.1, 0.0), twist_deg=4.0, hold_s=8.0, back=True, speed_mm_s=0.5)
+    points, times = path.waypoints(), path.durations_s()
+    assert len(points) == len(times) == 2 * len(path.way_there()) + HOLD_STEPS
+    held = slice(len(path.way_there()), len(path.way_there()) + HOLD_STEPS)
+    assert set(points[held]) == {path.way_there()[-1]} and points[-1] == (0.0, (0.0, 0.0), 0.0)
+    assert sum(times[held]) == pytest.approx(8.0)
+    assert (np.diff(times[held]) > 0).all()
+    # Down and up at 0.5 mm/s; the turn of two steps takes as long as two of 0.2 mm.
+    down = len(PATH.way_there())
+    assert sum(times[:down]) == sum(times[-down:]) == pytest.approx(1.0)
+    assert sum(times[down : held.start]) == pytest.approx(0.8)
+
+
+def test_a_hold_relaxes_and_a_way_back_loses_work() -> None:
+    outcome = pressed(replace(PATH, hold_s=6.0, back=True))
+    found, down = forces(outcome), len(PATH.way_there())
+    relaxed = forces(pressed(PATH, GEL))[-1]
+    held = found[down - 1 : down + HOLD_STEPS]
+    assert (np.diff(held) < 0).all()
+    # Of 0.4 what 0.5 s of loading and 6 s leave, by a force that grows as depth^1.5 does.
+    assert held[0] / relaxed == pytest.approx(1 + 0.4 * 0.91, rel=0.01)
+    left = (held[-1] - relaxed) / (held[0] - relaxed)
+    assert left == pytest.approx(np.exp(-6.0 / BRANCH.time_s), abs=0.01)
+    figures = outcome.figures()
+    assert figures["hold"] == {"from_n": held[0], "to_n": held[-1], "seconds": 6.0}
+    assert 0.2 < figures["loop"]["lost_share"] < 0.5
+    times = [step["time_s"] for step in figures["steps"]]
+    assert times[down - 1] == pytest.approx(0.5) and times[-1] == pytest.approx(7.0)
+    assert abs(found[-1]) < 1e-6 < found[-2], "it has left a gel that is still dented"
+    assert (outcome.rest_height_m - outcome.height_m).max() > 1e-5
+
+
+def test_a_slow_press_is_softer_than_a_fast_one() -> None:
+    fast, slow = (forces(pressed(replace(PATH, speed_mm_s=speed)))[-1] for speed in (1e3, 1e-3))
+    relaxed = forces(pressed(PATH, GEL))[-1]
+    assert fast / relaxed == pytest.approx(1.4, rel=2e-3)
+    assert slow / relaxed == pytest.approx(1.0, rel=2e-2)
+
+
+def test_a_gel_that_does_not_relax_goes_back_as_it_came() -> None:
+    plain = pressed(PATH, GEL)
+    outcome = pressed(replace(PATH, back=True), GEL)
+    found, down = forces(outcome), len(PATH.way_there())
+    np.testing.assert_array_equal(found[:down], forces(plain))
+    np.testing.assert_allclose(found[down:-1], found[: down - 1][::-1], rtol=2e-3)
+    assert outcome.figures()["loop"]["lost_share"] < 2e-3
+    assert "hold" not in plain.figures() and "loop" not in plain.figures()
+    assert "time_s" not in plain.figures()["steps"][0]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"hold_s": 1.0}, "does not relax"),
+        ({"speed_mm_s": 1.0}, "does not relax"),
+        ({"hold_s": -1.0}, "hold must lie"),
+        ({"speed_mm_s": 0.0}, "speed must lie"),
+        ({"unload": True, "accuracy": "3%"}, "--unload takes away"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(options: dict, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        tl.press("flat_pad", "sphere:4", depth_mm=0.3, **options)
