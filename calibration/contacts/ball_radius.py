@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet
+from taccel_lab.calibration.contacts.fit import FittedTogether
 from taccel_lab.calibration.contacts.photometric import fit_contacts
 from taccel_lab.calibration.contacts.remarks import WRONG_BALL_RADIUS
-from taccel_lab.calibration.contacts.result import FoundContacts
 from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO
 from taccel_lab.report.remark import Remark
 
@@ -71,7 +71,7 @@ class BallCheck:
         ]
 
 
-def check_ball(captures: CaptureSet, found: FoundContacts) -> BallCheck | None:
+def check_ball(captures: CaptureSet, found: FittedTogether) -> BallCheck | None:
     """Fit the presses again with other balls; None with fewer than 4 fitted presses."""
     if found.fit is None or len(found.samples) < MIN_PRESSES:
         return None
