@@ -16,16 +16,22 @@ from taccel_lab.calibration.normals.ball_normals import ball_center_px, ball_nor
 from taccel_lab.calibration.normals.fit import (
     READING,
     READING_BALLS,
-    READING_HELDOUT,
     calibrate_normals,
     fit_normals,
 )
-from taccel_lab.calibration.normals.network_fit import TASK, InverseFitOptions, fit_normal_model
+from taccel_lab.calibration.normals.heldout import READING as READING_HELDOUT
+from taccel_lab.calibration.normals.network_fit import (
+    TASK,
+    TASK_AGAIN,
+    InverseFitOptions,
+    fit_normal_model,
+)
 from taccel_lab.calibration.normals.normals_page import normals_page
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
 from taccel_lab.calibration.normals.result import NormalCalibration
-from taccel_lab.calibration.normals.samples import CaptureScene, SampleOptions
+from taccel_lab.calibration.normals.samples import CaptureScene, InverseFrame, SampleOptions
 from taccel_lab.calibration.normals.score import angle_between_deg, ball_depth_mm
+from taccel_lab.calibration.profiles import Profiles
 from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.calibration.surfaces.bonded_layer import FAR_MM, press_layer
 from taccel_lab.errors import InputError
@@ -144,6 +150,8 @@ def test_held_out_images_reach_nothing_that_is_fitted_and_none_is_lost() -> None
     spoilt = calibrated(with_images(captures, noise), surfaces, options=short)
     for name, weight in clean.fit.model.weights.items():
         assert np.array_equal(weight, spoilt.fit.model.weights[name])
+    assert clean.fit.left_out_deg == spoilt.fit.left_out_deg
+    assert clean.train_names == spoilt.train_names
     assert clean.flat_noise_levels == spoilt.flat_noise_levels
     assert clean.heldout_means("used") != spoilt.heldout_means("used")
     other = calibrated(captures, surfaces, options=replace(short, seed=1)).fit.model.weights
@@ -165,6 +173,61 @@ def test_held_out_images_reach_nothing_that_is_fitted_and_none_is_lost() -> None
         (other.used.mean_deg + other.used.flat_deg) / 2
     )
     assert "heldout_failed" in {remark.code for remark in lost.remarks}
+
+
+def test_a_profile_gets_the_fit_to_all_presses_with_scores_and_bands_of_the_first(
+    clean: Clean,
+) -> None:
+    result = clean[2]
+    profiles = Profiles.of(flat_profile(GRID)).after(result)
+    scored, last = profiles.basis, profiles.final
+    assert scored.normals is not None and last.normals is not None and result.final is not None
+    assert scored.normal_weights is not None and last.normal_weights is not None
+    assert set(scored.normals.provenance.inputs) == {"background", *result.train_names}
+    assert set(last.normals.provenance.inputs) == {"background"} | {f"p{i}" for i in range(16)}
+    assert "then fitted to all 16 presses" in last.normals.provenance.method
+    assert "then fitted" not in scored.normals.provenance.method
+    assert last.normals.provenance.residuals == scored.normals.provenance.residuals
+    for name, weight in last.normal_weights.items():
+        assert np.array_equal(scored.normal_weights[name], result.fit.model.weights[name])
+        assert not np.array_equal(weight, scored.normal_weights[name])
+    first, second = result.fit.model.config, result.final.model.config
+    assert second.error_factor >= first.error_factor and second.cone_deg >= first.cone_deg
+    own = {"error_factor": first.error_factor, "cone_deg": first.cone_deg}
+    assert replace(second, **own) == first
+
+
+def test_a_last_fit_leaves_out_what_its_networks_left_out() -> None:
+    """A press that a network has seen would say of it that it errs little."""
+    captures, surfaces = synthetic_captures(8)
+    frames = [
+        InverseFrame(press.name, press.image().astype(np.float32), circle, "", surface)
+        for press, circle, surface in zip(
+            captures.presses, circles_of(captures), surfaces, strict=True
+        )
+    ]
+    scene = CaptureScene(captures.background.astype(np.float32), GRID, BALL_RADIUS_MM)
+    for first, folds in ((5, [0, 1, 2, 0, 1, 2, 0, 1]), (3, [None] * 8)):
+        _, training = fit_normal_model(frames[:first], scene, replace(QUICK, steps=10))
+        seen = [set(pool.tolist()) for pool in training.pools]
+        last = training.go_on(frames[first:])
+        assert training.folds == folds and len(last.inputs) == 8
+        for pool, before in zip(training.pools, seen, strict=True):
+            known = set(range(sum(len(part) for part in training.pixels[:first])))
+            assert set(pool.tolist()) & known == before
+        assert set(last.left_out_deg) == ({f.name for f in frames} if first == 5 else set())
+
+
+def test_an_image_without_its_press_is_not_in_the_last_fit() -> None:
+    captures, surfaces = synthetic_captures(12)
+    empty = captures.split(4).heldout_names[0]
+
+    def blank(image: np.ndarray, i: int) -> np.ndarray:
+        return captures.background if captures.presses[i].name == empty else image
+
+    result = calibrated(with_images(captures, blank), surfaces)
+    assert result.final is not None and {item.name for item in result.heldout} >= {empty}
+    assert set(result.final.inputs) == {press.name for press in captures.presses} - {empty}
 
 
 def test_drifting_light_is_taken_off() -> None:
@@ -227,7 +290,7 @@ def test_light_that_changes_within_the_image_asks_for_bands(tmp_path: Path) -> N
 
 def test_profile_reads_what_the_calibration_read(clean: Clean, tmp_path: Path) -> None:
     captures, surfaces, result = clean
-    save_profile(result.apply_to(flat_profile(GRID)), tmp_path / "profile")
+    save_profile(result.scored.apply_to(flat_profile(GRID)), tmp_path / "profile")
     profile = load_profile(tmp_path / "profile")
     assert profile.normals is not None
     provenance = profile.normals.provenance
@@ -290,7 +353,8 @@ def test_curved_gel_is_read_relative_to_its_rest() -> None:
         turned = replace(surface, normals=rotate_from_z(surface.normals, rest), rest_normals=rest)
         bent.append(turned)
         images.append(press.image())
-    result = calibrated(captures, bent, rest_normals=rest)
+    face = replace(flat_rest(GRID), normals=rest)
+    result = calibrated(captures, bent, rest=face)
     for item in result.heldout:
         wanted = bent[int(item.name[1:])].normals
         circle = item.frame.circle
@@ -364,7 +428,7 @@ def test_every_stage_is_named_and_ends(
     """Reading takes longer than the fit, and its bar stood at the fit's last step."""
     fitted, *read = list(stages)[list(stages).index(TASK) :]
     assert stages[fitted] == (800, 800)
-    assert read == [READING, READING_BALLS, READING_HELDOUT]
+    assert read == [READING, READING_BALLS, READING_HELDOUT, TASK_AGAIN]
     assert all(done == total for done, total in stages.values())
     assert stages[READING_HELDOUT][1] == len(synthetic.heldout)
 
