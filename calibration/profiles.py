@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from taccel_lab.calibration.color.result import ColorCalibration
-from taccel_lab.calibration.result import CalibrationResult
+from taccel_lab.calibration.result import CalibrationResult, ScoredFit
 from taccel_lab.profile import SensorProfile
 
 
@@ -25,7 +24,7 @@ class Profiles:
 
     def after(self, result: CalibrationResult) -> Profiles:
         """Both with what a block found; errors of ``apply_to``."""
-        scored = result.scored if isinstance(result, ColorCalibration) else result
+        scored = result.scored if isinstance(result, ScoredFit) else result
         final = result.apply_to(self.final)
         alike = self.basis is self.final and scored is result
         return Profiles(final if alike else scored.apply_to(self.basis), final)

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -73,6 +73,47 @@ class ResultSummary(Summary):
         ]
         rows = [("verdict", str(judge(self.remarks))), *single[:MOST_SHOWN]]
         return type(self).__name__, rows
+
+
+class Fit(Protocol):
+    """A fitted model."""
+
+    @property
+    def inputs(self) -> Mapping[str, str]:
+        """SHA-256 of the images it was fitted to, by name."""
+        ...
+
+
+FitType = TypeVar("FitType", bound=Fit)
+
+
+@dataclass(frozen=True, repr=False)
+class ScoredFit(ResultSummary, Generic[FitType]):
+    """A model that is fitted, scored on held-out presses, and then fitted to all of them."""
+
+    fit: FitType
+    """To the training presses: all figures are of it."""
+    final: FitType | None
+    """To all presses, once the held-out ones were scored; what a profile gets. None where no
+    held-out press can be used."""
+
+    @property
+    def last(self) -> FitType:
+        """What a profile gets."""
+        return self.final or self.fit
+
+    @property
+    def scored(self) -> Self:
+        """With the model that the figures are of alone: what later blocks build on, whose held-out
+        presses are the same."""
+        return self if self.final is None else replace(self, final=None)
+
+    @property
+    def then_fitted(self) -> str:
+        """What the last fit was made to, for the record; empty where there is none."""
+        if self.final is None:
+            return ""
+        return f"scored so, then fitted to all {len(self.final.inputs)} presses"
 
 
 class CalibrationResult(Protocol):

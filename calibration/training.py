@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, Protocol
+from dataclasses import replace
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -19,6 +20,19 @@ import torch
 Layers = Sequence[tuple[torch.Tensor, torch.Tensor]]
 LEAST_SCHEDULE = 11
 """Steps that the learning rate is planned for at least."""
+AGAIN_STEPS = 30
+"""Steps of a fit that goes on from another, of a hundred of the first."""
+AGAIN_RATE = 0.5
+"""Its learning rate against the first one's."""
+
+
+Settings = TypeVar("Settings", bound=Any)
+
+
+def going_on(options: Settings) -> Settings:
+    """Settings, with ``steps`` and ``learning_rate``, of a fit that goes on from one with these."""
+    steps = max(1, options.steps * AGAIN_STEPS // 100)
+    return replace(options, steps=steps, learning_rate=AGAIN_RATE * options.learning_rate)
 
 
 class TrainingStore(Protocol):

@@ -29,7 +29,7 @@ from taccel_lab.calibration.check import remarks
 from taccel_lab.calibration.check.findings import name_some
 from taccel_lab.calibration.check.frames import FrameFigures
 from taccel_lab.calibration.contacts.ball_radius import check_ball
-from taccel_lab.calibration.contacts.fit import find_contacts
+from taccel_lab.calibration.contacts.fit import fit_together
 from taccel_lab.calibration.contacts.grey import LABEL_SHARE, LABEL_SIGMA_PX
 from taccel_lab.calibration.surfaces.design import fitted_parameters
 from taccel_lab.calibration.surfaces.view import view_remarks
@@ -229,7 +229,7 @@ def check_slopes(folder: CaptureFolder, background: np.ndarray) -> list[Remark]:
         ),
         provenance={},
     )
-    found = check_ball(chosen, find_contacts(chosen))
+    found = check_ball(chosen, fit_together(chosen))
     if found is None:
         return []
     return found.remarks(remarks.BY_COLOR)

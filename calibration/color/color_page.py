@@ -114,7 +114,7 @@ def _summary(result: ColorCalibration) -> str:
             f"{score['disc_l1']:.2f} levels of error inside it."
         )
         if result.final is not None:
-            presses = len(result.final.disc_l1_train)
+            presses = len(result.final.inputs)
             parts.append(f"The profile's colours were fitted to all {presses} presses after that.")
     else:
         parts.append("No press was held out, so there are no figures of presses it never saw.")

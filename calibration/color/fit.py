@@ -30,7 +30,7 @@ from taccel_lab.calibration.color.heldout import (
 from taccel_lab.calibration.color.network_fit import ColorFit, fit_color_model
 from taccel_lab.calibration.color.options import ColorOptions, ColorTraining
 from taccel_lab.calibration.color.press_circles import placed_presses
-from taccel_lab.calibration.color.registration import MIN_PRESSES, place_by
+from taccel_lab.calibration.color.registration import joining_frames
 from taccel_lab.calibration.color.remarks import color_remarks
 from taccel_lab.calibration.color.result import ColorCalibration, PressScore
 from taccel_lab.calibration.color.taxim_table import fit_taxim_table, render_taxim_table
@@ -222,31 +222,19 @@ class _Fitting:
     def _frames_of(
         self, heldout: HeldoutSet, held: Sequence[HeldoutPress], fit: ColorFit
     ) -> list[ColorFrame]:
-        """Held-out presses as the last fit takes them: placed by the colours of the training
-        presses, as these were by each other. One that is rendered no better than the bare
+        """Held-out presses as the last fit takes them. One that is rendered no better than the bare
         background shows something else."""
-        captures, grid = self.captures, self.captures.grid
-        hashes = {press.name: press.sha256 for press in heldout.captures.presses}
+        captures = heldout.captures
+        hashes = {press.name: press.sha256 for press in captures.presses}
         frames = [
             ColorFrame(press.name, press.captured, press.placed, press.surface, hashes[press.name])
             for press in held
             if press.score.crop_psnr_db > press.background_only.crop_psnr_db
         ]
-        if not frames or len(self.frames) < MIN_PRESSES:
-            return frames
-        found = place_by(fit, self.frames, frames, captures.background, grid, captures.mask)
-        names = {frame.name for frame in frames}
-        # In the order of the frames: scores keep that of the captures.
-        presses = tuple(press for press in heldout.captures.presses if press.name in names)
-        circles = [
-            circle.up_to_equator(press.radius_mm or captures.ball_radius_mm, grid)
-            for circle, press in zip(found, presses, strict=True)
-        ]
-        surfaces = heldout.surfaces(replace(heldout.captures, presses=presses), circles)
-        return [
-            replace(frame, circle=circle, surface=surface)
-            for frame, circle, surface in zip(frames, circles, surfaces, strict=True)
-        ]
+        return joining_frames(
+            fit.model, fit.options, self.frames, captures, frames, self.captures.background,
+            heldout.surfaces,
+        )  # fmt: skip
 
     def _choose_drift(self) -> None:
         if self.drift is None:

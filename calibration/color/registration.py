@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taccel_lab.calibration.capture.captures import ContactCircle
+from taccel_lab.calibration.capture.captures import CaptureSet, ContactCircle
 from taccel_lab.calibration.color.fit_options import SHORT_FIT, ColorFitOptions
 from taccel_lab.calibration.color.frames import (
     ColorFrame,
@@ -25,11 +25,13 @@ from taccel_lab.calibration.color.frames import (
     join_samples,
     samples_at,
 )
-from taccel_lab.calibration.color.network_fit import ColorFit, rest_background
+from taccel_lab.calibration.color.network_fit import rest_background
 from taccel_lab.calibration.color.training import train
 from taccel_lab.calibration.contacts.refine import refine_circle
+from taccel_lab.calibration.surfaces.ball_in_layer import SurfaceMaker
 from taccel_lab.calibration.surfaces.moved_press import MovedPress
 from taccel_lab.calibration.surfaces.radial import RadialSurfaces
+from taccel_lab.calibration.training import going_on
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.color_model import ColorModel
@@ -42,10 +44,6 @@ SURE_DEVIATIONS = 2.0
 """A factor other than one is taken when the presses' gain is this many standard errors."""
 CORRELATED_PIXELS = 25.0
 """Neighbouring pixels err alike: as many count as one."""
-AGAIN_STEPS = 30
-"""Steps of a fit that goes on from another, of a hundred of the first."""
-AGAIN_RATE = 0.5
-"""Its learning rate against the first one's."""
 REACH = 1.8
 """Pixels up to this many contact radii are compared."""
 MAX_PIXELS = 1500
@@ -115,23 +113,40 @@ def register_presses(
     return Registration(circles, scale)
 
 
-def place_by(
-    fit: ColorFit,
+def joining_frames(
+    model: ColorModel,
+    options: ColorFitOptions,
     frames: Sequence[ColorFrame],
-    others: Sequence[ColorFrame],
+    heldout: CaptureSet,
+    scored: Sequence[ColorFrame],
     background: np.ndarray,
-    grid: PixelGrid,
-    mask: np.ndarray | None = None,
-) -> list[ContactCircle]:
-    """Circles of ``others`` as the colours of ``frames`` have them, which ``fit`` was fitted to."""
-    job = _Job([*frames, *others], background, grid, mask, fit.options)
+    surfaces: SurfaceMaker,
+) -> list[ColorFrame]:
+    """Held-out presses as a last fit takes them: placed by the colours of ``frames``, to which
+    ``model`` was fitted, as these were by each other; with fewer than 8 of these, as ``scored``.
+
+    ``scored`` are some presses of ``heldout`` where their labels put them; ``surfaces`` makes those
+    under them anew.
+    """
+    if not scored or len(frames) < MIN_PRESSES:
+        return list(scored)
+    grid = heldout.grid
+    job = _Job([*frames, *scored], background, grid, heldout.mask, options)
+    names = {frame.name for frame in scored}
+    # In the order of ``scored``: scores keep that of the captures.
+    presses = tuple(press for press in heldout.presses if press.name in names)
     circles = []
-    for i, frame in enumerate(others, len(frames)):
+    for i, (frame, press) in enumerate(zip(scored, presses, strict=True), len(frames)):
         circle = frame.circle
         for _ in range(ROUNDS):
-            circle = job.place(i, fit.model, circle, frame.circle)
-        circles.append(circle)
-    return circles
+            circle = job.place(i, model, circle, frame.circle)
+        ball_mm = press.radius_mm or heldout.ball_radius_mm
+        circles.append(circle.up_to_equator(ball_mm, grid))
+    made = surfaces(replace(heldout, presses=presses), circles)
+    return [
+        replace(frame, circle=circle, surface=surface)
+        for frame, circle, surface in zip(scored, circles, made, strict=True)
+    ]
 
 
 def _best_scale(
@@ -190,11 +205,7 @@ class _Job:
         self.moved = [MovedPress.of(f.surface, f.circle, self.library) for f in frames]
         rng = np.random.default_rng(options.seed)
         self.pixels = [draw_pixels(frame, grid, mask, options, rng) for frame in frames]
-        self.again = replace(
-            options,
-            steps=max(1, options.steps * AGAIN_STEPS // 100),
-            learning_rate=AGAIN_RATE * options.learning_rate,
-        )
+        self.again = going_on(options)
         self._first: dict[int, ColorModel] = {}
 
     def samples(self, i: int, circle: ContactCircle) -> ColorSamples:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from taccel_lab.calibration.color.heldout import (
 from taccel_lab.calibration.color.network_fit import ColorFit
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice
-from taccel_lab.calibration.result import ResultSummary, mean_figures
+from taccel_lab.calibration.result import ScoredFit, mean_figures
 from taccel_lab.calibration.thickness.fit import GelThickness
 from taccel_lab.errors import InputError
 from taccel_lab.exporters.taxim_table import TaximTable
@@ -40,14 +40,9 @@ class PressScore:
 
 
 @dataclass(frozen=True, repr=False)
-class ColorCalibration(ResultSummary):
+class ColorCalibration(ScoredFit[ColorFit]):
     """Result of ``calibrate_color``."""
 
-    fit: ColorFit
-    """To the training presses: all figures are of it."""
-    final: ColorFit | None
-    """To all presses, once the held-out ones were scored; what a profile gets. None where no
-    held-out press can be used."""
     heldout: list[HeldoutPress]
     """Presses that were held out and could be rendered."""
     failures: list[HeldoutFailure]
@@ -81,12 +76,6 @@ class ColorCalibration(ResultSummary):
     def train_names(self) -> list[str]:
         """Names of the training presses in order."""
         return [press.name for press in self.captures.presses]
-
-    @property
-    def scored(self) -> ColorCalibration:
-        """With the model that the figures are of alone: what later blocks build on, whose held-out
-        presses are the same."""
-        return self if self.final is None else replace(self, final=None)
 
     @property
     def drift_corrected(self) -> bool:
@@ -141,7 +130,7 @@ class ColorCalibration(ResultSummary):
             "train_disc_l1": self.fit.disc_l1_train,
             "loss_curve": self.fit.loss_curve,
             "fit_seconds": self.fit.seconds,
-            "profile_presses": len(self._last.disc_l1_train),
+            "profile_presses": len(self.last.inputs),
             "drift_removed": self.drift_corrected,
         }
         if self.gel is not None:
@@ -172,7 +161,7 @@ class ColorCalibration(ResultSummary):
             profile = self.gel.apply_to(profile)
         # An old background or model may be of another image size; both are replaced.
         profile = profile.without("background", "color")
-        fit = self._last
+        fit = self.last
         return profile.with_block(
             BackgroundBlock(provenance=self._background_provenance()), fit.background
         ).with_block(
@@ -181,10 +170,6 @@ class ColorCalibration(ResultSummary):
             ),
             fit.model.weights,
         )
-
-    @property
-    def _last(self) -> ColorFit:
-        return self.final or self.fit
 
     def _inputs(self, fit: ColorFit) -> dict[str, str]:
         return {"background": self.captures.background_sha256} | fit.inputs
@@ -219,7 +204,7 @@ class ColorCalibration(ResultSummary):
             kind="calibrated",
             method=self._method(),
             source=self._source(),
-            inputs=self._inputs(self._last),
+            inputs=self._inputs(self.last),
             residuals=residuals,
             spread=spread,
             valid_region=self.valid_region,
@@ -244,6 +229,5 @@ class ColorCalibration(ResultSummary):
                 f"{self.split.by} (SHA-256 of their names {self.split.sha256[:16]}), placed by "
                 f"{self.placement}, {len(self.failures)} failed"
             )
-        if self.final is not None:
-            parts.append(f"scored so, then fitted to all {len(self.final.disc_l1_train)} presses")
+        parts += [self.then_fitted] * (self.final is not None)
         return "; ".join(parts)

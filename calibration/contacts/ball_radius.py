@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import CaptureSet
-from taccel_lab.calibration.contacts.photometric import fit_contacts
+from taccel_lab.calibration.contacts.fit import FittedTogether
+from taccel_lab.calibration.contacts.photometric import PhotometricFit, fit_contacts
 from taccel_lab.calibration.contacts.remarks import WRONG_BALL_RADIUS
-from taccel_lab.calibration.contacts.result import FoundContacts
 from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO
 from taccel_lab.report.remark import Remark
 
@@ -41,7 +41,8 @@ class BallCheck:
     rms_levels: tuple[float, ...]
     """Residual of the joint fit with each radius [levels]."""
     lowest_mm: float
-    """Smallest radius that the colours allow [mm]."""
+    """Smallest radius of those tried that the colours allow [mm]; none below the stated one are
+    tried where that is allowed."""
     pinned: int
     """Presses whose contact is as large as the stated ball."""
     count: int
@@ -71,39 +72,46 @@ class BallCheck:
         ]
 
 
-def check_ball(captures: CaptureSet, found: FoundContacts) -> BallCheck | None:
+def check_ball(captures: CaptureSet, found: FittedTogether) -> BallCheck | None:
     """Fit the presses again with other balls; None with fewer than 4 fitted presses."""
     if found.fit is None or len(found.samples) < MIN_PRESSES:
         return None
-    circles = [contact.circle for contact in found.fit.contacts]
-    sums, rms, pinned = [], [], 0
-    for factor in FACTORS:
-        fit = fit_contacts(
-            found.samples,
-            circles,
-            [factor * ball for ball in found.ball_px],
-            blur_px=found.fit.blur_px,
-            iterations=ROUNDS,
+    start = found.fit
+    circles = [contact.circle for contact in start.contacts]
+
+    def fitted(factor: float) -> PhotometricFit:
+        ball_px = [factor * ball for ball in found.ball_px]
+        return fit_contacts(
+            found.samples, circles, ball_px, blur_px=start.blur_px, iterations=ROUNDS
         )
-        sums.append(np.log(np.maximum(fit.sums_by_press, 1e-9)))
-        rms.append(fit.rms_levels)
-        if factor == 1.0:
-            pinned = sum(
-                contact.circle.radius_px > 0.99 * MAX_CONTACT_RATIO * ball
-                for contact, ball in zip(fit.contacts, found.ball_px, strict=True)
-            )
-    stated = captures.ball_radius_mm
+
+    fits = {factor: fitted(factor) for factor in FACTORS if factor >= 1.0}
+    check = _judged(captures.ball_radius_mm, found.ball_px, fits)
+    if check.consistent:
+        # Smaller balls cannot take that back: the lowest one allowed would only be lower.
+        return check
+    fits = {factor: fits.get(factor) or fitted(factor) for factor in FACTORS}
+    return _judged(captures.ball_radius_mm, found.ball_px, fits)
+
+
+def _judged(
+    stated_mm: float, ball_px: Sequence[float], fits: dict[float, PhotometricFit]
+) -> BallCheck:
+    """What fits with the stated ball and others say, factors rising."""
+    sums = np.array([np.log(np.maximum(fit.sums_by_press, 1e-9)) for fit in fits.values()])
+    stated = zip(fits[1.0].contacts, ball_px, strict=True)
+    largest = 0.99 * MAX_CONTACT_RATIO
     return BallCheck(
-        stated_mm=stated,
-        tried_mm=tuple(stated if f == 1.0 else f * stated for f in FACTORS),
-        rms_levels=tuple(rms),
-        lowest_mm=stated * _lowest(np.array(sums)),
-        pinned=pinned,
-        count=len(circles),
+        stated_mm=stated_mm,
+        tried_mm=tuple(stated_mm if f == 1.0 else f * stated_mm for f in fits),
+        rms_levels=tuple(fit.rms_levels for fit in fits.values()),
+        lowest_mm=stated_mm * _lowest(list(fits), sums),
+        pinned=sum(contact.circle.radius_px > largest * ball for contact, ball in stated),
+        count=len(ball_px),
     )
 
 
-def _lowest(log_sums: np.ndarray) -> float:
+def _lowest(factors: Sequence[float], log_sums: np.ndarray) -> float:
     """Smallest factor whose residuals do not surely exceed the best ones, shape [factor, press].
 
     Between two factors that are tried, the rise is taken as linear.
@@ -113,11 +121,11 @@ def _lowest(log_sums: np.ndarray) -> float:
     mean = rise.mean(axis=1)
     error = rise.std(axis=1, ddof=1) / np.sqrt(rise.shape[1])
     excess = np.minimum(mean - np.log1p(WORSE), mean - SURE * error)
-    low = FACTORS[0]
+    low = factors[0]
     for k in range(best, 0, -1):
         if excess[k - 1] > 0:
             inside = max(-excess[k], 0.0)
             part = inside / max(inside + excess[k - 1], 1e-9)
-            low = FACTORS[k] + part * (FACTORS[k - 1] - FACTORS[k])
+            low = factors[k] + part * (factors[k - 1] - factors[k])
             break
     return float(low)

@@ -28,8 +28,6 @@ from taccel_lab.progress import Progress, silent
 def cached_contacts(captures: CaptureSet, progress: Progress = silent) -> FoundContacts:
     """Contacts of ``captures`` as ``find_contacts`` gives them, from the cache where they are.
 
-    What is read from the cache holds contacts and refusals only, not the fit that they came from.
-
     Raises:
         InputError: The cache folder cannot be written.
     """
@@ -93,4 +91,4 @@ def _load(file: BinaryIO, count: int) -> FoundContacts:
     if len(contacts) != count:
         raise ValueError("it is of another number of presses")
     refusals = {int(i): Refusal(**value) for i, value in values["refusals"].items()}
-    return FoundContacts(contacts, refusals, None)
+    return FoundContacts(contacts, refusals)

@@ -15,7 +15,8 @@ by itself there (``grey``).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -117,8 +118,9 @@ def detect_contact(
         ball_px = start.first.circle.radius_px / USUAL_RATIO
     else:
         ball_px = scene.size.length_px(ball_radius_mm)
-    contacts, _ = _refine([start], [ball_px])
-    return _accept(start, contacts[0], grid, label)
+    start = replace(start, kept=start.change)
+    together = FittedTogether({0: start}, {}, [ball_px], *_refine([start], [ball_px]))
+    return _accept(start, together.judged()[0], together.samples[0], grid, label)
 
 
 def find_contacts(
@@ -130,56 +132,64 @@ def find_contacts(
     A circle that a person has corrected (``contacts.toml``) is taken as it is. A contact that the
     border of the image cuts is found by its part inside where its label says that it is one.
     """
-    scene = _Scene.of(captures.background, captures.grid, captures.mask)
-    starts: dict[int, _Start] = {}
-    kept_bytes = 0
+    found: dict[int, DetectedContact] = {}
     refusals: dict[int, Refusal] = {}
-    found: list[DetectedContact | None] = [None] * len(captures.presses)
+    if grey is None:
+        together = fit_together(captures, progress)
+        refusals |= together.refusals
+        judged = zip(together.starts.items(), together.judged(), together.samples, strict=True)
+        for (i, start), contact, samples in judged:
+            press = captures.presses[i]
+            with _refused(press, i, refusals):
+                found[i] = _accept(start, contact, samples, captures.grid, press.circle)
     for i, press in enumerate(captures.presses):
         if press.checked and press.circle is not None:
             found[i] = DetectedContact(press.circle, 0.0, 0.0)
-            continue
-        try:
-            if grey is not None:
+        elif grey is not None:
+            with _refused(press, i, refusals):
                 found[i] = detect_contact(
                     press.image(), captures.background, captures.grid, mask=captures.mask,
                     name=press.source, label=press.circle, grey=grey,
                 )  # fmt: skip
-                continue
+            progress(TASK, i + 1, len(captures.presses))
+    return FoundContacts([found.get(i) for i in range(len(captures.presses))], refusals)
+
+
+def fit_together(captures: CaptureSet, progress: Progress = silent) -> FittedTogether:
+    """All presses that show something explained by one map; those whose circles a person has
+    corrected have no part in it."""
+    scene = _Scene.of(captures.background, captures.grid, captures.mask)
+    starts: dict[int, _Start] = {}
+    refusals: dict[int, Refusal] = {}
+    kept_bytes = 0
+    for i, press in enumerate(captures.presses):
+        if press.checked and press.circle is not None:
+            continue
+        with _refused(press, i, refusals):
             start = _Start.of(press.image, scene, press.source, press.once)
             change = start.change
             kept_bytes += change.change.nbytes
             starts[i] = replace(start, kept=change) if kept_bytes <= KEPT_BYTES else start
-        except InputError as error:
-            refusals[i] = Refusal(press.name, str(error), isinstance(error, CutContactError))
         progress(TASK, i + 1, len(captures.presses))
     while starts:
         balls = [captures.presses[i].radius_mm or captures.ball_radius_mm for i in starts]
         ball_px = [scene.size.length_px(radius_mm) for radius_mm in balls]
         try:
-            contacts, fit = _refine(list(starts.values()), ball_px)
-            break
+            return FittedTogether(starts, refusals, ball_px, *_refine([*starts.values()], ball_px))
         except _LostContactError as error:
             gone = next(i for i, start in starts.items() if start is error.start)
             refusals[gone] = Refusal(captures.presses[gone].name, str(error))
             del starts[gone]
-    else:
-        return FoundContacts(found, refusals, None)
-    for (i, start), contact in zip(starts.items(), contacts, strict=True):
-        try:
-            found[i] = _accept(start, contact, captures.grid, captures.presses[i].circle)
-        except InputError as error:
-            refusals[i] = Refusal(
-                captures.presses[i].name, str(error), isinstance(error, CutContactError)
-            )
-    return FoundContacts(
-        found,
-        refusals,
-        fit,
-        samples=[samples for _, samples in contacts],
-        ball_px=ball_px,
-        drifts={i: start.first.drift for i, start in starts.items()},
-    )
+    return FittedTogether(starts, refusals, [], None, [])
+
+
+@contextmanager
+def _refused(press: CapturedPress, i: int, refusals: dict[int, Refusal]) -> Iterator[None]:
+    """Keeps why a press cannot be used."""
+    try:
+        yield
+    except InputError as error:
+        refusals[i] = Refusal(press.name, str(error), isinstance(error, CutContactError))
 
 
 def place_heldout(
@@ -276,6 +286,33 @@ class _Start:
         return self.kept or self.scene.change(self.read(), self.first.beside)
 
 
+@dataclass(frozen=True)
+class FittedTogether:
+    """Presses that one map explains, in order, in pixels of the working size."""
+
+    starts: dict[int, _Start]
+    """By the index of the press."""
+    refusals: dict[int, Refusal]
+    """Of the others."""
+    ball_px: list[float]
+    """Radius of the ball of each press [px]."""
+    fit: PhotometricFit | None
+    """None when no press was usable."""
+    samples: list[RingSamples]
+    """What was fitted, one entry for each press."""
+
+    def judged(self) -> list[FittedContact]:
+        """The contacts with what their circles may be off by (``circle_covariances``)."""
+        if self.fit is None:
+            return []
+        terms = MapTerms.for_presses(len(self.samples))
+        covariances = circle_covariances(self.samples, self.ball_px, self.fit, terms)
+        return [
+            replace(contact, covariance=covariance)
+            for contact, covariance in zip(self.fit.contacts, covariances, strict=True)
+        ]
+
+
 class _LostContactError(InputError):
     """A contact that the fit moves out of its image; the others are fitted without it."""
 
@@ -323,7 +360,7 @@ def _distance(shape: tuple[int, ...], center: np.ndarray) -> np.ndarray:
 
 def _refine(
     starts: Sequence[_Start], ball_px: Sequence[float]
-) -> tuple[list[tuple[FittedContact, RingSamples]], PhotometricFit]:
+) -> tuple[PhotometricFit, list[RingSamples]]:
     circles = [start.first.circle for start in starts]
     terms = MapTerms.for_presses(len(starts))
     blur = float(np.hypot(starts[0].first.smoothing_px, SAMPLING_BLUR_SHARE * np.median(ball_px)))
@@ -339,24 +376,18 @@ def _refine(
         fit = fit_contacts(samples, circles, ball_px, blur_px=blur, terms=terms, iterations=rounds)
         circles = [contact.circle for contact in fit.contacts]
     assert fit is not None
-    contacts = [
-        replace(contact, covariance=covariance)
-        for contact, covariance in zip(
-            fit.contacts, circle_covariances(samples, ball_px, fit, terms), strict=True
-        )
-    ]
-    return list(zip(contacts, samples, strict=True)), fit
+    return fit, samples
 
 
 def _accept(
     start: _Start,
-    refined: tuple[FittedContact, RingSamples],
+    contact: FittedContact,
+    samples: RingSamples,
     grid: PixelGrid,
     label: ContactCircle | None,
 ) -> DetectedContact:
     """The contact in the image's own pixels; InputError when it is none, or when the border cuts it
     and no label lies in it."""
-    contact, samples = refined
     change, circle, pixels = start.change, contact.circle, start.scene.size.factor
     own = start.scene.whole_circle(circle)
     height, width = change.change.shape[:2]

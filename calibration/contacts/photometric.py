@@ -24,12 +24,17 @@ import numpy as np
 from taccel_lab.calibration.capture.captures import ContactCircle
 from taccel_lab.calibration.contacts.circle_arrays import circle_of
 from taccel_lab.calibration.contacts.rings import RingSamples
-from taccel_lab.calibration.contacts.slope_law import MAX_CONTACT_RATIO, SINK_IN_SCALE, slope_law
+from taccel_lab.calibration.contacts.slope_law import (
+    MAX_CONTACT_RATIO,
+    SINK_IN_SCALE,
+    SlopeLaw,
+    slope_law,
+)
 from taccel_lab.calibration.robust_spread import spread_about_zero
 
 ITERATIONS = 14
-STEP_PX = 0.2
-"""Of the finite differences over centre and radius."""
+STEP_PX = 0.02
+"""Of the finite difference over the radius."""
 GAIN_PRIOR = 0.15
 """Spread of the gain of a press's colour change around the map's."""
 BLUR_PRIOR = 0.5
@@ -72,19 +77,24 @@ class MapTerms:
         return self._columns(self._powers(nx), self._powers(ny), drop, u, v)
 
     def slopes(
-        self, nx: np.ndarray, ny: np.ndarray, u: np.ndarray, v: np.ndarray
+        self,
+        nx: np.ndarray,
+        ny: np.ndarray,
+        u: np.ndarray,
+        v: np.ndarray,
+        weights: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """How the terms change with each of ``nx``, ``ny`` and ``drop``, shape as of ``values``."""
+        """How ``values @ weights`` changes with each of ``nx``, ``ny`` and ``drop``, shape [n, k]
+        of ``weights`` [term_count, k]."""
         x, y, still = self._powers(nx), self._powers(ny), np.zeros_like(nx)
         along_x, along_y = (
             [still, *(k * power for k, power in enumerate(powers[:-1], start=1))]
             for powers in (x, y)
         )
         by_nx = self._columns(along_x, y, still, u, v)
-        by_drop = np.zeros_like(by_nx)
+        by_ny = self._columns(x, along_y, still, u, v)
         sunk = self._sunk(np.ones_like(nx), u, v)
-        by_drop[:, -len(sunk) :] = np.stack(sunk).T
-        return by_nx, self._columns(x, along_y, still, u, v), by_drop
+        return by_nx @ weights, by_ny @ weights, np.stack(sunk).T @ weights[-len(sunk) :]
 
     def _powers(self, values: np.ndarray) -> list[np.ndarray]:
         powers = [np.ones_like(values)]
@@ -114,22 +124,6 @@ class MapTerms:
         return [drop, drop * u, drop * v] if self.drop_place else [drop]
 
 
-@dataclass
-class _State:
-    """Everything that is fitted of one press."""
-
-    samples: RingSamples
-    ball_px: float
-    shape: np.ndarray
-    """u, v, radius [px], shape [3]."""
-    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    gain: np.ndarray = field(default_factory=lambda: np.ones(3))
-    robust: np.ndarray = field(default_factory=lambda: np.ones(1))
-    explained: float = 0.0
-    covariance: np.ndarray = field(default_factory=lambda: np.eye(3))
-    rms: float = 0.0
-
-
 @dataclass(frozen=True)
 class FittedContact:
     """Circle of one press in pixels of the sampled picture."""
@@ -141,6 +135,90 @@ class FittedContact:
     """Share of the colour change's energy that the map explains, at most 1."""
     rms_levels: float
     """Root mean square of what it leaves, a channel [levels]."""
+
+
+@dataclass(frozen=True)
+class _Leaning:
+    """Slope and sinking at the samples of a press, shape [n] each."""
+
+    law: SlopeLaw
+    distance_px: np.ndarray
+    along_u: np.ndarray
+    """Unit vector away from the centre."""
+    along_v: np.ndarray
+    normal: np.ndarray
+    drop: np.ndarray
+
+    @property
+    def nx(self) -> np.ndarray:
+        return self.normal * self.along_u
+
+    @property
+    def ny(self) -> np.ndarray:
+        return self.normal * self.along_v
+
+    def rates(self, wider: SlopeLaw) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Rates of nx, ny and the sinking with u, v, radius and blur; ``wider`` is the law of a
+        contact that is ``STEP_PX`` wider."""
+        u, v = self.along_u, self.along_v
+        away, by_radius, by_blur = self.law.rates(self.distance_px, wider, STEP_PX)
+        around = self.normal / self.distance_px
+        both = (around - away[0]) * u * v
+        return [
+            (-away[0] * u**2 - around * v**2, both, -away[1] * u),
+            (both, -away[0] * v**2 - around * u**2, -away[1] * v),
+            *((one[0] * u, one[0] * v, one[1]) for one in (by_radius, by_blur)),
+        ]
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What a round saw of a press before its step."""
+
+    left: np.ndarray
+    """What the map leaves [levels], shape [n, 3]."""
+    jacobian: np.ndarray
+    """Shape [n, 3, 10]."""
+    weight: np.ndarray
+    """Shape [n]."""
+    normal: np.ndarray
+    """Normal equations with their priors, shape [10, 10]."""
+
+
+@dataclass
+class _State:
+    """Everything that is fitted of one press."""
+
+    samples: RingSamples
+    ball_px: float
+    shape: np.ndarray
+    """u, v, radius [px], shape [3]."""
+    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    gain: np.ndarray = field(default_factory=lambda: np.ones(3))
+    robust: np.ndarray = field(default_factory=lambda: np.ones(1))
+    rms: float = 0.0
+    seen: _Seen | None = None
+    """In the last round."""
+
+    def contact(self) -> FittedContact:
+        """The circle with what speaks for it."""
+        assert self.seen is not None
+        samples, weight = self.samples, self.seen.weight
+        own = np.average(samples.change, axis=0, weights=weight**2)
+        energy = _energy(samples.change - own, weight)
+        pull = self.seen.left * (weight**2)[:, None]
+        scores = np.einsum("ncp,nc->np", self.seen.jacobian[..., :9], pull)
+        count = samples.sector_count
+        sums = np.zeros((count, 9))
+        np.add.at(sums, samples.sector, scores)
+        bread = np.linalg.inv(self.seen.normal[:9, :9])
+        covariance = (bread @ (sums.T @ sums) @ bread)[:3, :3] * (count / max(count - 3, 1))
+        explained = 1.0 - _energy(self.seen.left, weight) / max(energy, 1e-9)
+        return FittedContact(circle_of(self.shape), covariance, explained, self.rms)
+
+
+def _energy(left: np.ndarray, weight: np.ndarray) -> float:
+    return float(np.sum((left * weight[:, None]) ** 2))
 
 
 @dataclass(frozen=True)
@@ -207,38 +285,39 @@ class _JointFit:
         self.sums = np.zeros(len(self.presses))
         self.total = 0.0
 
-    def design(self, press: _State) -> np.ndarray:
+    def _law(self, press: _State, wider_px: float = 0.0) -> SlopeLaw:
+        reach_px = 1.5 * press.samples.reach_px
+        radius_px = press.shape[2] + wider_px
+        return slope_law(radius_px, press.ball_px, self.blur_px, reach_px, self.sink_in)
+
+    def _leaning(self, press: _State) -> _Leaning:
+        """Slopes and sinking at the samples of a press."""
+        s, law = press.samples, self._law(press)
+        du, dv = s.u_px - press.shape[0], s.v_px - press.shape[1]
+        distance = np.hypot(du, dv) + 1e-9
+        normal, drop = law.at(distance)
+        return _Leaning(law, distance, du / distance, dv / distance, normal, drop)
+
+    def design(self, press: _State, leaning: _Leaning) -> np.ndarray:
         """Terms of the map at the samples of a press."""
         s = press.samples
-        return self.terms.values(*self._leaning(press), s.unit_u, s.unit_v)
-
-    def _leaning(
-        self, press: _State, moved: tuple[float, ...] = (0.0, 0.0, 0.0), blurred_px: float = 0.0
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slopes and sinking at the samples of a press, were its circle and the blur others."""
-        s, (u_px, v_px, radius_px) = press.samples, press.shape + moved
-        du, dv = s.u_px - u_px, s.v_px - v_px
-        distance = np.hypot(du, dv) + 1e-9
-        law = slope_law(
-            radius_px, press.ball_px, self.blur_px + blurred_px, 1.5 * s.reach_px, self.sink_in
-        )
-        normal, drop = law.at(distance)
-        return normal * du / distance, normal * dv / distance, drop
+        return self.terms.values(leaning.nx, leaning.ny, leaning.drop, s.unit_u, s.unit_v)
 
     def round(self, number: int) -> float:
         """One round over map, presses and blur; the largest step of a circle [px]."""
-        designs = [self.design(press) for press in self.presses]
+        leanings = [self._leaning(press) for press in self.presses]
+        designs = [self.design(*pair) for pair in zip(self.presses, leanings, strict=True)]
         self.map = self._solve_map(designs)
-        blur_step = 0.04 * self.blur_px
         pieces = []
         shared = np.zeros(2)
         self.total = 0.0
-        for i, (press, design) in enumerate(zip(self.presses, designs, strict=True)):
+        for i, press in enumerate(self.presses):
+            design, leaning = designs[i], leanings[i]
             model = design @ self.map
             left = press.samples.change - press.offset - press.gain * model
             self._weigh(press, left, number)
             weight = press.samples.weight * press.robust
-            jacobian = self._jacobian(press, model, blur_step)
+            jacobian = self._jacobian(press, model, leaning)
             flat = (jacobian * weight[:, None, None]).reshape(-1, jacobian.shape[-1])
             residual = (left * weight[:, None]).ravel()
             normal, slope = flat.T @ flat, flat.T @ residual
@@ -248,7 +327,7 @@ class _JointFit:
             normal[range(6, 9), range(6, 9)] += prior
             slope[6:9] -= prior * (press.gain - 1)
             normal[range(9), range(9)] += 1e-9 * np.trace(normal)
-            self._state_quality(press, left, jacobian, weight, normal)
+            press.seen = _Seen(left, jacobian, weight, normal)
             inner, outer = normal[:9, :9], normal[:9, 9:]
             eliminated = np.linalg.solve(inner, np.column_stack([slope[:9], outer]))
             pieces.append(eliminated)
@@ -298,25 +377,14 @@ class _JointFit:
         if number > 1:  # The first map has seen only starting circles.
             press.robust = np.sqrt(np.minimum(1.0, HUBER * scale / np.maximum(distance, 1e-9)))
 
-    def _jacobian(self, press: _State, model: np.ndarray, blur_step: float) -> np.ndarray:
+    def _jacobian(self, press: _State, model: np.ndarray, leaning: _Leaning) -> np.ndarray:
         """Change of the modelled colours with u, v, radius, offsets, gains and blur."""
-        nx, ny, _ = self._leaning(press)
         s = press.samples
-        by_leaning = [terms @ self.map for terms in self.terms.slopes(nx, ny, s.unit_u, s.unit_v)]
-        columns = []
-        for moved, blurred_px, step in (
-            ((STEP_PX, 0.0, 0.0), 0.0, STEP_PX),
-            ((0.0, STEP_PX, 0.0), 0.0, STEP_PX),
-            ((0.0, 0.0, STEP_PX), 0.0, STEP_PX),
-            ((0.0, 0.0, 0.0), blur_step, blur_step),
-        ):
-            ahead = self._leaning(press, moved, blurred_px)
-            behind = self._leaning(press, tuple(-x for x in moved), -blurred_px)
-            by_step = sum(
-                ((a - b) / (2 * step))[:, None] * change
-                for a, b, change in zip(ahead, behind, by_leaning, strict=True)
-            )
-            columns.append(by_step * press.gain)
+        by_leaning = self.terms.slopes(leaning.nx, leaning.ny, s.unit_u, s.unit_v, self.map)
+        columns = [
+            sum(a[:, None] * b for a, b in zip(moved, by_leaning, strict=True)) * press.gain
+            for moved in leaning.rates(self._law(press, STEP_PX))
+        ]
         each = np.eye(3)
         return np.concatenate(
             [
@@ -339,40 +407,10 @@ class _JointFit:
         limit = 0.3 * self.blur_px
         return float(np.clip(slope / max(normal, 1e-12), -limit, limit))
 
-    def _state_quality(
-        self,
-        press: _State,
-        left: np.ndarray,
-        jacobian: np.ndarray,
-        weight: np.ndarray,
-        normal: np.ndarray,
-    ) -> None:
-        change = press.samples.change - np.average(press.samples.change, axis=0, weights=weight**2)
-        energy = float(np.sum((change * weight[:, None]) ** 2))
-        press.explained = 1.0 - self._energy(left, weight) / max(energy, 1e-9)
-        scores = np.einsum("ncp,nc->np", jacobian[..., :9], left * (weight**2)[:, None])
-        sums = np.zeros((press.samples.sector_count, 9))
-        np.add.at(sums, press.samples.sector, scores)
-        bread = np.linalg.inv(normal[:9, :9])
-        count = press.samples.sector_count
-        press.covariance = (bread @ (sums.T @ sums) @ bread)[:3, :3] * (count / max(count - 3, 1))
-
-    @staticmethod
-    def _energy(left: np.ndarray, weight: np.ndarray) -> float:
-        return float(np.sum((left * weight[:, None]) ** 2))
-
     def result(self) -> PhotometricFit:
         weights = sum(float(np.sum(press.robust**2)) for press in self.presses) * 3
         return PhotometricFit(
-            contacts=[
-                FittedContact(
-                    circle_of(press.shape),
-                    press.covariance,
-                    press.explained,
-                    press.rms,
-                )
-                for press in self.presses
-            ],
+            contacts=[press.contact() for press in self.presses],
             blur_px=float(self.blur_px),
             rms_levels=float(np.sqrt(self.total / max(weights, 1.0))),
             sums_by_press=self.sums.copy(),

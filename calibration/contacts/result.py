@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from taccel_lab.calibration.capture.captures import ContactCircle
-from taccel_lab.calibration.contacts.photometric import PhotometricFit
-from taccel_lab.calibration.contacts.rings import RingSamples
-from taccel_lab.calibration.light.light import LightDrift
 from taccel_lab.errors import InputError
 
 
@@ -59,11 +56,3 @@ class FoundContacts:
     contacts: list[DetectedContact | None]
     refusals: dict[int, Refusal]
     """By the index of the press."""
-    fit: PhotometricFit | None
-    """The joint fit; None when no press was usable."""
-    samples: list[RingSamples] = field(default_factory=list)
-    """What was fitted, one entry for each press that was, in pixels of the working size."""
-    ball_px: list[float] = field(default_factory=list)
-    """Radius of the ball of each of these presses, in the same [px]."""
-    drifts: dict[int, LightDrift] = field(default_factory=dict)
-    """Drift of each frame's light, by the index of the press."""

@@ -17,7 +17,6 @@ presses on three sensors all ask for more, up to twice as much.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -39,17 +38,30 @@ class SlopeLaw:
     """Horizontal part of the unit normal, 0..1, shape [n]."""
     drop: np.ndarray
     """How far the gel has sunk, in ball radii, shape [n]."""
+    blur_px: float
+    """Standard deviation of what blurs them."""
 
-    def at(self, distance_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(normal, drop) at distances from the centre, of their shape."""
+    def at(self, distance_px: np.ndarray) -> np.ndarray:
+        """``normal`` and ``drop`` at distances from the centre, shape [2, n] of [n]."""
+        return self._between(np.stack([self.normal, self.drop]), distance_px)
+
+    def rates(self, distance_px: np.ndarray, wider: SlopeLaw, wider_px: float) -> np.ndarray:
+        """How both change with the distance, with the contact's radius, which is ``wider_px`` more
+        in ``wider``, and with the blur, shape [3, 2, n] of [n]."""
+        both = np.stack([self.normal, self.drop])
         step = self.distance_px[1]
-        position = np.minimum(distance_px / step, len(self.distance_px) - 1.001)
+        by_distance = np.gradient(both, step, axis=1)
+        by_radius = (np.stack([wider.normal, wider.drop]) - both) / wider_px
+        # A Gaussian spreads as heat does: its width's rate is its width times the curvature.
+        by_blur = self.blur_px * np.gradient(by_distance, step, axis=1)
+        found = self._between(np.concatenate([by_distance, by_radius, by_blur]), distance_px)
+        return found.reshape(3, 2, -1)
+
+    def _between(self, tables: np.ndarray, distance_px: np.ndarray) -> np.ndarray:
+        position = np.minimum(distance_px / self.distance_px[1], len(self.distance_px) - 1.001)
         low = position.astype(np.intp)
         part = position - low
-        return (
-            self.normal[low] * (1 - part) + self.normal[low + 1] * part,
-            self.drop[low] * (1 - part) + self.drop[low + 1] * part,
-        )
+        return tables[:, low] * (1 - part) + tables[:, low + 1] * part
 
 
 def hertz_slope(ratio: np.ndarray) -> np.ndarray:
@@ -58,7 +70,6 @@ def hertz_slope(ratio: np.ndarray) -> np.ndarray:
     return (2 / np.pi) * (ratio * np.arcsin(1 / ratio) - np.sqrt(1 - 1 / ratio**2))
 
 
-@lru_cache(maxsize=256)  # A fit asks of each press for the same laws at several places.
 def slope_law(
     contact_px: float,
     ball_px: float,
@@ -82,18 +93,16 @@ def slope_law(
     )
     step = distance[1]
     sunk = np.cumsum(slope[::-1])[::-1] * (step / ball_px)
-    normal = slope / np.sqrt(1 + slope**2)
+    both = np.stack([slope / np.sqrt(1 + slope**2), sunk])
     if blur_px > 0.05 * step:
-        normal = _blur(normal, blur_px / step, odd=True)
-        sunk = _blur(sunk, blur_px / step, odd=False)
-    for table in (distance, normal, sunk):
-        table.setflags(write=False)
-    return SlopeLaw(distance, normal, sunk)
+        both = _blur(both, blur_px / step)
+    return SlopeLaw(distance, both[0], both[1], blur_px)
 
 
-def _blur(values: np.ndarray, sigma: float, *, odd: bool) -> np.ndarray:
-    """Gaussian along a ray that goes on through the centre to the other side."""
-    reach = min(len(values) - 1, int(4 * sigma) + 2)
-    other = values[reach:0:-1]
-    whole = np.concatenate([-other if odd else other, values])
-    return gaussian_filter1d(whole, sigma, mode="nearest")[reach:]
+def _blur(both: np.ndarray, sigma: float) -> np.ndarray:
+    """Gaussian along a ray that goes on through the centre to the other side, where the normal,
+    the first of ``both``, leans the other way."""
+    reach = min(both.shape[1] - 1, int(4 * sigma) + 2)
+    other = both[:, reach:0:-1] * np.array([[-1.0], [1.0]])
+    whole = np.concatenate([other, both], axis=1)
+    return gaussian_filter1d(whole, sigma, mode="nearest")[:, reach:]

@@ -3,13 +3,14 @@
 
 All figures are those of held-out presses, chosen before any image was read and read when the model
 is frozen: in the circles given with them, and in those as the training presses say that labels lie.
+Last, the fit goes on with all presses: profiles get that one, with the scores and bands of the
+first.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
-from functools import partial
 
 import numpy as np
 
@@ -23,12 +24,11 @@ from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.color.press_circles import placed_presses
 from taccel_lab.calibration.color.untouched_light import choose_drift
-from taccel_lab.calibration.contacts.fit import place_heldout
 from taccel_lab.calibration.contacts.labels import LabelPlacement
 from taccel_lab.calibration.light.drift_choice import DriftChoice, DriftMode
-from taccel_lab.calibration.light.fit import fit_light
-from taccel_lab.calibration.light.light import LightDrift
+from taccel_lab.calibration.normals.heldout import HeldoutReading, in_background_light
 from taccel_lab.calibration.normals.network_fit import (
+    InverseFit,
     InverseFitOptions,
     fit_normal_model,
     fold_of,
@@ -50,16 +50,11 @@ from taccel_lab.calibration.normals.samples import (
     true_normals,
 )
 from taccel_lab.calibration.normals.score import (
-    HeldoutNormals,
     inside_of,
     reliability_of,
-    score_heldout,
 )
 from taccel_lab.calibration.normals.synthetic_presses import ImageNoise, SyntheticPresses
 from taccel_lab.calibration.surfaces.ball_in_layer import (
-    LARGEST_RADII,
-    ball_surface,
-    deeper_per_mm,
     depth_share,
     layer_of,
     sunk_share,
@@ -72,13 +67,12 @@ from taccel_lab.profile import SensorProfile
 from taccel_lab.progress import Progress, counted, silent
 from taccel_lab.signals.color_model import ColorModel
 from taccel_lab.signals.normal_model import NormalModel
-from taccel_lab.signals.rest_surface import flat_rest, rest_surface
+from taccel_lab.signals.rest_surface import RestSurface, flat_rest, rest_surface
 
 CHECKED = 16
 """Synthetic presses that the networks never see and heights are judged by."""
 READING = "reading synthetic presses"
 READING_BALLS = "reading the training presses"
-READING_HELDOUT = "reading the held-out presses"
 
 
 def calibrate_normals(
@@ -114,7 +108,7 @@ def calibrate_normals(
         presses.surfaces,
         presses.heldout,
         split=presses.split,
-        rest_normals=None if rest.is_flat else rest.normals,
+        rest=rest,
         options=settings,
         drift=options.drift,
         circle_source=options.circles,
@@ -147,7 +141,7 @@ def fit_normals(
     heldout: CaptureSet | None = None,
     *,
     split: PressSplit | None = None,
-    rest_normals: np.ndarray | None = None,
+    rest: RestSurface | None = None,
     options: InverseFitOptions = InverseFitOptions(),
     drift: DriftMode = "auto",
     circle_source: str = "given",
@@ -168,7 +162,7 @@ def fit_normals(
         surfaces: Gel surface of each press, for the sink-in around the contact; None leaves it out.
         heldout: Presses that are read when the model is frozen; None leaves figures out.
         split: How these were chosen, for the record.
-        rest_normals: Normals of the undeformed face, shape [height_px, width_px, 3]; flat if None.
+        rest: The undeformed face; flat if None.
         options: Settings of the networks and their fit.
         drift: Whether each frame is brought to the background's light; ``auto`` looks at the noise.
         circle_source: How the circles were chosen, for the record.
@@ -194,7 +188,7 @@ def fit_normals(
         captures.grid,
         captures.ball_radius_mm,
         mask,
-        rest_normals,
+        None if rest is None or rest.is_flat else rest.normals,
     )
     sigmas = circle_sigmas_px or [EXACT] * len(circles)
     training, choice = _frames(captures, circles, sigmas, surfaces, scene, drift)
@@ -202,7 +196,7 @@ def fit_normals(
     synthetic_presses = None
     if pad is not None and options.synthetic_presses and surfaces is not None:
         synthetic_presses = _synthetic_presses(training, scene, pad, colors, options.seed, progress)
-    fit = fit_normal_model(
+    fit, going = fit_normal_model(
         training,
         scene,
         options,
@@ -211,7 +205,8 @@ def fit_normals(
         else synthetic_presses.presses(options.synthetic_presses, progress),
         progress=progress,
     )
-    fit = replace(fit, model=with_cone(fit.model, training, scene))
+    config = replace(fit.model.config, cone_deg=_steepest_deg(training, scene))
+    fit = replace(fit, model=NormalModel(config, fit.model.weights))
     unseen = () if synthetic_presses is None else synthetic_presses.presses(CHECKED)
     checked = counted(map(KnownPress.of_synthetic, unseen), progress, READING, CHECKED)
     balls = left_out_balls(fit.model, training, scene)
@@ -224,37 +219,31 @@ def fit_normals(
     )
     model, synthetic = with_reading_errors(fit.model, checked, balls, scene, share)
     fit = replace(fit, model=model)
-    failures = {} if split is None else dict.fromkeys(split.gone, "it was left out of the captures")
-    items: list[HeldoutNormals] = []
-    wanted: list[BallSurface | None] = []
-    labels = labels or LabelPlacement.of(captures.presses, circles)
-    placed_px = _typical(sigmas)
-    by_label_px = labels.sigma_px(placed_px)
-    for press in () if heldout is None else heldout.presses:
-        image = press.image().astype(np.float32)
-        try:
-            circle = place_heldout(press, image, captures, labels)
-        except InputError as error:
-            failures[press.name] = str(error)
-            continue
-        if choice.remove:
-            image = _light(image, scene).remove(image).astype(np.float32)
-        sigma_px = placed_px if press.circle is None else by_label_px
-        frame = InverseFrame(press.name, image, circle, press.sha256, None, sigma_px)
-        surface, wanted_mm = None, None
-        if pad is not None:
-            ball_mm = press.radius_mm or captures.ball_radius_mm
-            surface = ball_surface(circle, ball_mm, captures.grid, pad, flat_rest(captures.grid))
-            wanted_mm = surface.displacement_mm()
-        items.append(score_heldout(fit.model, frame, press.circle, scene, wanted_mm))
-        wanted.append(surface)
     frozen = fit.model.config
-    if items:
-        unseen_balls = map(partial(_heldout_ball, scene), items, wanted)
-        unseen_balls = counted(unseen_balls, progress, READING_HELDOUT, len(items))
-        fit = replace(fit, model=widened(fit.model, unseen_balls, scene))
+    held, final, every = None, None, training
+    failures = {} if split is None else dict.fromkeys(split.gone, "it was left out of the captures")
+    if heldout is not None:
+        held = HeldoutReading(
+            fit.model,
+            heldout,
+            labels or LabelPlacement.of(captures.presses, circles),
+            scene,
+            rest or flat_rest(captures.grid),
+            pad,
+            _typical(sigmas),
+            choice.remove,
+        )
+        held.run(captures, progress)
+        failures |= held.failures
+        fit = replace(fit, model=widened(fit.model, held.errors))
+        joining = held.joining(training, synthetic_presses and synthetic_presses.colors)
+        every = [*training, *joining]
+        if joining:
+            final = _in_bands_of(fit, going.go_on(joining, progress), _steepest_deg(every, scene))
+    items = [] if held is None else held.items
     result = NormalCalibration(
         fit=fit,
+        final=final,
         scene=replace(scene, background=captures.background, mask=captures.mask),
         heldout=tuple(items),
         failures=failures,
@@ -265,13 +254,12 @@ def fit_normals(
         frozen_radius95_sigmas=frozen.radius95_sigmas,
         frozen_along_factor=frozen.along_factor,
         flat_noise_levels=(choice.captured_levels, choice.corrected_levels),
-        train_names=tuple(frame.name for frame in training),
-        inputs={"background": captures.background_sha256} | {f.name: f.sha256 for f in training},
+        background_sha256=captures.background_sha256,
         source=source_of(captures.provenance, captures.source),
         provenance=captures.provenance,
         circles=circle_source,
         surfaces="left out" if surfaces is None else surfaces[0].provider,
-        valid_region=_valid_region(training, scene),
+        valid_region=_valid_region(every, scene),
     )
     return replace(result, remarks=remarks_of(result, training, scene))
 
@@ -289,7 +277,7 @@ def _frames(
     pairs = zip(images, circles, strict=True)
     choice = choose_drift(pairs, scene.background, scene.grid, scene.mask, mode)
     if choice.remove:
-        images = [_light(image, scene).remove(image).astype(np.float32) for image in images]
+        images = [in_background_light(image, scene) for image in images]
     frames = [
         InverseFrame(
             press.name, image, circle, press.sha256, surfaces[i] if surfaces else None, sigma
@@ -325,11 +313,6 @@ def _synthetic_presses(
     return SyntheticPresses(scene, pad, colors, noise, deepest_mm, np.random.default_rng(seed))
 
 
-def _light(image: np.ndarray, scene: CaptureScene) -> LightDrift:
-    """Light of a frame against the background, as the model will bring new ones to it."""
-    return fit_light(image, scene.background, scene.mask, gradient=False)
-
-
 def left_out_balls(
     model: NormalModel, training: Sequence[InverseFrame], scene: CaptureScene
 ) -> Iterator[KnownPress]:
@@ -350,41 +333,18 @@ def left_out_balls(
         )
 
 
-def _heldout_ball(
-    scene: CaptureScene, item: HeldoutNormals, surface: BallSurface | None
-) -> KnownPress:
-    """A press that nothing had seen, in the circle that its label gives it."""
-    frame, scale = item.frame, scene.grid.mm_per_px_x
-    normals = true_normals(frame, scene)
-    known = KnownPress(
-        image=frame.image,
-        normals=normals,
-        rise_m=None,
-        compared=inside_of(frame.circle, scene),
-        normals_sigma_deg=np.degrees(circle_angle_rad(frame, scene, normals)),
-    )
-    if surface is None:
-        return known
-    rim_mm = min(frame.circle.radius_px * scale, LARGEST_RADII * scene.ball_radius_mm)
-    per_mm = deeper_per_mm(rim_mm, scene.ball_radius_mm, surface.depth_mm)
-    return replace(
-        known,
-        rise_m=1e-3 * surface.displacement_mm(),
-        rise_sigma_m=1e-3 * per_mm * frame.circle_sigma_px[1] * scale,
-    )
-
-
 def _typical(sigmas: Sequence[CircleSigma]) -> CircleSigma:
     center, radius = np.sqrt(np.mean(np.square(sigmas), axis=0))
     return float(center), float(radius)
 
 
-def with_cone(
-    model: NormalModel, frames: Sequence[InverseFrame], scene: CaptureScene
-) -> NormalModel:
-    """The model told how steep the training balls were."""
-    config = replace(model.config, cone_deg=_steepest_deg(frames, scene))
-    return NormalModel(config, model.weights)
+def _in_bands_of(scored: InverseFit, last: InverseFit, cone_deg: float) -> InverseFit:
+    """The last fit with what is known of the scored one's errors: held-out presses tell no more of
+    a fit that has seen them. Networks that err more on what they left out expect more, too."""
+    known = scored.model.config
+    factor = max(known.error_factor, last.model.config.error_factor)
+    config = replace(known, error_factor=factor, cone_deg=cone_deg)
+    return replace(last, model=NormalModel(config, last.model.weights))
 
 
 def _steepest_deg(frames: Sequence[InverseFrame], scene: CaptureScene) -> float:

@@ -36,6 +36,7 @@ from taccel_lab.calibration.normals.synthetic_presses import SyntheticPress, syn
 from taccel_lab.calibration.training import (
     arrays_of,
     descend,
+    going_on,
     initial_weights,
     one_thread,
     trainable,
@@ -55,6 +56,7 @@ from taccel_lab.signals.normal_model_config import NormalModelConfig
 from taccel_lab.signals.position_encoding import require_bands
 
 TASK = "fitting the inverse model"
+TASK_AGAIN = "fitting it to the held-out presses, too"
 CHECK_EVERY = 100
 """Steps between looks at the presses that are left out of a member."""
 CHECK_PIXELS = 1500
@@ -119,6 +121,8 @@ class InverseFit:
     """Step whose weights each member keeps."""
     options: InverseFitOptions
     seconds: float
+    inputs: dict[str, str]
+    """SHA-256 of the presses' images by name."""
 
 
 def default_scales_px(frames: Sequence[InverseFrame]) -> tuple[float, ...]:
@@ -144,36 +148,24 @@ def fit_normal_model(
     *,
     synthetic_presses: Iterable[SyntheticPress] = (),
     progress: Progress = silent,
-) -> InverseFit:
-    """Fit the ensemble to ``frames``, and to presses of other tools where there are any.
+) -> tuple[InverseFit, InverseTraining]:
+    """Fit the ensemble to ``frames``, and to presses of other tools where there are any; with the
+    training, which can go on.
 
     Deterministic for a seed on one thread.
     """
     started = time.perf_counter()
     if not frames:
         raise InputError("the fit of the inverse model needs at least one press")
-    with one_thread():
-        state = _train(frames, scene, options, synthetic_presses, progress)
-        model, left_out = state.finish([frame.name for frame in frames])
-    return InverseFit(
-        model=model,
-        left_out_deg=left_out,
-        curve=state.curve,
-        stopped_at=tuple(int(step) for step in state.best_step),
-        options=options,
-        seconds=time.perf_counter() - started,
-    )
+    training = InverseTraining(frames, scene, options, synthetic_presses)
+    return training.run(progress, started), training
 
 
-def _train(
-    frames: Sequence[InverseFrame],
-    scene: CaptureScene,
-    options: InverseFitOptions,
-    synthetic_presses: Iterable[SyntheticPress],
-    progress: Progress,
-) -> _Training:
+def _unscaled(
+    frames: Sequence[InverseFrame], scene: CaptureScene, options: InverseFitOptions
+) -> NormalModelConfig:
     scales = options.scales_px or default_scales_px(frames)
-    config = NormalModelConfig(
+    return NormalModelConfig(
         scene.grid.width_px,
         scene.grid.height_px,
         scales_px=scales,
@@ -183,28 +175,15 @@ def _train(
         hidden=options.hidden,
         position_bands=options.position_bands,
     )
-    rng = np.random.default_rng(options.seed)
-    samples = [draw_samples(frame, scene, config, options.samples, rng) for frame in frames]
-    synthetic = [
-        synthetic_samples(press, scene, config, options.synthetic_pixels, rng)
-        for press in synthetic_presses
-    ]
-    everything = join([*samples, *synthetic])
-    config = replace(
+
+
+def _scaled(config: NormalModelConfig, features: np.ndarray) -> NormalModelConfig:
+    scale = np.maximum(features.std(axis=0, dtype=np.float64), 1e-3)
+    return replace(
         config,
-        input_mean=tuple(float(x) for x in everything.features.mean(axis=0)),
-        input_scale=tuple(
-            float(x) for x in np.maximum(everything.features.std(axis=0, dtype=np.float64), 1e-3)
-        ),
+        input_mean=tuple(float(x) for x in features.mean(axis=0)),
+        input_scale=tuple(float(x) for x in scale),
     )
-    checks = [_check_samples(frame, scene, config, options, rng) for frame in frames]
-    circles = [
-        circle_angle_rad(frame, scene, check.normals)
-        for frame, check in zip(frames, checks, strict=True)
-    ]
-    state = _Training(config, samples, checks, circles, options, synthetic)
-    state.run(progress)
-    return state
 
 
 def _check_samples(
@@ -220,44 +199,108 @@ def _check_samples(
     return NormalSamples(found.features[:-1], found.normals[:-1])
 
 
-class _Training:
+class InverseTraining:
+    """Pixels of presses and the networks that are fitted to them; begins with random ones."""
+
     def __init__(
         self,
-        config: NormalModelConfig,
-        samples: Sequence[NormalSamples],
-        checks: Sequence[NormalSamples],
-        circles_rad: Sequence[np.ndarray],
+        frames: Sequence[InverseFrame],
+        scene: CaptureScene,
         options: InverseFitOptions,
-        synthetic_presses: Sequence[NormalSamples] = (),
+        synthetic_presses: Iterable[SyntheticPress] = (),
     ) -> None:
-        self.config, self.options = config, options
-        whole = join([*samples, *synthetic_presses])
-        self.synthetic = sum(len(part.features) for part in synthetic_presses)
+        self.scene, self.options = scene, options
+        self.frames: list[InverseFrame] = []
+        self.checks: list[NormalSamples] = []
+        self.circles_rad: list[np.ndarray] = []
+        self.pixels: list[np.ndarray] = []
+        config = _unscaled(frames, scene, options)
+        rng = np.random.default_rng(options.seed)
+        samples = [draw_samples(frame, scene, config, options.samples, rng) for frame in frames]
+        synthetic = [
+            synthetic_samples(press, scene, config, options.synthetic_pixels, rng)
+            for press in synthetic_presses
+        ]
+        whole = join([*samples, *synthetic])
+        self.config = config = _scaled(config, whole.features)
+        self.synthetic = range(sum(len(part.features) for part in samples), len(whole.features))
         self.inputs = torch.from_numpy(config.normalise(whole.features))
+        self.normals = torch.from_numpy(whole.normals)
         still = config.normalise(config.at_rest(whole.features[:1]))[0]
         self.still = torch.from_numpy(still[: config.varying_count])
-        self.normals = torch.from_numpy(whole.normals)
-        self.checks, self.circles_rad = checks, circles_rad
-        members, count = options.members, len(samples)
-        self.folds = [fold_of(i, members, count) for i in range(count)]
-        owner = np.repeat(np.arange(count), [len(s.features) for s in samples])
-        self.pools = [
-            torch.from_numpy(
-                np.flatnonzero(np.array([self.folds[i] != k for i in range(count)])[owner])
-            )
-            for k in range(members)
-        ]
+        self._take(frames, samples, 0, rng)
         self.generator = torch.Generator().manual_seed(options.seed)
         self.shapes = expected_shapes(config)
         weights = initial_weights(self.shapes, self.generator)
         self.layers = trainable(layer_tensors(config, weights))
-        self.curve: list[tuple[int, float, float]] = []
-        self.best_error = np.full(members, np.inf)
-        self.best_step = np.zeros(members, dtype=int)
-        self.best = [(w.detach().clone(), b.detach().clone()) for w, b in self.layers]
 
-    def run(self, progress: Progress) -> None:
+    def _take(
+        self,
+        frames: Sequence[InverseFrame],
+        samples: Sequence[NormalSamples],
+        first: int,
+        rng: np.random.Generator,
+    ) -> None:
+        """Say where the pixels of more presses lie, from ``first`` on, and who leaves out which."""
+        ends = first + np.cumsum([0, *(len(part.features) for part in samples)])
+        self.pixels += [np.arange(*ends[i : i + 2]) for i in range(len(samples))]
+        for frame in frames:
+            check = _check_samples(frame, self.scene, self.config, self.options, rng)
+            self.checks.append(check)
+            self.circles_rad.append(circle_angle_rad(frame, self.scene, check.normals))
+        self.frames += frames
+        members, count = self.options.members, len(self.frames)
+        # As with the first presses alone: a member that had seen all of them leaves none out.
+        known = len(frames) if first == 0 else sum(part[0] < first for part in self.pixels)
+        self.folds = [fold_of(i, members, known) for i in range(count)]
+        self.pools = [
+            torch.from_numpy(
+                np.concatenate([self.pixels[i] for i in range(count) if self.folds[i] != k])
+            )
+            for k in range(members)
+        ]
+
+    def go_on(self, frames: Sequence[InverseFrame], progress: Progress = silent) -> InverseFit:
+        """A shorter fit from the best weights so far, to more presses besides those before.
+
+        Presses that a member left out stay left out of it: what it says of them stays true.
+        """
+        started = time.perf_counter()
+        rng = np.random.default_rng(self.options.seed)
+        more = [
+            draw_samples(frame, self.scene, self.config, self.options.samples, rng)
+            for frame in frames
+        ]
+        new, first = join(more), len(self.inputs)
+        inputs = torch.from_numpy(self.config.normalise(new.features))
+        self.inputs = torch.cat([self.inputs, inputs])
+        self.normals = torch.cat([self.normals, torch.from_numpy(new.normals)])
+        self._take(frames, more, first, rng)
+        self.options = going_on(self.options)
+        return self.run(progress, started, TASK_AGAIN)
+
+    def run(self, progress: Progress, started: float, task: str = TASK) -> InverseFit:
+        """Train as ``options`` say; ``started`` is when the work began."""
+        with one_thread():
+            self._descend(progress, task)
+            model, left_out = self._finish()
+        return InverseFit(
+            model=model,
+            left_out_deg=left_out,
+            curve=self.curve,
+            stopped_at=tuple(int(step) for step in self.best_step),
+            options=self.options,
+            seconds=time.perf_counter() - started,
+            inputs={frame.name: frame.sha256 for frame in self.frames},
+        )
+
+    def _descend(self, progress: Progress, task: str) -> None:
         options = self.options
+        self.curve: list[tuple[int, float, float]] = []
+        self.best_error = np.full(options.members, np.inf)
+        self.best_step = np.zeros(options.members, dtype=int)
+        self.best = [(w.detach().clone(), b.detach().clone()) for w, b in self.layers]
+        self._keep_best(0)
         tilt = wanted = torch.empty(0)
 
         def loss() -> torch.Tensor:
@@ -274,7 +317,7 @@ class _Training:
             if step % CHECK_EVERY == 0 or step == options.steps:
                 train_deg = float(np.degrees(chord_of(tilt.detach(), wanted).mean().item()))
                 self.curve.append((step, train_deg, self._keep_best(step)))
-                progress(TASK, step, options.steps)
+                progress(task, step, options.steps)
 
         descend(
             self.layers, loss, after_step,
@@ -288,8 +331,8 @@ class _Training:
         drawn = pool[torch.randint(len(pool), (count - synthetic,), generator=self.generator)]
         if not synthetic:
             return drawn
-        more = torch.randint(self.synthetic, (synthetic,), generator=self.generator)
-        return torch.cat([drawn, len(self.normals) - 1 - more])
+        more = torch.randint(len(self.synthetic), (synthetic,), generator=self.generator)
+        return torch.cat([drawn, self.synthetic.stop - 1 - more])
 
     def _keep_best(self, step: int) -> float:
         """Keep the weights of each member that does better than ever on what it leaves out; the
@@ -327,7 +370,7 @@ class _Training:
         chord = chord_of(tilt, torch.from_numpy(samples.normals)[None])[0].numpy()
         return 2 * np.arcsin(np.clip(chord / 2, 0, 1)), error[0].numpy()
 
-    def finish(self, names: Sequence[str]) -> tuple[NormalModel, dict[str, float]]:
+    def _finish(self) -> tuple[NormalModel, dict[str, float]]:
         """The model with the best weights, its expected error scaled to the left-out presses."""
         with torch.no_grad():
             for kept, layer in zip(self.best, self.layers, strict=True):
@@ -335,10 +378,10 @@ class _Training:
                     tensor.copy_(target)
         left_out, seen, expected, spreads = {}, [], [], []
         everyone = range(self.options.members)
-        for i, name in enumerate(names):
+        for i, frame in enumerate(self.frames):
             angle, own = self._angles(i)
             if len(angle):
-                left_out[name] = float(np.degrees(angle.mean()))
+                left_out[frame.name] = float(np.degrees(angle.mean()))
                 tilts = self._outputs(-1, self.checks[i])[0]
                 others = tilts[[k for k in everyone if k != self.folds[i]]]
                 spread2 = (others - others.mean(dim=0)).square().sum(dim=-1).mean(dim=0)

@@ -56,10 +56,14 @@ def _sentence(result: NormalCalibration) -> str:
     if not result.heldout:
         return text + "No press was held out."
     scores = result.heldout_means("used")
-    return text + (
+    text += (
         f"Normals of {len(result.heldout)} held-out presses are off by {scores['mean_deg']:.2f} "
         f"degrees on average (a flat guess by {scores['flat_deg']:.1f}). " + _depth_sentence(result)
     )
+    if result.final is not None:
+        presses = len(result.final.inputs)
+        text += f" The profile's networks were fitted to all {presses} presses after that."
+    return text
 
 
 def _depth_sentence(result: NormalCalibration) -> str:

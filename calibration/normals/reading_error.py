@@ -26,7 +26,7 @@ from taccel_lab.calibration.normals.synthetic_presses import SyntheticPress
 from taccel_lab.signals.height_uncertainty import HeightUncertainty
 from taccel_lab.signals.normal_model import NormalModel, relative_normals
 from taccel_lab.signals.normal_model_config import RAYLEIGH_95
-from taccel_lab.signals.read_heights import BAND_SIGMAS, read_heights
+from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights, read_heights
 
 LENGTHS_PX = (4.0, 8.0, 16.0)
 """Distances over which neighbours may err together that are tried."""
@@ -82,8 +82,8 @@ class KnownPress:
 
 
 @dataclass(frozen=True)
-class _Errors:
-    """Of some pixels of a press, shape [n] each."""
+class ReadingErrors:
+    """Of some pixels of a press that was read, shape [n] each."""
 
     angle_sigmas: np.ndarray
     """Angles over the expected standard deviation, what the ball's centre may be off by taken
@@ -113,8 +113,8 @@ def with_reading_errors(
     the one with the narrowest band. ``depth_share`` is what all readings may be off by
     (``ball_in_layer.depth_share``).
     """
-    drawn = _all_errors(model, synthetic_presses, scene)
-    captured = _all_errors(model, balls, scene)
+    drawn = all_errors(model, synthetic_presses, scene)
+    captured = all_errors(model, balls, scene)
     groups = [group for group in (drawn, captured) if group]
     if not groups:
         return model, None
@@ -149,10 +149,9 @@ def with_reading_errors(
     return NormalModel(config, model.weights), score
 
 
-def widened(model: NormalModel, heldout: Iterable[KnownPress], scene: CaptureScene) -> NormalModel:
+def widened(model: NormalModel, found: Sequence[ReadingErrors]) -> NormalModel:
     """The model with bands that hold 95 % of presses that nothing had seen, too, where they were
     narrower; as it is where there are fewer than ``MIN_PRESSES`` of those."""
-    found = _all_errors(model, heldout, scene)
     if len(found) < MIN_PRESSES:
         return model
     config = model.config
@@ -167,7 +166,7 @@ def widened(model: NormalModel, heldout: Iterable[KnownPress], scene: CaptureSce
     return NormalModel(config, model.weights)
 
 
-def _along_factor(balls: Sequence[_Errors], k: int, factor: float) -> float:
+def _along_factor(balls: Sequence[ReadingErrors], k: int, factor: float) -> float:
     """Of the expected errors of slopes, what has to lie along them for the heights of balls; all of
     it where too few balls tell."""
     over = [
@@ -178,20 +177,24 @@ def _along_factor(balls: Sequence[_Errors], k: int, factor: float) -> float:
     return radius_factor(over, SHARE, BAND_SIGMAS) / BAND_SIGMAS
 
 
-def _all_errors(
+def all_errors(
     model: NormalModel, presses: Iterable[KnownPress], scene: CaptureScene
-) -> list[_Errors]:
+) -> list[ReadingErrors]:
     """Of every press of which a pixel is compared."""
-    return [found for press in presses if (found := _errors(model, press, scene)) is not None]
+    return [found for press in presses if (found := errors_of(model, press, scene)) is not None]
 
 
-def _errors(model: NormalModel, press: KnownPress, scene: CaptureScene) -> _Errors | None:
+def errors_of(
+    model: NormalModel, press: KnownPress, scene: CaptureScene, read: ReadHeights | None = None
+) -> ReadingErrors | None:
+    """Errors of ``model`` on a press, ``read`` being what it reads there, where that is known; None
+    where no pixel is compared."""
     compared = press.compared if scene.mask is None else press.compared & scene.mask
     sample = (slice(None, None, EVERY_PX), slice(None, None, EVERY_PX))
     kept = compared[sample]
     if not kept.any():
         return None
-    read = read_heights(
+    read = read or read_heights(
         model, press.image, scene.background, scene.grid, mask=scene.mask,
         rest_normals=scene.rest_normals, left_out=press.left_out,
     )  # fmt: skip
@@ -203,14 +206,14 @@ def _errors(model: NormalModel, press: KnownPress, scene: CaptureScene) -> _Erro
         angle = _beyond(angle, RAYLEIGH_95 * press.normals_sigma_deg[sample][kept])
     sigmas = angle / found.sigma_deg[sample][kept]
     if press.rise_m is None:
-        return _Errors(sigmas, np.empty(0), [np.empty(0)] * len(LENGTHS_PX), np.empty(0))
+        return ReadingErrors(sigmas, np.empty(0), [np.empty(0)] * len(LENGTHS_PX), np.empty(0))
     trials = [HeightUncertainty(scene.grid, length) for length in LENGTHS_PX]
     weights = None if scene.mask is None else scene.mask.astype(float)
     slope_sigma = found.slope_sigma()
     spreads = [trial.sigma_m(slope_sigma, weights=weights, zero=read.zero) for trial in trials]
     # Over any length alike: it is smooth, and the grid of the shortest is the finest.
     along = trials[0].along_m(read.slope, slope_sigma, weights=weights, zero=read.zero)
-    return _Errors(
+    return ReadingErrors(
         angle_sigmas=sigmas,
         height_m=_beyond(
             np.abs(read.rise_m - press.rise_m)[sample][kept],

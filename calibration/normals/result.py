@@ -15,17 +15,16 @@ from taccel_lab.calibration.normals.network_fit import InverseFit
 from taccel_lab.calibration.normals.reading_error import SyntheticScore
 from taccel_lab.calibration.normals.samples import CaptureScene
 from taccel_lab.calibration.normals.score import HeldoutNormals, Reliability, flat_guess
-from taccel_lab.calibration.result import ResultSummary, mean_figures
+from taccel_lab.calibration.result import ScoredFit, mean_figures
 from taccel_lab.calibration.thickness.fit import GelThickness
 from taccel_lab.profile import NormalsBlock, Provenance, SensorProfile
 from taccel_lab.report.remark import Remark, judge
 
 
 @dataclass(frozen=True, repr=False)
-class NormalCalibration(ResultSummary):
+class NormalCalibration(ScoredFit[InverseFit]):
     """Result of ``calibrate_normals``."""
 
-    fit: InverseFit
     scene: CaptureScene
     """Background, pixel grid, ball and resting face of the captures."""
     heldout: tuple[HeldoutNormals, ...]
@@ -45,8 +44,7 @@ class NormalCalibration(ResultSummary):
     flat_noise_levels: tuple[float, float]
     """Mean difference of frames to the background where the gel is at rest, as captured and with
     the light's drift taken off [levels]."""
-    train_names: tuple[str, ...]
-    inputs: dict[str, str]
+    background_sha256: str
     source: str
     provenance: dict[str, str]
     """Of the captures."""
@@ -55,7 +53,13 @@ class NormalCalibration(ResultSummary):
     surfaces: str
     """What gave the normals of the sink-in."""
     valid_region: dict[str, tuple[float, float]]
+    """Of the presses of the last fit."""
     remarks: tuple[Remark, ...] = ()
+
+    @property
+    def train_names(self) -> tuple[str, ...]:
+        """Names of the training presses in order."""
+        return tuple(self.fit.inputs)
 
     def heldout_means(self, circles: Literal["given", "used"]) -> dict[str, float]:
         """Mean figures of the held-out presses, failures as flat guesses."""
@@ -107,6 +111,7 @@ class NormalCalibration(ResultSummary):
             "curve": self.fit.curve,
             "stopped_at": self.fit.stopped_at,
             "fit_seconds": self.fit.seconds,
+            "profile_presses": len(self.last.inputs),
         }
 
     def _widened(self) -> dict[str, list[float]]:
@@ -124,13 +129,12 @@ class NormalCalibration(ResultSummary):
         if self.gel is not None:
             profile = self.gel.apply_to(profile)
         profile = with_captured_background(
-            profile, self.scene.background, self.source, self.inputs["background"]
+            profile, self.scene.background, self.source, self.background_sha256
         )
+        model = self.last.model
         return profile.with_block(
-            NormalsBlock(
-                architecture=self.fit.model.config.to_dict(), provenance=self._provenance()
-            ),
-            self.fit.model.weights,
+            NormalsBlock(architecture=model.config.to_dict(), provenance=self._provenance()),
+            model.weights,
         )
 
     def _provenance(self) -> Provenance:
@@ -166,9 +170,10 @@ class NormalCalibration(ResultSummary):
                 f"{options.synthetic_presses if self.synthetic else 0} synthetic presses; circles: "
                 f"{self.circles}; sink-in: {self.surfaces}; light drift "
                 + ("taken off" if config.light_drift else "left in")
+                + f"; {self.then_fitted}" * (self.final is not None)
             ),
             source=self.source,
-            inputs=self.inputs,
+            inputs={"background": self.background_sha256} | self.last.inputs,
             residuals=residuals,
             spread=spread,
             valid_region=self.valid_region,

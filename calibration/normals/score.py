@@ -17,9 +17,9 @@ from taccel_lab.calibration.normals.samples import (
     true_normals,
     usable_pixels,
 )
-from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap, NormalModel
+from taccel_lab.signals.normal_model import RAYLEIGH_MEAN, NormalMap
 from taccel_lab.signals.normal_model_config import RAYLEIGH_95
-from taccel_lab.signals.read_heights import BAND_SIGMAS, read_heights
+from taccel_lab.signals.read_heights import BAND_SIGMAS, ReadHeights
 
 RIM_BAND = 0.04
 """Depths are aligned on the circle: over the pixels within this share of the radius of it."""
@@ -111,18 +111,14 @@ def angle_between_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def score_heldout(
-    model: NormalModel,
+    found: ReadHeights,
     frame: InverseFrame,
     given: ContactCircle | None,
     scene: CaptureScene,
     wanted_mm: np.ndarray | None = None,
 ) -> HeldoutNormals:
-    """Read one press as ``depth`` does and compare it with its ball, and absolute heights with the
-    rise of the face under it, ``wanted_mm``, shape [height_px, width_px]."""
-    found = read_heights(
-        model, frame.image, scene.background, scene.grid, mask=scene.mask,
-        rest_normals=scene.rest_normals,
-    )  # fmt: skip
+    """Compare a press, read as ``depth`` does, with its ball, and absolute heights with the rise of
+    the face under it, ``wanted_mm``, shape [height_px, width_px]."""
     predicted, height = found.normals, found.rise_m
     inside = inside_of(frame.circle, scene)
     truth = ball_normals(frame.circle, scene.grid, scene.ball_radius_mm, scene.rest_normals)

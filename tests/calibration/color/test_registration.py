@@ -20,6 +20,7 @@ from taccel_lab.calibration.color.registration import register_presses
 from taccel_lab.calibration.surfaces import BallSurface
 from taccel_lab.calibration.surfaces.moved_press import MovedPress
 from taccel_lab.calibration.surfaces.radial import MARGIN, RadialSurfaces
+from taccel_lab.calibration.training import going_on
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from tests.calibration.drawn.faults import poison, quantise
@@ -130,7 +131,7 @@ def test_fits_go_on_from_the_first_of_their_fold(
     whole = [steps for steps, fresh, _ in started if fresh]
     assert whole == [BRIEF.steps] * registration.FOLDS
     again = {steps for steps, fresh, _ in started if not fresh}
-    assert again == {BRIEF.steps * registration.AGAIN_STEPS // 100}
+    assert again == {going_on(BRIEF).steps}
     pixels = sorted({count for _, _, count in started})
     assert pixels[-1] < 0.6 * COUNT * 1400
 

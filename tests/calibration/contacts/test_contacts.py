@@ -21,7 +21,7 @@ from taccel_lab.calibration.check.frames import measure_presses
 from taccel_lab.calibration.contacts import fit
 from taccel_lab.calibration.contacts.ball_radius import check_ball
 from taccel_lab.calibration.contacts.circle_arrays import circle_array
-from taccel_lab.calibration.contacts.fit import detect_contact, find_contacts
+from taccel_lab.calibration.contacts.fit import detect_contact, fit_together
 from taccel_lab.calibration.contacts.labels import compare_with_labels
 from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.calibration.contacts.rim import fit_circle
@@ -208,10 +208,10 @@ def test_a_ball_that_is_too_small_shows() -> None:
     # Deep presses, up to nine tenths of the ball's radius.
     circles = [dataclasses.replace(c, radius_px=c.radius_px + 2) for c in scattered(6, seed=2)]
     captures = press_set(circles, [pressed(c) for c in circles])
-    right = check_ball(captures, find_contacts(captures))
+    right = check_ball(captures, fit_together(captures))
     assert right is not None and right.consistent, right
     small = with_circles(captures, [None] * 6, ball_radius_mm=0.65 * BALL_MM)
-    wrong = check_ball(small, find_contacts(small))
+    wrong = check_ball(small, fit_together(small))
     assert wrong is not None and not wrong.consistent
     (remark,) = wrong.remarks()
     assert remark.code == "wrong_ball_radius" and "mm" in remark.message

@@ -15,7 +15,12 @@ from taccel_lab.calibration.color.fit_options import ColorFitOptions
 from taccel_lab.calibration.color.frames import ColorFrame
 from taccel_lab.calibration.color.network_fit import fit_color_model
 from taccel_lab.calibration.normals.read_surface import SurfaceReader
-from taccel_lab.calibration.normals.reading_error import KnownPress, widened, with_reading_errors
+from taccel_lab.calibration.normals.reading_error import (
+    KnownPress,
+    all_errors,
+    widened,
+    with_reading_errors,
+)
 from taccel_lab.calibration.normals.result import NormalCalibration
 from taccel_lab.calibration.normals.samples import (
     CaptureScene,
@@ -131,19 +136,19 @@ def test_presses_that_nothing_had_seen_widen_the_bands_and_never_narrow_them() -
         reader(), synthetic_presses, presses(0.0, 0.0), SCENE, depth_share=0.03
     )
     before = model.config
-    same = widened(model, presses(0.0, 0.0), SCENE).config
+    same = widened(model, all_errors(model, presses(0.0, 0.0), SCENE)).config
     assert same.radius95_sigmas == pytest.approx(before.radius95_sigmas)
     assert same.along_factor == pytest.approx(before.along_factor)
     off = list(presses(0.4, 0.0))
-    wider = widened(model, off, SCENE).config
+    wider = widened(model, all_errors(model, off, SCENE)).config
     assert wider.radius95_sigmas > 1.4 * before.radius95_sigmas
     assert wider.along_factor > 2 * before.along_factor
     # What their circles are stated to be off by is no error of the reading.
     stated = [replace(press, rise_sigma_m=1e-4) for press in presses(0.4, 0.4)]
-    found = widened(model, stated, SCENE).config
+    found = widened(model, all_errors(model, stated, SCENE)).config
     assert found.radius95_sigmas < 1.15 * before.radius95_sigmas
     assert found.along_factor < 0.5 * wider.along_factor
-    assert widened(model, off[:3], SCENE).config == before
+    assert widened(model, all_errors(model, off[:3], SCENE)).config == before
 
 
 def test_the_network_that_reads_a_left_out_press_does_not_tell_itself_that_it_errs() -> None:

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Held-out presses: they reach nothing that is scored, and then the fit that profiles get."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from taccel_lab.calibration.normals.network_fit import fit_normal_model
+from taccel_lab.calibration.normals.samples import CaptureScene, InverseFrame
+from taccel_lab.calibration.profiles import Profiles
+from tests.calibration.normals.conftest import QUICK, Clean, calibrated, circles_of, with_images
+from tests.support.synthetic_presses import BALL_RADIUS_MM, GRID, flat_profile, synthetic_captures
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+def test_held_out_images_reach_nothing_that_is_fitted_and_none_is_lost() -> None:
+    captures, surfaces = synthetic_captures(8)
+    split = captures.split(4)
+    short = replace(QUICK, steps=20)
+
+    def noise(image: np.ndarray, i: int) -> np.ndarray:
+        spoilt = np.random.default_rng(i).integers(0, 256, image.shape, dtype=np.uint8)
+        return spoilt if i in split.heldout else image
+
+    clean = calibrated(captures, surfaces, options=short)
+    spoilt = calibrated(with_images(captures, noise), surfaces, options=short)
+    for name, weight in clean.fit.model.weights.items():
+        assert np.array_equal(weight, spoilt.fit.model.weights[name])
+    assert clean.fit.left_out_deg == spoilt.fit.left_out_deg
+    assert clean.train_names == spoilt.train_names
+    assert clean.flat_noise_levels == spoilt.flat_noise_levels
+    assert clean.heldout_means("used") != spoilt.heldout_means("used")
+    other = calibrated(captures, surfaces, options=replace(short, seed=1)).fit.model.weights
+    assert not np.array_equal(other["layer0.weight"], clean.fit.model.weights["layer0.weight"])
+    bare = replace(
+        captures,
+        presses=tuple(
+            replace(p, circle=None, read=partial(np.copy, captures.background))
+            if i == split.heldout[0]
+            else p
+            for i, p in enumerate(captures.presses)
+        ),
+        heldout=split.heldout_names,
+    )
+    lost = calibrated(bare, surfaces, options=short)
+    assert set(lost.failures) == {split.heldout_names[0]}
+    (other,) = lost.heldout
+    assert lost.heldout_means("used")["mean_deg"] == pytest.approx(
+        (other.used.mean_deg + other.used.flat_deg) / 2
+    )
+    assert "heldout_failed" in {remark.code for remark in lost.remarks}
+
+
+def test_a_profile_gets_the_fit_to_all_presses_with_scores_and_bands_of_the_first(
+    clean: Clean,
+) -> None:
+    result = clean[2]
+    profiles = Profiles.of(flat_profile(GRID)).after(result)
+    scored, last = profiles.basis, profiles.final
+    assert scored.normals is not None and last.normals is not None and result.final is not None
+    assert scored.normal_weights is not None and last.normal_weights is not None
+    assert set(scored.normals.provenance.inputs) == {"background", *result.train_names}
+    assert set(last.normals.provenance.inputs) == {"background"} | {f"p{i}" for i in range(16)}
+    assert "then fitted to all 16 presses" in last.normals.provenance.method
+    assert "then fitted" not in scored.normals.provenance.method
+    assert last.normals.provenance.residuals == scored.normals.provenance.residuals
+    for name, weight in last.normal_weights.items():
+        assert np.array_equal(scored.normal_weights[name], result.fit.model.weights[name])
+        assert not np.array_equal(weight, scored.normal_weights[name])
+    first, second = result.fit.model.config, result.final.model.config
+    assert second.error_factor >= first.error_factor and second.cone_deg >= first.cone_deg
+    own = {"error_factor": first.error_factor, "cone_deg": first.cone_deg}
+    assert replace(second, **own) == first
+
+
+def test_a_last_fit_leaves_out_what_its_networks_left_out() -> None:
+    """A press that a network has seen would say of it that it errs little."""
+    captures, surfaces = synthetic_captures(8)
+    frames = [
+        InverseFrame(press.name, press.image().astype(np.float32), circle, "", surface)
+        for press, circle, surface in zip(
+            captures.presses, circles_of(captures), surfaces, strict=True
+        )
+    ]
+    scene = CaptureScene(captures.background.astype(np.float32), GRID, BALL_RADIUS_MM)
+    for first, folds in ((5, [0, 1, 2, 0, 1, 2, 0, 1]), (3, [None] * 8)):
+        _, training = fit_normal_model(frames[:first], scene, replace(QUICK, steps=10))
+        seen = [set(pool.tolist()) for pool in training.pools]
+        last = training.go_on(frames[first:])
+        assert training.folds == folds and len(last.inputs) == 8
+        for pool, before in zip(training.pools, seen, strict=True):
+            known = set(range(sum(len(part) for part in training.pixels[:first])))
+            assert set(pool.tolist()) & known == before
+        assert set(last.left_out_deg) == ({f.name for f in frames} if first == 5 else set())
+
+
+def test_an_image_without_its_press_is_not_in_the_last_fit() -> None:
+    captures, surfaces = synthetic_captures(12)
+    empty = captures.split(4).heldout_names[0]
+
+    def blank(image: np.ndarray, i: int) -> np.ndarray:
+        return captures.background if captures.presses[i].name == empty else image
+
+    result = calibrated(with_images(captures, blank), surfaces)
+    assert result.final is not None and {item.name for item in result.heldout} >= {empty}
+    assert set(result.final.inputs) == {press.name for press in captures.presses} - {empty}
