@@ -83,12 +83,10 @@ def test_flat_pad_has_the_volume_and_areas_of_a_prism() -> None:
     [
         (DOME, 1e-5),
         ({"crown_radius_x_mm": 189.0, "crown_radius_y_mm": 114.0}, 1e-5),
-        ({"crown_radius_x_mm": 60.0}, 1e-5),
         ({"rim": "chamfer", "rim_mm": 0.8}, 1e-5),
         # The midpoint rule is slow where the fillet meets the wall.
         ({"rim": "fillet", "rim_mm": 0.8}, 3e-5),
         # The kernel's rim rolls on the sphere, the formula on its tangent plane.
-        ({"rim": "chamfer", **DOME}, 2e-4),
         ({"rim": "fillet", **DOME}, 2e-4),
     ],
 )

@@ -151,10 +151,6 @@ def test_bad_profile(here: Path, capsys: Capsys, change: Change, words: list[str
 # Presses -------------------------------------------------------------------------------------
 
 PRESSES = [
-    ("--depth-mm 0", "depth must be above 0 mm, got 0 mm"),
-    ("--depth-mm 5", "depth 5 mm goes past the gel, which is 5 mm thick.*4.5 mm"),
-    ("--depth-mm 4.6", "depth 4.6 mm goes past the gel.*at most 4.5 mm"),
-    ("--depth-mm 1e300", r"depth must be at most 100 mm, got 1e\+300 mm"),
     # On the flank of the dome the gel is thinner than at the apex: 5 mm less 0.63 mm.
     (
         "--depth-mm 4.2 --at-mm 6.5 4.5 --mesh profile",
@@ -168,22 +164,11 @@ PRESSES = [
         "--at-mm 30 0 --mesh profile",
         r"at \(30, 0\) mm the indenter sphere:2\.0 misses the gel; x must lie in \[-12, 12\] mm",
     ),
-    ("--at-mm 1e308 0", r"at_mm = \(1e\+308, 0\) lies outside the pad"),
-    ("--at-mm 11.5 0", "at_mm.*at least 1.5 mm"),
     ("", "one of --depth-mm, --force-n and --like"),
-    ("--depth-mm 0.3 --force-n 1", "one of --depth-mm, --force-n and --like"),
-    ("--force-n 0", "must be above 0 N"),
-    ("--shear-mm 50 0", r"shear must lie within \+-20 mm"),
-    ("--twist-deg 400", r"twist must lie within \+-180 deg, got 400"),
-    ("--step-mm 0", "step_mm and step_deg must be above 0, got 0"),
-    ("--step-mm 1e-9", "step_mm 1e-09.*more than 10000 steps"),
     ("--friction -1", r"--friction: friction .* \[0, 10\], got -1"),
     ("--tolerance 0", r"--tolerance: relative_tolerance must lie in \[1e-12, 1\]"),
     ("--dhat-mm 0", r"--dhat-mm: dhat_m must lie in \[1e-08, 0\.01\], got 0"),
     ("--device cuda:7", "device 'cuda:7' is not there.*has: cpu"),
-    ("--indenter sphere:-2", r"sphere:-2.*\[0\.05, 100\] mm, got -2"),
-    ("--indenter cube:2", "'cube:2' is not understood; allowed: sphere"),
-    ("--indenter mesh:a.stl", r"a\.stl does not exist; expected a triangle mesh"),
     ("--indenter mesh:plane.stl", r"mesh plane\.stl is not closed: 40 edges belong to one face"),
 ]
 
@@ -217,17 +202,7 @@ def test_indenter_that_starts_inside_the_gel(
     ("values", "words"),
     [
         ("thickness_mm=-1", "thickness_mm = -1 is below its bound; allowed: 0.8 to 20 mm"),
-        ("thickness_mm=nan", "thickness_mm = 'nan' is not a number"),
-        ("thickness_mm=1e9", "thickness_mm.*20"),
-        ("thickness_mm=thick", "thickness_mm = 'thick' is not a number"),
         ("thickness_mm=2.0", r"thickness_mm must be at least 2\.54"),
-        ("poisson_ratio=0.7", r"poisson_ratio.*0\.499"),
-        ("young_modulus_mpa=0", r"young_modulus_mpa.*0\.005"),
-        ("young_modulus_mpa=150000", "young_modulus_mpa.*5 MPa"),
-        ("friction=-0.1", "friction"),
-        ("density_kg_m3=inf", "density_kg_m3"),
-        ("width_px=640.5", "width_px = 640.5 is not a whole number"),
-        ("colour=red", "no parameter 'colour'; known: .*thickness_mm"),
         ("thickness_mm", "'thickness_mm' is not of the form name=value"),
         ("thickness_mm=4 thickness_mm=5", "thickness_mm is set twice"),
     ],
@@ -237,13 +212,14 @@ def test_bad_design(here: Path, capsys: Capsys, values: str, words: str) -> None
     refuse(command, [words], capsys, ("new/out", "earlier"))
 
 
-@pytest.mark.parametrize("edge", ["0", "-1", "1000"])
 def test_bad_edge_length_of_a_design(
-    here: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch, edge: str
+    here: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The solid comes first, and takes a second; the mesh, which is refused, does not need it.
     monkeypatch.setattr("taccel_lab.cad.parts.pad_solid.labelled_solid", lambda pad: None)
-    refuse(["design", "gelsight", "--edge-mm", edge], ["edge_mm = .* is not allowed; use"], capsys)
+    refuse(
+        ["design", "gelsight", "--edge-mm", "1000"], ["edge_mm = .* is not allowed; use"], capsys
+    )
 
 
 # Outputs -------------------------------------------------------------------------------------

@@ -148,7 +148,10 @@ def test_grey_depth(tmp_path: Path, cli: Cli) -> None:
     assert "give the maps of the profile's calibration" in cli.refusal(*shifted)
 
 
-def test_unusable_input_exits_with_2(presses: Path, cli: Cli) -> None:
+def test_unusable_input_exits_with_2(
+    presses: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without_check(monkeypatch)
     folder, image = presses.parent, presses / "p3.png"
     base, out = folder / "base", ("--out", folder / "out")
     told = cli.refusal("depth", base, image, *out)

@@ -14,7 +14,7 @@ import warp as wp
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.geometry.block import block_mesh
-from taccel_lab.presses import PressEnv, PressPath, parse_indenter, simulate_press
+from taccel_lab.presses import PressEnv, parse_indenter
 from taccel_lab.scene import (
     AffineBody,
     KinematicBody,
@@ -163,44 +163,6 @@ def test_images_of_many_environments_are_those_of_each() -> None:
     # The pressure that is read alone is the same.
     signal.update(env.state)
     assert (signal.contact.numpy() == whole[2]).all()
-
-
-def test_a_press_with_a_texture() -> None:
-    mesh = block_mesh((12, 12, 3), (9e-3, 9e-3, 4e-3))
-    texture = Texture(WAVES.heights, 2e-5, WAVES.width_m)
-    outcomes = [
-        simulate_press(
-            mesh,
-            Material(1e5, 0.45),
-            parse_indenter("sphere:4", found),
-            (0.0, 0.0),
-            PressPath(0.3, step_mm=0.3),
-            GRID,
-            friction_coefficient=0.0,
-        )
-        for found in (texture, None)
-    ]
-    textured, smooth = outcomes
-    # The mean surface is 10 um behind its highest points.
-    assert textured.indenter_pose[2] - smooth.indenter_pose[2] == pytest.approx(1e-5, abs=1e-6)
-    assert smooth.fine_force_n is None and textured.fine_force_n is not None
-    assert textured.fine_force_n == pytest.approx(textured.steps[-1].wrench[2], rel=0.15)
-    assert 0.7 < textured.contact_mask.sum() / smooth.contact_mask.sum() < 1.3
-    row = GRID.height_px // 2
-    ripple = [np.std(np.diff(o.height_m[row, 22:43], 2)) for o in outcomes]
-    assert ripple[0] > 3 * ripple[1]
-    np.testing.assert_allclose(textured.rest_height_m, 0.0, atol=1e-9)
-    assert textured.figures()["fine_force_n"] == textured.fine_force_n
-    with pytest.raises(InputError, match="ends above the mean surface of the texture"):
-        simulate_press(
-            mesh,
-            Material(1e5, 0.45),
-            parse_indenter("sphere:4", texture),
-            (0.0, 0.0),
-            PressPath(0.009),
-            GRID,
-            friction_coefficient=0.0,
-        )
 
 
 def test_textures_are_checked(tmp_path: Path) -> None:

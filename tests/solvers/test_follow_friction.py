@@ -74,9 +74,9 @@ def test_batches_of_a_gpu_freeze_longer(on_gpu: bool, env_count: int, freezings:
 
 
 def test_environments_follow_friction_each_for_itself() -> None:
-    together, taken = Pressed(8, 2e-3, 0.0, (1.0, 0.6)).run()
-    uncaptured, _ = Pressed(8, 2e-3, 0.0, (1.0, 0.6)).run(capture=False)
-    alone, taken_alone = Pressed(8, 2e-3, 0.0, (0.6,)).run()
+    together, taken = Pressed(4, 2e-3, 0.0, (1.0, 0.6)).run()
+    uncaptured, _ = Pressed(4, 2e-3, 0.0, (1.0, 0.6)).run(capture=False)
+    alone, taken_alone = Pressed(4, 2e-3, 0.0, (0.6,)).run()
     np.testing.assert_array_equal(taken[:, 1], taken_alone[:, 0])
     x = together.positions.numpy()
     np.testing.assert_array_equal(x, uncaptured.positions.numpy())

@@ -22,14 +22,12 @@ from taccel_lab.geometry.block import block_mesh
 from taccel_lab.sensors.profile_family import imported_gel
 from taccel_lab.sensors.registry import sensor_family
 from taccel_lab.studies import preview as previews
-from taccel_lab.studies.camera_view import photometry
-from taccel_lab.studies.describe import press_in_words, with_tables
+from taccel_lab.studies.describe import with_tables
 from taccel_lab.studies.design_files import write_design_files
 from taccel_lab.studies.design_point import DesignFigures, DesignPoint
 from taccel_lab.studies.design_task import design_task
 from taccel_lab.studies.evidence import Evidence
 from taccel_lab.studies.metrics import METRICS
-from taccel_lab.studies.presses import STANDARD_PRESSES
 from taccel_lab.studies.preview import preview_design, write_preview
 from taccel_lab.studies.report import write_study_report
 from taccel_lab.studies.runner import run_study
@@ -41,6 +39,7 @@ from taccel_lab.tasks.run import run_task
 from taccel_lab.tasks.touch_insertion import TouchInsertionParameters
 from tests.geometry.vtu_files import read_mesh_vtu
 from tests.studies.coarse_presses import coarse
+from tests.support.commands import refusal
 
 # Files --------------------------------------------------------------------------------------------
 
@@ -108,14 +107,6 @@ def test_a_real_study_from_file_to_report(tmp_path: Path) -> None:
 # Previews -----------------------------------------------------------------------------------------
 
 
-def test_dots_are_no_dark_spots_of_the_light() -> None:
-    family = sensor_family("gelsight_mini")
-    dotted = family.parameters()
-    bare = family.parameters({"marker_pitch_mm": 0})
-    assert dotted.markers() is not None and bare.markers() is None
-    assert photometry(dotted) == photometry(bare)
-
-
 def test_without_presses_there_are_pictures_and_photometry(tmp_path: Path) -> None:
     found = preview_design(sensor_family("flat_pad"), {"thickness_mm": 3.5}, presses=(), size_px=96)
     assert found.pressed is None and found.result.simulations == 0
@@ -153,22 +144,11 @@ def test_a_press_shows_in_picture_and_figures(
     assert change[middle].mean() > 5 * change[~middle].mean()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--presses", "hammer"], "no press 'hammer'; known: sphere"),
-        (["--set", "thickness_mm=99"], "thickness_mm = 99 is above its bound"),
-        (["--size-px", "4"], "size of a preview must lie in [32, 4096] px"),
-        (["--device", "cuda:99"], "device 'cuda:99' is not there"),
-    ],
-)
-def test_bad_input(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+def test_a_preview_of_a_few_pixels_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "out"
-    assert main(["preview", "gelsight", "--out", str(out), *arguments]) == 2
-    assert words in capsys.readouterr().err
-    assert not out.exists()
+    told = refusal(capsys, "preview", "gelsight", "--out", tmp_path / "out", "--size-px", 4)
+    assert "size of a preview must lie in [32, 4096] px" in told and not any(tmp_path.iterdir())
 
 
 # In the task touch-insertion ----------------------------------------------------------------------
@@ -277,10 +257,3 @@ def test_every_key_is_described() -> None:
         if table in ("study", "sweep", "output", "run"):
             for key in model.model_fields:  # type: ignore[union-attr]
                 assert f"`{table}.{key}`" in reference or f"`.{key}`" in reference, (table, key)
-
-
-def test_presses_in_words() -> None:
-    words = press_in_words(STANDARD_PRESSES["shear"])
-    assert "sideways by" in words and "and back" in words and "turned by" in words
-    assert "in 5 places" in press_in_words(STANDARD_PRESSES["places"])
-    assert "up again" in press_in_words(STANDARD_PRESSES["release"])

@@ -124,13 +124,6 @@ def test_a_press_that_does_not_converge_leaves_its_batch_alone(
     assert len(hard.curves["sphere"][0]["depth_mm"]) == 1
 
 
-def test_missing_presses_leave_figures_without_value() -> None:
-    names = ("edge_sharpness", "stiffness_secant")
-    (result,) = evaluate_designs([gelsight("a")], [SPHERE], [METRICS[name] for name in names])
-    assert result.figures["edge_sharpness"] is None
-    assert result.causes == {"edge_sharpness": "the press 'edge' was not asked for"}
-
-
 def test_ids_and_names_must_differ() -> None:
     with pytest.raises(InputError, match="unique ids"):
         evaluate_designs([gelsight("a"), gelsight("a")], [SPHERE], SIMPLE)

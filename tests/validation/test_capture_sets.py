@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache, partial
 
@@ -14,6 +14,7 @@ from taccel_lab.calibration.capture import CaptureFolder, import_captures, load_
 from taccel_lab.calibration.capture.importers import ImportOptions, detect_layout
 from taccel_lab.calibration.check import CaptureCheck, check_captures
 from taccel_lab.errors import InputError
+from tests.calibration.judged_once import detect_once
 from tests.support.real_data import real_data, taxim_presses
 
 LAYOUTS = {
@@ -44,6 +45,13 @@ def some_presses(folder: CaptureFolder, count: int) -> CaptureFolder:
 
 def codes(check: CaptureCheck) -> dict[str, str]:
     return {finding.code: finding.message for finding in check.findings}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _equal_pictures_are_looked_at_once() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        detect_once(patch)
+        yield
 
 
 Imported = Callable[[str], list[CaptureFolder]]
@@ -94,16 +102,15 @@ def test_good_captures_are_usable(imported: Imported) -> None:
 def test_frames_of_another_unit_and_swapped_channels(imported: Imported) -> None:
     folder = some_presses(imported("gsmini_ruihangao_calib")[0], 7)
     foreign = replace(imported("gsmini_gs_sdk")[0].presses[0], name="foreign")
-    mixed = check_captures(replace(folder, presses=(*folder.presses, foreign)), fit_ball=False)
-    finding = next(f for f in mixed.findings if f.code == "mixed_sensors")
-    assert finding.frames == ("foreign",)
     read = folder.presses[3].read
     bgr = replace(folder.presses[3], read=partial(lambda get: get()[..., ::-1], read))
-    swapped = check_captures(
-        replace(folder, presses=(*folder.presses[:3], bgr, *folder.presses[4:])), fit_ball=False
-    )
-    finding = next(f for f in swapped.findings if f.code == "channels_swapped")
-    assert finding.frames == (bgr.name,)
+    for code, odd, presses in (
+        ("mixed_sensors", foreign, (*folder.presses, foreign)),
+        ("channels_swapped", bgr, (*folder.presses[:3], bgr, *folder.presses[4:])),
+    ):
+        check = check_captures(replace(folder, presses=presses), fit_ball=False)
+        finding = next(found for found in check.findings if found.code == code)
+        assert finding.frames == (odd.name,)
 
 
 def test_mini_presses_of_taxim_are_refused_with_the_reasons() -> None:

@@ -18,9 +18,7 @@ from taccel_lab.scene import (
     AffineBody,
     KinematicBody,
     PrismaticJoint,
-    RevoluteJoint,
     TriangleMesh,
-    VelocityDrive,
 )
 from taccel_lab.solvers import SolverConfig
 from tests.support.blocks import everywhere, pose
@@ -92,45 +90,6 @@ def test_a_turning_nut_lowers_a_screw(source: str) -> None:
     total = -(run.solver.contact_gradient.numpy() + run.solver.friction_gradient.numpy())
     # It is being lowered in jerks, from facet to facet.
     assert total[0, nodes].sum(axis=0)[2] == pytest.approx(run.masses[0, 0, 0] * G, rel=0.2)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("source", ["generated", "published"])
-def test_a_driven_nut_climbs_a_held_screw(source: str) -> None:
-    """Both affine: the screw stands still, the nut turns about it by a drive and may slide on it
-    through a carrier: one and a half turns."""
-    made = thread(source)
-    rate, dt = 2 * np.pi, 0.01
-    screw = KinematicBody(made.screw, 0.1, name="screw")
-    nut = AffineBody(
-        made.nut,
-        DENSITY,
-        name="nut",
-        friction_coefficient=0.1,
-        initial_pose=pose(0, 0, -0.9 * made.slack),
-    )
-    carrier = AffineBody(
-        torus_mesh(50e-3, 2e-3, 16, 8), 100.0, name="carrier", initial_pose=pose(0, 0, 0)
-    )
-    joints = [
-        PrismaticJoint("carrier", None, axis=(0, 0, 1), name="slide"),
-        RevoluteJoint(
-            "nut", "carrier", axis=(0, 0, 1), name="hinge", drive=VelocityDrive(1.0, rate)
-        ),
-    ]
-    scene = affine_scene([nut, carrier], joints, kinematic=[screw], dt=dt)
-    run = Run(scene, SolverConfig(dhat_m=5e-5), everywhere(1, pose(0, 0, 0)))
-    heights = []
-    for _ in range(150):
-        run.step()
-        assert run.overlaps() == []
-        heights.append(run.y[0, 0, 2])
-    assert run.solver.joints is not None
-    angle = run.solver.joints.coordinates.numpy()[0, 1]
-    assert angle == pytest.approx(1.5 * 2 * np.pi, rel=0.02)
-    # Right-handed: turning to the left, seen from above, it climbs.
-    assert np.ptp(heights) > 0.5 * made.pitch
-    assert abs(heights[-1] - heights[9]) == pytest.approx(1.4 * made.pitch, rel=0.05)
 
 
 def linked_rings(friction: float) -> Run:

@@ -327,13 +327,3 @@ def test_flight_stays_of_second_order() -> None:
         # The first step is one of implicit Euler: half a step's worth of speed, once.
         t = step * 2e-3
         assert start - z == pytest.approx(0.5 * G * t**2, abs=G * 2e-3**2 * 1.01)
-
-
-def test_an_impact_is_nothing_to_the_neighbours() -> None:
-    alone = Fall("affine", 25.0, 2e-3, TimeScheme.BDF2, 0.0, 0.0)
-    beside = Fall("affine", 25.0, 2e-3, TimeScheme.BDF2, 0.0, -6e-3)
-    alone.run(0.06)
-    beside.run(0.06)
-    for name in ("positions", "velocities"):
-        first, second = (getattr(f.state, name).numpy()[0] for f in (alone, beside))
-        np.testing.assert_array_equal(first, second)

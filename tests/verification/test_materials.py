@@ -11,9 +11,7 @@ import warp as wp
 from scipy.optimize import brentq
 
 from taccel_lab.scene import (
-    Ball,
     Element,
-    KinematicBody,
     Material,
     MaterialField,
     MaterialModel,
@@ -23,7 +21,7 @@ from taccel_lab.scene import (
 from taccel_lab.solvers.config import SolverConfig
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import initial_state
-from tests.support.blocks import block_mesh, everywhere, labelled, pose
+from tests.support.blocks import block_mesh, labelled
 from tests.verification.assembly import Assembly
 
 YOUNG, NU, RATIO = 1.3e5, 0.42, 0.3
@@ -155,35 +153,3 @@ def test_a_body_of_two_materials_is_the_sum_of_two_bodies(model: MaterialModel) 
     # It is not one of the two materials alone.
     other = assembled(mesh, halves[0], x)[1]
     assert np.abs(other - assembled(mesh, field, x)[1]).max() > 0.1 * np.abs(g).max()
-
-
-DEPTHS = (0.02e-3, 0.15e-3, 0.3e-3)
-
-
-def press(tet_material: Material | MaterialField, friction: float = 0.4) -> np.ndarray:
-    """Normal force [N] of a ball at ``DEPTHS`` and after a drag at the last one."""
-    mesh = block_mesh((6, 6, 3), (6e-3, 6e-3, 2.4e-3), jitter=0.15)
-    body = KinematicBody(Ball(1.5e-3), friction)
-    model = Scene(SoftBody(mesh, tet_material, element=Element.LINEAR), (body,)).finalize()
-    solver = SolverIPC(model, SolverConfig())
-    state = initial_state(model, everywhere(1, pose(0, 0, 1.6e-3)))
-    forces = []
-    for x, depth in (*((0, depth) for depth in DEPTHS), (0.1e-3, DEPTHS[-1])):
-        report = solver.step(state, everywhere(1, pose(x, 0, 1.5e-3 - depth)))
-        assert report.converged.all(), report.summary()
-        assert report.residual_n[0] <= 1e-4 * report.contact_force_n[0]
-        forces.append(solver.contact_gradient.numpy()[0, : mesh.node_count, 2].sum())
-    corners = state.positions.numpy()[0][mesh.tets]
-    assert (np.linalg.det(corners[:, 1:] - corners[:, :1]) > 0).all()
-    return np.array(forces)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_a_press_converges(model: MaterialModel) -> None:
-    forces = press(material(model))
-    reference = press(material(MaterialModel.NEO_HOOKEAN))
-    assert (np.diff(forces[:3]) > 0).all()
-    # The same solid for small strains only; at 0.02 mm they reach sqrt(depth / radius) = 0.1.
-    assert forces[0] == pytest.approx(reference[0], rel=0.08)
-    if model is not MaterialModel.NEO_HOOKEAN:
-        assert abs(forces[2] - reference[2]) > 1e-3 * reference[2]

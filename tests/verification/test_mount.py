@@ -6,10 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taccel_lab.ipc.contact.intersection import find_intersections
 from taccel_lab.model.embedding import rotate
 from taccel_lab.scene import (
-    AffineBody,
     Ball,
     Element,
     KinematicBody,
@@ -17,7 +15,6 @@ from taccel_lab.scene import (
     Scene,
     SoftBody,
     TimeStepping,
-    box_mesh,
 )
 from taccel_lab.solvers import SolverConfig, SolverIPC
 from taccel_lab.state import initial_state
@@ -115,42 +112,3 @@ def test_the_mount_feels_the_mass_of_the_gel() -> None:
     pull = solver.gradient.numpy()[0, model.frame_nodes.numpy()].sum(axis=0)
     free = model.masses.numpy()[0, model.free_nodes.numpy()].sum()
     np.testing.assert_allclose(pull, [free * a, 0, 0], atol=2e-3 * free * a)
-
-
-def test_two_mounted_gels_lift_a_peg() -> None:
-    """Friction alone carries the weight, and the peg keeps its place between the gels."""
-    side, dt, g = 6e-3, 0.02, 9.81
-    names = ("left", "right")
-    gels = [
-        SoftBody(
-            MESH, GEL, name=n, mount=f"{n} jaw", friction_coefficient=1.0, element=Element.LINEAR
-        )
-        for n in names
-    ]
-    jaws = [KinematicBody(None, name=f"{n} jaw") for n in names]
-    peg = AffineBody(box_mesh((side, 5e-3, 12e-3)), name="peg", friction_coefficient=1.0)
-    time = TimeStepping(quasi_static=False, dt_s=dt, gravity_m_s2=(0, 0, -g))
-    model = Scene(gels, jaws, 1, time, affine_bodies=peg).finalize()
-    solver = SolverIPC(model, SolverConfig(dhat_m=1e-4))
-
-    def grip(squeeze: float, z: float) -> np.ndarray:
-        x = side / 2 + 1.5e-4 - squeeze
-        left, right = pose(-x, 0, z, (0, 1, 0), 90), pose(x, 0, z, (0, 1, 0), -90)
-        return everywhere(1, left, right)
-
-    state = initial_state(model, grip(0, 0))
-    heights = []
-    moves = [(1.5e-4, 0.0), (3e-4, 0.0), *((3e-4, 1e-3 * k) for k in range(1, 6))]
-    for squeeze, z in moves:
-        report = solver.step(state, grip(squeeze, z))
-        assert report.converged.all(), report.summary()
-        assert find_intersections(model, state) == [[]]
-        heights.append(state.positions.numpy()[0, model.affine.first_control, 2] - z)
-    # The lift begins with a jerk and goes on at constant speed.
-    assert np.ptp(heights[-3:]) < 3e-6
-    nodes = model.bodies[model.body_id("peg")].node_slice
-    friction = -solver.friction_gradient.numpy()[0, nodes].sum(axis=0)
-    normal = -solver.contact_gradient.numpy()[0, nodes].sum(axis=0)
-    weight = 1000 * side * 5e-3 * 12e-3 * g
-    assert (friction + normal)[2] == pytest.approx(weight, rel=0.03)
-    assert friction[2] > 0.9 * weight

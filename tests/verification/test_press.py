@@ -128,18 +128,6 @@ def test_every_frame_is_converged_separate_and_balanced(
     )
 
 
-def test_a_deep_press_beyond_a_layer_of_elements() -> None:
-    """0.8 mm into 2.4 mm in two leaps, each many times dhat and an element high."""
-    model = scene(MESH, KinematicBody(Ball(1.5e-3), 0.5), poisson=0.45).finalize()
-    solver = SolverIPC(model, SolverConfig(dhat_m=DHAT))
-    state = initial_state(model, everywhere(1, pose(0, 0, 1.5e-3 + 1e-3)))
-    for depth in (0.4e-3, 0.8e-3):
-        report = solver.step(state, everywhere(1, pose(2e-4, 0, 1.5e-3 - depth)))
-        assert report.converged.all(), report.summary()
-        assert find_intersections(model, state) == [[]]
-    assert report.contact_force_n[0] > 0.1
-
-
 def test_the_force_does_not_depend_on_how_the_depth_is_reached() -> None:
     """Without friction a quasi-static press has no memory."""
     forces = []

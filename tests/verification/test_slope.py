@@ -235,15 +235,6 @@ def test_creep_goes_by_time_whatever_the_step(dt: float, speed: float) -> None:
     assert along == pytest.approx(10 * dt * speed * (1 - np.sqrt(1 - 0.8)), rel=1e-2)
 
 
-def test_halved_steps_creep_at_the_same_speed(monkeypatch: pytest.MonkeyPatch) -> None:
-    slope = Slope("affine", "box", 0.8 * MU)
-    slope.run(30)
-    whole, *_ = slope.creep(10)
-    fail_whole_steps(slope.solver, monkeypatch)
-    halved, *_ = slope.creep(10)
-    assert halved == pytest.approx(whole, rel=1e-2)
-
-
 def test_halved_steps_of_a_press_creep_no_further(monkeypatch: pytest.MonkeyPatch) -> None:
     """A gel sheared by a ball that then rests: what its friction lets go in so many steps is the
     same when they are taken in halves. The range is large, so that there is much to let go."""

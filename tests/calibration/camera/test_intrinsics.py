@@ -311,14 +311,6 @@ def test_views_without_tilt_are_called_weak() -> None:
     assert "too_few" in codes
 
 
-def test_views_from_one_side_are_called_weak() -> None:
-    ways = [{"distance_mm": 30 + k, "tilt_deg": (25 + 0.2 * k, 10)} for k in range(8)]
-    views = views_from("pinhole", ways, 0.05, seed=2)
-    found = calibrate_intrinsics(views, models=["pinhole"], folds=2)
-    codes = {remark.code: remark.severity for remark in found.remarks}
-    assert codes["views_alike"] is Severity.ERROR
-
-
 def test_points_of_another_board_are_called_weak() -> None:
     """As when a chessboard is searched for dots: regular points, but not those of the board."""
     rng = np.random.default_rng(3)

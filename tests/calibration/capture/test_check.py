@@ -76,7 +76,7 @@ def spoilt(which: Iterable[int], how: Change, **changes: Any) -> CaptureMaker:
 
 def of_balls(which: Iterable[int], ball_mm: float, stated_mm: float | None = None) -> CaptureMaker:
     """Captures with some presses of another ball, which the manifest may state."""
-    maker = CaptureMaker(labelled=False)
+    maker = CaptureMaker(labelled=False, circles=spread_circles(7))
     for i in which:
         maker.images[i] = press(maker.circles[i], ball_mm)
         maker.extra[i] = f"radius_mm = {stated_mm}" if stated_mm else ""
@@ -87,7 +87,7 @@ def at_one_spot() -> list[ContactCircle]:
     rng = np.random.default_rng(2)
     return [
         ContactCircle(80 + rng.uniform(-4, 4), 60 + rng.uniform(-4, 4), rng.uniform(9, 15))
-        for _ in range(10)
+        for _ in range(6)
     ]
 
 
@@ -99,8 +99,6 @@ FAULTS: list[Row] = [
     ("auto white balance",
      lambda: spoilt(range(0, 5, 2), lambda image: drift(image, [1.08, 1.0, 0.93]),
                     circles=FEW),
-     "light_drifts", WARNING, (), ()),
-    ("auto exposure", lambda: spoilt(range(0, 5, 2), lambda image: drift(image, 0.9), circles=FEW),
      "light_drifts", WARNING, (), ()),
     ("saturation",
      lambda: spoilt(range(5), lambda image: image + 90, circles=FEW, background=gel() + 90),
@@ -131,7 +129,7 @@ FAULTS: list[Row] = [
      "background_differs", ERROR, (), ()),
     ("ball smaller than its contacts", lambda: few(radius_mm=1.0, labelled=False),
      "ball_too_small", ERROR, ("the ball 1 mm",), ()),
-    ("wrong ratio of two balls", lambda: of_balls(range(8), 4.0, 1.6),
+    ("wrong ratio of two balls", lambda: of_balls(range(4), 4.0, 1.6),
      "ball_contradicted", ERROR, (), ()),
     # 25.3 x 19.0 mm of a pad of 25.25 x 20.75 mm.
     ("view up to the pad's edge",
@@ -167,8 +165,7 @@ def test_a_fault_is_found_by_its_name(
     [
         (lambda: spoilt([1, 5, 9], lambda image: image[::-1, ::-1]), "channels_swapped"),
         (lambda: few(sensor="gelsight_mini"), "lamps_reversed"),
-        (lambda: of_balls(range(8), 4.0, 4.0), "ball_contradicted"),
-        (lambda: CaptureMaker(labelled=False), "ball_contradicted"),
+        (lambda: of_balls(range(4), 4.0, 4.0), "ball_contradicted"),
         (lambda: few(sensor="gelsight_mini", mm_per_px=0.1585),
          "scale_past_pad"),
     ],
@@ -289,7 +286,7 @@ def test_a_background_of_another_size_needs_a_scale(tmp_path: Path) -> None:
 
 
 def test_frame_without_contact(tmp_path: Path) -> None:
-    maker = CaptureMaker(labelled=False)
+    maker = CaptureMaker(labelled=False, circles=spread_circles(11))
     maker.images[8] = gel()
     found = check(maker, tmp_path)
     finding = by_code(found)["no_contact"]

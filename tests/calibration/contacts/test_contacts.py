@@ -19,9 +19,8 @@ from taccel_lab.calibration.capture import CapturedPress, CaptureSet, ContactCir
 from taccel_lab.calibration.check.background import median_background
 from taccel_lab.calibration.check.frames import measure_presses
 from taccel_lab.calibration.contacts import fit
-from taccel_lab.calibration.contacts.ball_radius import check_ball
 from taccel_lab.calibration.contacts.circle_arrays import circle_array
-from taccel_lab.calibration.contacts.fit import detect_contact, fit_together
+from taccel_lab.calibration.contacts.fit import detect_contact
 from taccel_lab.calibration.contacts.labels import compare_with_labels
 from taccel_lab.calibration.contacts.result import DetectedContact
 from taccel_lab.calibration.contacts.rim import fit_circle
@@ -193,7 +192,7 @@ def test_dots_that_move_with_the_gel() -> None:
 
 def test_poisoned_pixels_have_no_effect() -> None:
     rng = np.random.default_rng(2)
-    circles = scattered(5, seed=8)
+    circles = scattered(3, seed=8)
     clean = [faulty(c, rng) for c in circles]
     mask = np.ones((150, 200), dtype=bool)
     mask[5:30, 120:190] = False
@@ -204,23 +203,8 @@ def test_poisoned_pixels_have_no_effect() -> None:
     assert contacts_of(spoilt) == contacts_of(captures)
 
 
-def test_a_ball_that_is_too_small_shows() -> None:
-    # Deep presses, up to nine tenths of the ball's radius.
-    circles = [dataclasses.replace(c, radius_px=c.radius_px + 2) for c in scattered(6, seed=2)]
-    captures = press_set(circles, [pressed(c) for c in circles])
-    right = check_ball(captures, fit_together(captures))
-    assert right is not None and right.consistent, right
-    small = with_circles(captures, [None] * 6, ball_radius_mm=0.65 * BALL_MM)
-    wrong = check_ball(small, fit_together(small))
-    assert wrong is not None and not wrong.consistent
-    (remark,) = wrong.remarks()
-    assert remark.code == "wrong_ball_radius" and "mm" in remark.message
-    assert right.remarks() == []
-    assert 0.65 * BALL_MM < wrong.lowest_mm
-
-
 def test_labels_to_one_side_are_told_apart_from_scatter() -> None:
-    circles = scattered(6)
+    circles = scattered(4)
     captures = press_set(circles, [pressed(c) for c in circles])
     moved = [dataclasses.replace(c, u_px=c.u_px + 3) for c in circles]
     found = compare_with_labels(with_circles(captures, moved), contacts_of(captures))
@@ -273,7 +257,7 @@ def test_a_circle_ignores_outliers(
     assert fit.inliers.tolist() == [True] * 60 + [False] * outliers
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(u=st.floats(30, 130), v=st.floats(30, 90), radius=st.floats(11, 17), seed=st.integers(0, 99))
 def test_finds_synthetic_contacts(u: float, v: float, radius: float, seed: int) -> None:
     circle = ContactCircle(u, v, radius)

@@ -26,7 +26,7 @@ def textured(rng: np.random.Generator) -> np.ndarray:
     return gel() + 15 * shades / shades.std()
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(
     gain=st.tuples(*[st.floats(0.7, 1.3)] * 3), offset=st.tuples(*[st.floats(-20, 20)] * 3),
     tilt=st.tuples(st.floats(-6, 6), st.floats(-6, 6)), seed=st.integers(0, 20),

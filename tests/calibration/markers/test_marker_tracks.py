@@ -90,7 +90,6 @@ def errors(tracks: MarkerTracks, true: np.ndarray) -> tuple[np.ndarray, np.ndarr
 @pytest.mark.parametrize(
     ("motion", "frames"),
     [
-        (shear, 12),
         pytest.param(shear, 8, id="0.65 pitches between frames"),
         pytest.param(twist, 12, marks=pytest.mark.slow),
         pytest.param(whole, 12, marks=pytest.mark.slow),
@@ -155,7 +154,7 @@ def test_what_tracks_cannot_tell_is_said() -> None:
     true[3:] += (0.48 * PITCH, 0.0)
     codes = {r.code: r.severity for r in track_remarks(track_figures("jump", follow(true)))}
     assert codes["fast_motion"] is Severity.ERROR
-    slow = there_and_back(shear, 12, 0.8)
+    slow = there_and_back(shear, 8, 0.6)
     slow[5] -= 5000.0
     dark = track_figures("dark", follow(slow))
     assert dark.unseen_frames == (5,)
