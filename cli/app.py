@@ -72,7 +72,13 @@ def command_tree() -> dict[str, type[Command] | Group]:
     from taccel_lab.cli.live import Live
     from taccel_lab.cli.press import PressCommand
     from taccel_lab.cli.preview import Preview
-    from taccel_lab.cli.profile import ProfileCompare, ProfileReport, ProfileShow, ProfileValidate
+    from taccel_lab.cli.profile import (
+        ProfileAddView,
+        ProfileCompare,
+        ProfileReport,
+        ProfileShow,
+        ProfileValidate,
+    )
     from taccel_lab.cli.read import Read
     from taccel_lab.cli.robot import RobotList, RobotShow
     from taccel_lab.cli.sensors import SensorsList, SensorsShow
@@ -101,6 +107,7 @@ def command_tree() -> dict[str, type[Command] | Group]:
                 "validate": ProfileValidate,
                 "compare": ProfileCompare,
                 "report": ProfileReport,
+                "add-view": ProfileAddView,
             },
         ),
         "export": Export,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``taccel-lab profile show``, ``validate``, ``compare`` and ``report``."""
+"""``taccel-lab profile show``, ``validate``, ``compare``, ``report`` and ``add-view``."""
 
 from __future__ import annotations
 
@@ -160,6 +160,36 @@ class ProfileReport:
         if self.json:
             print_json(loads((self.out / "report.json").read_text("utf-8")))
         console.print(f"wrote {self.out / 'report.html'}")
+
+
+@dataclass(frozen=True)
+class ProfileAddView:
+    """Put a camera among those of a profile: one more, or one that was calibrated.
+
+    Example: taccel-lab profile add-view out/stereo camera_2 out/calibrated --out out/both
+    """
+
+    profile: Positional[Path]
+    """Profile folder of the sensor."""
+    name: Positional[str]
+    """Name of the view; main is the camera of the profile itself."""
+    seen: Positional[Path]
+    """Profile folder whose camera, images and networks the view gets."""
+    out: Path
+    """Profile folder to write."""
+    json: bool = False
+    """Print the names of the views as JSON."""
+
+    def run(self) -> None:
+        from taccel_lab.cli.console import notes, print_json
+        from taccel_lab.profile import load_profile, require_profile_folder, save_profile
+
+        require_profile_folder(self.out)
+        profile = load_profile(self.profile).with_view(self.name, load_profile(self.seen))
+        save_profile(profile, self.out)
+        if self.json:
+            print_json({"profile": str(self.out), "views": list(profile.view_names())})
+        notes().print(f"wrote {self.out}: {', '.join(profile.view_names())}")
 
 
 def _views(profile: SensorProfile) -> list[tuple[str, SensorProfile]]:

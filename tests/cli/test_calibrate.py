@@ -21,7 +21,7 @@ from taccel_lab.calibration.material.gel import Gel
 from taccel_lab.cli.calibrate.blocks import BLOCK_COMMANDS
 from taccel_lab.errors import InputError
 from taccel_lab.presses.physics import PHYSICS, Accuracy, PressMeshOptions, PressPhysics
-from taccel_lab.profile import load_profile
+from taccel_lab.profile import load_profile, save_profile
 from taccel_lab.sensors.profile import catalogue_profile
 from tests.calibration.drawn.boards import chess_pattern, dot_pattern, pose_over, render_board
 from tests.calibration.drawn.faults import add_noise, quantise
@@ -38,6 +38,24 @@ def captures(tmp_path: Path) -> Path:
 
 def test_every_block_has_a_command() -> None:
     assert {block.name for block in BLOCKS} == set(BLOCK_COMMANDS)
+
+
+def test_one_camera_of_several_is_calibrated_and_put_back(
+    captures: Path, tmp_path: Path, cli: Cli
+) -> None:
+    """The other camera, whose images have another size, stays as it is."""
+    right = load_profile(write_profile(tmp_path / "right", color=False))
+    left = catalogue_profile("gelsight").without("background")
+    save_profile(left.with_view("right", right), tmp_path / "pair")
+    words = ["--base", f"{tmp_path / 'pair'}@right", "--out", tmp_path / "unit"]
+    cli("calibrate background", captures, *words)
+    unit = load_profile(tmp_path / "unit")
+    assert unit.background_rgb is not None and unit.view_names() == ("main",)
+    pair = str(tmp_path / "pair")
+    cli("profile add-view", pair, "right", tmp_path / "unit", "--out", pair)
+    again = load_profile(tmp_path / "pair")
+    assert again.background_rgb is None and again.grid() == left.grid()
+    np.testing.assert_array_equal(again.seen_by("right").background_rgb, unit.background_rgb)
 
 
 # All ---------------------------------------------------------------------------------------------

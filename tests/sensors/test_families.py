@@ -60,6 +60,17 @@ def value_near_default(spec: Parameter, rng: np.random.Generator, share: float) 
     return round(value) if isinstance(spec.default, int) else value
 
 
+_LATER = (
+    "camera_x_mm", "camera_y_mm", "camera_tilt_x_deg", "camera_tilt_y_deg", "led_power",
+    "led_turn_deg", "led_arc_deg", "led_half_angle_deg",
+)  # fmt: skip
+"""Parameters that draw from generators of their own: seeds deal the others what they always did."""
+
+
+def _drawn(spec: Parameter, rng: np.random.Generator, near: float | None) -> Any:
+    return random_value(spec, rng) if near is None else value_near_default(spec, rng, near)
+
+
 def random_parameters(
     family: SensorFamily, rng: np.random.Generator, near: float | None = None
 ) -> FamilyParameters | InputError:
@@ -68,11 +79,10 @@ def random_parameters(
     With ``near`` they differ from the defaults by up to that share.
     """
     specs = family.parameters_type.parameters()
-    draw = {
-        name: random_value(spec, rng) if near is None else value_near_default(spec, rng, near)
-        for name, spec in specs.items()
-    }
+    known = [name for name in specs if name not in _LATER]
+    draw = {name: _drawn(specs[name], rng, near) for name in known}
     stiffness = rng.choice(STIFFNESS)
+    draw |= {name: _drawn(specs[name], rng.spawn(1)[0], near) for name in _LATER}
     draw = {name: value for name, value in draw.items() if name not in {*STIFFNESS} - {stiffness}}
     try:
         return family.parameters(draw)
