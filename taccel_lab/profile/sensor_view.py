@@ -10,7 +10,7 @@ import dataclasses
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from taccel_lab.profile.response_blocks import (
     PerturbationBlock,
 )
 from taccel_lab.profile.schema import BackgroundBlock, CameraBlock, ColorBlock, SensorBlock
-
-if TYPE_CHECKING:
-    from taccel_lab.profile.sensor_profile import SensorProfile
 
 MAIN_VIEW = "main"
 """Name of the view that a profile holds itself."""
@@ -53,8 +50,8 @@ class SensorView:
     force_weights: Mapping[str, np.ndarray] | None = None
 
     @classmethod
-    def of(cls, profile: SensorProfile) -> SensorView:
-        """The main view of a profile, such as one that was calibrated with this camera's images."""
+    def of(cls, profile: object) -> SensorView:
+        """The main view of a ``SensorProfile``, such as one calibrated with this camera."""
         return cls(**{name: getattr(profile, name) for name in _FIELDS})
 
     def parts(self) -> dict[str, Any]:
