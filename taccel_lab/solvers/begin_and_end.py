@@ -245,7 +245,7 @@ def _begin_potentials(run: StepLaunches) -> None:
         forces, wrenches = state.loads(run.model)
         s.load.begin_step(x, forces, wrenches, fresh)
     if s.friction is not None:
-        s.friction.begin_step(fresh, s.dts)
+        s.friction.begin_step(fresh, s.dts, s.whole_dts)
 
 
 def end_step(run: StepLaunches) -> None:

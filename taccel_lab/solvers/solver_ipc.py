@@ -314,16 +314,19 @@ class SolverIPC(SolverParts):
         copy_rows(mask, targets, self.end_poses)
         return dt
 
-    def set_dt(self, dt: float, mask: wp.array | None = None) -> None:
-        """Set the length [s] of steps that begin from now on, in the environments of ``mask``
-        (int32, [env_count]), in all when None."""
-        if dt != self._dt:
-            self._dt = dt if mask is None else math.nan
+    def set_dt(self, dt: float, mask: wp.array | None = None, whole: bool = True) -> None:
+        """Set the length [s] of steps that begin from now on, ``whole`` ones or parts of one, in
+        the environments of ``mask`` (int32, [env_count]), in all when None."""
+        changed = [self.dts] if dt != self._dt else []
+        self._dt = dt if mask is None or not changed else math.nan
+        if whole and self.inertia is None and self.maxwell:
+            changed.append(self.whole_dts)
+        for array in changed:
             if mask is None:
-                self.dts.fill_(dt)
+                array.fill_(dt)
             else:
                 one = wp.full(1, dt, dtype=wp.float64, device=self.model.device)
-                copy_rows(mask, one, self.dts)
+                copy_rows(mask, one, array)
 
     # Parts of a step -----------------------------------------------------------------------------
 
@@ -335,7 +338,7 @@ class SolverIPC(SolverParts):
         BDF2 met an impact by implicit Euler.
         """
         report: StepReport | None = None
-        self.set_dt(dt)
+        self.set_dt(dt, whole=whole)
         reads, writes = (who, self._everyone) if whole else (self._nobody, self._nobody)
         while True:
             part = self.attempt_once(who, reads, writes)

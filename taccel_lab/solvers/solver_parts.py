@@ -129,6 +129,10 @@ class SolverParts:
         """Gradient of the total energy by the unknowns [N]."""
         self.dts = wp.zeros(model.env_count, dtype=wp.float64, device=device)
         """Length of the step that each environment is in, or of its last one [s], float64."""
+        dt_s = scene.time.dt_s
+        self.whole_dts = wp.full(model.env_count, dt_s, dtype=wp.float64, device=device)
+        """Length of a step that has the whole static range of friction [s], float64: of the scene's
+        steps; of quasi-static steps, which may have any, that of the whole step."""
         self._dt = 0.0
         """The same where all have one; not a number where they differ."""
         self._masks: dict[str, np.ndarray] = {}

@@ -25,10 +25,10 @@ GRID = PixelGrid(16, 16, 0.4, 0.4)
 PATH = PressPath(0.5)
 
 
-def pressed(path: PressPath, material: Material = RELAXING) -> PressOutcome:
+def pressed(path: PressPath, material: Material = RELAXING, friction: float = 0.0) -> PressOutcome:
     return simulate_press(
         MESH, material, parse_indenter("sphere:3"), (0.0, 0.0), path, GRID,
-        friction_coefficient=0.0, physics=LINEAR,
+        friction_coefficient=friction, physics=LINEAR,
     )  # fmt: skip
 
 
@@ -67,6 +67,15 @@ def test_a_hold_relaxes_and_a_way_back_loses_work() -> None:
     assert times[down - 1] == pytest.approx(0.5) and times[-1] == pytest.approx(7.0)
     assert abs(found[-1]) < 1e-6 < found[-2], "it has left a gel that is still dented"
     assert (outcome.rest_height_m - outcome.height_m).max() > 1e-5
+
+
+def test_friction_holds_while_the_indenter_rests() -> None:
+    """However long: static friction allows as little sliding in a long step as in a short one."""
+    path = replace(PATH, hold_s=60.0)
+    found, relaxed = (forces(pressed(path, gel, 1.0))[-1] for gel in (RELAXING, GEL))
+    loose = forces(pressed(PATH, GEL))[-1]
+    assert relaxed > 1.02 * loose
+    assert found == pytest.approx(relaxed, rel=5e-3)
 
 
 def test_a_slow_press_is_softer_than_a_fast_one() -> None:

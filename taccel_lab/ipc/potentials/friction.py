@@ -254,7 +254,7 @@ def _friction_hessian_kernel(
 def _begin_friction_kernel(
     who: wp.array(dtype=wp.int32),
     dts: wp.array(dtype=wp.float64),
-    whole_dt: wp.float64,
+    whole_dts: wp.array(dtype=wp.float64),
     whole_range: wp.float64,
     counts: wp.array(dtype=wp.int32),
     ranges: wp.array(dtype=wp.float64),
@@ -263,7 +263,7 @@ def _begin_friction_kernel(
     env = wp.tid()
     if who[env] != 0:
         counts[env] = 0
-        ranges[env] = whole_range * (dts[env] / whole_dt)
+        ranges[env] = whole_range * (dts[env] / whole_dts[env])
 
 
 def step_motion(
@@ -355,13 +355,14 @@ class FrictionPotential(EnergyTerm):
             [c.lists, c.geometry, self.model.pair_friction, positions, previous, self.frozen],
         )
 
-    def begin_step(self, who: wp.array, dts: wp.array) -> None:
+    def begin_step(self, who: wp.array, dts: wp.array, whole_dts: wp.array) -> None:
         """Forget the frozen collisions of the environments ``who`` (int32, [env_count]), whose
-        steps are as long as ``dts`` says [s], float64, [env_count]."""
+        steps are as long as ``dts`` says [s], float64, [env_count], and have the whole static range
+        if that is ``whole_dts`` [s]."""
         launch(
             _begin_friction_kernel,
             dim=self.model.env_count,
-            inputs=[who, dts, self.model.scene.time.dt_s, self._static_range_m],
+            inputs=[who, dts, whole_dts, self._static_range_m],
             outputs=[self.counts, self.eps_u_m],
             device=self.model.device,
         )

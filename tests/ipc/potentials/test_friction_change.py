@@ -44,7 +44,7 @@ class Moved:
         assert self.assembly.solver.friction is not None
         self.friction = self.assembly.solver.friction
         dts = wp.full(count, model.scene.time.dt_s, dtype=wp.float64)
-        self.friction.begin_step(wp.full(count, 1, dtype=wp.int32), dts)
+        self.friction.begin_step(wp.full(count, 1, dtype=wp.int32), dts, dts)
 
     def probe(self, step: float) -> wp.array:
         """Each direction there and back."""
