@@ -33,7 +33,7 @@ from taccel_lab.calibration.contacts.slope_law import (
 from taccel_lab.calibration.robust_spread import spread_about_zero
 
 ITERATIONS = 14
-STEP_PX = 0.02
+STEP_PX = 0.2
 """Of the finite difference over the radius."""
 GAIN_PRIOR = 0.15
 """Spread of the gain of a press's colour change around the map's."""
