@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cauchy stress of soft bodies: sigma = P F^T / J, by element and averaged at nodes.
 
-Only the elastic part: damping adds a stress that lasts as long as the strain changes. A ten-node
-tet has one pressure and four quadrature points; its stress is the mean of these, by the volume that
-each now has. A node takes the mean of its elements by their volume [Zienkiewicz and Taylor 2000,
+Maxwell branches add g P(F_e) F_e^T / J with F_e = F F_v^-1 of the state (``maxwell``). Damping adds
+a stress that lasts as long as the strain changes, which is left out. A ten-node tet has one
+pressure and four quadrature points; its stress is the mean of these, by the volume that each now
+has. A node takes the mean of its elements by their volume [Zienkiewicz and Taylor 2000,
 sec. 14.2, averaging]. Linear tets with nu near 0.5 give pressures that alternate between
 elements: read those of nodes.
 """
@@ -27,6 +28,15 @@ from taccel_lab.model.elastic import ElementArrays
 wp.set_module_options({"enable_backward": False})
 
 
+@wp.func
+def _inverse(env: int, first: int, point: int, inverses: wp.array2d(dtype=wp.mat33d)) -> wp.mat33d:
+    """F_v^-1 of a branch whose points begin at ``first``; the identity of the solid itself, -1."""
+    found = wp.identity(n=3, dtype=wp.float64)
+    if first >= 0:
+        found = inverses[env, first + point]
+    return found
+
+
 @cache
 def _stress_kernel(model: MaterialModel, element: Element) -> wp.Kernel:
     """Kernel over (environment, element), in its own module for each law and element."""
@@ -45,6 +55,9 @@ def _stress_kernel(model: MaterialModel, element: Element) -> wp.Kernel:
         @wp.kernel(module=module)
         def _linear_stress_kernel(
             positions: wp.array2d(dtype=wp.vec3d),
+            inverses: wp.array2d(dtype=wp.mat33d),
+            first: int,
+            share: wp.float64,
             d: ElementData,
             stresses: wp.array2d(dtype=wp.mat33d),
             volumes: wp.array2d(dtype=wp.float64),
@@ -52,8 +65,12 @@ def _stress_kernel(model: MaterialModel, element: Element) -> wp.Kernel:
             env, tet = wp.tid()
             f = linear_deformation(env, tet, positions, d)
             j = wp.determinant(f)
-            p = piola(f, d.moduli, modulus_index(env, tet, d))
-            stresses[env, tet] = p * wp.transpose(f) / j
+            e = f * _inverse(env, first, tet, inverses)
+            p = piola(e, d.moduli, modulus_index(env, tet, d))
+            stress = share / j * (p * wp.transpose(e))
+            if first >= 0:
+                stress += stresses[env, tet]
+            stresses[env, tet] = stress
             volumes[env, tet] = j * d.volumes[env % d.volumes.shape[0], tet]
 
         return _linear_stress_kernel
@@ -61,6 +78,9 @@ def _stress_kernel(model: MaterialModel, element: Element) -> wp.Kernel:
     @wp.kernel(module=module)
     def _quadratic_stress_kernel(
         positions: wp.array2d(dtype=wp.vec3d),
+        inverses: wp.array2d(dtype=wp.mat33d),
+        first: int,
+        share: wp.float64,
         d: ElementData,
         stresses: wp.array2d(dtype=wp.mat33d),
         volumes: wp.array2d(dtype=wp.float64),
@@ -72,7 +92,7 @@ def _stress_kernel(model: MaterialModel, element: Element) -> wp.Kernel:
         q = int(0)
         while q < 4:
             f = point_deformation(env, tet, q, common, positions, d)
-            mean += quarter * dilatation(f)
+            mean += quarter * dilatation(f * _inverse(env, first, 4 * tet + q, inverses))
             q += 1
         i = modulus_index(env, tet, d)
         pressure = volumetric_modulus(d.moduli, i) * volumetric(mean)[1]
@@ -81,11 +101,15 @@ def _stress_kernel(model: MaterialModel, element: Element) -> wp.Kernel:
         q = int(0)
         while q < 4:
             f = point_deformation(env, tet, q, common, positions, d)
-            p = shape_piola(f, d.moduli, i) + pressure * dilatation_slope(f)
-            kirchhoff += quarter * (p * wp.transpose(f))
+            e = f * _inverse(env, first, 4 * tet + q, inverses)
+            p = shape_piola(e, d.moduli, i) + pressure * dilatation_slope(e)
+            kirchhoff += quarter * (p * wp.transpose(e))
             growth += quarter * wp.determinant(f)
             q += 1
-        stresses[env, tet] = kirchhoff / growth
+        stress = share / growth * kirchhoff
+        if first >= 0:
+            stress += stresses[env, tet]
+        stresses[env, tet] = stress
         volumes[env, tet] = growth * d.volumes[env % d.volumes.shape[0], tet]
 
     return _quadratic_stress_kernel
@@ -143,9 +167,11 @@ def _peak_kernel(
 class StressReader:
     """Stresses of one group of elements of a model; see ``Model.elastic``."""
 
-    def __init__(self, model: Model, group: ElementArrays) -> None:
+    def __init__(self, model: Model, group: ElementArrays, first: int = 0) -> None:
+        """``first``: of the group's points in ``State.viscous_inverses``."""
         self.model = model
         self.group = group
+        self._first = first
         data = ElementData()
         data.nodes, data.gradients, data.volumes = (
             group.elements,
@@ -162,16 +188,28 @@ class StressReader:
         self.volumes = wp.zeros(shape, dtype=wp.float64, device=device)
         """Volume that each element has now [m^3], float64, shape [env_count, element_count]."""
 
-    def read(self, positions: wp.array) -> wp.array:
-        """``stresses`` at node positions [m], vec3d, [env_count, node_count]."""
+    def read(self, positions: wp.array, inverses: wp.array | None = None) -> wp.array:
+        """``stresses`` at node positions [m], vec3d, [env_count, node_count].
+
+        ``inverses``: ``State.viscous_inverses``, of gels that relax.
+        """
+        self._add(positions, inverses, -1, 1.0)
+        first = self._first
+        for branch in self.group.branches if inverses is not None else ():
+            self._add(positions, inverses, first, branch.relative_modulus)
+            first += self.group.point_count
+        return self.stresses
+
+    def _add(
+        self, positions: wp.array, inverses: wp.array | None, first: int, share: float
+    ) -> None:
         wp.launch(
             _stress_kernel(self.group.law, self.group.element),
             dim=self.stresses.shape,
-            inputs=[positions, self._data],
+            inputs=[positions, inverses, first, share, self._data],
             outputs=[self.stresses, self.volumes],
             device=self.model.device,
         )
-        return self.stresses
 
     def add_to_nodes(self, nodal: wp.array) -> None:
         """Write the mean of the last ``stresses`` around each node of the group into ``nodal``,

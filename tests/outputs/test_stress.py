@@ -9,8 +9,11 @@ import warp as wp
 
 from taccel_lab.geometry.block import block_mesh
 from taccel_lab.model import Model
+from taccel_lab.outputs import Outputs
 from taccel_lab.outputs.stress import StressReader, peak_at, von_mises
-from taccel_lab.scene import Element, Material, MaterialModel, Scene, SoftBody
+from taccel_lab.scene import Element, Material, MaterialModel, MaxwellBranch, Scene, SoftBody
+from taccel_lab.solvers.solver_ipc import SolverIPC
+from taccel_lab.state import initial_state
 
 E, NU = 1e5, 0.4
 MU, LAM = E / (2 * (1 + NU)), E * NU / ((1 + NU) * (1 - 2 * NU))
@@ -72,6 +75,28 @@ def test_a_uniform_deformation_has_the_closed_form(law: MaterialModel, element: 
     deviator = expected - np.trace(expected) / 3 * np.eye(3)
     equivalent = von_mises(nodal).numpy()
     np.testing.assert_allclose(equivalent, np.sqrt(1.5 * (deviator**2).sum()), rtol=1e-9)
+
+
+@pytest.mark.parametrize("element", list(Element))
+def test_branches_add_what_has_not_relaxed(element: Element) -> None:
+    branches = MaxwellBranch(0.5, 1.0), MaxwellBranch(0.2, 3.0)
+    law = MaterialModel.NEO_HOOKEAN
+    material = Material(E, NU, model=law, branches=branches)
+    model = Scene(SoftBody(MESH, material, element=element)).finalize()
+    f = np.array([[1.3, 0.2, 0.0], [-0.1, 0.9, 0.15], [0.05, 0.0, 1.1]])
+    kept = np.array([np.diag([0.8, 1.1, 1.0]), np.eye(3) + 0.1 * np.eye(3, k=1)])
+    expected = closed_form(law, f)
+    for branch, inverse in zip(branches, kept, strict=True):
+        volume = np.linalg.det(f @ inverse) / np.linalg.det(f)
+        expected = expected + branch.relative_modulus * volume * closed_form(law, f @ inverse)
+    solver = SolverIPC(model)
+    state = initial_state(model, np.zeros((1, 0, 7)))
+    x = model.rest_positions.numpy()[0] @ f.T
+    state.positions = wp.array(x[None], dtype=wp.vec3d)
+    points = model.viscous_point_count // 2
+    state.viscous_inverses = wp.array(np.repeat(kept, points, axis=0)[None], dtype=wp.mat33d)
+    found = Outputs(solver).update(state).nodal_stresses.numpy()[0]
+    np.testing.assert_allclose(found - expected, 0, atol=1e-10 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("element", list(Element))
