@@ -266,7 +266,7 @@ def test_finished_steps_are_kept(
     assert (everything_below(whole) == before) == (code == 130)
 
 
-@pytest.mark.parametrize("options", [("--mesh", "profile"), ("--mesh", "focused"), ("--texture",)])
+@pytest.mark.parametrize("options", [("--mesh", "focused"), ("--texture",)])
 def test_a_part_in_metres_is_refused_with_its_sizes(
     unit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: tuple[str, ...]
 ) -> None:

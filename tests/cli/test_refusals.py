@@ -187,14 +187,6 @@ def test_unknown_sensor(here: Path, capsys: Capsys) -> None:
     refuse(["press", "gelsite", "--depth-mm", "0.3"], words, capsys)
 
 
-def test_indenter_that_starts_inside_the_gel(
-    here: Path, capsys: Capsys, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """No input is known that leads there; were first touch found too deep, it would be refused."""
-    monkeypatch.setattr("taccel_lab.presses.press.first_touch_m", lambda *_: 1.5e-3)
-    refuse(["press", "gelsight", "--depth-mm", "0.3"], ["'sphere:2.0' starts inside 'gel'"], capsys)
-
-
 # Designs -------------------------------------------------------------------------------------
 
 

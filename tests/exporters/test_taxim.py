@@ -160,13 +160,13 @@ def render(simulator: Any, height_mm: np.ndarray, **options: object) -> np.ndarr
 
 def test_taxim_renders_the_press_as_the_profile_does(mini: SensorProfile, tmp_path: Path) -> None:
     """Of two scales, which end in the bins that taxim looks up by its one."""
-    mini = mini.with_block(mini.camera.replace(mm_per_px_x=0.07, mm_per_px_y=0.055))
+    mini = mini.with_block(mini.camera.replace(mm_per_px_x=0.09, mm_per_px_y=0.045))
     document = export_profile(mini, "taxim", tmp_path / "calib")
-    assert document["approximations"]["scale_difference"] == pytest.approx(0.07 / 0.055 - 1)
+    assert document["approximations"]["scale_difference"] == pytest.approx(1.0)
     # The surface is given, so that only the optics is compared.
     simulator = peer(tmp_path / "calib", contact_scale=0.0)
     assert (simulator.width, simulator.height) == (320, 240)
-    assert simulator.sensor_params.pixmm == pytest.approx((0.07 * 0.055) ** 0.5)
+    assert simulator.sensor_params.pixmm == pytest.approx((0.09 * 0.045) ** 0.5)
     press = press_over_rest(mini)
     truth = our_image(mini, press)
     require_upright(render(simulator, press.height_m * 1e3, with_shadow=False), truth, 50)

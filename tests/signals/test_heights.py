@@ -13,6 +13,7 @@ from taccel_lab.errors import InputError
 from taccel_lab.geometry import PixelGrid
 from taccel_lab.signals.depth_response import LUMA, DepthResponse, channel_of
 from taccel_lab.signals.height_uncertainty import HeightUncertainty
+from taccel_lab.signals.normals import slopes_from_height
 from taccel_lab.signals.slope_integration import height_from_slopes
 
 OBLONG = PixelGrid(53, 41, 0.05, 0.08)
@@ -37,6 +38,10 @@ def test_second_degree_is_exact_on_oblong_pixels(
     slope = np.stack([a + 2 * c * x + e * y, b + 2 * d * y + e * x], axis=-1)
     found = height_from_slopes(slope, grid, zero=np.ones(x.shape, dtype=bool))
     assert found == pytest.approx(truth - truth.mean(), abs=1e-12 * (1 + np.ptp(truth)))
+    # Central differences are exact as well.
+    inside = (slice(1, -1), slice(1, -1))
+    back = slopes_from_height(truth, grid)[inside]
+    np.testing.assert_allclose(back, slope[inside], rtol=1e-9, atol=1e-9)
 
 
 def test_smooth_dent_converges_with_second_order() -> None:

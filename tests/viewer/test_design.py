@@ -315,7 +315,7 @@ def test_closing_tells_the_work_at_hand_and_drops_what_waits() -> None:
 
 
 FLAT = sensor_family("flat_pad").parameters()
-SHORT = BallPress(3.0, 0.2)
+SHORT = BallPress(3.0, 0.1)
 
 
 def answer_of(beside: BackgroundPress, seconds: float = 120.0) -> PressAnswer:

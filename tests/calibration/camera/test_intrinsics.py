@@ -302,10 +302,12 @@ def views_from(
     ]  # fmt: skip
 
 
-def test_views_without_tilt_are_called_weak() -> None:
-    ways = [{"distance_mm": 30 + k, "turn_deg": 20.0 * k, "tilt_deg": (1, 0.5)} for k in range(6)]
-    views = views_from("k1", ways, 0.1, seed=0)
-    found = calibrate_intrinsics(views, models=["k1"], folds=2)
+@pytest.mark.parametrize("way", [{"turn_deg": 20.0, "tilt_deg": (1, 0.5)}, {"tilt_deg": (25, 10)}])
+def test_views_that_are_not_tilted_or_from_one_side_are_called_weak(way: dict[str, Any]) -> None:
+    turn = way.get("turn_deg", 0.0)
+    ways = [{**way, "distance_mm": 30 + k, "turn_deg": turn * k} for k in range(6)]
+    views = views_from("pinhole", ways, 0.05, seed=2)
+    found = calibrate_intrinsics(views, models=["pinhole"], folds=2)
     codes = {remark.code: remark.severity for remark in found.remarks}
     assert codes["views_alike"] is Severity.ERROR and judge(found.remarks) == "weak"
     assert "too_few" in codes
