@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tyro.conf import Positional
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from taccel_lab.api.press_result import Press as PressResult
+    from taccel_lab.presses import PressPath
     from taccel_lab.processes.beside import Beside
 
 
@@ -107,6 +109,19 @@ def _stated(error: float, digits: str) -> str:
     return "unknown" if math.isnan(error) else format(error, digits)
 
 
+def _path_rows(path: PressPath, figures: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Where the indenter ended and what it met; after a way back all else is of its end."""
+    if path.back:
+        yield "deepest, past first touch", f"{path.depth_mm:.4g}", "mm"
+    if (hold := figures.get("hold")) is not None:
+        fall = f"{hold['from_n']:.4f}  {hold['to_n']:.4f}"
+        yield f"force before and after {hold['seconds']:g} s of hold", fall, "N"
+    if (loop := figures.get("loop")) is not None:
+        works = f"{loop['work_mj']:.4f}  {loop['lost_mj']:.4f}"
+        yield "work of the press, lost on the way back", works, "mJ"
+    yield "depth past first touch", f"{figures['steps'][-1]['depth_mm']:.4g}", "mm"
+
+
 def _print_outcome(console: Console, pressed: PressResult) -> None:
     from rich.table import Table
 
@@ -115,7 +130,7 @@ def _print_outcome(console: Console, pressed: PressResult) -> None:
     moment = figures["wrench"]["moment_nm"] * 1e3
     table = Table("figure", "value", "unit", title="press", title_justify="left")
     for name, value, unit in (
-        ("depth past first touch", f"{outcome.path.depth_mm:.4g}", "mm"),
+        *_path_rows(outcome.path, figures),
         ("force of the gel on the indenter", "  ".join(f"{v:.4f}" for v in force), "N"),
         ("moment about the gel's origin", "  ".join(f"{v:.4f}" for v in moment), "N mm"),
         ("error of the force, stated", _stated(outcome.force_error_n, ".4f"), "N"),

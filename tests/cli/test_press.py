@@ -21,7 +21,8 @@ from taccel_lab.errors import SimulationError
 from taccel_lab.files.output_marker import OUTPUT_MARKER
 from taccel_lab.presses import PHYSICS, Accuracy
 from taccel_lab.presses.press import PressEnv
-from taccel_lab.profile import load_profile
+from taccel_lab.profile import load_profile, save_profile
+from taccel_lab.profile.schema import BranchEntry
 from taccel_lab.scene import Element
 from taccel_lab.solvers import StepReport
 from tests.geometry.vtu_files import read_mesh_vtu
@@ -185,6 +186,22 @@ def test_a_press_to_a_force_is_one_to_its_depth(unit: Path, tmp_path: Path) -> N
     assert again["asked_force_n"] is None
     assert again["press"]["wrench"] == found["press"]["wrench"]
     assert again["mesh"] == found["mesh"]
+
+
+def test_a_hold_and_a_way_back_are_told(
+    unit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    profile = load_profile(unit)
+    soft = profile.material.replace(branches=(BranchEntry(relative_modulus=0.5, time_s=1.0),))
+    save_profile(profile.with_block(soft), tmp_path / "soft")
+    path = ["--depth-mm", "0.2", "--hold-s", "3", "--unload"]
+    assert press(tmp_path / "soft", tmp_path / "out", *path, *QUICK) == 0
+    shown, found = capsys.readouterr().err, read(tmp_path / "out")["press"]
+    assert found["hold"]["to_n"] < 0.9 * found["hold"]["from_n"]
+    assert f"{found['hold']['from_n']:.4f}  {found['hold']['to_n']:.4f}" in shown
+    assert f"{found['loop']['work_mj']:.4f}  {found['loop']['lost_mj']:.4f}" in shown
+    rows = [line.split("│")[1:3] for line in shown.splitlines() if "past first touch" in line]
+    assert [value.strip() for _, value in rows] == ["0.2", "0"]
 
 
 def test_options_reach_the_solver(unit: Path, tmp_path: Path) -> None:
