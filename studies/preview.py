@@ -167,9 +167,8 @@ def draw_preview(preview: DesignPreview) -> Figure:
     _draw_maps(figure, axes[1, 0], axes[1, 1], preview)
     _draw_forces(axes[1, 2], preview)
     given = preview.result.point.parameters
-    changed = ", ".join(f"{name} = {value}" for name, value in given.items()) or "defaults"
-    name = preview.family.label
-    figure.suptitle(f"{name}, {changed}: predicted by the optical model, not captured")
+    said = [preview.family.label, *(f"{name} = {value}" for name, value in given.items())]
+    figure.suptitle(f"{', '.join(said)}: predicted by the optical model, not captured")
     return figure
 
 
