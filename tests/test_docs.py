@@ -11,7 +11,7 @@ import pytest
 
 from taccel_lab.api.press_photo import LIKE
 from taccel_lab.cli.app import main, parse
-from tests.cli.test_press import FILES, IMAGES, PREDICTED
+from tests.cli.test_press import FILES, PREDICTED
 from tests.sensors.test_template import template  # noqa: F401
 from tests.support.variants import variants
 
@@ -136,6 +136,10 @@ WRITTEN = {
     "study": {"report.html"},
 }
 """Files of a command that pages name; those of a press go with its profile."""
+
+
+IMAGES = {"image.png", "image_raw.png"}
+"""Of a press with a colour model."""
 
 
 def outputs(page: Path) -> dict[str, set[str]]:

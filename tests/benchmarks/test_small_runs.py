@@ -63,7 +63,7 @@ def test_presses_of_a_sensor_are_compared_with_a_finer_mesh(
     assert (fast["setting"], asked["setting"]) == ("fast", "3%")
     for row in (fast, asked):
         assert row["cause"] == "" and row["depth_mm"] == 0.1
-        assert 0 < abs(row["force_error"]) < row["estimated_force_error"] < 0.05
+        assert 0 < abs(row["force_error"]) < row["estimated_force_error"] < 0.06
         assert 0 < row["height_rms_m"] < row["estimated_height_rms_m"] < 2e-5
         assert row["residual"] <= 1e-4
     document["rows"].append(fast | {"cause": "unsolved"})

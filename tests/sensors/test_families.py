@@ -183,7 +183,8 @@ def test_random_parameters_build_or_say_which_bound_they_break(name: str, seed: 
     assert (high > low).all() and high[2] <= 0.05
     assert pad.thickness_mm > 0
     box = float((high - low).prod())
-    assert 0.02 * box < pad_volume_mm3(pad) <= box
+    # A pad that is its box is so to rounding.
+    assert 0.02 * box < pad_volume_mm3(pad) <= box * (1 + 1e-12)
     assert len(found.layer_materials()) == len(pad.layer_names)
     design, markers = found.optics(), found.markers()
     assert design is not None and len(design.lights) == (found.values()["led_count"] or 1)

@@ -231,7 +231,7 @@ def test_guide_of_every_sensor(sensor: str) -> None:
     assert ("markers" in blocks) == (manifest.markers is not None)
     assert ("depth" in blocks) != ("color" in blocks)
     titles = {step.title for step in plan.steps}
-    assert ("Board of dots" in titles) == (sensor in ("9dtact", "rtac"))
+    assert ("Board of dots" in titles) == (sensor in ("9dtact", "rtac", "stereo_pad"))
     assert ("Sides of the dome" in titles) == (sensor in ("digit_360", "rtac"))
     falls = any("along its normal" in step.how for step in plan.steps)
     assert falls == (sensor in ("digit", "digit_360", "gelsight"))

@@ -126,9 +126,8 @@ def friction_over_normal(shape: TriangleMesh, aside: float) -> np.ndarray:
     assert assembly.collide(now) > 0
     friction = assembly.solver.friction
     assert friction is not None
-    friction.begin_step(
-        wp.full(1, 1, dtype=wp.int32), wp.full(1, model.scene.time.dt_s, dtype=wp.float64)
-    )
+    dts = wp.full(1, model.scene.time.dt_s, dtype=wp.float64)
+    friction.begin_step(wp.full(1, 1, dtype=wp.int32), dts, dts)
     x, then = assembly.nodal(now), assembly.nodal(before)
     friction.lag(assembly.active, x, then)
     poses = [wp.array(p, dtype=wp.transformd) for p in (end, start)]

@@ -28,7 +28,7 @@ _NAMES = re.compile(r"\bwp::\w+|\bWP_\w+|(?<=\w)\.(?:data|shape|strides|ndim|gra
 def snippets() -> Iterator[str]:
     """All C++ of the package."""
     for path in sorted(PACKAGE.rglob("*.py")):
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8")
         if "func_native" in text:
             for node in ast.walk(ast.parse(text)):
                 if isinstance(node, ast.Constant) and isinstance(node.value, str):

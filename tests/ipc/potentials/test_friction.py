@@ -47,7 +47,7 @@ class Rubbing:
         self.friction = self.assembly.solver.friction
         assert self.friction is not None
         dts = wp.full(count, model.scene.time.dt_s, dtype=wp.float64)
-        self.friction.begin_step(wp.full(count, 1, dtype=wp.int32), dts)
+        self.friction.begin_step(wp.full(count, 1, dtype=wp.int32), dts, dts)
         start = self.assembly.nodal(self.start)
         self.friction.lag(self.assembly.active, start, start)
 
