@@ -187,7 +187,7 @@ def test_light_that_changes_within_the_image_asks_for_bands(tmp_path: Path) -> N
     ]
     off = [np.mean([item.used.mean_deg for item in result.heldout]) for result in results]
     assert off[1] < 0.7 * off[0], off
-    save_profile(results[1].apply_to(flat_profile(GRID)), tmp_path / "profile")
+    save_profile(results[1].scored.apply_to(flat_profile(GRID)), tmp_path / "profile")
     held = striped.presses[striped.split(4).heldout[0]]
     found = SurfaceReader(load_profile(tmp_path / "profile")).read(held.image())
     assert found.normals == pytest.approx(results[1].heldout[0].predicted.normals, abs=1e-6)
