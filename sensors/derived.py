@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
+from taccel_lab.cad.parts.pad_volume import pad_volume_mm3
 from taccel_lab.profile.optical_design import DesignedCamera
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
-
-_VOLUME_GRID = 200
 
 
 @dataclass(frozen=True)
@@ -142,19 +141,6 @@ def pad_words(pad: Pad) -> str:
 def size_words(pad: Pad) -> str:
     """Extents of the pad [mm] in words."""
     return " x ".join(f"{v:.4g}" for v in np.ptp(pad.bounds_mm(), axis=0))
-
-
-def pad_volume_mm3(pad: Pad) -> float:
-    """Volume of the gel [mm^3]: the pad's own figure, or the midpoint rule over its height map."""
-    stated = pad.figures().get("volume_mm3")
-    if stated is not None:
-        return float(stated)
-    low, high = pad.bounds_mm()
-    steps = (np.arange(_VOLUME_GRID) + 0.5) / _VOLUME_GRID
-    axes = [low[k] + steps * (high[k] - low[k]) for k in range(2)]
-    height = pad.top_mm(np.stack(np.meshgrid(*axes), axis=-1)) - low[2]
-    cell = (high - low)[:2].prod() / _VOLUME_GRID**2
-    return float(np.nansum(height) * cell)
 
 
 def share_in_image(parameters: FamilyParameters, *views: FamilyParameters) -> float:

@@ -39,6 +39,7 @@ from taccel_lab.cad.parts.meridian import Arc, Piece
 from taccel_lab.cad.parts.outline import prism
 from taccel_lab.cad.parts.pad import Pad
 from taccel_lab.cad.parts.pad_outline import PadOutline
+from taccel_lab.cad.parts.pad_volume import pad_volume_mm3
 from taccel_lab.cad.parts.solids import imprint, one_solid
 from taccel_lab.errors import InputError
 from taccel_lab.geometry import Region
@@ -47,7 +48,8 @@ _CREASED_GRID_MM = 1.6
 _BAND_LINES = 8
 _MARGIN_MM = 0.5
 _PLANE_TOLERANCE_MM = 1e-6
-_VOLUME_TOLERANCE = 1e-6
+_VOLUME_TOLERANCE, _GRID_TOLERANCE = 1e-6, 0.01
+"""Of a dome's exact volume, and of one that is summed over the height map."""
 _KERNEL_ERRORS = (ValueError, Standard_Failure, StdFail_NotDone)
 
 
@@ -74,10 +76,12 @@ def _height_pad_solid(pad: HeightPad) -> LabelledSolid:
             f"the CAD kernel cannot build this pad ({error}); with {rim} try a smaller rim_mm, or "
             "larger radii of the contact face"
         ) from error
-    if not body.is_valid or body.volume <= 0:
+    # Between a nearly flat face and a rim the kernel may leave the rim out of a valid solid.
+    exact = pad_volume_mm3(pad)
+    if not body.is_valid or abs(body.volume / exact - 1) > _GRID_TOLERANCE:
         raise InputError(
-            f"the CAD kernel built an invalid solid for {rim}; use a smaller rim_mm or larger "
-            "radii of the contact face"
+            f"the CAD kernel built an invalid solid for {rim}: {body.volume:.1f} mm3 where the pad "
+            f"has {exact:.1f} mm3; use a smaller rim_mm, or other radii of the contact face"
         )
     return LabelledSolid(body, [_face_region(pad, face) for face in body.faces()])
 
