@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from taccel_lab.cad.parts.pad import Pad
-from taccel_lab.cad.parts.pad_volume import pad_volume_mm3
+from taccel_lab.cad.parts.pad_volume import pad_volume_mm3, plan_points_mm
 from taccel_lab.profile.optical_design import DesignedCamera
 from taccel_lab.sensors.base import FamilyParameters, SensorFamily
 from taccel_lab.sensors.parameter_groups.camera import CameraParameters
@@ -146,10 +146,7 @@ def size_words(pad: Pad) -> str:
 def share_in_image(parameters: FamilyParameters, *views: FamilyParameters) -> float:
     """Part of the gel's plan that the tactile image shows, 0..1; that of further ``views``, too."""
     pad = parameters.pad()
-    low, high = pad.bounds_mm()
-    steps = (np.arange(200) + 0.5) / 200
-    axes = [low[k] + steps * (high[k] - low[k]) for k in range(2)]
-    xy = np.stack(np.meshgrid(*axes), axis=-1)
+    xy = plan_points_mm(pad)
     gel = np.isfinite(pad.top_mm(xy))
     seen = gel.copy()
     for grid in (one.grid() for one in (parameters, *views)):

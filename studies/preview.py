@@ -113,17 +113,17 @@ def preview_design(
     point = DesignPoint("design", family.name, dict(overrides or {}))
     (result,) = evaluate_designs([point], chosen, metrics, device=device, progress=progress)
     record = next((r for made in result.records.values() for r in made if r.down.stop), None)
-    pressed = rest_of_press = None
+    pressed = rest_of_press = last = None
     if record is not None:
         on_press = look(record)
         rest_of_press = on_press.render(record.rest_m)
-        pressed = on_press.render(record.positions_m(record.down.stop - 1))
+        last = record.positions_m(record.down.stop - 1)
+        pressed = on_press.render(last)
     further = {}
     for name, seen in parameters.views().items():
         view = partial(view_model, seen, size_px=size_px, enlarged=True, device=device)
         further[f"rest_{name}"] = view().render()
-        if record is not None:
-            last = record.positions_m(record.down.stop - 1)
+        if last is not None:
             further[f"pressed_{name}"] = view(record).render(last)
     light = model.light_field()
     return DesignPreview(

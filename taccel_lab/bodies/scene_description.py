@@ -33,13 +33,13 @@ class TimeScheme(StrEnum):
     """Second order backward differences: less damping at the same step."""
 
 
-LONGEST_HOLD_S = 1e5
-"""Of a quasi-static step in which gels relax."""
+SHORTEST_STEP_S, LONGEST_HOLD_S = 1e-6, 1e5
+"""Of a step, and of a quasi-static one in which gels relax."""
 
 
 def check_dt(dt_s: float, longest_s: float = 10.0) -> None:
     """Refuse a length of a step [s] that makes no sense."""
-    if not (math.isfinite(dt_s) and 1e-6 <= dt_s <= longest_s):
+    if not (math.isfinite(dt_s) and SHORTEST_STEP_S <= dt_s <= longest_s):
         raise InputError(f"dt must lie in [1e-6, {longest_s:g}] s, got {dt_s}")
 
 

@@ -48,6 +48,8 @@ class ElementArrays:
     """Whether any element has a damping time."""
     branches: tuple[MaxwellBranch, ...]
     """Maxwell branches that its bodies share."""
+    first_viscous_point: int
+    """Where they begin in ``State.viscous_inverses``."""
     bodies: list[tuple[int, int, int]]
     """(soft body, first element, the one after the last) of each body in the group."""
     elements: wp.array
@@ -102,6 +104,12 @@ class ElementArrays:
     def point_count(self) -> int:
         """Points at which the material of the group is evaluated."""
         return self.element_count * self.element.point_count
+
+    @property
+    def branch_points(self) -> list[tuple[MaxwellBranch, int]]:
+        """Each branch, and the first of its points in ``State.viscous_inverses``."""
+        first, count = self.first_viscous_point, self.point_count
+        return [(branch, first + k * count) for k, branch in enumerate(self.branches)]
 
     @property
     def nodes_per_element(self) -> int:
@@ -266,6 +274,7 @@ def build_element_groups(
                 element=element,
                 damped=damped,
                 branches=branches,
+                first_viscous_point=sum(len(g.branches) * g.point_count for g in groups),
                 bodies=[(i, *ranged) for i, ranged in zip(indices, whole, strict=True)],
                 elements=put(connectivity, wp.int32),
                 shape_gradients=put(

@@ -156,12 +156,9 @@ class Outputs:
         return peak_at(np.concatenate([np.zeros(0), *nodes]), self.von_mises)
 
     def _read_stress(self) -> list[StressReader]:
-        readers, first = [], 0
-        for group in self._model.elastic:
-            reader = StressReader(self._model, group, first)
+        readers = [StressReader(self._model, group) for group in self._model.elastic]
+        for reader in readers:
             reader.read(self.state.positions, self.state.viscous_inverses)
-            readers.append(reader)
-            first += len(group.branches) * group.point_count
         return readers
 
     # Energy and momentum ---------------------------------------------------------------------

@@ -30,9 +30,10 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def _inverse(env: int, first: int, point: int, inverses: wp.array2d(dtype=wp.mat33d)) -> wp.mat33d:
-    """F_v^-1 of a branch whose points begin at ``first``; the identity of the solid itself, -1."""
+    """F_v^-1 of a branch whose points begin at ``first``; the identity of the solid itself, -1, and
+    of branches that were never strained."""
     found = wp.identity(n=3, dtype=wp.float64)
-    if first >= 0:
+    if first >= 0 and inverses.shape[0] > 0:
         found = inverses[env, first + point]
     return found
 
@@ -167,11 +168,9 @@ def _peak_kernel(
 class StressReader:
     """Stresses of one group of elements of a model; see ``Model.elastic``."""
 
-    def __init__(self, model: Model, group: ElementArrays, first: int = 0) -> None:
-        """``first``: of the group's points in ``State.viscous_inverses``."""
+    def __init__(self, model: Model, group: ElementArrays) -> None:
         self.model = model
         self.group = group
-        self._first = first
         data = ElementData()
         data.nodes, data.gradients, data.volumes = (
             group.elements,
@@ -191,13 +190,11 @@ class StressReader:
     def read(self, positions: wp.array, inverses: wp.array | None = None) -> wp.array:
         """``stresses`` at node positions [m], vec3d, [env_count, node_count].
 
-        ``inverses``: ``State.viscous_inverses``, of gels that relax.
+        ``inverses``: ``State.viscous_inverses``; None of gels that were never strained.
         """
         self._add(positions, inverses, -1, 1.0)
-        first = self._first
-        for branch in self.group.branches if inverses is not None else ():
+        for branch, first in self.group.branch_points:
             self._add(positions, inverses, first, branch.relative_modulus)
-            first += self.group.point_count
         return self.stresses
 
     def _add(

@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 import warp as wp
 
+from taccel_lab.bodies.scene_description import SHORTEST_STEP_S
 from taccel_lab.errors import InputError, SimulationError
 from taccel_lab.geometry import Region, TetMesh
 from taccel_lab.ipc.contact.intersection import require_separated
@@ -50,8 +51,6 @@ ball's force is off by 1.5 times as much."""
 FIRST_SETBACK = 0.8
 """What an indenter is held back by in the step that brings it into contact, as a part of dhat: the
 mean gap of balls of 1.5 to 8 mm, 0.2 mm deep, is 0.77 to 0.83. What comes out else is corrected."""
-SHORTEST_S = 1e-6
-"""Of a step in which a gel relaxes."""
 SETBACK_ROUNDS = 4
 """How often a step is corrected for the mean gap that it had."""
 
@@ -253,7 +252,7 @@ class PressEnv:
         if self.relaxes and dt_s is None:
             way_m = np.hypot(target_m - deep, np.linalg.norm(shear_m - aside, axis=1))
             moving = way_m if stay is None else way_m[~stay]
-            dt_s = max(1e3 * float(moving.max(initial=0.0)) / SPEED_MM_S, SHORTEST_S)
+            dt_s = max(1e3 * float(moving.max(initial=0.0)) / SPEED_MM_S, SHORTEST_STEP_S)
         report = self._step(target_m, shear_m, np.radians(twist_deg), stay, dt_s)
         done = report.converged & (True if stay is None else ~stay)
         length_m = np.hypot(self.depth_m - deep, np.linalg.norm(shear_m - aside, axis=1))
@@ -355,7 +354,7 @@ class PressEnv:
         waypoints, durations = path.waypoints(), path.durations_s()
         reports = []
         for i, (depth, shear, twist) in enumerate(waypoints):
-            dt_s = max(durations[i], SHORTEST_S) if self.relaxes else None
+            dt_s = max(durations[i], SHORTEST_STEP_S) if self.relaxes else None
             reports.append(self.move_to(depth, shear, twist, dt_s))
             if progress is not None:
                 progress(i + 1, len(waypoints), reports[-1])

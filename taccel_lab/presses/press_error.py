@@ -34,9 +34,9 @@ MESH_ORDER, COARSE_ORDER, COARSE_HEIGHT_ORDER = 2, 5, 7
 those of force and heights on coarser ones."""
 DHAT_SHARE, DHAT_POWER = 0.035, 0.6
 """Of the force, by dhat: a power of dhat over the depth."""
-PATH_SHARE, PATH_STEP = 0.03, 0.3
+PATH_SHARE, PATH_STEP = {Ball: 0.03, TriangleMesh: 0.0}, 0.3
 """Of the force, by steps under friction 1 that are longer than that part of the depth; shorter ones
-add less. Under rims it does not show: their gel sticks."""
+add less. Under rims the battery shows none."""
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,7 @@ def expected_error(
     depth = np.maximum(depth_m, 0.0)
     touched = np.maximum(depth, physics.dhat_m)
     dhat = DHAT_SHARE * (physics.dhat_m / touched) ** DHAT_POWER
-    path = np.minimum(step_m / (PATH_STEP * touched), 1.0) * PATH_SHARE * min(friction, 1.0)
-    if kind is TriangleMesh:
-        path = np.zeros_like(path)
+    path = np.minimum(step_m / (PATH_STEP * touched), 1.0) * PATH_SHARE[kind] * min(friction, 1.0)
     return PressError(
         (by_mesh + dhat + path) * np.abs(force_n), HEIGHT_SHARE[kind] / finer**height_order * depth
     )

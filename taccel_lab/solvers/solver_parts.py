@@ -202,12 +202,11 @@ class SolverParts:
             return []
         from taccel_lab.ipc.potentials.elements.maxwell import MaxwellPotential
 
-        parts, first = [], 0
-        for group in self.model.elastic:
-            for branch in group.branches:
-                parts.append(MaxwellPotential(self.model, group, branch, first))
-                first += group.point_count
-        return parts
+        return [
+            MaxwellPotential(self.model, group, branch, first)
+            for group in self.model.elastic
+            for branch, first in group.branch_points
+        ]
 
     @property
     def potentials(self) -> dict[str, Potential]:

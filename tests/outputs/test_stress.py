@@ -97,6 +97,10 @@ def test_branches_add_what_has_not_relaxed(element: Element) -> None:
     state.viscous_inverses = wp.array(np.repeat(kept, points, axis=0)[None], dtype=wp.mat33d)
     found = Outputs(solver).update(state).nodal_stresses.numpy()[0]
     np.testing.assert_allclose(found - expected, 0, atol=1e-10 * np.abs(expected).max())
+    state.viscous_inverses = None
+    found = Outputs(solver).update(state).nodal_stresses.numpy()[0]
+    sudden = 1.7 * closed_form(law, f)
+    np.testing.assert_allclose(found - sudden, 0, atol=1e-10 * np.abs(sudden).max())
 
 
 @pytest.mark.parametrize("element", list(Element))

@@ -48,7 +48,7 @@ from taccel_lab.model.elastic import ElementArrays
 wp.set_module_options({"enable_backward": False, "block_dim": STAGED_THREADS})
 
 _LEAST_SQUARE = wp.constant(wp.float64(1e-12))
-"""Smallest square of a stretch that is told from zero."""
+"""Smallest square of a stretch, whose power is finite."""
 
 
 @wp.func
