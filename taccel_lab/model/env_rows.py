@@ -14,22 +14,38 @@ from taccel_lab.errors import InputError
 wp.set_module_options({"enable_backward": False})
 
 
+_THREADS = 1 << 18
+"""Threads that keep a large GPU busy."""
+
+
+def lane_count(device: wp.Device, env_count: int, most: int) -> int:
+    """Lanes an environment, which take its entries in turn, where one has so many at most.
+
+    A thread an entry costs its start in environments that stand still, too."""
+    if device.is_cpu:
+        return 1
+    return max(1, min(most, max(32, _THREADS // env_count)))
+
+
 @wp.kernel
 def _copy_rows_kernel(
     mask: wp.array(dtype=wp.int32),
+    lanes: int,
     source: wp.array2d(dtype=Any),
     result: wp.array2d(dtype=Any),
 ):
-    env, i = wp.tid()
+    env, lane = wp.tid()
     if mask[env] != 0:
-        result[env, i] = source[env % source.shape[0], i]
+        for i in range(lane, result.shape[1], lanes):
+            result[env, i] = source[env % source.shape[0], i]
 
 
 @wp.kernel
-def _zero_rows_kernel(mask: wp.array(dtype=wp.int32), values: wp.array2d(dtype=Any)):
-    env, i = wp.tid()
+def _zero_rows_kernel(mask: wp.array(dtype=wp.int32), lanes: int, values: wp.array2d(dtype=Any)):
+    env, lane = wp.tid()
     if mask[env] != 0:
-        values[env, i] = values.dtype(0)
+        for i in range(lane, values.shape[1], lanes):
+            values[env, i] = values.dtype(0)
 
 
 for _word in (wp.int32, wp.float64):
@@ -56,10 +72,11 @@ def copy_rows(mask: wp.array | None, source: wp.array, result: wp.array) -> None
         # Held until the launch, as rows do not hold their memory.
         source = source.to(result.device)
         into = _as_rows(result)
+        lanes = lane_count(result.device, *into.shape)
         wp.launch(
             _copy_rows_kernel,
-            dim=into.shape,
-            inputs=[mask, _as_rows(source)],
+            dim=(len(into), lanes),
+            inputs=[mask, lanes, _as_rows(source)],
             outputs=[into],
             device=result.device,
         )
@@ -69,7 +86,9 @@ def zero_rows(mask: wp.array, values: wp.array) -> None:
     """The values of the environments of ``mask`` (int32, [env_count]) become zero."""
     if values.size:
         rows = _as_rows(values)
-        wp.launch(_zero_rows_kernel, dim=rows.shape, inputs=[mask, rows], device=values.device)
+        lanes = lane_count(values.device, *rows.shape)
+        dim, inputs = (len(rows), lanes), [mask, lanes, rows]
+        wp.launch(_zero_rows_kernel, dim=dim, inputs=inputs, device=values.device)
 
 
 @wp.kernel

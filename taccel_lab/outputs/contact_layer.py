@@ -24,9 +24,9 @@ from taccel_lab.ipc.contact.collision_lists import (
     collision_gap,
 )
 from taccel_lab.ipc.contact.collisions import Collisions
-from taccel_lab.ipc.device.launches import lane_count
 from taccel_lab.ipc.device.ragged_lists import list_end
 from taccel_lab.ipc.potentials.contact import mollifier
+from taccel_lab.model.env_rows import lane_count
 
 wp.set_module_options({"enable_backward": False})
 

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import warp as wp
 
 from taccel_lab.errors import InputError
-from taccel_lab.ipc.device.launches import lane_count
 from taccel_lab.ipc.device.ragged_lists import list_end
 from taccel_lab.ipc.potentials.friction import FrozenContacts, StepMotion, sliding
+from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.turns import in_turn
 from taccel_lab.solvers.solver_ipc import SolverIPC
 from taccel_lab.state import State

@@ -11,6 +11,7 @@ from taccel_lab.ipc.device.ragged_lists import ListRoom, overflows
 from taccel_lab.ipc.elasticity.principal import PSD_CLAMP, PSD_NONE
 from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.motion.unknowns import begin_rhs, newton_system, newton_systems, spread_solution
+from taccel_lab.model.env_rows import zero_rows
 from taccel_lab.model.kinematics import turn_within
 from taccel_lab.solvers.env_phase import stop
 from taccel_lab.solvers.env_progress import (
@@ -251,10 +252,10 @@ def _assemble(run: StepLaunches, beside: Sequence[Callable[[], None]]) -> None:
             s.joints.set_frames(run.state.poses, s.target_poses)
 
     def clear() -> None:
-        s.linear.values.zero_()
+        zero_rows(p.phases.active, s.linear.values)
         s.linear.extra.clear()
         if bits_count:
-            s.linear.rhs.zero_()
+            zero_rows(p.phases.active, s.linear.rhs)
 
     def start_rhs() -> None:
         begin_rhs(run.model, p.phases.active, s.reduced, s.linear.rhs, keep=bits_count)

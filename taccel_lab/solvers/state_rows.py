@@ -12,8 +12,8 @@ import math
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.device.launches import lane_count
 from taccel_lab.model import Model
+from taccel_lab.model.env_rows import lane_count
 from taccel_lab.state import State
 
 wp.set_module_options({"enable_backward": False})

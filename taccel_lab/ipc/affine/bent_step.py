@@ -21,11 +21,12 @@ from __future__ import annotations
 import warp as wp
 
 from taccel_lab.ipc.affine.rigidity import affine_map
-from taccel_lab.ipc.device.launches import lane_count, launch
+from taccel_lab.ipc.device.launches import launch
 from taccel_lab.ipc.device.sums import BLOCK_THREADS, block_total
 from taccel_lab.ipc.motion.trial import Trial, put_node, straight
 from taccel_lab.model import Model
 from taccel_lab.model.embedding import Embedded, embedded, embedded_count, embedded_node
+from taccel_lab.model.env_rows import lane_count
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})
 

@@ -59,10 +59,11 @@ from taccel_lab.ipc.contact.narrow_phase import (
     node_face_kernel,
     node_plane_kernel,
 )
-from taccel_lab.ipc.device.launches import lane_count, side_by_side
+from taccel_lab.ipc.device.launches import side_by_side
 from taccel_lab.ipc.device.ragged_lists import GrowingList, initial_capacity
 from taccel_lab.ipc.distance.closest_pairs import point_triangle_distance_sq
 from taccel_lab.model import Model
+from taccel_lab.model.env_rows import lane_count
 
 wp.set_module_options({"enable_backward": False})
 

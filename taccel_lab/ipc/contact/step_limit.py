@@ -14,7 +14,6 @@ from taccel_lab.ipc.contact.collision_lists import (
     contact_geometry,
     kept_distance,
 )
-from taccel_lab.ipc.device.launches import lane_count
 from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end
 from taccel_lab.ipc.device.sums import lower_to
 from taccel_lab.ipc.distance.ccd import (
@@ -24,6 +23,7 @@ from taccel_lab.ipc.distance.ccd import (
     point_triangle_ccd,
 )
 from taccel_lab.model import Model
+from taccel_lab.model.env_rows import lane_count
 
 wp.set_module_options({"enable_backward": False})
 

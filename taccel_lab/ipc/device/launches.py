@@ -30,15 +30,6 @@ WARP_THREADS = 32
 """Threads of a block where there are few, with much to do each, such as one an affine body: blocks
 of a warp spread over the multiprocessors of a GPU, of which 256 bodies in one block keep one busy.
 """
-_THREADS = 1 << 18
-"""Threads that keep a large GPU busy."""
-
-
-def lane_count(device: wp.Device, env_count: int, room: int) -> int:
-    """Lanes an environment for lists with room for so many entries where there is most."""
-    if device.is_cpu:
-        return 1
-    return max(1, min(room, max(32, _THREADS // env_count)))
 
 
 def launch(

@@ -21,7 +21,7 @@ from typing import ClassVar
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.device.launches import lane_count
+from taccel_lab.model.env_rows import lane_count
 
 wp.set_module_options({"enable_backward": False})
 

@@ -10,10 +10,11 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from taccel_lab.ipc.device.launches import lane_count, launch
+from taccel_lab.ipc.device.launches import launch
 from taccel_lab.ipc.device.sums import BLOCK_THREADS
 from taccel_lab.ipc.motion.trial import Trial, put_node
 from taccel_lab.model import Model
+from taccel_lab.model.env_rows import lane_count
 from taccel_lab.model.kinematics import pose_between
 
 wp.set_module_options({"enable_backward": False, "block_dim": BLOCK_THREADS})

@@ -29,7 +29,7 @@ from taccel_lab.ipc.contact.pair_energy import (
     pair_gradient,
     pair_hessian,
 )
-from taccel_lab.ipc.device.launches import lane_count, launch
+from taccel_lab.ipc.device.launches import launch
 from taccel_lab.ipc.device.matrices import mat43d
 from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end
 from taccel_lab.ipc.device.sums import ReproducibleSums, SumStage, add_vector, lower_to
@@ -42,6 +42,7 @@ from taccel_lab.ipc.linear.problem.scatter import NewtonSystem, add_block, has_r
 from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS, add_pair_hessian, row_parts
 from taccel_lab.model import Model
+from taccel_lab.model.env_rows import lane_count
 
 wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
 

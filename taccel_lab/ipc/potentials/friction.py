@@ -24,7 +24,7 @@ from taccel_lab.ipc.contact.friction import (
     relative_displacement,
     tangential,
 )
-from taccel_lab.ipc.device.launches import lane_count, launch
+from taccel_lab.ipc.device.launches import launch
 from taccel_lab.ipc.device.ragged_lists import ListRoom, list_end, move_entries
 from taccel_lab.ipc.device.sums import ReproducibleSums, SumStage, add_vector
 from taccel_lab.ipc.distance.derivatives import pair_normal
@@ -33,6 +33,7 @@ from taccel_lab.ipc.linear.problem.scatter import NewtonSystem
 from taccel_lab.ipc.potentials.energy import EnergyTerm
 from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS, add_weighted_block, row_parts
 from taccel_lab.model import Model
+from taccel_lab.model.env_rows import lane_count
 
 wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
 

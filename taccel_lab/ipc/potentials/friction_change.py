@@ -32,7 +32,7 @@ from taccel_lab.ipc.contact.friction import (
     friction_hessian,
     tangential,
 )
-from taccel_lab.ipc.device.launches import lane_count, launch
+from taccel_lab.ipc.device.launches import launch
 from taccel_lab.ipc.device.ragged_lists import list_end
 from taccel_lab.ipc.device.sums import SumStage, add_vector
 from taccel_lab.ipc.distance.closest_pairs import ClosestPair, combine
@@ -51,6 +51,7 @@ from taccel_lab.ipc.potentials.friction import (
     sliding,
 )
 from taccel_lab.ipc.potentials.stencil_rows import STENCIL_THREADS
+from taccel_lab.model.env_rows import lane_count
 
 wp.set_module_options({"enable_backward": False, "block_dim": STENCIL_THREADS})
 
