@@ -58,8 +58,8 @@ def pytest_collection() -> Generator[None, Any, Any]:
         gc.enable()
 
 
-# Where there is a GPU, Warp would make arrays there whose device a test does not name.
-wp.set_device("cpu")
+# Arrays whose device a test does not name are where its models are.
+wp.set_device(os.environ.get("TACCEL_LAB_DEVICE", "cpu"))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -11,6 +11,7 @@ from typing import Any
 
 import warp as wp
 
+from taccel_lab.ipc.device.launches import capture
 from taccel_lab.solvers.solver_parts import SolverParts
 from taccel_lab.solvers.step import take_step
 from taccel_lab.solvers.step_launches import StepLaunches
@@ -63,9 +64,8 @@ class StepGraph:
             self._arrays = arrays
             return
         if self._graph is None:
-            with _undisturbed(), wp.ScopedCapture(solver.model.device) as capture:
-                take_step(StepLaunches(solver))
-            self._graph = capture.graph
+            with _undisturbed():
+                self._graph = capture(solver.model.device, lambda: take_step(StepLaunches(solver)))
         assert self._graph is not None
         wp.capture_launch(self._graph)
         self.launches += 1

@@ -8,6 +8,7 @@ which those that ask for the same bits twice fail: contacts come in any order th
 
 from __future__ import annotations
 
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -111,6 +112,28 @@ def test_threads_step_solvers_of_their_own_on_streams_of_their_own() -> None:
             for found in threads.map(carried, streams):
                 for one, other in zip(found, expected, strict=True):
                     np.testing.assert_array_equal(one, other)
+
+
+def test_a_step_is_captured_while_another_thread_uses_torchs_usual_stream() -> None:
+    over = threading.Event()
+
+    def learn() -> int:
+        rounds = 0
+        while not over.is_set():
+            (torch.ones(64, 64, device="cuda:0") @ torch.ones(64, 64, device="cuda:0")).sum()
+            rounds += 1
+        torch.cuda.synchronize()
+        return rounds
+
+    with ThreadPoolExecutor(1) as threads:
+        learning = threads.submit(learn)
+        try:
+            ends = [carried()[-1] for _ in range(5)]
+        finally:
+            over.set()
+        assert learning.result() > 0
+    for end in ends[1:]:
+        np.testing.assert_array_equal(end, ends[0])
 
 
 def test_lists_grow() -> None:

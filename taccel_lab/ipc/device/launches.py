@@ -20,7 +20,9 @@ they are gathered: the linear solver keeps in the same place what it needs durin
 
 from __future__ import annotations
 
+import ctypes
 import math
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -55,6 +57,24 @@ def launch(
 
 _MOST = 6
 """Branches beside the first."""
+_NON_BLOCKING = 1
+"""CU_STREAM_NON_BLOCKING of the driver."""
+
+
+def _stream_apart(device: wp.Device) -> wp.Stream:
+    """A stream that the legacy stream and it do not wait for, which lasts as long as the process.
+
+    Warp's own wait for each other with the legacy stream, which is torch's usual one: what another
+    thread does there breaks a capture on one of Warp's, and fails itself.
+    """
+    driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    handle, popped = ctypes.c_void_p(), ctypes.c_void_p()
+    errors = [driver.cuCtxPushCurrent_v2(ctypes.c_void_p(device.context))]
+    errors.append(driver.cuStreamCreate(ctypes.byref(handle), ctypes.c_uint(_NON_BLOCKING)))
+    errors.append(driver.cuCtxPopCurrent_v2(ctypes.byref(popped)))
+    if any(errors):
+        raise RuntimeError(f"{device} makes no stream: errors {errors} of the CUDA driver")
+    return wp.Stream(device, cuda_stream=handle.value)
 
 
 class Branches:
@@ -62,10 +82,13 @@ class Branches:
 
     def __init__(self, device: wp.Device) -> None:
         self._device = device
+        self.main: wp.Stream | None = None
+        """That of a capture, which the others are beside."""
         self._streams: list[wp.Stream] = []
         self._done: list[wp.Event] = []
         if device.is_cuda:
-            self._streams = [wp.Stream(device) for _ in range(_MOST)]
+            self.main = _stream_apart(device)
+            self._streams = [_stream_apart(device) for _ in range(_MOST)]
             self._done = [wp.Event(device) for _ in range(_MOST)]
             self._fork = wp.Event(device)
 
@@ -93,11 +116,23 @@ class Branches:
 _OF_DEVICE: dict[str, Branches] = {}
 
 
-def side_by_side(device: wp.Device, parts: Sequence[Callable[[], None]]) -> None:
-    """``Branches.run`` with the streams of a device."""
+def _branches(device: wp.Device) -> Branches:
     if device.alias not in _OF_DEVICE:
         _OF_DEVICE[device.alias] = Branches(device)
-    _OF_DEVICE[device.alias].run(parts)
+    return _OF_DEVICE[device.alias]
+
+
+def side_by_side(device: wp.Device, parts: Sequence[Callable[[], None]]) -> None:
+    """``Branches.run`` with the streams of a device."""
+    _branches(device).run(parts)
+
+
+def capture(device: wp.Device, work: Callable[[], None]) -> wp.Graph:
+    """The graph of all that ``work`` launches, whatever other threads do meanwhile."""
+    stream = _branches(device).main
+    with wp.ScopedStream(stream, sync_enter=False), wp.ScopedCapture(device) as captured:
+        work()
+    return captured.graph
 
 
 _ALIGNMENT = 256
