@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Young's modulus, Poisson's ratio and the Mooney ratio from force-depth points.
+"""Young's modulus and Poisson's ratio from force-depth points.
 
 Each press has a touch point of its own, a nuisance parameter: force sensors and eyes find first
 touch to a few hundredths of a millimetre, which at shallow depth is several per cent of the force.
@@ -29,7 +29,7 @@ from taccel_lab.calibration.material.likelihood import (
 )
 from taccel_lab.calibration.result import NORMAL_95
 
-LAW_NAMES = ("ln_e", "nu", "mooney_ratio")
+LAW_NAMES = ("ln_e", "nu")
 """Parameters of the law; the others are of single presses."""
 TOUCH_SIGMA_MM = {"sphere": 0.1, "cylinder": 0.05, "flat": 0.05}
 """How well first touch is known where a record has few points [mm]. A ball shows no force at first:
@@ -64,10 +64,9 @@ class PressForces:
 
     tables: Sequence[ForceTable]
     names: Sequence[str]
-    """Of the parameters: ``ln_e``, ``nu``, ``mooney_ratio``, ``touch_<i>``, ``zero_<i>``."""
+    """Of the parameters: ``ln_e``, ``nu``, ``touch_<i>``, ``zero_<i>``."""
     poisson_ratio: float
     """Where it is not free."""
-    mooney_ratio: float
 
     def log_force(
         self, theta: np.ndarray, index: int, depth_mm: np.ndarray, recorded: bool = True
@@ -76,17 +75,12 @@ class PressForces:
         parameter], at depths as a press's record counts them, or from first touch."""
         place = {name: i for i, name in enumerate(self.names)}
         nu = theta[place["nu"]] if "nu" in place else self.poisson_ratio
-        ratio = theta[place["mooney_ratio"]] if "mooney_ratio" in place else self.mooney_ratio
         touch = place.get(f"touch_{index}") if recorded else None
         depth = depth_mm if touch is None else depth_mm - theta[touch]
-        log, by_depth, by_nu, by_ratio = self.tables[index].log_force(
-            np.maximum(depth, NO_DEPTH_MM), nu, ratio
-        )
+        log, by_depth, by_nu = self.tables[index].log_force(np.maximum(depth, NO_DEPTH_MM), nu)
         slopes = np.zeros((len(log), len(theta)))
         if "nu" in place:
             slopes[:, place["nu"]] = by_nu
-        if "mooney_ratio" in place:
-            slopes[:, place["mooney_ratio"]] = by_ratio
         if touch is not None:
             slopes[:, touch] = np.where(depth > NO_DEPTH_MM, -by_depth, 0.0)
         return log, slopes
@@ -119,10 +113,9 @@ class IndentationFit:
     """What force-depth points say about the gel."""
 
     solution: Solution
-    """Parameters ``ln_e``, ``nu`` and ``mooney_ratio`` where free, ``touch_<i>``; ``zero_<i>``,
-    what is left of the load cell's zero [N], of records whose rows in air tell it."""
+    """Parameters ``ln_e``, ``nu`` where free, ``touch_<i>``; ``zero_<i>``, what is left of the load
+    cell's zero [N], of records whose rows in air tell it."""
     poisson_ratio: float
-    mooney_ratio: float
     points: tuple[IndentationPoints, ...]
     tables: tuple[ForceTable, ...]
     model: PressForces
@@ -176,12 +169,8 @@ class IndentationFit:
 
     def predicted_n(self, index: int, depth_mm: np.ndarray) -> np.ndarray:
         """Forces of the fit [N] at recorded depths of one press."""
-        return self.tables[index].force_n(
-            np.asarray(depth_mm) - self.touch_mm(index),
-            self.young_modulus_pa,
-            self.poisson_ratio,
-            self.mooney_ratio,
-        )
+        past = np.asarray(depth_mm) - self.touch_mm(index)
+        return self.tables[index].force_n(past, self.young_modulus_pa, self.poisson_ratio)
 
     def noise_n(self, index: int, force_n: float, scale: Sequence[float] | None = None) -> float:
         """Standard deviation of a reading of a force [N]; ``scale`` is that of ``Solution``."""
@@ -207,9 +196,7 @@ def fit_indentation(
     *,
     start_pa: float,
     poisson_ratio: float,
-    mooney_ratio: float = 0.0,
     free_nu: bool = True,
-    free_ratio: bool = False,
     nu_range: tuple[float, float] | None = None,
     touch_sigma_mm: float | Sequence[float] | None = None,
     profiled: Sequence[str] | None = None,
@@ -222,9 +209,7 @@ def fit_indentation(
         tables: Simulated forces of each press.
         start_pa: Young's modulus to begin with [Pa].
         poisson_ratio: Fixed, or to begin with.
-        mooney_ratio: The same of c01 / (c10 + c01).
         free_nu: Whether Poisson's ratio is fitted.
-        free_ratio: Whether the Mooney ratio is.
         touch_sigma_mm: How well first touch is known, one or one a press; by ``touch_sigma`` when
             None.
         nu_range: Poisson's ratios that a free one may take; those of the tables when None.
@@ -243,9 +228,6 @@ def fit_indentation(
             low, high = max(low, nu_range[0]), min(high, nu_range[1])
         start = min(max(poisson_ratio, low + 0.1 * (high - low)), high - 0.02 * (high - low))
         parameters.append(FittedParameter("nu", start, low, high, 0.02))
-    if free_ratio:
-        start = min(max(mooney_ratio, 0.05), 0.95)
-        parameters.append(FittedParameter("mooney_ratio", start, 0.0, 1.0, 0.2))
     for i, sigma in enumerate(touch):
         if sigma > 0:
             parameters.append(
@@ -266,7 +248,7 @@ def fit_indentation(
                 FittedParameter(f"zero_{i}", 0.0, -8 * sigma, 8 * sigma, sigma, prior_sigma=sigma)
             )
     names = [p.name for p in parameters]
-    model = PressForces(tables, names, poisson_ratio, mooney_ratio)
+    model = PressForces(tables, names, poisson_ratio)
     count = sum(len(item.depth_mm) for item in points)
     kinds = _noise_kinds(points)
     largest = max(float(np.abs(item.force_n).max()) for item in points)
@@ -296,11 +278,9 @@ def fit_indentation(
     assert best is not None
     solution = best[1].solve(profiled, drawn)
     nu = solution.value("nu") if free_nu else poisson_ratio
-    ratio = solution.value("mooney_ratio") if free_ratio else mooney_ratio
     return IndentationFit(
         solution,
         nu,
-        ratio,
         tuple(points),
         tuple(tables),
         model,

@@ -126,16 +126,6 @@ def material_page(result: MaterialCalibration) -> Page:
             "means that the data do not tell.",
         )
     )
-    constants = result.mooney_rivlin_pa()
-    if constants:
-        tables.append(
-            Table(
-                "Constants of the law",
-                ["constant", "Pa"],
-                [[name.removesuffix("_pa"), value] for name, value in constants.items()],
-                "mu = 2 (c10 + c01) and the bulk modulus, of small strains.",
-            )
-        )
     found = ", ".join(_TITLES[name].split(" [")[0] for name in result.estimates) or "nothing"
     return Page(
         title="Material of the gel",
