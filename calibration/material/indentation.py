@@ -43,15 +43,10 @@ LOOSE_POINTS = 3
 TOUCH_LIMIT_MM = 0.5
 SMALL_FORCE = 0.05
 """Noise that grows with the force does not fall below this part of the largest one."""
-USUAL_NOISE = {"proportional": 0.015, "constant": 0.005}
-"""Scatter of readings that is usual, as a part of the force or of the largest one: what a record of
-few points is taken to have, see ``likelihood``."""
+USUAL_NOISE = 0.015
+"""Scatter of readings that is usual, as a part of the force: what a record of few points has,
+see ``likelihood``."""
 USUAL_COUNT = 2.0
-MIN_FOR_NOISE = 8
-"""Points from which the kind of noise (constant or proportional) is chosen by likelihood."""
-CLEARLY = 3.84
-"""By how much Q has to speak for a constant noise: taken wrongly, it is too small at the largest
-forces, where it matters."""
 NO_DEPTH_MM = 1e-4
 """A tool that has not touched yet is taken to be this deep."""
 GEL_NU = (0.40, 0.499)
@@ -120,7 +115,7 @@ class IndentationFit:
     tables: tuple[ForceTable, ...]
     model: PressForces
     noise: str
-    """``given``, ``constant`` or ``proportional``."""
+    """``given`` by the records, or ``proportional`` to the force."""
     misfit: float
     """Q of the likelihood, to compare fits of the same points."""
     likelihood: Likelihood
@@ -179,9 +174,6 @@ class IndentationFit:
         if self.noise == "given":
             assert item.sigma_n is not None
             return scales[index] * float(np.median(item.sigma_n))
-        largest = max(float(np.abs(p.force_n).max()) for p in self.points)
-        if self.noise == "constant":
-            return scales[0] * largest
         return scales[0] * max(force_n, SMALL_FORCE * float(item.force_n.max()))
 
     def relative_residuals(self, index: int) -> np.ndarray:
@@ -249,34 +241,19 @@ def fit_indentation(
             )
     names = [p.name for p in parameters]
     model = PressForces(tables, names, poisson_ratio)
-    count = sum(len(item.depth_mm) for item in points)
-    kinds = _noise_kinds(points)
-    largest = max(float(np.abs(item.force_n).max()) for item in points)
-    best: tuple[str, Likelihood] | None = None
-    lowest = math.inf
-    for kind in kinds:
-        weights = [_weights(item, kind, largest) for item in points]
-        groups = [CurveGroup(len(item.depth_mm), True) for item in points]
-        penalty = 0.0
-        if kind != "given":
-            usual = USUAL_NOISE[kind]
-            groups = [CurveGroup(count, False, usual, USUAL_COUNT)]
-            # Weights and the usual noise are part of the likelihood of a kind of noise.
-            dof = max(count - sum(p.prior_sigma is None or p.loose for p in parameters), 0)
-            dof += USUAL_COUNT
-            penalty = 2 * dof / count * float(np.log(np.concatenate(weights)).sum())
-            penalty -= USUAL_COUNT * math.log(USUAL_COUNT * usual**2)
-            penalty += CLEARLY if kind == "constant" else 0.0
-        likelihood = Likelihood(
-            parameters,
-            groups,
-            lambda theta, weights=weights: model.residuals(theta, points, weights),
-        )
-        value = likelihood.q(likelihood.solve(profiled=()).values) + penalty
-        if best is None or value < lowest:
-            best, lowest = (kind, likelihood), value
-    assert best is not None
-    solution = best[1].solve(profiled, drawn)
+    noise = "given" if all(item.sigma_n is not None for item in points) else "proportional"
+    groups = [CurveGroup(len(item.depth_mm), True) for item in points]
+    weights = [item.sigma_n for item in points if item.sigma_n is not None]
+    if noise == "proportional":
+        count = sum(len(item.depth_mm) for item in points)
+        groups = [CurveGroup(count, False, USUAL_NOISE, USUAL_COUNT)]
+        # Standard deviations up to a common factor.
+        size = [np.abs(item.force_n) for item in points]
+        weights = [np.maximum(force, SMALL_FORCE * force.max()) for force in size]
+    likelihood = Likelihood(
+        parameters, groups, lambda theta: model.residuals(theta, points, weights)
+    )
+    solution = likelihood.solve(profiled, drawn)
     nu = solution.value("nu") if free_nu else poisson_ratio
     return IndentationFit(
         solution,
@@ -284,10 +261,10 @@ def fit_indentation(
         tuple(points),
         tuple(tables),
         model,
-        best[0],
-        lowest,
-        best[1],
-        _model_errors(best[1], solution, points, tables),
+        noise,
+        likelihood.q(solution.values),
+        likelihood,
+        _model_errors(likelihood, solution, points, tables),
     )
 
 
@@ -322,22 +299,3 @@ def touch_sigma(item: IndentationPoints, given_mm: float | None) -> float:
         return given_mm
     many = len(np.unique(item.depth_mm)) >= MANY_POINTS
     return LOOSE_TOUCH_SIGMA_MM if many else TOUCH_SIGMA_MM[item.tool.kind]
-
-
-def _noise_kinds(points: Sequence[IndentationPoints]) -> list[str]:
-    if all(item.sigma_n is not None for item in points):
-        return ["given"]
-    if sum(len(item.depth_mm) for item in points) >= MIN_FOR_NOISE:
-        return ["constant", "proportional"]
-    return ["proportional"]
-
-
-def _weights(item: IndentationPoints, kind: str, largest_n: float) -> np.ndarray:
-    """Standard deviations up to a common factor."""
-    force = np.abs(item.force_n)
-    if kind == "given":
-        assert item.sigma_n is not None
-        return item.sigma_n
-    if kind == "constant":
-        return np.full(len(force), largest_n)
-    return np.maximum(force, SMALL_FORCE * force.max())

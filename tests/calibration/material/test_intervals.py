@@ -179,7 +179,7 @@ def test_noise_alone(tool: CurveTool, exact: ForceTable, count: int, stated: boo
     """Of a stated noise, and of one that a few points have to tell: usual, but for chance."""
     rng = np.random.default_rng(count)
     held = np.zeros(2, dtype=int)
-    usual = USUAL_NOISE["proportional"]
+    usual = USUAL_NOISE
     for _ in range(DRAWS):
         drawn = min(usual * np.sqrt(USUAL_COUNT / rng.chisquare(USUAL_COUNT)), LARGEST_NOISE)
         noise = usual if stated else drawn
