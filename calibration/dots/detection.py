@@ -90,22 +90,8 @@ def _detect(grey: np.ndarray, scale: DotScale) -> Dots:
     flags[cut] |= np.uint8(DotFlag.CUT)
     flags[merged] |= np.uint8(DotFlag.MERGED)
     flags[_odd(fit, cut, scale.sign)] |= np.uint8(DotFlag.ODD)
-    dots = dots_of(fit, flags, scale, (width, height))
+    dots = Dots(**vars(fit), flags=flags, scale=scale, size_px=(width, height))
     return dots.select(_in_picture(dots))
-
-
-def dots_of(fit: DotFit, flags: np.ndarray, scale: DotScale, size_px: tuple[int, int]) -> Dots:
-    """Fitted dots with what is special about them."""
-    return Dots(fit.parameters, fit.covariance_px2, fit.seen, fit.converged, flags, scale, size_px)
-
-
-def start_parameters(uv_px: np.ndarray, radius_px: float | np.ndarray) -> np.ndarray:
-    """Round dots of one size at given places, shape [dot, 10]; levels are left to the fit."""
-    start = np.zeros((len(uv_px), model.PARAMETERS))
-    start[:, :2] = uv_px
-    start[:, model.SHAPE] = model.circle(np.broadcast_to(radius_px, len(uv_px)))
-    start[:, model.LOG_BLUR] = np.log(np.maximum(0.2 * np.asarray(radius_px), 0.6))
-    return start
 
 
 def strong_blobs(image: np.ndarray, scale: DotScale) -> np.ndarray:
@@ -114,12 +100,17 @@ def strong_blobs(image: np.ndarray, scale: DotScale) -> np.ndarray:
 
 
 def _start(grey: np.ndarray, scale: DotScale) -> np.ndarray:
+    """Round dots of one size at the blobs, shape [dot, 10]; levels are left to the fit."""
     answer = response(grey, scale.sigma_px, bright_level(grey))
     blobs = find_blobs(answer, scale.sigma_px, scale.sign, MIN_CONTRAST)
     strong = blobs.contrast > scale.threshold
     usual = float(np.median(blobs.contrast[strong])) if strong.any() else scale.threshold
     kept = blobs.contrast > min(scale.threshold, max(_WEAK * usual, 3.0 * MIN_CONTRAST))
-    return start_parameters(blobs.uv_px[kept], scale.radius_px)
+    start = np.zeros((int(kept.sum()), model.PARAMETERS))
+    start[:, :2] = blobs.uv_px[kept]
+    start[:, model.SHAPE] = model.circle(scale.radius_px)
+    start[:, model.LOG_BLUR] = np.log(max(0.2 * scale.radius_px, 0.6))
+    return start
 
 
 def _split_touching(grey: np.ndarray, fit: DotFit, scale: DotScale) -> tuple[DotFit, np.ndarray]:
