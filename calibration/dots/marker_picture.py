@@ -52,7 +52,7 @@ def find_markers(image: np.ndarray) -> MarkerPicture:
     Raises:
         InputError: The picture shows no dots; says what was found instead.
     """
-    best_count, best = 0, None
+    likeliest: Dots | None = None
     for scale in scale_candidates(image)[:_TRIED]:
         if scale.count < MIN_DOTS or (scale.count > _MANY and not _regular(image, scale)):
             continue
@@ -60,9 +60,8 @@ def find_markers(image: np.ndarray) -> MarkerPicture:
         picture = _accept(dots)
         if picture is not None:
             return picture
-        if scale.count > best_count:
-            best_count, best = scale.count, dots
-    raise InputError("no dots found: " + _why_not(best))
+        likeliest = dots if likeliest is None else likeliest
+    raise InputError("no dots found: " + _why_not(likeliest))
 
 
 def marker_pitch_px(image: np.ndarray) -> tuple[float, float, float]:
@@ -171,8 +170,8 @@ def _why_not(dots: Dots | None) -> str:
         )
     contrast = float(np.median(np.abs(dots.contrast)))
     return (
-        f"the {dots.count} blobs of radius {np.median(dots.radius_px):.1f} px that stand out most "
-        f"(contrast {100 * contrast:.0f} %) form no square, rectangular or hexagonal lattice; a "
-        "sensor without markers has no markers block, and one with markers needs a sharp picture "
+        f"the {dots.count} blobs of radius {np.median(dots.radius_px):.1f} px that look most like "
+        f"dots (contrast {100 * contrast:.0f} %) form no square, rectangular or hexagonal lattice; "
+        "a sensor without markers has no markers block, and one with markers needs a sharp picture "
         "at rest"
     )
